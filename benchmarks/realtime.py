@@ -92,7 +92,7 @@ def make_rezero_plant() -> BallPlant:
     return BallPlant(robot.description, *robot.base.numeric.equilibrium(robot.home[robot.state["arm"]]), None, 0)
 
 
-def make_rezero_agent(own: MPC, plant: BallPlant, rate: float) -> BallController:
+def make_rezero_controller(own: MPC, plant: BallPlant, rate: float) -> BallController:
     """The experiments' controller with an MPC of its own as its model, on the simulator's state."""
     robot = load_robot("rezero")
     arm = robot.home[robot.state["arm"]]
@@ -108,7 +108,7 @@ def rezero_case() -> Case:
     times, positions, _ = rezero_poses()
     index = lambda t: np.searchsorted(times, t, side="right") - 1
     return Case(
-        1000.0, make_rezero_mpc, make_rezero_plant, make_rezero_agent, BallCommand(np.zeros(6)),
+        1000.0, make_rezero_mpc, make_rezero_plant, make_rezero_controller, BallCommand(np.zeros(6)),
         lambda t: positions[index(t)], lambda t: np.abs(t - times[index(t)] - 3.0) < 0.5,
         "end effector error from 2.5 to 3.5 s after each step: later the end effector already leans into the next one, which it sees coming",
     )  # fmt: skip
@@ -142,7 +142,7 @@ def make_swerve_plant() -> SwervePlant:
     return SwervePlant(robot.description, robot.state.split(robot.home), None, 0)
 
 
-def make_swerve_agent(own: MPC, plant: SwervePlant, rate: float) -> SwerveController:
+def make_swerve_controller(own: MPC, plant: SwervePlant, rate: float) -> SwerveController:
     """The experiments' controller, odometry of the wheels alone."""
     return SwerveController(
         load_robot("swerve-ur10"), plant.truth().pose, 1.0 / rate, tracking=TrackingSettings(lag=0.020)
@@ -151,7 +151,7 @@ def make_swerve_agent(own: MPC, plant: SwervePlant, rate: float) -> SwerveContro
 
 def swerve_case(intervals: int) -> Case:
     return Case(
-        200.0, partial(make_swerve_mpc, intervals=intervals), make_swerve_plant, make_swerve_agent,
+        200.0, partial(make_swerve_mpc, intervals=intervals), make_swerve_plant, make_swerve_controller,
         SwerveCommand.stop(), swerve_hand, lambda t: t > 3.0, "end effector error along the sine from 3 s on",
     )  # fmt: skip
 
@@ -220,10 +220,10 @@ def run(
     runner.start()
     parts = {"physics": robot.process.pid, "controller" if process else "controller and MPC": os.getpid()}
     parts |= {"MPC": runner.process_id} if process else {}
-    began, before = clock.now(), {part: cpu_seconds(pid) for part, pid in parts.items()}
+    began, previous = clock.now(), {part: cpu_seconds(pid) for part, pid in parts.items()}
     while clock.now() < seconds and not runner.stopped:
         clock.wait(min(clock.now() + 0.05, seconds))
-    load = {p: (cpu_seconds(pid) - before[p]) / (clock.now() - began) for p, pid in parts.items()}
+    load = {p: (cpu_seconds(pid) - previous[p]) / (clock.now() - began) for p, pid in parts.items()}
     report = runner.report()
     runner.shutdown()
     robot.close()

@@ -92,16 +92,16 @@ class ModelledRobot:
             return 2.0 - len(states) / steps
         last = states[-round(LAST / self.period) :]
         place = self.robot.poses(last)[:, :3] if self.mode == "hand" else last[:, :2]
-        wanted = self.robot.pose(self.home)[0] if self.mode == "hand" else self.home[:2]
-        error = float(np.linalg.norm(place - wanted, axis=1).max())
+        target = self.robot.pose(self.home)[0] if self.mode == "hand" else self.home[:2]
+        error = float(np.linalg.norm(place - target, axis=1).max())
         return error / (1.0 + error)
 
-    def losses(self, controller: LqrController, impulse: float, most: float = np.inf) -> list[float]:
-        """Over the directions, until their sum is beyond ``most``."""
+    def losses(self, controller: LqrController, impulse: float, maximum: float = np.inf) -> list[float]:
+        """Over the directions, until their sum is beyond ``maximum``."""
         found: list[float] = []
         for direction in MODELLED:
             found.append(self.loss(controller, direction, impulse))
-            if sum(found) > most:
+            if sum(found) > maximum:
                 break
         return found
 
@@ -116,8 +116,8 @@ class ModelledRobot:
             if t < LENGTH + self.period:
                 force = self.generalised(x[:n], push) if t < LENGTH else np.zeros(n)
                 self.mpc.solver.set_parameters({"disturbance": force})
-            wanted = controller.limits.possible(controller._law(t, x, None)[1])
-            torque = torque + blend * (wanted - torque)
+            target = controller.limits.possible(controller._law(t, x, None)[1])
+            torque = torque + blend * (target - torque)
             x = controller._step(x, torque, self.period)
             if not np.isfinite(x).all() or np.hypot(x[3], x[4]) > FALLEN:
                 break
@@ -177,20 +177,20 @@ def race(
 
     ``recovers``: from an impulse, in a task. From ``first`` on the impulse is raised whenever one set has done all tasks; a set
     that cannot do more than the best is left."""
-    impulse, most, best = first, -1, sets[0]
+    impulse, maximum, best = first, -1, sets[0]
     for tried in sets:
         while True:
             done = failed = 0
-            while done + failed < tasks and tasks - failed > most:
+            while done + failed < tasks and tasks - failed > maximum:
                 passed = recovers(tried, impulse, done + failed)
                 done, failed = done + passed, failed + (not passed)
-            if done <= most:
+            if done <= maximum:
                 break
-            most, best = done, tried
+            maximum, best = done, tried
             if done < tasks:
                 break
-            impulse, most = impulse + HARDER, -1
-    return impulse, most, best
+            impulse, maximum = impulse + HARDER, -1
+    return impulse, maximum, best
 
 
 def simulated(store: Store, mode: str, controller: str, seeds: list[int]) -> Callable[[Gains, float, int], bool]:

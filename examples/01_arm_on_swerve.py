@@ -45,8 +45,8 @@ for k in range(300):
     if k == 0:
         print(f"first policy after {time.perf_counter() - start:.2f} s (compiled code is kept for the next start)")
     x = mpc.solver.simulate(x, policy(t, x), mpc.period)
-    wanted = [np.interp(t + mpc.period, times, path[:, i]) for i in range(3)]
-    errors.append(np.linalg.norm(robot.pose(x)[0] - wanted))
+    target = [np.interp(t + mpc.period, times, path[:, i]) for i in range(3)]
+    errors.append(np.linalg.norm(robot.pose(x)[0] - target))
 
 solve = 1e3 * np.array(mpc.statistics.solve_times)
 print(

@@ -53,9 +53,9 @@ def check_steps(steps, folder: Path) -> None:  # type: ignore[no-untyped-def]
         last = (t >= leave - 1.0) & (t < leave)
         worst.append(np.linalg.norm(log["hand_estimated"][last] - goal, axis=1).mean())
         if any(step.move):
-            before = home + np.array(STEPS[k - 1].move if k else (0, 0, 0))
+            previous = home + np.array(STEPS[k - 1].move if k else (0, 0, 0))
             window = (t >= leave - s["hold"]) & (t < leave)
-            gone = (end_effector[window] - before) @ (goal - before) / np.sum((goal - before) ** 2)
+            gone = (end_effector[window] - previous) @ (goal - previous) / np.sum((goal - previous) ** 2)
             first = lambda level, g=gone, w=window: t[w][np.argmax(g > level)]
             rises.append(first(0.9) - first(0.1))
     assert m["steady_position_error_max"] == pytest.approx(max(worst), rel=1e-9)

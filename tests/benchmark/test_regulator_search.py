@@ -42,7 +42,7 @@ class Known:
     def away(self, gains: dict[str, float]) -> float:
         return float(np.sqrt(sum(np.log(v / 0.5) ** 2 for v in gains.values())))
 
-    def losses(self, gains: dict[str, float], impulse: float, most: float = np.inf) -> list[float]:
+    def losses(self, gains: dict[str, float], impulse: float, maximum: float = np.inf) -> list[float]:
         error = 1e-3 * impulse * self.away(gains)
         return [error / (1.0 + error)] * len(MODELLED)
 
@@ -72,7 +72,7 @@ def test_a_robot_that_falls_later_or_rests_nearer_loses_less(
     assert robot.losses(controller, 10.0) == [0.0, 0.0]
     states[-1, 0] += 0.25
     assert robot.losses(controller, 10.0) == pytest.approx([0.2, 0.2])
-    assert len(robot.losses(controller, 10.0, most=0.1)) == 1
+    assert len(robot.losses(controller, 10.0, maximum=0.1)) == 1
     states = states[:560]
     assert robot.losses(controller, 10.0) == pytest.approx([1.8, 1.8])
 

@@ -83,11 +83,11 @@ def test_rest_under_a_force_to_first_command(robot: RobotModel, gains: Regulator
 
 
 def controller(
-    robot: RobotModel, gains: RegulatorGains, scheduled: bool, wanted: np.ndarray, most: float
+    robot: RobotModel, gains: RegulatorGains, scheduled: bool, target: np.ndarray, maximum: float
 ) -> LqrController:
     u = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
     out = LqrController(robot, None, u, PERIOD, DriveSettings(0.02), observer=False)  # type: ignore[arg-type]
-    out.regulate(gains, lambda t: wanted, scheduled, most)
+    out.regulate(gains, lambda t: target, scheduled, maximum)
     return out
 
 
@@ -95,7 +95,7 @@ def asked(controller: LqrController, x: np.ndarray) -> np.ndarray:
     """Torques that the law asks for at x, before they are cut."""
     controller.measure(BallMeasurement(0.0, x, 0.0))
     controller.command(0.0, PolicyQueue())
-    return controller.wanted
+    return controller.target
 
 
 def test_scheduled_gains_turn_with_the_heading(robot: RobotModel, gains: RegulatorGains) -> None:

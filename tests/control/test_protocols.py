@@ -22,7 +22,7 @@ from wbmpc.estimation.force import ForceMonitor
 from wbmpc.studies.pankert2022.rolling import RollingController
 
 #: Constructor arguments that a controller may have.
-MOST = 8
+MAXIMUM = 8
 SWERVE, BALL = robot("swerve-ur10"), robot("rezero")
 
 
@@ -30,7 +30,7 @@ SWERVE, BALL = robot("swerve-ur10"), robot("rezero")
     "kind", [SwerveController, BusSwerveController, RollingController, BallController, BusBallController]
 )
 def test_a_controller_has_few_arguments(kind: type) -> None:
-    assert 3 <= len(inspect.signature(kind).parameters) <= MOST
+    assert 3 <= len(inspect.signature(kind).parameters) <= MAXIMUM
 
 
 def found_by_brakes(monitor: Monitor) -> object:

@@ -84,8 +84,8 @@ def test_a_hand_out_of_reach_points_there() -> None:
     place, quaternion = BALL.pose(BALL.home)
     far, found = place + [1.5, 0.3, 0.0], BALL.home[5:N]
     for _ in range(100):
-        before, found = found, inverse(BALL.home, np.concatenate([far, quaternion]), BALL.home[5:N], found)
-    np.testing.assert_allclose(found, before, atol=1e-3)  # and it stays there
+        previous, found = found, inverse(BALL.home, np.concatenate([far, quaternion]), BALL.home[5:N], found)
+    np.testing.assert_allclose(found, previous, atol=1e-3)  # and it stays there
     arm, state = BALL.state["arm"], BALL.home.copy()
     assert np.all(found >= BALL.limits.state_lower[arm]) and np.all(found <= BALL.limits.state_upper[arm])
     state[arm] = found

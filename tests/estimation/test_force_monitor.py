@@ -10,7 +10,7 @@ import pytest
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.contact import ContactMonitor
-from wbmpc.estimation.force import CONFIRMED, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_MOST, ZERO_TIME, ForceMonitor
+from wbmpc.estimation.force import CONFIRMED, MAX_ZERO, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_TIME, ForceMonitor
 from wbmpc.studies.minniti2019.door_control import DoorController
 
 H, PUSH = 0.0025, np.array([0.0, 0.0, 8.0])
@@ -94,7 +94,7 @@ def test_bad_messages_are_rejected() -> None:
         monitor.update(0.0, H, True, 8.0, np.nan)
 
 
-@pytest.mark.parametrize("off", [0.0, 0.9 * ZERO_LEFT, 2.6, 0.9 * ZERO_MOST, 1.1 * ZERO_MOST])
+@pytest.mark.parametrize("off", [0.0, 0.9 * ZERO_LEFT, 2.6, 0.9 * MAX_ZERO, 1.1 * MAX_ZERO])
 def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
     """Noise of 0.1 N about a zero that is off; it was right until it jumped there, four averages before. What an ordinary
     zeroing leaves is not touched, to the bit; what no sound sensor has is reported, not taken out."""
@@ -103,9 +103,9 @@ def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
     for k in range(round(8.0 * ZERO_TIME / H)):
         monitor.rest(H, (k * H > 4.0 * ZERO_TIME) * wrong + 0.1 * rng.normal(size=3))
     fault = monitor.tare()
-    assert fault == monitor.fault and bool(fault) == (off > ZERO_MOST)
-    assert ("5.4 N where nothing touches" in fault) == (off > ZERO_MOST)  # 98 % of it by now
-    if off <= ZERO_MOST:
+    assert fault == monitor.fault and bool(fault) == (off > MAX_ZERO)
+    assert ("5.4 N where nothing touches" in fault) == (off > MAX_ZERO)  # 98 % of it by now
+    if off <= MAX_ZERO:
         np.testing.assert_allclose(monitor.judge(H, PUSH + wrong), PUSH + (off < ZERO_LEFT) * wrong, atol=0.1)
     if off < ZERO_LEFT:
         np.testing.assert_array_equal(monitor.judge(H, PUSH), PUSH)

@@ -42,9 +42,9 @@ def sound() -> Sound:
         else:
             messages.append(m)
             states.append(plant.state())
-        wanted = HOME.copy()
-        wanted[0] = 0.05 * np.sin(4.0 * m.time)
-        plant.step(BallCommand(np.clip(TORQUE - regulator() @ (plant.state() - wanted), -limit, limit)), 5)
+        target = HOME.copy()
+        target[0] = 0.05 * np.sin(4.0 * m.time)
+        plant.step(BallCommand(np.clip(TORQUE - regulator() @ (plant.state() - target), -limit, limit)), 5)
     return Sound(estimator, messages, states)
 
 

@@ -109,8 +109,8 @@ def test_capture_point_is_the_offset_and_its_rate() -> None:
     rng = np.random.default_rng(3)
     for _ in range(3):
         x = np.concatenate([rng.uniform(-0.5, 0.5, 8), rng.uniform(-1.0, 1.0, 8)])
-        later, before = (np.concatenate([x[:8] + h * x[8:], x[8:]]) for h in (1e-6, -1e-6))
-        rate = (load_offset(later) - load_offset(before)) / 2e-6
+        later, previous = (np.concatenate([x[:8] + h * x[8:], x[8:]]) for h in (1e-6, -1e-6))
+        rate = (load_offset(later) - load_offset(previous)) / 2e-6
         want = (load_offset(x) + rate / 4.7)[:2]
         found = evaluated(CapturePoint(ROBOT, 4.7), x, np.zeros(6), np.zeros(ROBOT.parameters.size))
         along = np.array([want[0], (want[0] + want[1]) / np.sqrt(2), want[1], (want[1] - want[0]) / np.sqrt(2)])

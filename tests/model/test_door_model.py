@@ -83,11 +83,11 @@ def test_contact_rows_are_the_derivatives_of_the_place_on_the_panel(opening: flo
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
 
     h = 1e-3
-    now, before, after = place(x), place(moved(-h)), place(moved(h))
+    now, previous, after = place(x), place(moved(-h)), place(moved(h))
     found = [np.array(v).ravel() for v in motion(x, u, 1.0)]
     assert found[0] == pytest.approx(now, abs=1e-12)
-    assert found[1] == pytest.approx((after - before) / (2 * h), rel=1e-3, abs=1e-4)
-    assert found[2] == pytest.approx((after - 2 * now + before) / h**2, rel=2e-3, abs=1e-2)
+    assert found[1] == pytest.approx((after - previous) / (2 * h), rel=1e-3, abs=1e-4)
+    assert found[2] == pytest.approx((after - 2 * now + previous) / h**2, rel=2e-3, abs=1e-2)
 
 
 def test_jacobian_is_the_derivative() -> None:

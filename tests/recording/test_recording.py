@@ -178,9 +178,9 @@ def test_contacts_agree_with_the_force_sensors() -> None:
     for _ in range(100):
         plant.step(SwerveCommand.stop(), 5)
     truth = plant.truth()
-    before = plant.data.qacc.copy()
+    previous = plant.data.qacc.copy()
     contacts = {c.body: c for c in reader.contacts(plant.data)}
-    np.testing.assert_array_equal(plant.data.qacc, before)  # the plant is left alone
+    np.testing.assert_array_equal(plant.data.qacc, previous)  # the plant is left alone
     forces = np.array([contacts[f"wheel_{leg}"].force[2] for leg in ("LF", "RF", "LB", "RB")])
     np.testing.assert_allclose(forces, truth.wheel_force, rtol=2e-3)
     assert all(abs(c.point[2]) < 1e-3 for c in contacts.values())

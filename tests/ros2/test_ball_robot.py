@@ -260,14 +260,14 @@ def test_time_that_goes_back_is_another_clocks(simulated: bool) -> None:
     for t in (17.0, 17.0025):
         adapter.controller.follow(BallMessage(t, t, wheel, arm, *still))
     adapter.stand(BallMessage(17.005, 17.005, wheel, arm, *still))
-    t, before = adapter.snapshot()
-    assert t == pytest.approx(17.005) and before[:3] == pytest.approx(x[:3], abs=1e-3)
+    t, previous = adapter.snapshot()
+    assert t == pytest.approx(17.005) and previous[:3] == pytest.approx(x[:3], abs=1e-3)
     for t in (1.0, 1.0025):
         adapter.stand(BallMessage(t, t, wheel, arm + 0.1, *still))
         found = adapter.snapshot()
         assert found[0] == pytest.approx(t)
         np.testing.assert_allclose(found[1][ROBOT.state["arm"]], arm + 0.1, atol=1e-9)
-        np.testing.assert_allclose(found[1][:3], np.zeros(3) if simulated else before[:3], atol=1e-9)
+        np.testing.assert_allclose(found[1][:3], np.zeros(3) if simulated else previous[:3], atol=1e-9)
         np.testing.assert_allclose(
             found[1], [*found[1][:3], *ROBOT.base.numeric.equilibrium(arm + 0.1)[0][3:]], atol=1e-9
         )

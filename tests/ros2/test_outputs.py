@@ -95,11 +95,11 @@ def test_the_true_odometrys_twist_is_the_derivative_of_its_pose(robot: Any) -> N
     array = lambda v, names: np.array([v[n] for n in names])
     rotation = lambda m: lie.quaternion_to_rotation(array(m["pose"]["pose"]["orientation"], lie.PARTS))
     place = lambda m: array(m["pose"]["pose"]["position"], "xyz")
-    before, now, after = reported[-3:]
-    turned = rotation(before).T @ rotation(after)
+    previous, now, after = reported[-3:]
+    turned = rotation(previous).T @ rotation(after)
     rate = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]) / 2.0
     h, twist = 2.0 * sim.period, now["twist"]["twist"]
-    speed = (place(after) - place(before)) / h
+    speed = (place(after) - place(previous)) / h
     # what is reported of the height is that of a flat floor: not its derivative
     np.testing.assert_allclose((rotation(now) @ array(twist["linear"], "xyz"))[:2], speed[:2], atol=0.01)
     np.testing.assert_allclose(array(twist["angular"], "xyz")[2], rate[2] / h, atol=0.02)

@@ -104,7 +104,7 @@ def leaves(part: Settings, name: str = "cost") -> list[str]:
 def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
     """Truth: whether its weights are other ones when a number of the costs is."""
     robot, usual = load_robot("rezero"), RezeroPushHandSettings()
-    before = regulator_weights(robot, usual, RegulatorSettings())
+    previous = regulator_weights(robot, usual, RegulatorSettings())
     names = set(leaves(usual.cost)) - set(RezeroPushHandSettings.unused)
     for name in names:
         given = {"cost": usual.cost.model_copy(deep=True)}
@@ -114,7 +114,7 @@ def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
         object.__setattr__(part, key, changed)  # settings are frozen
         after = regulator_weights(robot, usual.model_copy(update=given), RegulatorSettings())
         reads = any(
-            not np.array_equal(getattr(before, f), getattr(after, f)) for f in ("hand", "twist", "state", "torque")
+            not np.array_equal(getattr(previous, f), getattr(after, f)) for f in ("hand", "twist", "state", "torque")
         )
         for controller in ("lqr", "scheduled-lqr"):
             asked = [f"controller={controller}", f"{name}={changed}"]

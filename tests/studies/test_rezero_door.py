@@ -111,11 +111,11 @@ def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:
 def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     """Rezero's lean is limited to 0.6 of 115 mm, and 1.97 mm of it answer 1 N at the end effector: 35 N. With 30 N it fell."""
     robot = rezero_door.ball_robot(SHORT, contact="force")
-    most = rezero_door.held(SHORT, robot)
-    assert most == pytest.approx(0.6 * 115.2 / 1.97, rel=2e-3)
+    maximum = rezero_door.held(SHORT, robot)
+    assert maximum == pytest.approx(0.6 * 115.2 / 1.97, rel=2e-3)
     free = SHORT.model_copy(update={"cost": SHORT.cost.model_copy(update={"lean": 0.0})})
     assert rezero_door.bounded(free, robot, 200.0) == (200.0, "")
-    monkeypatch.setattr(rezero_door, "held", lambda *_: most)
+    monkeypatch.setattr(rezero_door, "held", lambda *_: maximum)
     for force in (8.0, 16.0, 20.9):
         assert rezero_door.bounded(SHORT, robot, force) == (force, "")
     possible, reported = rezero_door.bounded(SHORT, robot, 30.0)

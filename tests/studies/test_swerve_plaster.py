@@ -60,10 +60,10 @@ def test_spread_is_that_of_the_passes() -> None:
 
 def test_a_stop_is_counted() -> None:
     t = np.arange(0.0, 10.0, 0.01)
-    wanted = np.stack([0.5 * t, 0 * t, 0 * t], axis=1)
-    held = wanted.copy()
+    target = np.stack([0.5 * t, 0 * t, 0 * t], axis=1)
+    held = target.copy()
     held[(t > 4.0) & (t < 5.0)] = held[400]
-    assert stops(t, wanted, wanted) == 0 and stops(t, held, wanted) == 1
+    assert stops(t, target, target) == 0 and stops(t, held, target) == 1
 
 
 def test_a_short_wall(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -56,9 +56,9 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
             film = Film(_partly(tmp_path))
             eye = camera_offset(film.snapshot(0.0)["poses"], film.scene)
             page.uncheck("Camera follows")  # from here on its place is known
-            before = page.picture()
+            previous = page.picture()
             page.click("Push")
-            assert page.until(lambda: page.differs(before) > 300, 180.0)
+            assert page.until(lambda: page.differs(previous) > 300, 180.0)
             assert page.until(lambda: _hand_off(tmp_path) > 0.03, 180.0)
             # the gizmo's red arrow, 0.3 m long: it is pulled further along itself
             goal, base, box = film.snapshot(0.0)["goal"], np.array([0.0, 0.0, 0.125]), (676.0, 700.0)
@@ -104,9 +104,9 @@ def test_the_base_is_dragged_and_legs_are_moved(tmp_path: Path) -> None:
             page.pull(pixel(along), pixel(along + 0.3))
             assert page.until(lambda: _last(tmp_path, "/odom", "pose.pose.position.x") > 0.1, 180.0)
             leg = lambda: _last(tmp_path, "/measured/leg", "data.0")
-            before = leg()
+            previous = leg()
             page.click("A")
-            assert page.until(lambda: abs(leg() - before) > 0.1, 180.0)
+            assert page.until(lambda: abs(leg() - previous) > 0.1, 180.0)
             page.click("Reset")
             assert page.until(lambda: abs(_last(tmp_path, "/odom", "pose.pose.position.x")) < 0.01, 180.0)
             assert page.errors == [] and page.outside == []

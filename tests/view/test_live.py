@@ -117,7 +117,7 @@ def test_browsers_that_hang_change_nothing() -> None:
 
         def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
             if t >= 1.5 and not sockets:
-                self.before = len(view.own_time)
+                self.previous = len(view.own_time)
                 for _ in range(2):
                     sockets.append(hanging_client(view.port, view.access.token))
 
@@ -128,9 +128,9 @@ def test_browsers_that_hang_change_nothing() -> None:
         ending, _ = run(view, 3.5, connect)
         assert ending.reason == ""
         times = np.array(view.own_time)
-        before, after = times[100 : connect.before], times[connect.before :]
-        assert np.median(after) < 1.5 * np.median(before) + 20e-6
-        assert np.percentile(after, 90) < 2.0 * np.percentile(before, 90) + 1e-3
+        previous, after = times[100 : connect.previous], times[connect.previous :]
+        assert np.median(after) < 1.5 * np.median(previous) + 20e-6
+        assert np.percentile(after, 90) < 2.0 * np.percentile(previous, 90) + 1e-3
     finally:
         view.close()
         for s in sockets:

@@ -118,9 +118,9 @@ def test_the_runner_is_watched_and_steered() -> None:
         give(base_goals=1, base_goal=np.array([0.25, 0.2, 0.0]))
         seen["base"] = until(lambda: bool(runner.controller.state()[0] > 0.1))
         weights[0] = 10.0
-        before = memory.copy()
+        previous = memory.copy()
         give(weights=weights)
-        seen["weights"] = until(lambda: bool(np.any((memory == 10.0 * before) & (before > 0.0))))
+        seen["weights"] = until(lambda: bool(np.any((memory == 10.0 * previous) & (previous > 0.0))))
         at = end_effector()
         give(pushes=1, push=np.array([900.0, 0.0, 0.0]), push_time=1.0)
         seen["push"] = until(lambda: float(np.linalg.norm(end_effector() - at)) > 5e-4)

@@ -79,10 +79,10 @@ class DisturbanceObserver:
             self._held_until = t + self.hold
         lasts = t < self._lasts_until
         held = t < self._held_until and not lasts
-        before = self._speed
-        after = self.step(np.concatenate([q, before]), u, h)
+        previous = self._speed
+        after = self.step(np.concatenate([q, previous]), u, h)
         self._speed = after[n:] + h * self.speed_gain * innovation
-        acceleration = np.hypot(*(after[n : n + 2] - before[:2])) / h
+        acceleration = np.hypot(*(after[n : n + 2] - previous[:2])) / h
         moving = (acceleration / self.calm[0]) ** 2 + (np.hypot(*v[3:5]) / self.calm[1]) ** 2
         gain = 0.0 if held else self.force_gain if lasts else self.force_gain / (1.0 + moving)
         self.force = self.force + h * gain * (self.mass(q) @ innovation)

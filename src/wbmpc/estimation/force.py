@@ -24,7 +24,7 @@ JUMP = 30.0
 CONFIRMED, SHARE, MEAN_TIME = 0.15, 0.4, 0.1
 #: What a sensor reads at rest is averaged over this time [s]. It is left as it is up to the first of these [N], what an ordinary
 #: zeroing leaves (0.1 N for each axis); beyond the second the sensor is broken, or something touches it: it is not believed.
-ZERO_TIME, ZERO_LEFT, ZERO_MOST = 0.3, 0.3, 5.0
+ZERO_TIME, ZERO_LEFT, MAX_ZERO = 0.3, 0.3, 5.0
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,12 @@ class ForceMonitor:
             raise InputError(f"force sensor: 'force' needs 3 numbers, got {given}")
         if self.fault:
             return np.zeros(3)
-        before, new = self._last, bool(np.isfinite(given).all())
-        again = not new or (before is not None and np.array_equal(given, before))
+        previous, new = self._last, bool(np.isfinite(given).all())
+        again = not new or (previous is not None and np.array_equal(given, previous))
         self._same, self._for = (self._same + 1, self._for + h) if again else (0, 0.0)
-        self._jumped = bool(new and before is not None and not self._jumped and np.linalg.norm(given - before) > JUMP)
+        self._jumped = bool(
+            new and previous is not None and not self._jumped and np.linalg.norm(given - previous) > JUMP
+        )
         if new and not self._jumped:
             self._last = given
         if self._same >= REPEATS and self._for >= STANDS - 1e-9:
@@ -82,7 +84,7 @@ class ForceMonitor:
     def tare(self) -> str:
         """From now on something may touch: what was read at rest is the zero, or the reason of a ``fault``, which is returned."""
         size, self._rested = float(np.linalg.norm(self._at_rest)), 0.0
-        if size > ZERO_MOST:
+        if size > MAX_ZERO:
             self.fault = self.fault or f"the force sensor reads {size:.1f} N where nothing touches"
         elif size > ZERO_LEFT:
             self.zero = self.zero + self._at_rest

@@ -66,5 +66,5 @@ class FrictionCone:
 
     def __call__(self, s: Symbols) -> ca.SX:
         push, side, rise = ca.vertsplit(push_on_surface(-s.u[self.robot.input[self.group]], s.reference))
-        most = self.friction / np.sqrt(2.0) * push
-        return ca.vertcat(push - self.least, most - side, most + side, most - rise, most + rise)
+        maximum = self.friction / np.sqrt(2.0) * push
+        return ca.vertcat(push - self.least, maximum - side, maximum + side, maximum - rise, maximum + rise)

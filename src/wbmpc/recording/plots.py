@@ -55,11 +55,11 @@ def positions(recording: Recording, topic: str) -> tuple[np.ndarray, np.ndarray]
 
 def end_effector_error(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:
     """Times (n,) and distances (n,) [m] of end effector and reference in the estimated frame; None without a reference."""
-    end_effector, wanted = positions(recording, "/hand/pose_odom"), positions(recording, "/hand/reference")
-    if end_effector is None or wanted is None:
+    end_effector, target = positions(recording, "/hand/pose_odom"), positions(recording, "/hand/reference")
+    if end_effector is None or target is None:
         return None
-    times, here, there = np.intersect1d(end_effector[0], wanted[0], return_indices=True)
-    return times, np.linalg.norm(end_effector[1][here] - wanted[1][there], axis=1)
+    times, here, there = np.intersect1d(end_effector[0], target[0], return_indices=True)
+    return times, np.linalg.norm(end_effector[1][here] - target[1][there], axis=1)
 
 
 def _end_effector_path(recording: Recording) -> Plot | None:

@@ -21,7 +21,7 @@ Array = np.ndarray
 #: Between two samples of a reference [s]; how far the end effector goes before the base comes along [m].
 STEP, LEASH = 0.02, 0.3
 #: A way has no more samples than this, however long it takes: they are farther apart then.
-_MOST_SAMPLES = 2000
+_MAX_SAMPLES = 2000
 #: Ways that take less than this [s] are none.
 _ROUNDING = 1e-4
 #: A speed is held for longer than the horizon [s], and changes within this acceleration [m/s², rad/s²].
@@ -280,7 +280,7 @@ def _profile(shortest: float) -> tuple[Array, Array]:
     if shortest < _ROUNDING:
         return np.zeros(1), np.ones(1)
     duration = 0.5 * np.pi * shortest
-    count = int(np.ceil(min(duration / STEP, _MOST_SAMPLES)))
+    count = int(np.ceil(min(duration / STEP, _MAX_SAMPLES)))
     numbers = np.arange(count + 1)
     return max(STEP, duration / count) * numbers, 0.5 * (1.0 - np.cos(np.pi * numbers / count))
 

@@ -25,7 +25,7 @@ Array = np.ndarray
 Request = Callable[[Array, float], Task]
 Time = Callable[[], float]
 #: More points than this are a mistake.
-_MOST_POINTS = 20_000
+_MAX_POINTS = 20_000
 _TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 #: A path begins within this time [s], or its stamps are of another clock.
 _LATEST = 60.0
@@ -90,8 +90,11 @@ class RequestQueue:
                 f"the wrench is in the frame '{message.header.frame_id}'; valid: {self.settings.frames.world}"
             )
         force, torque = read_vector(message.wrench.force, "the force"), read_vector(message.wrench.torque, "the torque")
-        if (most := self.settings.wrench) is not None:
-            for name, value, limit, unit in (("force", force, most.force, "N"), ("moment", torque, most.moment, "N m")):
+        if (maximum := self.settings.wrench) is not None:
+            for name, value, limit, unit in (
+                ("force", force, maximum.force, "N"),
+                ("moment", torque, maximum.moment, "N m"),
+            ):
                 if (size := float(np.linalg.norm(value))) > limit:
                     raise InputError(
                         f"a {name} of {size:.4g} {unit} is too much; valid: 0 to {limit:g} (key 'wrench.{name}')"
@@ -174,16 +177,16 @@ class RequestQueue:
                 raise InputError(f"the speed is in the frame '{frame}'; valid: {base}, or none")
         twist = message.twist if stamped else message
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
-        wanted = np.array([linear[0], linear[1], angular[2]])
-        over = float(np.max(np.abs(wanted) / self._fastest))
-        before, self._twist_at = self._twist_at, self.now()
+        target = np.array([linear[0], linear[1], angular[2]])
+        over = float(np.max(np.abs(target) / self._fastest))
+        previous, self._twist_at = self._twist_at, self.now()
         pause = self.settings.safety.cmd_vel
-        self._latched = self._latched and bool(np.any(wanted)) and self._twist_at - before <= pause
+        self._latched = self._latched and bool(np.any(target)) and self._twist_at - previous <= pause
         if self._latched:
             raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
-        if np.any(wanted):
-            self._limit(wanted if over > 1.0 + 1e-9 else None)
-            self._put_speed(wanted / max(over, 1.0))
+        if np.any(target):
+            self._limit(target if over > 1.0 + 1e-9 else None)
+            self._put_speed(target / max(over, 1.0))
         elif self._moving:
             self._slow_down()
 
@@ -191,15 +194,15 @@ class RequestQueue:
         self._put(lambda x, t: self.planner.drive(x, t, twist, self.running))
         self._moving = True
 
-    def _limit(self, wanted: Array | None) -> None:
+    def _limit(self, target: Array | None) -> None:
         """Say once that a speed is too fast; it is scaled as a whole, so that the way remains the same."""
         was, self._limited = self.limited, ""
-        if wanted is None:
+        if target is None:
             return
         text = lambda v: f"{v[0]:.3g}, {v[1]:.3g} m/s, {v[2]:.3g} rad/s"
         topic = self.settings.topics.cmd_vel
-        most = text(self._fastest)
-        self._limited = f"{topic}: {text(wanted)} is faster than {most} (key 'cmd_vel'): scaled down to that"
+        maximum = text(self._fastest)
+        self._limited = f"{topic}: {text(target)} is faster than {maximum} (key 'cmd_vel'): scaled down to that"
         if not was:
             self._limited_log.log(_LOG, logging.WARNING, "limited", self._limited)
 
@@ -225,8 +228,8 @@ class RequestQueue:
             raise InputError(f"the base's goal has z = {worst:.2f} m in '{frame}'; valid: {low:.2f} to {high:.2f}")
 
     def _path(self, message: Any) -> tuple[str, Array, Array, Array]:
-        if not 0 < len(message.poses) <= _MOST_POINTS:
-            raise InputError(f"a path of 1 to {_MOST_POINTS} poses is needed, got {len(message.poses)}")
+        if not 0 < len(message.poses) <= _MAX_POINTS:
+            raise InputError(f"a path of 1 to {_MAX_POINTS} poses is needed, got {len(message.poses)}")
         poses = [read_pose(p.pose, f"pose {i} of the path") for i, p in enumerate(message.poses)]
         times = np.array([seconds(p.header.stamp) for p in message.poses])
         frame = self._frame(message.header)

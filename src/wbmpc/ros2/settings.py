@@ -240,10 +240,10 @@ class RosSettings(Settings):
     def fastest(self, robot: RobotModel) -> np.ndarray:
         """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
         speeds, given = self.speeds, self.cmd_vel
-        wanted = np.array([given.base, given.base, given.turn], float)  # None: not a number
+        target = np.array([given.base, given.base, given.turn], float)  # None: not a number
         if "base" in robot.input:
-            return np.fmin(wanted, robot.limits.input_upper[robot.input["base"]])
-        return np.where(np.isnan(wanted), [speeds.base, speeds.base, speeds.turn], wanted)
+            return np.fmin(target, robot.limits.input_upper[robot.input["base"]])
+        return np.where(np.isnan(target), [speeds.base, speeds.base, speeds.turn], target)
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
         """Speed limits [rad/s] of the joints of a group of the model, beyond which joint states cannot be true."""

@@ -270,7 +270,7 @@ class RealTimeRunner:
         if not self._in_force(due):
             self._stop_robot()
             return
-        before = self._cuts()
+        previous = self._cuts()
         command = self.controller.command(due, self.plans)
         self._check_command(command)
         if self._stopped.is_set() or self._ended.is_set():  # from another thread, while this tick hung
@@ -280,7 +280,7 @@ class RealTimeRunner:
         over(now())
         self.own.sample("sent", self.punctuality.sent())
         # controllers that cut in their own way say so; else the policy knows
-        self.own.count("clamped", int(getattr(self.controller, "clamped", self._cuts() > before)))
+        self.own.count("clamped", int(getattr(self.controller, "clamped", self._cuts() > previous)))
         if self.watch is not None:
             self._show(due)
 
@@ -329,15 +329,15 @@ class RealTimeRunner:
 
     def _activate(self, due: float) -> None:
         self.plans.activate(due)
-        before, policy = self._current, self.plans.current
-        if policy is None or policy is before:
+        previous, policy = self._current, self.plans.current
+        if policy is None or policy is previous:
             return
         assert isinstance(policy, TimedPolicy)
         self.own.count("policies")
         self.own.count("late", int(due > policy.valid_from + 1e-6))
         self.own.sample("latency", self.clock.now() - policy.observed)
         self._current = policy
-        if before is None or (self.kept and not self.board["failed"]):
+        if previous is None or (self.kept and not self.board["failed"]):
             self.state, self.kept = "running", ""
 
     def _observe(self, due: float) -> None:

@@ -22,7 +22,7 @@ class LiveView(Window):
     def __init__(self, title: str, host: str, port: int, opened: Callable[[str], None], with_token: bool) -> None:
         super().__init__(title, host, port, opened, with_token)
         self.wants_reset = self.ended = False
-        self._requests, self._before = no_requests(), ""
+        self._requests, self._previous = no_requests(), ""
         self._expect()
 
     def _expect(self) -> None:

@@ -82,7 +82,7 @@ class View(LiveView):
             self._requests = no_requests()
         if self.process is None:
             self.open(running)
-        self.show_message(self._before)
+        self.show_message(self._previous)
         self._loads = self._loads_of(running)
         self._steering = Steering(running, self._observer.lift, self.reject)
         self._steering.skip(self._requests)
@@ -106,7 +106,7 @@ class View(LiveView):
     def end(self, ending: Ending) -> None:
         """Say so; the last picture stays until :meth:`close`."""
         self.show_message(f"The run is over: {ending.reason}" if ending.reason else "The run is over")
-        self._before = f"Before: {ending.reason}" if ending.fell else ""
+        self._previous = f"Before: {ending.reason}" if ending.fell else ""
 
     # ------------------------------------------------------------------ time
     def _anchor(self, t: float) -> None:
@@ -148,13 +148,13 @@ class View(LiveView):
         self._steps += int(self._requests["steps"]) != self._steps  # each of several clicks is a step
 
     def _take_requests(self) -> None:
-        before = self._requests["speed"]
+        previous = self._requests["speed"]
         if not self._read_requests():
             return
         try:
             bounds.within("speed", float(self._requests["speed"]), *bounds.SPEEDS)
         except InputError as error:
-            self._requests["speed"] = before
+            self._requests["speed"] = previous
             self.reject(str(error))
         if self._asked("ends"):
             self.ended = True

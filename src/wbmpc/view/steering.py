@@ -20,7 +20,7 @@ from wbmpc.view import bounds
 _LOG = logging.getLogger(__name__)
 Array = np.ndarray
 #: How many places there are for weights in the orders.
-MOST_WEIGHTS = 16
+MAX_WEIGHTS = 16
 #: Legs are where they should be within this [rad]; then their brakes close.
 _THERE = 0.01
 
@@ -29,7 +29,7 @@ REQUESTS: dict[str, tuple[int, ...]] = {
     "goals": (), "goal": (7,), "base_goals": (), "base_goal": (3,),
     "pushes": (), "push": (3,), "push_time": (),
     "configurations": (), "configuration": (), "brake_clicks": (), "brakes_open": (),
-    "weights": (MOST_WEIGHTS,),
+    "weights": (MAX_WEIGHTS,),
     "paused": (), "steps": (), "speed": (), "resets": (), "ends": (),
 }  # fmt: skip
 
@@ -66,7 +66,7 @@ class Steering:
         self.running, self.mpc, self._lift, self._reject = running, running.mpc, lift, reject
         self._done = {name: 0 for name in REQUESTS if name.endswith("s") and name != "weights"}
         self._limit = RateLimit(1, 5.0)
-        self._weights = self._seen_weights = np.ones(MOST_WEIGHTS)
+        self._weights = self._seen_weights = np.ones(MAX_WEIGHTS)
         self._push_ends: float | None = None
         self._legs: Array | None = None
         #: Whether anything was done.
@@ -78,7 +78,7 @@ class Steering:
         """The costs whose weights can be changed; none without an MPC."""
         if mpc is None:
             return []
-        return [t for t in mpc.ocp.terms.values() if isinstance(t, Cost)][:MOST_WEIGHTS]
+        return [t for t in mpc.ocp.terms.values() if isinstance(t, Cost)][:MAX_WEIGHTS]
 
     @staticmethod
     def legs_of(mpc: MPC | None) -> bool:

@@ -67,9 +67,9 @@ class Balance:
         effect, answer = (component @ slope / pole for slope in (b, pushed))
         shift = component[:, BASE:] @ np.linalg.inv(mass) / pole
         limits, spin = robot.limits.input_upper[robot.input["wheel"]], base.wheel_torque_map()[2]
-        most = robot.description.limits.spin_effort
+        maximum = robot.description.limits.spin_effort
         angles = 2.0 * np.pi * np.arange(directions) / directions
-        reach = [_support(np.array([np.cos(v), np.sin(v)]) @ effect, limits, spin, most) for v in angles]
+        reach = [_support(np.array([np.cos(v), np.sin(v)]) @ effect, limits, spin, maximum) for v in angles]
         # at rest, leans and wheel torques bear the force: M⁻¹ (forces by pitch, roll, wheels) z + M⁻¹ d = 0
         borne = np.linalg.pinv(mass @ np.hstack([a[BASE:, 3:BASE], b[BASE:]]))
         stand = -offset @ borne[:2]
@@ -111,8 +111,8 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
     return a, accelerates(by_u[:, :wheels]), accelerates(by_push), offset[:, 3:BASE], own
 
 
-def _support(effect: Array, limits: Array, spin: Array, most: float) -> float:
+def _support(effect: Array, limits: Array, spin: Array, maximum: float) -> float:
     """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ most."""
-    rows, bounds = (None, None) if not np.isfinite(most) else (np.vstack([spin, -spin]), [most, most])
+    rows, bounds = (None, None) if not np.isfinite(maximum) else (np.vstack([spin, -spin]), [maximum, maximum])
     found = linprog(-effect, A_ub=rows, b_ub=bounds, bounds=[(-v, v) for v in limits])
     return float(-found.fun)

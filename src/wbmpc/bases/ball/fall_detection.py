@@ -77,10 +77,10 @@ class FallPredictor:
         self._seen = policy
         soon = policy.times[1:] <= policy.times[0] + self._ahead
         force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
-        most = self._most(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
-        self._bad = self._bad + 1 if most > self.reach else 0
+        maximum = self._maximum(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
+        self._bad = self._bad + 1 if maximum > self.reach else 0
         if self._bad >= self._plans:
-            return [self._fall(float(policy.times[0]), f"{self._plans} plans in a row lean", most)]
+            return [self._fall(float(policy.times[0]), f"{self._plans} plans in a row lean", maximum)]
         return []
 
     def update(
@@ -93,18 +93,18 @@ class FallPredictor:
     ) -> list[Fall]:
         """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
-        most = self._most(x[None], payload, np.asarray(force, float), shift)
-        if most <= self.reach or not np.isfinite(self._within):
+        maximum = self._maximum(x[None], payload, np.asarray(force, float), shift)
+        if maximum <= self.reach or not np.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
-            return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", most)]
+            return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", maximum)]
         return []
 
-    def _most(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
+    def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
         """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the end effector, and a ``shift`` (2)."""
         found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T))
         return float(np.linalg.norm(found + np.reshape(shift, (2, 1)), axis=0).max())
 
-    def _fall(self, t: float, who: str, most: float) -> Fall:
-        lean = f"{who} by {1e3 * most:.0f} mm at the centre of mass"
+    def _fall(self, t: float, who: str, maximum: float) -> Fall:
+        lean = f"{who} by {1e3 * maximum:.0f} mm at the centre of mass"
         return Fall(t, f"{lean}, and the wheels can stop {1e3 * self.reach:.0f} mm")

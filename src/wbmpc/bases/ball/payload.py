@@ -32,20 +32,20 @@ class PayloadEstimator:
     """``weight(q)``: generalised forces (nq) [N, N m] of 1 kg at the tool; ``rate`` [1/s]; ``spread`` of base and arm [N m];
     ``sure`` [kg]: nothing is weighed where the arm's torques alone determine a mass with a larger standard deviation.
 
-    ``mass`` [kg]: the estimate, from zero to ``most``.
+    ``mass`` [kg]: the estimate, from zero to ``maximum``.
     """
 
     weight: Callable[[Array], Array]
     rate: float = 2.0
     spread: tuple[float, float] = (2.5, 0.6)
-    most: float = 3.0
+    maximum: float = 3.0
     sure: float = 0.5
     mass: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
         who = "payload estimator"
-        not_negative(who, rate=self.rate, most=self.most, mass=self.mass)
+        not_negative(who, rate=self.rate, maximum=self.maximum, mass=self.mass)
         positive(who, sure=self.sure)
         base, arm = numbers(who, "spread", self.spread, 2)
         positive(who, spread=min(base, arm))
@@ -63,7 +63,7 @@ class PayloadEstimator:
         known, by_arm = float(scaled @ weight), float(scaled[5:] @ weight[5:])
         if by_arm < max(0.5 * known, self.sure**-2):
             return force
-        before = self.mass
+        previous = self.mass
         step = h * self.rate * float(scaled @ force) / known
-        self.mass = min(max(before + step, 0.0), self.most)
-        return force - (self.mass - before) * weight
+        self.mass = min(max(previous + step, 0.0), self.maximum)
+        return force - (self.mass - previous) * weight

@@ -273,12 +273,12 @@ class BallRosAdapter:
         elif seen is not None:
             self.controller.follow(m)
             return
-        before, fix = self._standing, self.fix() if self.fix is not None else None
+        previous, fix = self._standing, self.fix() if self.fix is not None else None
         if fix is not None:
             self._place = np.array([*fix[1][:2], nearest_turn(fix[1][2], self._place[2])])
             self._spread = float(np.sqrt(np.diag(fix[2]).max()))
-        if fix is None and before is not None and np.abs(before[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
-            self._standing = m.time, before[1]
+        if fix is None and previous is not None and np.abs(previous[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
+            self._standing = m.time, previous[1]
             return
         x = self.robot.base.numeric.equilibrium(m.arm)[0].copy()
         x[:3] = self._place

@@ -66,11 +66,11 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
         t = log.times("state")
         use = t >= settings.settle
-        wanted = ball_path(settings, t)
+        target = ball_path(settings, t)
         return {
             "hand_error_rms": Metric(rms((estimated_end_effector(log) - end_effector)[use]), "m", goal=0.005),
             "hand_error_rms_world": Metric(rms((log.array("hand") - end_effector)[use]), "m"),
-            "ball_error_rms": Metric(rms((estimated_ball(log) - wanted)[use]), "m"),
+            "ball_error_rms": Metric(rms((estimated_ball(log) - target)[use]), "m"),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "fell": Metric(float(ending.fell), "1", goal=0.0),
         }

@@ -73,12 +73,12 @@ def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
 
 def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tuple[float, str]:
     """The force [N] to push with where ``force`` is asked for, and a message (a warning too) if it is less."""
-    most = settings.hold * held(settings, robot)
-    if force <= most:
+    maximum = settings.hold * held(settings, robot)
+    if force <= maximum:
         return force, ""
-    fault = f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (hold)"
+    fault = f"pushed with {maximum:.1f} N only: of what the lean can hold, the rest is for doors that give way (hold)"
     _LOG.warning("%s, at %g N", fault, force)
-    return most, fault
+    return maximum, fault
 
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
@@ -112,9 +112,9 @@ def make_controller(
 ) -> DoorController:  # fmt: skip
     """The controller at home, with its references and what it is to do."""
     end_effector, quaternion = robot.pose(home)
-    wanted = lambda t: force * float(np.clip(t / max(settings.rise, 1e-9), 0.0, 1.0))
+    target = lambda t: force * float(np.clip(t / max(settings.rise, 1e-9), 0.0, 1.0))
     push = Push(
-        wanted, end_effector, quaternion, settings.settle, settings.speed, settings.open, settings.settle + settings.patience,
+        target, end_effector, quaternion, settings.settle, settings.speed, settings.open, settings.settle + settings.patience,
         back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
     )  # fmt: skip
     for body in ("body", "push_body"):

@@ -268,16 +268,16 @@ class DoorController(BallController):
         angles = self._angles(times, plans)
         normals = np.array([self.geometry.directions(a)[1] for a in angles])
         touch = self.touched if np.isfinite(self.touched) else (schedule.events or (np.inf,))[0]
-        wanted = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
+        target = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
         if self.phase == "approach":
-            wanted = np.minimum(wanted, ANTICIPATED)
+            target = np.minimum(target, ANTICIPATED)
         mpc.set_schedule(schedule)
         mpc.reference["hand"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
-        mpc.reference["force"] = Reference(times, np.column_stack([normals, wanted]))
+        mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
         if "cone" in mpc.ocp.terms:
             mpc.reference["cone"] = Reference(times, normals)
         if "lean" in mpc.ocp.terms:
-            mpc.reference["lean"] = Reference(times, -wanted[:, None] * normals[:, :2])
+            mpc.reference["lean"] = Reference(times, -target[:, None] * normals[:, :2])
 
     def _angles(self, times: Array, plans: PolicyQueue) -> Array:
         """The door's angle [rad] at times [s]: as the last plan has it, or as it is now."""

@@ -56,13 +56,13 @@ def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
     """Figures of one run: force error over the reference (lost contact counts in full), peak of the touch [N], share of
     the time in contact, mean lean [rad], largest angle of the door [rad], rms error of the force estimated without the
     sensor [N], how far the end effector swings at rest and is from where it is wanted [m], whether it fell."""
-    log, wanted = trial.log, trial.force
+    log, target = trial.log, trial.force
     touch, use = pushed(log, rise)
     force, t = normal_force(log), log.times("force")
     counted = force[use]
     without_sensor = np.sum(log.array("force_sensorless") * log.array("normal"), axis=1)[use] - counted
     return {
-        "force_error_ratio": float(np.sqrt(np.mean((counted - wanted) ** 2)) / wanted) if counted.size else np.inf,
+        "force_error_ratio": float(np.sqrt(np.mean((counted - target) ** 2)) / target) if counted.size else np.inf,
         "touch_peak": float(force[(t >= touch) & (t < touch + TOUCH)].max(initial=0.0)),
         "contact_share": float(np.mean(counted > 0.0)) if counted.size else 0.0,
         "lean_mean": float(lean(log)[use].mean()) if counted.size else 0.0,
@@ -96,13 +96,13 @@ def metrics(trials: Sequence[Trial], names: Sequence[str], rise: float) -> dict[
         out[f"force_error_ratio_{name}"] = Metric(f["force_error_ratio"], "1", goal=0.10)
         out[f"contact_share_{name}"] = Metric(f["contact_share"], "1")
         out[f"lean_mean_{name}"] = Metric(f["lean_mean"], "rad")
-    most = lambda key: max(f[key] for f in figures.values())
-    out["touch_peak"] = Metric(most("touch_peak"), "N")
-    out["force_estimate_error_rms"] = Metric(most("force_estimate_error_rms"), "N")
-    out["door_angle_max"] = Metric(most("door_angle_max"), "rad")
-    out["rest_hand_swing"] = Metric(most("rest_hand_swing"), "m")
-    out["rest_hand_error"] = Metric(most("rest_hand_error"), "m")
-    out["fell"] = Metric(most("fell"), "1", goal=0.0)
+    maximum = lambda key: max(f[key] for f in figures.values())
+    out["touch_peak"] = Metric(maximum("touch_peak"), "N")
+    out["force_estimate_error_rms"] = Metric(maximum("force_estimate_error_rms"), "N")
+    out["door_angle_max"] = Metric(maximum("door_angle_max"), "rad")
+    out["rest_hand_swing"] = Metric(maximum("rest_hand_swing"), "m")
+    out["rest_hand_error"] = Metric(maximum("rest_hand_error"), "m")
+    out["fell"] = Metric(maximum("fell"), "1", goal=0.0)
     return out
 
 
@@ -114,13 +114,13 @@ def worst_estimates(trials: Sequence[Trial]) -> dict[str, Metric]:
 
 def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Plot]:
     """The paper's Fig. 9 for one force, with what was planned; door, impedance and torques."""
-    log, wanted = trial.log, trial.force
+    log, target = trial.log, trial.force
     t, normal, state = log.times("force"), log.array("normal"), log.array("state")
     touch, _ = pushed(log, settings.rise)
     along = lambda channel: np.sum(log.array(channel) * normal, axis=1)
     tangential = np.linalg.norm(log.array("force") - normal_force(log)[:, None] * normal, axis=1)
-    reference = wanted * np.clip((t - touch) / max(settings.rise, 1e-9), 0.0, 1.0) * log.array("pushing")
-    label = f"{wanted:g} N"
+    reference = target * np.clip((t - touch) / max(settings.rise, 1e-9), 0.0, 1.0) * log.array("pushing")
+    label = f"{target:g} N"
     door, believed_door = np.rad2deg(log.array("door")), np.rad2deg(log.array("door_estimated"))
     impedance, first = log.array("impedance"), np.maximum(np.abs(log.array("impedance")[0]), 1e-9)
     parts = zip(("inertia", "damping", "resistance"), (impedance / first).T, strict=True)

@@ -51,8 +51,8 @@ def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Endi
 def plots(log: Log) -> list[Plot]:
     done = [n for n in VARIANTS if f"hand_{n}" in log.channels]
     t = {n: log.times(f"hand_{n}") for n in done}
-    wanted = log.array(f"wanted_{done[0]}")
-    moved = int(np.argmax(np.ptp(wanted, axis=0)))
+    target = log.array(f"wanted_{done[0]}")
+    moved = int(np.argmax(np.ptp(target, axis=0)))
     lines = [Series(n, t[n], log.array(f"hand_{n}")[:, moved]) for n in done]
     asked = log.array(f"asked_{done[0]}")
     count = count_wheels(log.array(f"state_{done[0]}"), asked)
@@ -70,7 +70,7 @@ def plots(log: Log) -> list[Plot]:
     band = {n: np.abs(np.fft.rfft(log.array(f"asked_{n}")[:, wheel])) / len(t[n]) for n in done}
     return [
         Plot(f"End effector, {'xyz'[moved]}", "time [s]", "position [m]", [
-            *lines, Series("asked", t[done[0]], wanted[:, moved], dashed=True),
+            *lines, Series("asked", t[done[0]], target[:, moved], dashed=True),
         ]),
         Plot(f"Torque of wheel {wheel}, asked and acting", "time [s]", "torque [N m]", wheels),
         Plot(f"Torque error of wheel {wheel}", "time [s]", "torque [N m]", [Series(n, t[n], errors[n][:, wheel]) for n in done]),

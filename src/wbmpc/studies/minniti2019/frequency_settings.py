@@ -15,7 +15,7 @@ from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 VARIANTS = ("plain", "shaped")
 #: Shorter steps [m] cannot be distinguished from the noise.
-LEAST_STEP = 0.01
+MIN_STEP = 0.01
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
 ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, drive_lag=0.0)
 
@@ -58,8 +58,8 @@ class RezeroFrequencySettings(RezeroSettings):
     @classmethod
     def _somewhere(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
         length = float(np.linalg.norm(value))
-        if not LEAST_STEP <= length <= 1.0:
-            raise ValueError(f"a step of {LEAST_STEP:g} to 1 m is needed: its rise is measured")
+        if not MIN_STEP <= length <= 1.0:
+            raise ValueError(f"a step of {MIN_STEP:g} to 1 m is needed: its rise is measured")
         return value
 
     @model_validator(mode="after")

@@ -102,26 +102,26 @@ class RegulatorGains:
 
 
 class LqrController(BallController):
-    """A regulator in the MPC's place. ``wanted_state``: the equilibrium (nx) to be at, over time [s]; ``scheduled``: gains by arm
-    angles, turned with the heading. ``most`` [m]: position errors beyond it are cut, as the MPC's pull no harder."""
+    """A regulator in the MPC's place. ``target_state``: the equilibrium (nx) to be at, over time [s]; ``scheduled``: gains by arm
+    angles, turned with the heading. ``maximum`` [m]: position errors beyond it are cut, as the MPC's pull no harder."""
 
     gains: RegulatorGains
-    wanted_state: Callable[[float], Array]
+    target_state: Callable[[float], Array]
     scheduled: bool = False
-    most: float = 0.1
+    maximum: float = 0.1
 
     def regulate(
-        self, gains: RegulatorGains, wanted_state: Callable[[float], Array], scheduled: bool, most: float
+        self, gains: RegulatorGains, target_state: Callable[[float], Array], scheduled: bool, maximum: float
     ) -> None:
         """What the regulator needs beside the controller's own."""
-        self.gains, self.wanted_state, self.scheduled, self.most = gains, wanted_state, scheduled, most
+        self.gains, self.target_state, self.scheduled, self.maximum = gains, target_state, scheduled, maximum
         home = self.robot.home[self.robot.state["arm"]]
         self._home, self._shift = gains.at(home), gains.at_rest(home)
         self._rest: tuple[Array, Array] = (np.full(self.robot.state.size, np.nan), np.zeros(self.limit.size))
 
     def _equilibrium(self, t: float) -> tuple[Array, Array]:
         """State and torques to be at."""
-        x = self.wanted_state(t)
+        x = self.target_state(t)
         if not np.array_equal(x, self._rest[0]):
             self._rest = x, self.robot.base.numeric.equilibrium(x[self.robot.state["arm"]], float(x[2]))[1]
         return self._rest
@@ -135,11 +135,11 @@ class LqrController(BallController):
 
     def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
         n = self.robot.base.nq
-        wanted, torque = self._equilibrium(t)
+        target, torque = self._equilibrium(t)
         shift = self._shift @ self.disturbance  # as the MPC's, its rest is that under the estimated disturbance
-        error, torque = x - wanted, torque + shift[2:]
+        error, torque = x - target, torque + shift[2:]
         error[3:5] -= shift[:2]
-        error[:2] *= min(1.0, self.most / max(float(np.hypot(*error[:2])), 1e-9))
+        error[:2] *= min(1.0, self.maximum / max(float(np.hypot(*error[:2])), 1e-9))
         if self.scheduled:
             c, s = np.cos(x[2]), np.sin(x[2])
             heading = np.array([[c, s], [-s, c]])

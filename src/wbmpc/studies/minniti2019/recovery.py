@@ -38,5 +38,5 @@ def rest(log: Log, held: str, place: np.ndarray, end: float) -> Rest:
         return Rest()
     felt = (estimated_end_effector(log) if held == "hand" else estimated_ball(log))[window]
     world = (log.array("hand") if held == "hand" else log.array("state")[:, :2])[window]
-    most = lambda away: float(np.linalg.norm(away, axis=1).max())
-    return Rest(most(felt - place), most(world - place), most(world - world[-1]))
+    maximum = lambda away: float(np.linalg.norm(away, axis=1).max())
+    return Rest(maximum(felt - place), maximum(world - place), maximum(world - world[-1]))

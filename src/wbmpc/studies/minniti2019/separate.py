@@ -78,24 +78,24 @@ class EndEffectorInverse:
 class ArmLoop:
     """A PID on each joint through the arm's inertia, with its weight: τ = g + M_aa (ω² e + ω² ``integral`` ∫ e − 2 ω q̇_a).
 
-    ``pace`` ω [rad/s]; ``integral`` [1/s]; errors beyond ``most`` [rad] pull no harder, and the integral of an error that is
+    ``pace`` ω [rad/s]; ``integral`` [1/s]; errors beyond ``maximum`` [rad] pull no harder, and the integral of an error that is
     larger stands still.
     """
 
     pace: float
     integral: float
-    most: float = 0.3
+    maximum: float = 0.3
 
     def __post_init__(self) -> None:
         """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
-        positive("arm's loop", pace=self.pace, most=self.most)
+        positive("arm's loop", pace=self.pace, maximum=self.maximum)
         not_negative("arm's loop", integral=self.integral)
         self._sum: Array | float = 0.0
 
     def torque(self, mass: Array, weight: Array, error: Array, rate: Array, period: float = 0.0) -> Array:
         """Torques (m) [N m]; with a ``period`` [s] the integral moves on."""
-        short = np.clip(error, -self.most, self.most)
-        self._sum = self._sum + period * self.integral * np.where(np.abs(error) < self.most, error, 0.0)
+        short = np.clip(error, -self.maximum, self.maximum)
+        self._sum = self._sum + period * self.integral * np.where(np.abs(error) < self.maximum, error, 0.0)
         out: Array = weight + mass @ (self.pace**2 * (short + self._sum) - 2.0 * self.pace * rate)
         return out
 

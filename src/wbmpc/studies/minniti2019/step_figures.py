@@ -28,10 +28,10 @@ ROLL = (
 def progress_of(step: int, log: Log, schedule: Schedule, use: np.ndarray) -> np.ndarray:
     """How much of a step is done: 0 before, 1 after it; from where the end effector was asked to be before."""
     i = step + 1
-    before, after = schedule.positions[i - 1], schedule.positions[i]
-    if np.linalg.norm(after - before) > 1e-6:
-        way = after - before
-        return (log.array("hand")[use] - before) @ way / (way @ way)
+    previous, after = schedule.positions[i - 1], schedule.positions[i]
+    if np.linalg.norm(after - previous) > 1e-6:
+        way = after - previous
+        return (log.array("hand")[use] - previous) @ way / (way @ way)
     rotations = [
         lie.quaternion_multiply(lie.quaternion_conjugate(schedule.quaternions[i - 1]), q)
         for q in log.array("hand_quaternion")[use]
@@ -42,9 +42,9 @@ def progress_of(step: int, log: Log, schedule: Schedule, use: np.ndarray) -> np.
     return np.array([lie.quaternion_log(q) for q in rotations]) @ whole / (whole @ whole)
 
 
-def _orientation_error(turns: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _orientation_error(turns: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Mean rotation vector (3) [rad], end effector axes, from a wanted quaternion (4) to those of the end effector (n, 4)."""
-    inverse = lie.quaternion_conjugate(wanted)
+    inverse = lie.quaternion_conjugate(target)
     errors = [lie.quaternion_log(lie.quaternion_multiply(inverse, q)) for q in turns]
     return np.asarray(np.mean(errors, axis=0))
 

@@ -149,9 +149,9 @@ def task_scenario(
     metrics: Callable[[Log, Ending], dict[str, Metric]],
     plots: Callable[[Log], list[Plot]],
     idealisations: list[str],
-    before: Callable[[MPC, Timing, float], None] | None = None,
+    previous: Callable[[MPC, Timing, float], None] | None = None,
 ) -> Scenario:
-    """One run of a task. ``before`` is called at every tick. Raises :class:`InputError` for pushes that are no whole number of
+    """One run of a task. ``previous`` is called at every tick. Raises :class:`InputError` for pushes that are no whole number of
     controller periods."""
     for push in task.pushes:
         whole("length", push.length, 1.0 / settings.control.rate, "controller periods")
@@ -165,10 +165,10 @@ def task_scenario(
             controller.shoves = PushEstimator(robot, task.arm, settings.brace)
 
     def record(t: float, command: Any, plans: Any) -> None:
-        if before is not None:
-            before(system.mpc, system.timing, t)
+        if previous is not None:
+            previous(system.mpc, system.timing, t)
         record_rezero(log, t, plant, controller, controller.torque)
-        log.add("feedback", t, controller.wanted - controller.feedforward)
+        log.add("feedback", t, controller.target - controller.feedforward)
         if task.pushes:
             active = [p.force for p in task.pushes if p.start <= t + 1e-9 < p.start + p.length]
             plant.push(np.sum(active, axis=0) if active else np.zeros(3))

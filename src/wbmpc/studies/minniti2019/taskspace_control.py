@@ -93,10 +93,10 @@ class TaskSpaceController(BallController):
         mass = self.robot.base.numeric.mass_matrix(x[:n])
         free = np.linalg.solve(mass, self.disturbance - bias.ravel())
         drive = np.linalg.solve(mass, map_)
-        wanted = self._hand(t, place.ravel(), turned.ravel(), velocity.ravel()) - drift.ravel()
+        target = self._hand(t, place.ravel(), turned.ravel(), velocity.ravel()) - drift.ravel()
         rows = [jacobian @ drive, np.sqrt(g.balance) * drive[:5], np.sqrt(g.torque) * np.eye(drive.shape[1])]
         right = [
-            wanted - jacobian @ free,
+            target - jacobian @ free,
             np.sqrt(g.balance) * (self._balance(t, x) - free[:5]),
             np.sqrt(g.torque) * self._rest,
         ]
@@ -125,8 +125,8 @@ class TaskSpaceController(BallController):
         lean = lean + np.linalg.solve(self._stiffness, self.disturbance[3:5])
         away = x[:5] - np.concatenate([ball, [yaw], lean])
         away[:2] = _short(away[:2], self.gains.ball_limit)
-        wanted: Array = -self._gain @ np.concatenate([away, x[n : n + 5]])
-        return wanted
+        target: Array = -self._gain @ np.concatenate([away, x[n : n + 5]])
+        return target
 
 
 def _short(vector: Array, limit: float) -> Array:

@@ -26,7 +26,7 @@ CORNERS = np.array(
 #: The last second of every hold is judged as steady [s].
 STEADY = 1.0
 #: The share of the feedback in a torque below this [N m] is that in one of this.
-LEAST_TORQUE = 0.5
+MIN_TORQUE = 0.5
 IDEALISATIONS = ["the load is unknown to the controller"]
 
 
@@ -42,9 +42,9 @@ class RezeroWholebodySettings(AccurateSettings):
 def end_effector_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) [s] and positions (n, 3) [m] of the end effector: straight lines at constant speed, and holds."""
     times, places, t = [0.0], [home], settings.settle
-    for before, after in itertools.pairwise(CORNERS):
+    for previous, after in itertools.pairwise(CORNERS):
         times += [t, t + settings.move]
-        places += [home + before, home + after]
+        places += [home + previous, home + after]
         t += settings.move + settings.hold
     return np.array(times), np.array(places)
 
@@ -59,12 +59,12 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
     times, places = end_effector_path(settings, position)
     ends = settings.settle + (settings.move + settings.hold) * np.arange(len(CORNERS))
 
-    def wanted(t: np.ndarray) -> np.ndarray:
+    def target(t: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(t, times, places[:, i]) for i in range(3)], axis=1)
 
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
         t, torque = log.times("state"), log.array("torque")
-        use, end_effector = t >= settings.settle, estimated_end_effector(log) - wanted(t)
+        use, end_effector = t >= settings.settle, estimated_end_effector(log) - target(t)
         steady = [(t >= end - STEADY) & (t < end) & (t[-1] > end - 0.1) for end in ends]
         mean = lambda values: max(float(np.linalg.norm(values[w].mean(axis=0))) if w.any() else np.inf for w in steady)
         share = (
@@ -76,7 +76,7 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
             "ball_error_rms_wholebody": Metric(rms(estimated_ball(log)[use]), "m", goal=0.020),
             "hand_error_rms": Metric(rms(end_effector[use]), "m"),
             "steady_hand_error_max": Metric(mean(end_effector), "m", goal=0.005),
-            "steady_hand_error_world_max": Metric(mean(log.array("hand") - wanted(t)), "m"),
+            "steady_hand_error_world_max": Metric(mean(log.array("hand") - target(t)), "m"),
             "steady_ball_offset_max": Metric(mean(estimated_ball(log)), "m", goal=0.010),
             "feedback_share": Metric(float(share), "1", goal=0.15),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
@@ -89,16 +89,16 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
             Series("whole", t, torque[:, second]), Series("feedforward", t, torque[:, second] - feedback[:, second]),
             Series("feedback", t, feedback[:, second]),
         ])  # fmt: skip
-        share = 100.0 * np.abs(feedback[:, second]) / np.maximum(np.abs(torque[:, second]), LEAST_TORQUE)
+        share = 100.0 * np.abs(feedback[:, second]) / np.maximum(np.abs(torque[:, second]), MIN_TORQUE)
         ratio = Plot(
             "Feedback over the whole torque (Fig. 7, below)", "time [s]", "share [%]", [Series("share", t, share)]
         )
-        return [*common_plots(log, wanted(t), np.zeros(2)), joint, ratio]
+        return [*common_plots(log, target(t), np.zeros(2)), joint, ratio]
 
     references = {"hand": Reference.poses(times, places, quaternion)}
     if settings.controller in REGULATORS:
         grid = np.arange(0.0, float(ends[-1]), 0.05)
-        references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), wanted(grid), home)
+        references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), target(grid), home)
     task = Task(arm, float(ends[-1]), references)
     return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
 

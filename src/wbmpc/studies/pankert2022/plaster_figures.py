@@ -47,11 +47,11 @@ def judged(along: np.ndarray, up: np.ndarray, thick: np.ndarray) -> np.ndarray:
     return thick[np.ix_(j, i)]
 
 
-def stops(t: np.ndarray, end_effector: np.ndarray, wanted: np.ndarray) -> int:
+def stops(t: np.ndarray, end_effector: np.ndarray, target: np.ndarray) -> int:
     """How often the end effector stood though it was asked to move."""
     step = t[1] - t[0]
     speed = lambda p: np.linalg.norm(np.gradient(p, step, axis=0), axis=1)
-    still = (speed(end_effector) < wall.STOP_SPEED) & (speed(wanted) > 2.0 * wall.STOP_SPEED)
+    still = (speed(end_effector) < wall.STOP_SPEED) & (speed(target) > 2.0 * wall.STOP_SPEED)
     count = round(wall.STOP_TIME / step)
     long = np.convolve(still, np.ones(count))[: still.size] >= count
     return int(np.sum(long[1:] & ~long[:-1]))
@@ -62,7 +62,7 @@ def metrics(log: Log, references: wall.WallReferences, sensors: bool) -> dict[st
     use = t >= lines.start
     if use.sum() < 2:
         return {}
-    end_effector, wanted, odometry = (log.array(n)[use] for n in ("hand", "hand_reference", "hand_odometry"))
+    end_effector, target, odometry = (log.array(n)[use] for n in ("hand", "hand_reference", "hand_odometry"))
     part = judged(*coat(end_effector, float(t[1] - t[0])))
     spread = pass_spread(lines, t[use], odometry[:, 1])
     goal = lambda value: value if sensors else None
@@ -73,12 +73,12 @@ def metrics(log: Log, references: wall.WallReferences, sensors: bool) -> dict[st
     }
     return {
         **(spreads if number.max() > 0 else {}),  # one pass differs from nothing
-        "hand_error_rms": Metric(rms(odometry - wanted), "m"),
-        "hand_error_rms_world": Metric(rms(end_effector - wanted), "m", goal=goal(0.004)),
-        "hand_error_rms_world_normal": Metric(rms(end_effector[:, 1] - wanted[:, 1]), "m"),
+        "hand_error_rms": Metric(rms(odometry - target), "m"),
+        "hand_error_rms_world": Metric(rms(end_effector - target), "m", goal=goal(0.004)),
+        "hand_error_rms_world_normal": Metric(rms(end_effector[:, 1] - target[:, 1]), "m"),
         "wall_distance_min": Metric(float((wall.WALL - end_effector[:, 1]).min()), "m", least=wall.NEAREST),
-        "path_length": Metric(float(np.sum(np.linalg.norm(np.diff(wanted, axis=0), axis=1))), "m"),
-        "stops": Metric(float(stops(t[use], end_effector, wanted)), "1", goal=0.0),
+        "path_length": Metric(float(np.sum(np.linalg.norm(np.diff(target, axis=0), axis=1))), "m"),
+        "stops": Metric(float(stops(t[use], end_effector, target)), "1", goal=0.0),
         "coat_variation": Metric(float(part.std() / part.mean()), "1", goal=goal(0.10)),
         "coat_gaps": Metric(float(np.mean(part < wall.GAP * part.mean())), "1", goal=goal(0.0)),
         "base_error_rms_world": Metric(rms((log.array("base_odometry") - log.array("base"))[use][:, :2]), "m"),
@@ -87,7 +87,7 @@ def metrics(log: Log, references: wall.WallReferences, sensors: bool) -> dict[st
 
 
 def plots(log: Log, references: wall.WallReferences) -> list[Plot]:
-    t, end_effector, wanted, odometry = (
+    t, end_effector, target, odometry = (
         log.times("hand"), log.array("hand"), log.array("hand_reference"), log.array("hand_odometry"),
     )  # fmt: skip
     use = t >= references.lines.start
@@ -97,7 +97,7 @@ def plots(log: Log, references: wall.WallReferences) -> list[Plot]:
     mean = max(float(thick.mean()), 1e-12)
     return [
         Plot("Lines on the wall", "along [m]", "up [m]", [
-            Series("reference", wanted[use, 0], wanted[use, 2], dashed=True), Series("hand", end_effector[use, 0], end_effector[use, 2]),
+            Series("reference", target[use, 0], target[use, 2], dashed=True), Series("hand", end_effector[use, 0], end_effector[use, 2]),
         ], equal_axes=True),
         Plot("Distance from the wall", "time [s]", "distance [mm]", [
             Series("world", t, 1e3 * (wall.WALL - end_effector[:, 1])), Series("estimated frame", t, 1e3 * (wall.WALL - odometry[:, 1])),
@@ -106,7 +106,7 @@ def plots(log: Log, references: wall.WallReferences) -> list[Plot]:
             Series(f"{up[k]:.2f} m", along, thick[k] / mean) for k in np.linspace(0, up.size - 1, 7).astype(int)[1:-1]
         ]),
         Plot("End effector error", "time [s]", "error [mm]", [
-            Series("estimated frame", t, 1e3 * np.linalg.norm(odometry - wanted, axis=1)),
-            Series("world", t, 1e3 * np.linalg.norm(end_effector - wanted, axis=1)),
+            Series("estimated frame", t, 1e3 * np.linalg.norm(odometry - target, axis=1)),
+            Series("world", t, 1e3 * np.linalg.norm(end_effector - target, axis=1)),
         ]),
     ]  # fmt: skip

@@ -81,8 +81,8 @@ class Lines:
         v[0] = v[-1] = 0.0
         for index in (range(1, s.size), range(s.size - 2, -1, -1)):
             for k in index:
-                before = k - 1 if index.step > 0 else k + 1
-                v[k] = min(v[k], np.sqrt(v[before] ** 2 + 2.0 * ALONG * abs(s[k] - s[before])))
+                previous = k - 1 if index.step > 0 else k + 1
+                v[k] = min(v[k], np.sqrt(v[previous] ** 2 + 2.0 * ALONG * abs(s[k] - s[previous])))
         return s, p, v
 
     @cached_property

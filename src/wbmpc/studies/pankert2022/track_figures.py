@@ -17,7 +17,7 @@ from wbmpc.studies.pankert2022.track_references import TrackReferences
 #: Groups of joints whose speeds are logged and drawn against their limits.
 SPEEDS = ("leg", "steer", "wheel", "arm")
 #: A drift over a shorter way [m] says nothing.
-LEAST_WAY = 0.1
+MIN_DISTANCE = 0.1
 
 
 def metrics(log: Log, references: TrackReferences) -> dict[str, Metric]:
@@ -33,7 +33,7 @@ def metrics(log: Log, references: TrackReferences) -> dict[str, Metric]:
     names = ("base", "base_odometry", "base_wheels", "base_release")
     base, odometry, wheels, release = (log.array(n) for n in names)
     way = travelled(base)
-    moved = way if way > LEAST_WAY else float("nan")
+    moved = way if way > MIN_DISTANCE else float("nan")
     drift = lambda pose: float(np.hypot(*(pose - base)[-1, :2])) / moved
     end_effector_travel = float(np.sum(np.linalg.norm(np.diff(reference, axis=0), axis=1)))
     return {

@@ -50,7 +50,7 @@ def metrics(log: Log, begin: float, free: bool, faults: int, held: int) -> dict[
 
 
 def plots(log: Log, robot: RobotModel, begin: float) -> list[Plot | Drawing]:
-    t, base, odometry, wanted = (log.times("base"), *map(log.array, ("base", "base_odometry", "base_reference")))
+    t, base, odometry, target = (log.times("base"), *map(log.array, ("base", "base_odometry", "base_reference")))
     end_effector, legs, goals = (
         log.array("hand_odometry"),
         np.degrees(log.array("leg")),
@@ -62,14 +62,14 @@ def plots(log: Log, robot: RobotModel, begin: float) -> list[Plot | Drawing]:
     use = t >= begin
     return [
         Plot("Base and end effector from above", "x [m]", "y [m]", [
-            Series("base", base[:, 0], base[:, 1]), Series("base, reference", wanted[:, 0], wanted[:, 1], dashed=True),
+            Series("base", base[:, 0], base[:, 1]), Series("base, reference", target[:, 0], target[:, 1], dashed=True),
             Series("end effector, estimated frame", end_effector[use, 0], end_effector[use, 1]),
         ], equal_axes=True),
         Plot("End effector error", "time [s]", "error [mm]", [
             Series("estimated frame", t[use], error("hand_odometry")[use]), Series("world", t[use], error("hand")[use]),
         ]),
         Plot("Base error, estimated frame", "time [s]", "error [mm, mrad]", [
-            Series(n, t, 1e3 * (odometry - wanted)[:, k]) for k, n in enumerate(("x", "y", "yaw"))
+            Series(n, t, 1e3 * (odometry - target)[:, k]) for k, n in enumerate(("x", "y", "yaw"))
         ]),
         Plot("Leg angles", "time [s]", "angle [deg]", [
             *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),
