@@ -110,8 +110,10 @@ def test_the_race_to_an_equal_residual() -> None:
     problem = suite_bench(cartpole(10))
     prepared = prepare(problem, compile_functions=False)
     measure = Measure(prepared.program)
-    most = ours(problem, 2)[2]["iterations"]
-    own = to_equal_residual(lambda k: several_iterations(problem, k, 1), most, lambda x, u: measure(x, u, problem.x0))
+    maximum = ours(problem, 2)[2]["iterations"]
+    own = to_equal_residual(
+        lambda k: several_iterations(problem, k, 1), maximum, lambda x, u: measure(x, u, problem.x0)
+    )
     ms, x, u = several_iterations(problem, own["equal_iterations"], 1)
     assert ms > 0.0 and measure(x, u, problem.x0).largest <= EQUAL
     if own["equal_iterations"] > 1:

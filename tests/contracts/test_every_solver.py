@@ -40,7 +40,7 @@ def hardened(problem: SampleProblem) -> SampleProblem:
 
 
 def rezero_with_a_force() -> SampleProblem:
-    """The ball robot pushes with 5 N while its hand stays."""
+    """The ball robot pushes with 5 N while its end effector stays."""
     base = rezero_solver(10)
     model = robot("rezero", contact="force")
     from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem

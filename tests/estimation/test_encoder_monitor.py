@@ -57,7 +57,7 @@ def test_how_long_it_takes_at_rest(acceleration: float) -> None:
 
 @pytest.mark.parametrize(("acceleration", "load"), [(1.99, 0.0), (1.99, 20.0)])
 def test_a_joint_that_friction_or_a_load_may_hold_is_no_fault(acceleration: float, load: float) -> None:
-    """1 kg in the hand that nobody knows of is 20 rad/s² at the elbow."""
+    """1 kg in the end effector that nobody knows of is 20 rad/s² at the elbow."""
     assert seconds_to_find(acceleration, load) == np.inf
 
 

@@ -41,8 +41,8 @@ def tippings(foot: int, base: np.ndarray, arm: np.ndarray) -> list[Tipping]:
     heights, found = switches(foot, base, arm)
     out = []
     for s in found:
-        edge = FEET[sorted(set(s.before) & set(s.after))]
-        point = model(stability.upright(FEET, heights, s.before), np.array([s.time]))[0]
+        edge = FEET[sorted(set(s.previous) & set(s.after))]
+        point = model(stability.upright(FEET, heights, s.previous), np.array([s.time]))[0]
         out.append(Tipping(edge, point, s.time))
     return out
 

@@ -1,4 +1,4 @@
-"""The force at the hand without a sensor. Truth: a force that MuJoCo applies to the simulated robot's hand."""
+"""The force at the end effector without a sensor. Truth: a force that MuJoCo applies to the simulated robot's end effector."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FORCE = np.array([6.0, -3.0, 4.0])
 
 
 def felt(perturbation: Perturbation, seed: int = 0) -> np.ndarray:
-    """Estimates (n, 3) at 400 Hz: 0.1 s free, then 0.15 s under the force at the hand, while the arm's torques vary."""
+    """Estimates (n, 3) at 400 Hz: 0.1 s free, then 0.15 s under the force at the end effector, while the arm's torques vary."""
     plant = BallPlant(ROBOT.description, HOME, TORQUE, perturbation, seed)
     sensorless, out = SensorlessForce(PUSHED), []
     torque = TORQUE

@@ -71,8 +71,8 @@ def test_single_legs_brakes_and_a_configuration_by_name(robot: Any) -> None:
     s.send("/legs", "sensor_msgs/msg/JointState", {"name": ["leg_RF"], "position": [-0.65]})
     assert s.until(lambda: s.sim.plant.brakes.engaged[1] == 0.0), s.control.state
     assert np.array_equal(s.sim.plant.brakes.engaged[[0, 2, 3]], [1.0, 1.0, 1.0])
-    wanted = np.where(np.array(LEGS) == "leg_RF", -0.65, home)
-    assert s.until(lambda: np.abs(angles(s) - wanted).max() < 0.02 and closed(s)), (angles(s), s.control.state)
+    target = np.where(np.array(LEGS) == "leg_RF", -0.65, home)
+    assert s.until(lambda: np.abs(angles(s) - target).max() < 0.02 and closed(s)), (angles(s), s.control.state)
     s.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [0.0, 0.0, 1.0, 0.0]})
     assert s.until(lambda: s.sim.plant.brakes.engaged[2] == 0.0)
     np.testing.assert_array_equal(s.sim.plant.brakes.engaged, [1.0, 1.0, 0.0, 1.0])
@@ -81,8 +81,8 @@ def test_single_legs_brakes_and_a_configuration_by_name(robot: Any) -> None:
     answer = ask(s, {"configuration": "A"})
     assert answer.success and answer.message.startswith("leg_LF to -0.498 rad, leg_RF to 0.498")
     assert s.until(lambda: np.array_equal(s.control.legs.angles, leg_angles(ROBOT, "A"))), s.control.legs.angles
-    before, way = angles(s), leg_angles(ROBOT, "A") - angles(s)
-    assert s.until(lambda: np.all((angles(s) - before) * np.sign(way) > 0.02)), angles(s)
+    previous, way = angles(s), leg_angles(ROBOT, "A") - angles(s)
+    assert s.until(lambda: np.all((angles(s) - previous) * np.sign(way) > 0.02)), angles(s)
 
 
 def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCaptureFixture) -> None:

@@ -126,12 +126,12 @@ def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
 
     def tick() -> None:
         """A period of a robot that does not get anywhere: its state, the time, and then the command."""
-        now, before = stamp(ticks[0] / 50.0), len(sent)
+        now, previous = stamp(ticks[0] / 50.0), len(sent)
         ticks[0] += 1
         imu.publish({"header": {"stamp": now}})
         joints.publish({"header": {"stamp": now}, "name": names, "position": robot.home[3:]})
         clock.publish({"clock": now})
-        assert wait_until(lambda: not control.running or len(sent) > before)
+        assert wait_until(lambda: not control.running or len(sent) > previous)
         control.step()
 
     moves = lambda: tick() or (bool(sent) and max(map(abs, sent[-1].data)) > 0.1)

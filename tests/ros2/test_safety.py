@@ -113,14 +113,14 @@ def test_a_driver_that_repeats_itself_is_stale(pair: Callable[..., Any], caplog:
 def test_a_stop_is_a_ramp(pair: Callable[..., Any]) -> None:
     p = pair(safety={"ramp": 1.0})
     drive(p)
-    before = p.standin.commands["wheel"].copy()
+    previous = p.standin.commands["wheel"].copy()
     p.standin.change = lambda m: {**m, "position": m["position"] * np.nan}
     seen = []
     end = time.monotonic() + 60.0
     while p.standin.speed > 0.0 and time.monotonic() < end:
         p.standin.tick(wait=True)
         seen.append(p.standin.commands["wheel"].copy())
-    shares = np.array([np.abs(w).max() / np.abs(before).max() for w in seen])
+    shares = np.array([np.abs(w).max() / np.abs(previous).max() for w in seen])
     assert np.all(np.diff(shares[3:]) <= 1e-9) and shares[-1] == 0.0
     assert np.count_nonzero((shares > 0.1) & (shares < 0.9)) > 3
 

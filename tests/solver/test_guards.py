@@ -199,9 +199,9 @@ def odd_handler():  # type: ignore[no-untyped-def]
     def handler(number: int, frame: object) -> None:
         raise _Odd(number)
 
-    before = signal.signal(signal.SIGTERM, handler)
+    previous = signal.signal(signal.SIGTERM, handler)
     yield handler
-    signal.signal(signal.SIGTERM, before)
+    signal.signal(signal.SIGTERM, previous)
 
 
 @pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals are the main thread's")

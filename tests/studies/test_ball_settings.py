@@ -61,7 +61,7 @@ def test_what_an_experiment_does_not_use_is_rejected(name: str, given: str) -> N
     ],
 )
 def test_what_the_controller_does_not_use_is_rejected(given: str, name: str) -> None:
-    """What :func:`make_controller` does not hand to the controller that is named."""
+    """What :func:`make_controller` does not pass on to the controller that is named."""
     with pytest.raises(InputError, match=rf"rezero-push-hand: --set {name}: nothing uses it without controller="):
         configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
 
@@ -113,7 +113,7 @@ def leaves(part: Settings, name: str = "cost") -> list[str]:
 def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
     """Truth: whether its weights are other ones when a number of the costs is."""
     robot, usual = load_robot("rezero"), RezeroPushHandSettings()
-    before = regulator_weights(robot, usual, RegulatorSettings())
+    previous = regulator_weights(robot, usual, RegulatorSettings())
     names = set(leaves(usual.cost)) - {"cost.torque.force", "cost.torque.moment"}
     for name in names:
         given = {"cost": usual.cost.model_copy(deep=True)}
@@ -123,7 +123,7 @@ def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
         object.__setattr__(part, key, changed)  # settings are frozen
         after = regulator_weights(robot, usual.model_copy(update=given), RegulatorSettings())
         reads = any(
-            not np.array_equal(getattr(before, f), getattr(after, f)) for f in ("hand", "twist", "state", "torque")
+            not np.array_equal(getattr(previous, f), getattr(after, f)) for f in ("hand", "twist", "state", "torque")
         )
         for controller in ("lqr", "scheduled-lqr"):
             asked = [f"controller={controller}", f"{name}={changed}"]
@@ -240,7 +240,7 @@ def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:
 
 @pytest.mark.parametrize("name", ["rezero-wholebody", "rezero-circle"])
 def test_regulators_are_reported_where_the_hand_goes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They follow the body alone: their states must carry the hand along its path (forward kinematics say where it is)."""
+    """They follow the body alone: their states must carry the end effector along its path (forward kinematics say where it is)."""
     given: list[Task] = []
     module = {"rezero-wholebody": rezero_wholebody, "rezero-circle": rezero_circle}[name]
     monkeypatch.setattr(module, "task_scenario", lambda settings, seed, task, *more: given.append(task))
@@ -254,13 +254,13 @@ def test_regulators_are_reported_where_the_hand_goes(name: str, monkeypatch: pyt
     home = robot.pose(robot.base.numeric.equilibrium(BENT_ARM)[0])[0]
     for t in (0.0, 0.75, 1.0, 1.7):
         x = body.at(t)
-        ball, hand = np.zeros(2), home
+        ball, end_effector = np.zeros(2), home
         if name == "rezero-circle":
             ball = rezero_circle.ball_path(settings, np.array([t]))[0]
         else:
             times, places = rezero_wholebody.hand_path(settings, home)
-            hand = np.array([np.interp(t, times, places[:, i]) for i in range(3)])
-        assert robot.pose(x)[0] == pytest.approx(hand, abs=1e-3)
+            end_effector = np.array([np.interp(t, times, places[:, i]) for i in range(3)])
+        assert robot.pose(x)[0] == pytest.approx(end_effector, abs=1e-3)
         assert x[:2] == pytest.approx(ball, abs=2e-3) and abs(x[2]) < 1e-9
         # it leans as it balances, and its speeds are those of its way
         lean = robot.base.numeric.equilibrium(x[robot.state["arm"]])[0][3:5]

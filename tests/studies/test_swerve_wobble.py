@@ -68,8 +68,8 @@ def test_rockings_tell_the_offset_that_made_them(wheel: str) -> None:
     gyro = np.zeros((t.size, 2))
     switches = [replace(s, time=s.time + 0.25) for s in predict(support, offset)]  # the 5 N are gone 0.25 s later
     for s in switches:
-        edge = np.diff(support.feet[sorted(set(s.before) & set(s.after))], axis=0)[0]
-        (onto,) = set(s.after) - set(s.before)
+        edge = np.diff(support.feet[sorted(set(s.previous) & set(s.after))], axis=0)[0]
+        (onto,) = set(s.after) - set(s.previous)
         sinks = (
             edge[0] * support.feet[onto][1] - edge[1] * support.feet[onto][0]
         )  # (ω x r) along z with ω along the edge

@@ -71,7 +71,7 @@ def test_bodies_are_where_they_were(run: SimpleNamespace) -> None:
 
 
 def test_goals_and_plans_are_shown_in_the_world(run: SimpleNamespace) -> None:
-    """The goal of the controller's frame lies beside the true hand by as much as the controller is wrong."""
+    """The goal of the controller's frame lies beside the true end effector by as much as the controller is wrong."""
     s = run.film.snapshot(0.0)
     wrong = np.array([0.3, -0.1, 0.2])
     drift = np.array([*lie.se2_compose([0, 0, 0], [0, 0, -wrong[2]])[:2], 0.0])

@@ -47,8 +47,8 @@ def swerve_bench(
     t = np.arange(0.0, 12.0, 0.05)
     along, across = path.point(t)
     position, orientation = robot.pose(robot.home)
-    hand = position + np.stack([along, across, 0.0 * along], axis=1)
-    solver.set_reference("hand", Reference.poses(t, hand, orientation))
+    end_effector = position + np.stack([along, across, 0.0 * along], axis=1)
+    solver.set_reference("hand", Reference.poses(t, end_effector, orientation))
     states, inputs = np.tile(robot.home, (t.size, 1)), np.zeros((t.size, robot.input.size))
     arc, rate = path.arc(t)
     states[:, 0], inputs[:, 0] = arc * path.length / path.arc_length, rate * path.length / path.arc_length
@@ -69,7 +69,7 @@ def rezero_bench(
     limits: Limits = "hard",
     horizon: float | None = None,
 ) -> Problem:
-    """Ball robot with arm and a hand force as an input, a step of the hand: nx 16, nu 9, 20 ms per interval (or ``horizon``)."""
+    """Ball robot with arm and an end effector force as an input, a step of the end effector: nx 16, nu 9, 20 ms per interval (or ``horizon``)."""
     robot = load_robot("rezero", contact="force")
     horizon = horizon or (0.02 * intervals if intervals > 40 else 1.3)
     mpc = MpcSettings(horizon=horizon, intervals=intervals, first_interval=0.0, barrier_mu=1e-2, limits=limits)

@@ -30,8 +30,8 @@ Progress = Callable[[float, str], None]
 def one_core() -> Iterator[int | None]:
     """Run on one processor core, children too, where the system allows it; yields its number."""
     try:
-        before = os.sched_getaffinity(0)
-        core = max(before)
+        previous = os.sched_getaffinity(0)
+        core = max(previous)
         os.sched_setaffinity(0, {core})
     except (AttributeError, OSError):
         yield None
@@ -39,7 +39,7 @@ def one_core() -> Iterator[int | None]:
     try:
         yield core
     finally:
-        os.sched_setaffinity(0, before)
+        os.sched_setaffinity(0, previous)
 
 
 def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ log = typer.Typer(name="log", help="Look into the recording of a run.")
 File = Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")]
 Topics = Annotated[list[str] | None, typer.Argument(help="Topics (default: all that fit).")]
 #: Lines about settings, at most, that are printed.
-MOST_SETTINGS = 20
+MAX_SETTINGS = 20
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
@@ -157,7 +157,7 @@ def _print_differences(figures: list[dict[str, Any]], changed: dict[str, list[An
     """The settings that differ; those of different experiments by their number, and not more than fit on a screen."""
     from wbmpc.compare import experiments
 
-    shown = {} if experiments(figures) else dict(list(changed.items())[:MOST_SETTINGS])
+    shown = {} if experiments(figures) else dict(list(changed.items())[:MAX_SETTINGS])
     for key, (a, b) in shown.items():
         typer.echo(printable(f"{key}: {a} and {b}"))
     left = len(changed) - len(shown)

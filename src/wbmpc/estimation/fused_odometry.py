@@ -215,17 +215,17 @@ class FusedOdometry:
         return self.pose
 
     def _advance(
-        self, h: float, before: Sample, now: Sample, gyro: float | None, is_open: Mask, weights: Array | None
+        self, h: float, previous: Sample, now: Sample, gyro: float | None, is_open: Mask, weights: Array | None
     ) -> None:
-        way = float(np.max(np.abs(now[2] - before[2]))) * self.geometry.wheel_radius
+        way = float(np.max(np.abs(now[2] - previous[2]))) * self.geometry.wheel_radius
         leap = way > LEAP and way > LEAP_SPEED * h
         gap = h > GAP or leap
         if leap:
-            before = now
+            previous = now
         step = (
-            self._bridged(h, before, now, LEAP_STD if leap else 0.0)
+            self._bridged(h, previous, now, LEAP_STD if leap else 0.0)
             if gap
-            else self._step(h, before, now, gyro, is_open, weights)
+            else self._step(h, previous, now, gyro, is_open, weights)
         )
         self._past.append((self._state, step))
         self._state = advanced(self._state, step, self.noise)
@@ -233,12 +233,12 @@ class FusedOdometry:
         if gap:
             self._past.clear()
 
-    def _bridged(self, h: float, before: Sample, now: Sample, least: float) -> Step:
+    def _bridged(self, h: float, previous: Sample, now: Sample, least: float) -> Step:
         """Over a gap: one motion from its begin to its end, as uncertain as what the wheels did meanwhile, and by ``least`` [m]."""
         n, c = self._n, self._state.mean[WHEELS:].copy()
         correct = lambda sample: (sample[0], sample[1] - c[:n], sample[2])
-        moved = fit_twist(self.geometry, self._prior.wheel_radius * (1.0 + c[n:]), correct(before), correct(now))
-        turned = np.abs(now[1] - before[1])  # steering that turned meanwhile: the way's direction is as uncertain
+        moved = fit_twist(self.geometry, self._prior.wheel_radius * (1.0 + c[n:]), correct(previous), correct(now))
+        turned = np.abs(now[1] - previous[1])  # steering that turned meanwhile: the way's direction is as uncertain
         apart = float(np.max((GAP_SHARE + turned) * np.abs(moved.rolled))) + GAP_SPEED * h + least
         axes = self.geometry.steer_axes(now[0])
         arm = float(np.sqrt(np.mean(np.sum((axes - axes.mean(axis=0)) ** 2, axis=1))))
@@ -267,12 +267,12 @@ class FusedOdometry:
         return State(t, mean, p)
 
     def _step(
-        self, h: float, before: Sample, now: Sample, gyro: float | None, is_open: Mask, weights: Array | None
+        self, h: float, previous: Sample, now: Sample, gyro: float | None, is_open: Mask, weights: Array | None
     ) -> Step:
         n, c = self._n, self._state.mean[WHEELS:].copy()
         correct = lambda sample: (sample[0], sample[1] - c[:n], sample[2])
         radius = self._prior.wheel_radius * (1.0 + c[n:])
-        moved = fit_twist(self.geometry, radius, correct(before), correct(now), weights)
+        moved = fit_twist(self.geometry, radius, correct(previous), correct(now), weights)
         # Smoothed, and of the intervals before: the age of this message is in its own derivative and in what it is
         # compared with, and their product would look like a wrong radius.
         by_wheels = self._by_wheels * h
@@ -282,7 +282,9 @@ class FusedOdometry:
         counts = self.noise.reading**2 * float(np.sum(moved.fit[2] ** 2))
         self._note_contradiction(moved)
         covariance = self._twist_covariance(moved, h, weights)
-        legs = self._shown(moved, 0.5 * (before[0] + now[0]), is_open, h) if is_open.any() and weights is None else None
+        legs = (
+            self._shown(moved, 0.5 * (previous[0] + now[0]), is_open, h) if is_open.any() and weights is None else None
+        )
         return Step(h, moved.twist, by_wheels, c, covariance, counts, turn, legs)
 
     def _note_contradiction(self, moved: Increment) -> None:

@@ -74,7 +74,7 @@ class Increment:
 
 
 def fit_twist(
-    geometry: ModuleGeometry, radius: Array, before: Sample, now: Sample, weights: Array | None = None
+    geometry: ModuleGeometry, radius: Array, previous: Sample, now: Sample, weights: Array | None = None
 ) -> Increment:
     """The motion that fits two samples of true angles best; ``radius`` (n) [m]; ``weights`` (n) of the wheels (1 when left out).
 
@@ -82,7 +82,7 @@ def fit_twist(
     turns by Δ: the path's chord is sin(Δ/2) / (Δ/2) of the rolled length, along the middle heading. The least squares
     solution follows from (weighted) centroids: ψ = Σ (s − s̄) × b / Σ |s − s̄|², t = b̄ − ψ ẑ × s̄.
     """
-    (leg0, steer0, wheel0), (leg1, steer1, wheel1) = before, now
+    (leg0, steer0, wheel0), (leg1, steer1, wheel1) = previous, now
     turn = (leg1 - leg0) + (steer1 - steer0)
     heading = geometry.wheel_heading + 0.5 * (leg0 + leg1 + steer0 + steer1)
     rolled = radius * (wheel1 - wheel0) * np.sinc(turn / (2.0 * np.pi))
@@ -205,9 +205,9 @@ class ReleaseOdometry:
             held_leg, held_steer = self._held
             leg0, wheel0 = self._last
             swing = now_leg - leg0
-            before = (held_leg - 0.5 * swing, held_steer + 0.5 * swing, wheel0)
+            previous = (held_leg - 0.5 * swing, held_steer + 0.5 * swing, wheel0)
             now = (held_leg + 0.5 * swing, held_steer - 0.5 * swing, now_wheel)
-            dx, dy, turn = fit_twist(self._fit.geometry, self._fit.radius, before, now).twist
+            dx, dy, turn = fit_twist(self._fit.geometry, self._fit.radius, previous, now).twist
             c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
             self.pose = self.pose + np.array([c * dx - s * dy, s * dx + c * dy, turn])
         self._last = (now_leg, now_wheel)

@@ -26,7 +26,7 @@ STUCK = 4
 
 
 class References:
-    """``mpc.reference["hand"] = Reference...``: what the terms compare with.
+    """``mpc.reference["end_effector"] = Reference...``: what the terms compare with.
 
     Set it between two updates, from the thread that updates. Another thread gets :class:`SolverBusy` while an update is under way
     (it does not wait, and the reference is not changed); what sets it in an MPC's own thread is a guess (:class:`Bound`).
@@ -317,9 +317,9 @@ class MPC:
         self._count_events(observation.t)
         broken = self._not_finite_part()
         self._broken = self._broken + 1 if broken else 0
-        before, self.fault = self.fault, broken or self._rejection()
+        previous, self.fault = self.fault, broken or self._rejection()
         self._faults = self._faults + 1 if self.fault else 0
-        if self.fault and not before:  # the first of a row of them
+        if self.fault and not previous:  # the first of a row of them
             _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
         return not self.fault
 

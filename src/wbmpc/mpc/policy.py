@@ -74,8 +74,8 @@ class InputLimits:
         bad = now < -_ROUNDING if active is None else (now < -_ROUNDING) & (active > 0.0)
         if not bad.any():
             return False
-        before = np.maximum(self.matrix[bad] @ planned + offset[bad], 0.0)
-        shares = before / (before - now[bad])
+        previous = np.maximum(self.matrix[bad] @ planned + offset[bad], 0.0)
+        shares = previous / (previous - now[bad])
         share = np.where(self._coupled[bad], shares[:, None], 1.0).min(axis=0)
         np.copyto(u, (u - planned) * share + planned, where=share < 1.0)
         return True

@@ -47,7 +47,7 @@ _Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class ArmDescription(Section):
-    """The arm's joints from base to hand, and the name of the hand's frame (site or body)."""
+    """The arm's joints from base to end effector, and the name of the end effector's frame (site or body)."""
 
     joints: tuple[str, ...] = Field(min_length=1)
     tool: str

@@ -56,7 +56,7 @@ class Topics(Settings):
     """Where messages come from and go to; a remapping is another name here. An empty name switches a topic off.
 
     ``pose``: another localisation's pose of the base in the world frame; it corrects the odometry. ``legs``, ``brakes`` and
-    ``leg_configuration`` are what the service ``set_legs`` does, as topics. ``wrench``: what the hand is to exert.
+    ``leg_configuration`` are what the service ``set_legs`` does, as topics. ``wrench``: what the end effector is to exert.
     """
 
     joint_states: str = "/joint_states"
@@ -117,7 +117,7 @@ class Rates(Settings):
 
 
 class Speeds(Settings):
-    """How fast goals without times are approached: base [m/s], [rad/s], hand [m/s]."""
+    """How fast goals without times are approached: base [m/s], [rad/s], end effector [m/s]."""
 
     base: float = Field(0.4, ge=1e-3, le=20)
     turn: float = Field(0.4, ge=1e-3, le=20)
@@ -133,7 +133,7 @@ class Fastest(Settings):
 
 
 class Exerted(Settings):
-    """The most that the hand of a balancing robot may be asked to exert: force [N], moment [N m]. Its plan leans on the world's
+    """The most that the end effector of a balancing robot may be asked to exert: force [N], moment [N m]. Its plan leans on the world's
     answer, and where there is none it has to stand all the same: 20 N that nobody answers fell it."""
 
     force: float = Field(10.0, gt=0, le=200)
@@ -141,7 +141,7 @@ class Exerted(Settings):
 
 
 class Goals(Settings):
-    """How far from the robot goals and paths may be [m], over the floor: of the base, and of the hand from where it is."""
+    """How far from the robot goals and paths may be [m], over the floor: of the base, and of the end effector from where it is."""
 
     base: float = Field(100.0, gt=0, le=10_000)
     end_effector: float = Field(100.0, gt=0, le=10_000)
@@ -240,10 +240,10 @@ class RosSettings(Settings):
     def fastest(self, robot: RobotModel) -> np.ndarray:
         """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
         speeds, given = self.speeds, self.cmd_vel
-        wanted = np.array([given.base, given.base, given.turn], float)  # None: not a number
+        target = np.array([given.base, given.base, given.turn], float)  # None: not a number
         if "base" in robot.input:
-            return np.fmin(wanted, robot.limits.input_upper[robot.input["base"]])
-        return np.where(np.isnan(wanted), [speeds.base, speeds.base, speeds.turn], wanted)
+            return np.fmin(target, robot.limits.input_upper[robot.input["base"]])
+        return np.where(np.isnan(target), [speeds.base, speeds.base, speeds.turn], target)
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
         """Speed limits [rad/s] of the joints of a group of the model, beyond which joint states cannot be true."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.recording.plots import hand_error, positions
+from wbmpc.recording.plots import end_effector_error, positions
 from wbmpc.recording.reader import Recording
 from wbmpc.simulation.scene import Body, Contact, Scene
 from wbmpc.view.access import Access
@@ -97,7 +97,7 @@ class Film:
     def _numbers(self) -> dict[str, tuple[Array, Array]]:
         """Times and values of the plotted numbers."""
         found = {}
-        error = hand_error(self.recording)
+        error = end_effector_error(self.recording)
         if error is not None:
             found["error"] = error
         if "/mpc/solve_time" in self.recording.topics:

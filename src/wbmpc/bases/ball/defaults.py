@@ -1,4 +1,4 @@
-"""The whole-body problem of the ball robot: one set of weights for hand tasks."""
+"""The whole-body problem of the ball robot: one set of weights for end effector tasks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wbmpc.settings import MpcSettings, Settings, Weight
 
 
 class HandCost(Settings):
-    """Weights of the hand: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
+    """Weights of the end effector: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
     which the arm cannot control at rest; linear and angular velocity. Errors beyond ``limit`` [m] and ``turn_limit`` [rad]
     pull no harder (SmoothL1): a sudden large goal must not ask for more than the wheels' torque."""
 
@@ -65,7 +65,7 @@ class RezeroCost(Settings):
 
 
 def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
-    """Hand pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); limits."""
+    """End effector pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); limits."""
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     h, b, t = cost.end_effector, cost.body, cost.torque

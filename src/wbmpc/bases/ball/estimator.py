@@ -93,9 +93,9 @@ class JointTracker:
         # far from the motion that there was as well, and not on its way: an arm that is flung goes on
         off = np.minimum(np.abs(reading - self.reading), np.abs(wrong))
         self._uncounted = np.where(self.jumped, self._uncounted, 0.0) + h
-        before, self._step = self._step, reading - self._raw
+        previous, self._step = self._step, reading - self._raw
         self._raw = reading.copy()
-        going = (np.minimum(np.abs(before), np.abs(self._step)) > FLUNG) & (before * self._step > 0.0)
+        going = (np.minimum(np.abs(previous), np.abs(self._step)) > FLUNG) & (previous * self._step > 0.0)
         stays = self.jumped & (np.abs(self._step) < off)
         self.jumped = (stays | (off > (self._uncounted + LATE) * self._fastest + SPEED_REST)) & ~going
         self.reading = np.where(self.jumped, self.reading, reading)
@@ -175,11 +175,11 @@ class BallEstimator:
         then = min(self._places, key=lambda place: abs(place[0] - time))[1]
         wrong = pose - then
         wrong[2] = np.remainder(wrong[2] + np.pi, 2.0 * np.pi) - np.pi
-        before = self.state[:3].copy()
+        previous = self.state[:3].copy()
         self.filter.know_place(wrong, covariance)
         state = self.state
         for _, place in self._places:  # what was wrong now was wrong then
-            place += state[:3] - before
+            place += state[:3] - previous
         return state
 
     def _detect_balance(self, interval: float) -> None:

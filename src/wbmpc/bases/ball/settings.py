@@ -13,7 +13,7 @@ from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import MpcSettings, Settings
 
-#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
+#: One set of weights for fast steps of the end effector and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
 #: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
 #: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
 #: swings from limit to limit for ever.
@@ -36,7 +36,7 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
 
 
 class BallControllerSettings(Settings):
-    """``estimate_disturbance``: whether constant disturbances are estimated, and of them (``estimate_payload``), for the MPC, a mass at the hand;
+    """``estimate_disturbance``: whether constant disturbances are estimated, and of them (``estimate_payload``), for the MPC, a mass at the end effector;
     ``expected_push_time`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
     ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
     ``actuator_time_constant`` [s] that the controller assumes, and ``actuator_dead_time`` [s] that the MPC's policy and the regulators do, in the

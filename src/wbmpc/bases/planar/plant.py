@@ -40,7 +40,7 @@ from wbmpc.types import Truth
 #: Contact softness of what rolls on the floor (time constant [s], damping ratio).
 TYRE = [0.01, 1.0]
 #: Gain [N m s/rad] of the wheels' servos; of the arm's per N m of effort limit, but not below its floor.
-_WHEEL_GAIN, _ARM_GAIN, _ARM_GAIN_LEAST = 100.0, 12.0, 800.0
+_WHEEL_GAIN, _ARM_GAIN, _MIN_ARM_GAIN = 100.0, 12.0, 800.0
 #: Interval [s] that sets the noise of the inertial unit's first sample.
 _IMU_INTERVAL = 0.0025
 
@@ -134,7 +134,7 @@ class PlanarPlant(InWorld):
         name = self._names["arm"][k]
         spec.joint(name).armature, spec.joint(name).damping = 0.1, [1.0, 0, 0]
         effort = self.description.limits.effort.get(name, np.inf)
-        gain = max(_ARM_GAIN_LEAST, _ARM_GAIN * effort) if np.isfinite(effort) else _ARM_GAIN_LEAST
+        gain = max(_MIN_ARM_GAIN, _ARM_GAIN * effort) if np.isfinite(effort) else _MIN_ARM_GAIN
         add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, self.draw.arm_lag[k], gain)
 
     def _add_imu(self, spec: mujoco.MjSpec) -> None:

@@ -21,7 +21,7 @@ ROLLING_SOFTNESS = 1e-6
 
 
 class HandCost(Settings):
-    """Weights of the hand: position [1/m²], orientation [1/rad²], per second."""
+    """Weights of the end effector: position [1/m²], orientation [1/rad²], per second."""
 
     weight: Weight = 1000.0
     orientation: Weight = 200.0
@@ -65,7 +65,7 @@ def swerve_problem(
     accelerations: bool = False,
     allow_side_slip: bool = False,
 ) -> OptimalControlProblem:
-    """Hand pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
+    """End effector pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
 
     ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows); ``allow_side_slip``: the
     reference "rolling" lets wheels slip sideways while they turn about.

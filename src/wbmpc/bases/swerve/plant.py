@@ -50,7 +50,7 @@ WHEEL_HALF_WIDTH = 0.02
 #: Contact softness of the tyres (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
 TYRE = [0.01, 1.0]
 #: Gain [N m s/rad] of the wheel and steer servos; of the arm's per N m of effort limit, but not below its floor.
-_VELOCITY_GAIN, _ARM_GAIN, _ARM_GAIN_LEAST = 100.0, 12.0, 800.0
+_VELOCITY_GAIN, _ARM_GAIN, _MIN_ARM_GAIN = 100.0, 12.0, 800.0
 _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
 #: Interval [s] that sets the noise of the inertial unit's first sample.
 _IMU_INTERVAL = 0.0025
@@ -153,7 +153,7 @@ class SwervePlant(InWorld):
         for k, name in enumerate(self._names["arm"]):
             spec.joint(name).armature, spec.joint(name).damping = 0.1, [1.0, 0, 0]
             effort = limits.effort.get(name, np.inf)
-            gain = max(_ARM_GAIN_LEAST, _ARM_GAIN * effort) if np.isfinite(effort) else _ARM_GAIN_LEAST
+            gain = max(_MIN_ARM_GAIN, _ARM_GAIN * effort) if np.isfinite(effort) else _MIN_ARM_GAIN
             self._servo(spec, name, gain, effort, draw.arm_lag[k])
         self._add_imu(spec)
         if p.payload > 0.0:

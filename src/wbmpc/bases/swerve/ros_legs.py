@@ -66,9 +66,9 @@ class Legs:
         self._lock = threading.Lock()
         topics = settings.topics
         takes: dict[str, Callable[[Any], str]] = {
-            "legs": lambda m: self._wanted("", list(m.name), m.position, ()),
+            "legs": lambda m: self._target("", list(m.name), m.position, ()),
             "brakes": lambda m: self._brakes(m.data),
-            "leg_configuration": lambda m: self._wanted(m.data, [], (), ()),
+            "leg_configuration": lambda m: self._target(m.data, [], (), ()),
         }
         for key, take in takes.items():
             if topic := getattr(topics, key):
@@ -92,7 +92,7 @@ class Legs:
         try:
             if why:
                 raise InputError(why)
-            message = self._wanted(str(request.configuration), list(request.leg), request.angle, request.brake_open)
+            message = self._target(str(request.configuration), list(request.leg), request.angle, request.brake_open)
         except Exception as error:
             self.reject(f"{self.settings.topics.set_legs}: {error_message(error)}")
             return {"success": False, "message": error_message(error)}
@@ -112,7 +112,7 @@ class Legs:
             self._limit.log(_LOG, logging.WARNING, message.split(":")[0], message)
         self.rejected = message
 
-    def _wanted(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
+    def _target(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
         """A configuration by name or angles, or single legs: ``angles``, brakes; what will be done."""
         n = len(self.names)
         goal, brake = np.full(n, np.nan), np.full(n, np.nan)
@@ -179,8 +179,8 @@ class Legs:
         if not moving.any():
             reject_floating(geometry, leg, state)
             return
-        before = leg if self.angles is None else self.angles
-        there = np.where(moving, np.where(np.isnan(goal), before, goal), leg)
+        previous = leg if self.angles is None else self.angles
+        there = np.where(moving, np.where(np.isnan(goal), previous, goal), leg)
         reject_floating_way(geometry, leg, there, state, self.robot.limits.input_upper[self.robot.input["leg"]])
 
     def _outcome(self, goal: Array, brake: Array, commanded: Array) -> tuple[Array, Array]:
@@ -207,7 +207,7 @@ class Legs:
             return False
         goal, brake = command
         sent = ~np.isnan(goal)
-        before = self.angles
+        previous = self.angles
         self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
         self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
         self._nearest[:], self._since[:], self.short = np.inf, t, ""
@@ -216,7 +216,7 @@ class Legs:
             brakes.set(t, state, None if self.moving.any() else leg)
         except InputError as error:
             self.reject(f"a command for the legs is rejected: {error}")
-            self.angles = before
+            self.angles = previous
             return False
         # a leg that is let go, or held where it is, goes nowhere
         stays = ~self.moving & ~np.isnan(brake)

@@ -20,7 +20,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.settings import Settings, Weight
 from wbmpc.studies.minniti2019.held_arm import base_problem
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
-from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse, SeparateController
+from wbmpc.studies.minniti2019.separate import ArmLoop, EndEffectorInverse, SeparateController
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController
 
 if TYPE_CHECKING:
@@ -31,13 +31,13 @@ Controller = Literal[
 ]  # fmt: skip
 
 
-#: Those that track the body's states and know of no hand but in its weights.
+#: Those that track the body's states and know of no end effector but in its weights.
 REGULATORS = ("lqr", "scheduled-lqr")
 
 
 class RegulatorSettings(Settings):
     """Factors of the MPC's weights of torques (``torque``; another one of the arm's, ``arm``), ball speed and tilt rate
-    (``damping``), the arm's angles and rates (``posture``), hand (``hand``); ``max_error`` [m]: position errors beyond it are cut."""
+    (``damping``), the arm's angles and rates (``posture``), end effector (``hand``); ``max_error`` [m]: position errors beyond it are cut."""
 
     torque: float = Field(1.0, gt=0)
     arm: float = Field(1.0, gt=0)
@@ -265,7 +265,9 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
     })  # fmt: skip
     planner = MPC(base_problem(p.robot, settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
     planner.reference["body"] = p.mpc.reference["body"]
-    inverse = HandInverse(p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1))
+    inverse = EndEffectorInverse(
+        p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1)
+    )
     controller = SeparateController(
         p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.actuator_time_constant),
         settings.estimate_disturbance and name != "separate", p.estimator,

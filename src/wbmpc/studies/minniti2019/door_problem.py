@@ -1,4 +1,4 @@
-"""The problem of the ball robot before a door: free hand and pushing hand as modes, with and without the door's equation."""
+"""The problem of the ball robot before a door: free end effector and pushing end effector as modes, with and without the door's equation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PUSHING = ("held", "moving")
 
 
 class PushCost(Settings):
-    """Weights while the hand pushes: error of the force along the normal and tangential forces [1/N²], orientation of the hand
+    """Weights while the end effector pushes: error of the force along the normal and tangential forces [1/N²], orientation of the end effector
     [1/rad²], its linear and angular velocity, the ball's speed, the arm's angles [1/rad²] (a posture in which to follow the
     door)."""
 
@@ -33,13 +33,13 @@ class PushCost(Settings):
     arm: Weight = 5.0
 
 
-#: For a hand whose motion the optimiser does not tie to the door: all force errors count alike, no posture (seeds 0 and 1).
+#: For an end effector whose motion the optimiser does not tie to the door: all force errors count alike, no posture (seeds 0 and 1).
 UNTIED = PushCost(tangential=1.0, arm=0.0)
 
 
 class DoorScheme(Settings):
     """``row``: the door's states and equation in the problem; ``identify``: its impedance is estimated as it moves;
-    ``cone``: the hand can only push, within the friction cone of coefficient ``friction``, as hard limits;
+    ``cone``: the end effector can only push, within the friction cone of coefficient ``friction``, as hard limits;
     ``baumgarte`` [1/s]: how fast planned gaps close; ``door_rate`` [rad/s]: no faster is the door to move (with ``row``)."""
 
     row: bool = True
@@ -52,7 +52,7 @@ class DoorScheme(Settings):
 
 
 def suited(scheme: DoorScheme) -> PushCost:
-    """The weights while the hand pushes that suit a scheme."""
+    """The weights while the end effector pushes that suit a scheme."""
     return PushCost() if scheme.row else UNTIED
 
 

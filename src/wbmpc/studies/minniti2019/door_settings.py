@@ -24,7 +24,7 @@ DOORS: dict[str, dict[str, Any]] = {
 
 class RezeroDoorSettings(RezeroSettings):
     """``forces`` [N] along the normal, a run each, reached ``rise_time`` [s] after the touch; ``door``: its kind; ``settle_time`` [s] before
-    the hand starts, with ``speed`` [m/s]; it lets go at ``opening_angle`` [rad], or ``timeout`` [s] after it started; the run ends
+    the end effector starts, with ``speed`` [m/s]; it lets go at ``opening_angle`` [rad], or ``timeout`` [s] after it started; the run ends
     ``final_hold_time`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
     (what is left out: as suits the scheme); ``door_position_error`` [m]: the door's place is not known better; ``lean_share``: a force beyond this
     share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is reported."""

@@ -1,4 +1,4 @@
-"""`rezero-push-ball` and `rezero-push-hand`: pushes while ball or hand are held (Minniti et al. 2019, Fig. 5)."""
+"""`rezero-push-ball` and `rezero-push-hand`: pushes while ball or end effector are held (Minniti et al. 2019, Fig. 5)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies.minniti2019.metrics import common_plots, hand_felt, rms
+from wbmpc.studies.minniti2019.metrics import common_plots, estimated_end_effector, rms
 from wbmpc.studies.minniti2019.recovery import LAST, rest
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
@@ -50,7 +50,7 @@ class RezeroPushSettings(RezeroSettings):
 
 
 class RezeroPushBallSettings(RezeroPushSettings):
-    """The ball is held and, of the hand, only its orientation (the paper's first task); otherwise the same weights."""
+    """The ball is held and, of the end effector, only its orientation (the paper's first task); otherwise the same weights."""
 
     cost: RezeroCost = STEPS_AND_PUSHES.model_copy(
         update={
@@ -61,7 +61,7 @@ class RezeroPushBallSettings(RezeroPushSettings):
 
 
 class RezeroPushHandSettings(RezeroPushSettings):
-    """The hand is held: the weights of the steps."""
+    """The end effector is held: the weights of the steps."""
 
 
 def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
@@ -91,7 +91,7 @@ def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "ball_travel_max": Metric(float(travel.max()), "m"),
             "hand_error_max": Metric(float(np.linalg.norm(log.array("hand") - hand, axis=1).max()), "m"),
-            "hand_error_rms": Metric(rms(hand_felt(log) - hand), "m"),
+            "hand_error_rms": Metric(rms(estimated_end_effector(log) - hand), "m"),
             "fell": Metric(float(ending.fell), "1", goal=0.0),
         }
 

@@ -27,7 +27,7 @@ STATE_NOISE = tuple(f"plant.{kind}_noise" for kind in ("position", "angle", "spe
 class RezeroSettings(BallControllerSettings, ExperimentSettings):
     """``robot``: a name or a file, of a base of type ball; the weights were found for Rezero.
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
-    unknown mass at the hand; ``controller``: the MPC, or a baseline that has its estimator and the same limits of the drives,
+    unknown mass at the end effector; ``controller``: the MPC, or a baseline that has its estimator and the same limits of the drives,
     with its gains (``baseline``); ``tracking`` of the MPC's plans. ``only_with``: what the chosen controller and estimator read."""
 
     robot: str = "rezero"
@@ -50,7 +50,7 @@ class RezeroSettings(BallControllerSettings, ExperimentSettings):
 
 
 class AccurateSettings(RezeroSettings):
-    """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly; so have
+    """An end effector that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly; so have
     the baselines."""
 
     expected_push_time: float = Field(0.0, ge=0, le=1.0)

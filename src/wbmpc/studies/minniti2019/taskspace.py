@@ -1,4 +1,4 @@
-"""`rezero-taskspace`: an instantaneous task-space controller against the MPC on the hand's steps (the paper's main argument)."""
+"""`rezero-taskspace`: an instantaneous task-space controller against the MPC on the end effector's steps (the paper's main argument)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wbmpc.studies.minniti2019.task import IDEALISATIONS, ball_system, record_re
 from wbmpc.studies.minniti2019.taskspace_figures import CONTROLLERS, metrics, plots
 
 NAME = "rezero-taskspace"
-SUMMARY = "an instantaneous task-space controller against the MPC on the hand's steps (Minniti et al. 2019, section I)"
+SUMMARY = "an instantaneous task-space controller against the MPC on the end effector's steps (Minniti et al. 2019, section I)"
 HERE = ["neither controller sees a step before it comes"]
 
 

@@ -195,7 +195,7 @@ def branches(angle: np.ndarray, speed: np.ndarray, low: float, high: float) -> n
 
 
 def riding(robot: RobotModel, home: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (k, 3) and quaternions (k, 4) of a hand that rides along with base poses (k, 3) as it is at ``home``."""
+    """Positions (k, 3) and quaternions (k, 4) of an end effector that rides along with base poses (k, 3) as it is at ``home``."""
     place, orientation = robot.pose(home)
     turns = np.array([lie.quaternion_multiply(lie.quaternion_about((0, 0, 1), p[2]), orientation) for p in poses])
     points = np.array([[*lie.se2_compose(p, [place[0], place[1], 0.0])[:2], place[2]] for p in poses])

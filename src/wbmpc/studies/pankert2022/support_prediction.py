@@ -129,7 +129,7 @@ def predict(support: Support, offset: MassOffset | None = None) -> list[Switch]:
 
     level = support.stances_at(support.times[:1], np.array([0.0, 0.0, 1.0]))[1][0] + shift[0]
     switches = support_switches(support.times, support.feet, support.heights, stance, UNLOADED, level)
-    return [Switch(s.time - case.start, s.before, s.after) for s in switches]
+    return [Switch(s.time - case.start, s.previous, s.after) for s in switches]
 
 
 def tippings(support: Support, t: Array, gyro: Array) -> list[Tipping]:

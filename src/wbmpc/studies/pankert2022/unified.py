@@ -1,4 +1,4 @@
-"""`swerve-unified`: the hand holds a pose in the world while the base drives, turns and reconfigures itself.
+"""`swerve-unified`: the end effector holds a pose in the world while the base drives, turns and reconfigures itself.
 
 The title's "simultaneous navigation, reconfiguration, and manipulation" (Pankert et al. 2022, abstract and section III-A).
 With ``legs=support`` the leg targets are left out, and the margin of the zero-moment point in the support triangles is the
@@ -33,12 +33,12 @@ from wbmpc.stability.geometry import Triangle
 from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, at_home
 from wbmpc.studies.pankert2022.standing import stand_still
-from wbmpc.studies.pankert2022.track_references import HAND_ORIENTATION
+from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.unified_figures import metrics, plots
 from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
 
 NAME = "swerve-unified"
-SUMMARY = "the hand holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"
+SUMMARY = "the end effector holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"
 
 IDEALISATIONS = [
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
@@ -46,7 +46,7 @@ IDEALISATIONS = [
     "the computation takes a constant 10 ms; legs' and arm's encoder offsets are not calibrated",
     "the time that a brake takes to open and to close is assumed, and known to the planner",
 ]
-#: Where the hand holds still [m], how long the base drives [s], when the brakes open and close after that began [s].
+#: Where the end effector holds still [m], how long the base drives [s], when the brakes open and close after that began [s].
 HOLD, DRIVE, OPENS, CLOSES = (1.0, 0.5, 0.9), 15.0, 1.0, 11.0
 #: Where the base goes: 2 m ahead, turned by 90°.
 GOAL = (2.0, 0.0, 0.5 * np.pi)
@@ -99,7 +99,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
     reject_two_wheels(robot.description)  # before advice about their legs
-    approach = Approach(robot.pose(robot.home), (np.array(HOLD), HAND_ORIENTATION))
+    approach = Approach(robot.pose(robot.home), (np.array(HOLD), END_EFFECTOR_ORIENTATION))
     begin = approach.duration + 1.0
     home = _start(robot, settings)
     opens = begin + OPENS + settings.plant.brake_delay

@@ -77,7 +77,7 @@ def time_error(predicted: list[Switch], events: list[tuple[float, int]]) -> floa
         return float("inf")
     errors = [0.0]
     for switch, (when, wheel) in zip(predicted, events, strict=True):
-        lost = set(switch.before) - set(switch.after)
+        lost = set(switch.previous) - set(switch.after)
         errors.append(abs(switch.time - when) if lost == {wheel} else float("inf"))
     return max(errors)
 
