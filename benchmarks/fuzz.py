@@ -3,14 +3,10 @@
 Usage: python benchmarks/fuzz.py [--cases 10000] [--seed 0] [--kinds settings files …] [--first N] [--json] [--quiet]
 
 Cases are run in a process of their own, one after the other; one that hangs or takes its process down is counted, and the next
-<<<<<<< HEAD
-begins in a fresh one. *Nonsense*: a case whose generator knows that it is wrong was accepted, or that it is right was rejected.
-=======
 begins in a fresh one. *Nonsense*: a case whose generator knows that it is wrong was accepted, or that it is right was rejected,
 or a message has characters that steer a terminal. Every bad case is printed with the command that runs it alone. Cases of the
 kind ``problems`` build an experiment and run it for a few ticks: they may take a minute, for some are compiled. Times are of the
 processor, so that a busy machine does not count as a hang; what waits is given six times as much.
->>>>>>> origin/fuzz17
 Exits with 1 if there are tracebacks, hangs or nonsense.
 """
 

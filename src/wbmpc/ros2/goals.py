@@ -254,7 +254,9 @@ def end_effector_track(
 ) -> EndEffectorTrack:
     """A path of the end effector."""
     turns = np.array([2.0 * np.arccos(min(abs(float(a @ b)), 1.0)) for a, b in pairwise(orientations)])
-    return EndEffectorTrack(timed(positions, turns, times, t, speeds.end_effector, speeds.turn), positions, orientations)
+    return EndEffectorTrack(
+        timed(positions, turns, times, t, speeds.end_effector, speeds.turn), positions, orientations
+    )
 
 
 def planar_path(positions: Array, orientations: Array) -> Array:
