@@ -1,6 +1,6 @@
 """Generated inputs of the fuzz command: settings, robot files, recordings, logs, calibrations, buses' files, messages, scenes.
 
-A case knows what it must lead to where that can be known: ``valid`` (accepted), ``invalid`` (refused), or nothing (either).
+A case knows what it must lead to where that can be known: ``valid`` (accepted), ``invalid`` (rejected), or nothing (either).
 """
 
 from __future__ import annotations

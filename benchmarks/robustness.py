@@ -258,7 +258,7 @@ def _protocol(cell: Cell) -> str:
 
 
 def against_goals(found: list[Cell]) -> list[dict[str, Any]]:
-    """Rows of the table of goals: the protocol and the variants, no burdens."""
+    """Rows of the table of goals: the protocol and the variants, no payload."""
     rows = []
     for cell in found:
         if cell.condition == "protocol" or cell.condition in VARIANTS:

@@ -1,4 +1,4 @@
-"""Dotted settings: what they change, and one clear sentence for everything that is wrong."""
+"""Dotted settings: what they change, and one clear message for everything that is wrong."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("assignment", BAD)
-def test_a_fault_is_one_sentence_with_place_key_and_choices(assignment: str) -> None:
+def test_a_fault_is_one_message_with_place_key_and_choices(assignment: str) -> None:
     with pytest.raises(InputError) as caught:
         configure(FakeSettings, [assignment], "fake")
     text = str(caught.value)

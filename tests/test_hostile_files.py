@@ -297,7 +297,7 @@ def test_a_message_of_other_values_is_an_error_with_its_field(kind: str, message
 
 
 # ---------------------------------------------------------------------- everything
-def test_generated_cases_are_accepted_or_refused_as_their_generators_know(
+def test_generated_cases_are_accepted_or_rejected_as_their_generators_know(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The short form of ``python benchmarks/fuzz.py``, in this process."""

@@ -1,4 +1,4 @@
-"""Settings from dotted keys: ``mpc.rate=100`` onto a nested pydantic model, one clear sentence for each fault."""
+"""Settings from dotted keys: ``mpc.rate=100`` onto a nested pydantic model, one clear message for each fault."""
 
 from __future__ import annotations
 

@@ -111,11 +111,11 @@ def test_rates_that_are_not_a_whole_number_of_steps(rates: tuple[float, ...], me
 def test_who_is_in_force(every: int, delay: int) -> None:
     """The newest policy whose computation is over; also when computing takes several MPC periods."""
     timing = Timing(0.01, 3, every, delay)
-    agent, plant, seen = FakeAgent(), fake_plant(), []
+    controller, plant, seen = FakeAgent(), fake_plant(), []
     record = lambda t, c, p: seen.append((round(t / 0.01), c.drive))
-    assert run_lockstep(plant, agent, FakeMPC(), timing, 0.5, record) == Ending()
+    assert run_lockstep(plant, controller, FakeMPC(), timing, 0.5, record) == Ending()
     assert plant.steps == 150
-    assert agent.measured == 50
+    assert controller.measured == 50
     for tick, command in seen:
         started = [i for i in range(0, tick + 1, every) if i + delay <= tick]
         newest = (started[-1] + delay if started else delay) * 0.01
@@ -185,7 +185,7 @@ class RaisingAgent(FakeAgent):
             raise ZeroDivisionError("nothing to divide by")
 
 
-def test_whatever_is_raised_in_a_run_stops_the_robot_and_is_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_whatever_is_raised_in_a_run_stops_the_robot_and_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     plant, recorded = fake_plant(), []
     with caplog.at_level("DEBUG", "wbmpc"):
         ending = run_lockstep(

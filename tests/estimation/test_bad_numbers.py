@@ -1,4 +1,4 @@
-"""What estimators refuse. Truth: a twin that is given the good messages alone has the same estimate afterwards, to the bit."""
+"""What estimators reject. Truth: a twin that is given the good messages alone has the same estimate afterwards, to the bit."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("make", "good", "bad", "name"), CASES)
-def test_a_message_that_cannot_be_is_refused_and_leaves_nothing(make: Any, good: Any, bad: Any, name: str) -> None:
+def test_a_message_that_cannot_be_is_rejected_and_leaves_nothing(make: Any, good: Any, bad: Any, name: str) -> None:
     (update, estimate), (other, twin) = make(), make()
     kind = NotFinite if any(not np.isfinite(part).all() for part in bad) else InputError
     for before in good[:-1]:
@@ -282,7 +282,7 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: MomentumObserver(ROBOT.base.numeric.mass_matrix, lambda q, v: ZERO).zero(), "first update"),
     ],
 )
-def test_what_no_estimator_can_be_made_of_is_refused(make: Callable[[], Any], words: str) -> None:
+def test_what_no_estimator_can_be_made_of_is_rejected(make: Callable[[], Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         make()
 

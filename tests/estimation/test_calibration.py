@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
+from effort import draws
 from wbmpc.bases.swerve.calibration import WheelRecord, calibrate, fit_wheels, replay
 from wbmpc.errors import InputError
 from wbmpc.estimation.odometry_filter import OdometryNoise
@@ -50,7 +51,7 @@ def prior() -> WheelCalibration:
 def test_zeros_and_radii_are_found_within_their_covariance() -> None:
     """Over bases: errors over covariance are chi-square with 2n degrees, and much smaller than what was known before."""
     values, left = [], []
-    for seed in range(20):
+    for seed in range(draws(6, 20)):
         base = drawn(seed)
         found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
         error = np.concatenate(
@@ -117,7 +118,7 @@ def straight_on(seed: int, brake: float) -> tuple[Drawn, WheelRecord]:
 def test_open_legs_show_every_zero() -> None:
     """Closed brakes leave one combination as uncertain as it was; with open ones it is found, within its own std over bases."""
     apart, nothing = [], WheelCalibration.unknown(ring(4), 2e-3, 0.0, 0.0)
-    for seed in range(8):
+    for seed in range(draws(4, 8)):
         base, data = straight_on(seed, 1.0)
         found = calibrate(base.geometry, data, prior=nothing, noise=CALM)
         std = np.sqrt(HIDDEN @ found.covariance[:4, :4] @ HIDDEN)
@@ -132,7 +133,7 @@ def test_open_legs_show_every_zero() -> None:
 
 def test_calibrated_odometry_drifts_less() -> None:
     errors = {"before": [], "after": []}
-    for seed in range(5):
+    for seed in range(draws(2, 5)):
         base = drawn(seed)
         found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
         again = drawn(seed, length=40.0)
@@ -209,7 +210,7 @@ ROWS = "{a: {}, b: {}, c: {}, d: {}}"
         (f"modules: {ROWS}\ncorrelation: {(2 * np.eye(8) - 1).tolist()}", "a correlation matrix"),
     ],
 )
-def test_bad_files_are_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:
+def test_bad_files_are_rejected_in_one_message(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=message) as error:
@@ -226,7 +227,7 @@ def test_keys_that_are_left_out_are_the_descriptions(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("drop", "message"), [("place", "no channel 'place'"), ("wheel.time", "no channel 'wheel'")])
-def test_a_log_without_the_channels_is_refused(drop: str, message: str) -> None:
+def test_a_log_without_the_channels_is_rejected(drop: str, message: str) -> None:
     times = np.arange(5.0)
     channels = {"steer": np.zeros((5, 4)), "wheel": np.zeros((5, 4)), "place": np.ones((5, 6))}
     channels |= {f"{name}.time": times for name in tuple(channels)}
@@ -274,13 +275,13 @@ ROLLING = np.tile(np.linspace(0.0, 1.0, 11)[:, None], (1, 4))
         ({"place.time": np.array([0.0, 1.02, 1.03]), "wheel": ROLLING}, "2 of 3 global poses are after .* moves"),
     ],
 )
-def test_records_that_make_no_sense_are_refused(changed: dict[str, np.ndarray], message: str) -> None:
+def test_records_that_make_no_sense_are_rejected(changed: dict[str, np.ndarray], message: str) -> None:
     with pytest.raises(InputError, match=f"there.npz: .*{message}") as error:
         WheelRecord.of({**SOUND, **changed}, "there.npz")
     assert "\n" not in str(error.value)
 
 
-def test_another_base_and_poses_that_do_not_fit_are_refused() -> None:
+def test_another_base_and_poses_that_do_not_fit_are_rejected() -> None:
     three = {name: SOUND[name][:, :3] for name in ("steer", "wheel", "leg")}
     with pytest.raises(InputError, match="4 modules"):
         calibrate(UNEVEN, WheelRecord.of({**SOUND, **three}))
@@ -311,7 +312,7 @@ LATER = {f"{name}.time": SOUND[f"{name}.time"] + 500.0 for name in ("leg", "gyro
         (True, {"leg": np.zeros((11, 0))}, "legs have hinges, and there is no channel 'leg'"),
     ],
 )
-def test_a_log_of_a_robot_with_other_legs_is_refused(
+def test_a_log_of_a_robot_with_other_legs_is_rejected(
     hinged: bool, changed: dict[str, np.ndarray], message: str
 ) -> None:
     """The same number of modules is not the same base; legs that stand, as encoders say it, may be fixed ones."""
@@ -391,7 +392,7 @@ def test_a_gyro_that_contradicts_the_rest_is_named(factor: float) -> None:
         fit_wheels(base.geometry, replace(data, gyro=factor * data.gyro))
 
 
-def test_records_that_no_wheels_explain_are_refused() -> None:
+def test_records_that_no_wheels_explain_are_rejected() -> None:
     base, data = far_off(1, 2e-3, 6.0)
     with pytest.raises(InputError, match="in radians"):
         fit_wheels(base.geometry, replace(data, steer=np.degrees(data.steer)))

@@ -114,7 +114,7 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
         ({"arm": 5}, ("'arm'",)),
     ],
 )
-def test_a_bad_file_is_explained_in_one_sentence(
+def test_a_bad_file_is_explained_in_one_message(
     tmp_path: Path, changes: dict[str, object], words: tuple[str, ...]
 ) -> None:
     path = write(tmp_path, **changes)
@@ -276,7 +276,7 @@ def ball_robot(folder: Path, **changes: object) -> Path:
         ({"imu": '<body name="imu"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'}, ("'imu'",)),
     ],
 )
-def test_a_ball_robot_that_cannot_balance_is_refused(
+def test_a_ball_robot_that_cannot_balance_is_rejected(
     tmp_path: Path, changes: dict[str, object], words: tuple[str, ...]
 ) -> None:
     with pytest.raises(InputError) as error:

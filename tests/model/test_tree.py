@@ -157,7 +157,7 @@ def test_lock_of_skew_joints_in_rotated_bodies(tmp_path, joint: str, body: str) 
     np.testing.assert_allclose(db.xmat, da.xmat, atol=1e-12)
 
 
-def test_a_hinge_off_its_body_origin_is_read_or_refused() -> None:
+def test_a_hinge_off_its_body_origin_is_read_or_rejected() -> None:
     spec = mujoco.MjSpec.from_string(
         """<mujoco><worldbody><body name="root"><geom size="0.1"/><body name="a"><joint name="j" pos="0 0 1"/>
         <geom size="0.1"/></body></body></worldbody></mujoco>"""

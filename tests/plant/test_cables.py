@@ -45,6 +45,6 @@ def test_between_cables_nothing_changes() -> None:
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
 
 
-def test_swerve_robots_refuse_them() -> None:
+def test_swerve_robots_reject_them() -> None:
     with pytest.raises(InputError, match=r"plant\.floor_cables"):
         SwervePlant(robot("swerve-ur10").description, perturbation=Perturbation(floor_cables=0.005))

@@ -124,6 +124,6 @@ def test_sensor_has_noise_and_bias_of_its_seed() -> None:
 @pytest.mark.parametrize(
     ("wrong", "said"), [({"opening": 0.5}, "opening"), ({"mass": 0.0}, "mass"), ({"grip": -1.0}, "grip")]
 )
-def test_impossible_doors_are_refused(wrong: dict[str, float], said: str) -> None:
+def test_impossible_doors_are_rejected(wrong: dict[str, float], said: str) -> None:
     with pytest.raises(InputError, match=said):
         Door((0.0, 0.0), **wrong)

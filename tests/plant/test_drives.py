@@ -199,7 +199,7 @@ def test_dead_time() -> None:
 
 
 @pytest.mark.parametrize("time", [0.0003, 0.00275])
-def test_a_dead_time_that_is_no_whole_step_is_refused(time: float) -> None:
+def test_a_dead_time_that_is_no_whole_step_is_rejected(time: float) -> None:
     with pytest.raises(
         InputError, match=r"plant\.actuator_dead_time: .* whole number of physics steps of 0\.5 ms; valid: e\.g\. "
     ):
@@ -218,6 +218,6 @@ OF_BALL_ROBOTS = ("actuator_dead_time", "wheel_spring", "arm_spring", "torsional
 
 
 @pytest.mark.parametrize("name", OF_BALL_ROBOTS)
-def test_swerve_robots_refuse_what_their_plant_does_not_read(name: str) -> None:
+def test_swerve_robots_reject_what_their_plant_does_not_read(name: str) -> None:
     with pytest.raises(InputError, match=rf"plant\.{name}: is for ball robots only; .*'plant\."):
         SwervePlant(load_description("swerve-ur10"), perturbation=Perturbation(**{name: 0.1}))

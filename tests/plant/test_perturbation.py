@@ -79,7 +79,7 @@ def test_friction_may_be_one_number():
 @pytest.mark.parametrize(
     "bad", [{"masss": 0.1}, {"mass": -0.1}, {"friction": (0.9, 0.6)}, {"actuator_time_constant": np.nan}]
 )
-def test_bad_settings_are_refused(bad):
+def test_bad_settings_are_rejected(bad):
     with pytest.raises(ValidationError):
         Perturbation(**bad)
 

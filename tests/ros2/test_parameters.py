@@ -53,13 +53,13 @@ def test_the_node_lists_gets_and_describes_its_parameters(pair: Callable[..., An
     assert (weight.floating_point_range[0].from_value, len(rate.floating_point_range)) == (0.0, 0)
 
 
-def test_a_weight_is_in_force_from_the_next_solve_on_and_is_told(pair: Callable[..., Any]) -> None:
+def test_a_weight_is_in_force_from_the_next_solve_on_and_is_reported(pair: Callable[..., Any]) -> None:
     p = pair()
-    told: list[Any] = []
+    reported: list[Any] = []
     kind = "rcl_interfaces/msg/ParameterEvent"
-    p.standin.node.subscribe("/parameter_events", kind, told.append, Qos(depth=100))
+    p.standin.node.subscribe("/parameter_events", kind, reported.append, Qos(depth=100))
     drive(p)
-    solver = p.control.pilot.mpc.solver
+    solver = p.control.adapter.mpc.solver
     before = solver.constants.copy()
     results = ask(
         p, "set_parameters", "SetParameters", parameters=[number(HAND, 500.0), number("cost.state.yaw", 7.0)]
@@ -82,7 +82,7 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_told(pair: Callable[
                 np.testing.assert_allclose(part, cost.expand(weight), rtol=1e-15)
     assert ask(p, "get_parameters", "GetParameters", names=[HAND]).values[0].double_value == 500.0
     assert wait_until(
-        lambda: any(c.name == HAND and c.value.double_value == 500.0 for m in told for c in m.changed_parameters)
+        lambda: any(c.name == HAND and c.value.double_value == 500.0 for m in reported for c in m.changed_parameters)
     )
     assert p.control.running
 

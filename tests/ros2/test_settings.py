@@ -1,4 +1,4 @@
-"""The bus's YAML. Truth: what the files say; sentences that name file, key and valid choices."""
+"""The bus's YAML. Truth: what the files say; messages that name file, key and valid choices."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ controllers:
         ("controllers: {w: {topic: /4/w, joints: [wheel_LF]}}", "controllers.w.topic='/4/w': a topic's name is"),
     ],
 )
-def test_faults_are_one_sentence_with_the_file(tmp_path: Path, text: str, says: str) -> None:
+def test_faults_are_one_message_with_the_file(tmp_path: Path, text: str, says: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(InputError, match=f"{re.escape(str(path))}: .*{re.escape(says)}"):
         load_settings(path, ROBOT)
@@ -167,7 +167,7 @@ def test_the_documentations_controllers_are_the_robots() -> None:
     assert len(sensor.findall("state_interface")) == 10  # orientation, angular velocity, linear acceleration
 
 
-def test_commands_refuse_other_robots_and_missing_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_reject_other_robots_and_missing_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A robot that stands on a fixed base: one link, one hinge."""
     (tmp_path / "r.xml").write_text(
         '<mujoco><worldbody><body name="base"><geom size="0.1"/><body name="tip" pos="0 0 1"><joint name="turn" range="-1 1"/>'

@@ -32,7 +32,7 @@ BALL = [n for n in REGISTRY if n.startswith("rezero-")]
         ("rezero-taskspace", "controller=lqr"), ("rezero-taskspace", "expected_push_time=0.1"), ("rezero-steps", "cost.torque.force=2"),
     ],
 )  # fmt: skip
-def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> None:
+def test_what_an_experiment_does_not_use_is_rejected(name: str, given: str) -> None:
     with pytest.raises(
         InputError, match=rf"{name}: --set {given.split('=')[0].removesuffix('.kind')}: this experiment does not use it"
     ):
@@ -60,8 +60,8 @@ def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> No
         ("controller=separate estimate_disturbance=false", "estimate_disturbance"),
     ],
 )
-def test_what_the_controller_does_not_use_is_refused(given: str, name: str) -> None:
-    """What :func:`make_controller` does not hand to the agent that is named."""
+def test_what_the_controller_does_not_use_is_rejected(given: str, name: str) -> None:
+    """What :func:`make_controller` does not hand to the controller that is named."""
     with pytest.raises(InputError, match=rf"rezero-push-hand: --set {name}: nothing uses it without controller="):
         configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
 
@@ -95,7 +95,7 @@ def test_what_the_controller_does_not_use_is_refused(given: str, name: str) -> N
         ("rezero-circle", "yaw=free cost.body.yaw=3", "cost.body.yaw", "yaw=held"),
     ],
 )
-def test_what_another_setting_makes_idle_is_refused(name: str, given: str, unread: str, other: str) -> None:
+def test_what_another_setting_makes_idle_is_rejected(name: str, given: str, unread: str, other: str) -> None:
     """Each of the two alone is taken."""
     kind, (*first, last) = REGISTRY[name].config_type, given.split()
     with pytest.raises(InputError, match=f"{name}: --set {unread}: nothing uses it without {other}"):
@@ -192,14 +192,14 @@ def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
         ("rezero-frequency", ["settle_time=0.5", "mpc.horizon=1"], "preview=false"),
     ],
 )
-def test_what_cannot_be_judged_is_refused(name: str, given: list[str], words: str) -> None:
+def test_what_cannot_be_judged_is_rejected(name: str, given: list[str], words: str) -> None:
     """No pushes, pushes into each other, no step, a step that begins before the run."""
     with pytest.raises(InputError) as error:
         configure(REGISTRY[name].config_type, given, name)
     assert words in str(error.value) and "\n" not in str(error.value)
 
 
-def test_a_bad_entry_is_told_once() -> None:
+def test_a_bad_entry_is_reported_once() -> None:
     """Not that a tuple without its only entry is too short as well."""
     for name, force in (("rezero-push-hand", -10), ("rezero-door", 0)):
         with pytest.raises(InputError) as error:
@@ -239,7 +239,7 @@ def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:
 
 
 @pytest.mark.parametrize("name", ["rezero-wholebody", "rezero-circle"])
-def test_regulators_are_told_where_the_hand_goes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_regulators_are_reported_where_the_hand_goes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """They follow the body alone: their states must carry the hand along its path (forward kinematics say where it is)."""
     given: list[Task] = []
     module = {"rezero-wholebody": rezero_wholebody, "rezero-circle": rezero_circle}[name]

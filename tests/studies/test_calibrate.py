@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from effort import thorough
 from toys import robot
 from wbmpc.bases.swerve.calibration_log import steer_joints
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -83,6 +84,7 @@ def test_brakes_take_turns_and_bases_without_them_drive_as_they_did() -> None:
         )
 
 
+@thorough
 def test_the_file_improves_the_odometry_of_a_run(calibration: Path) -> None:
     drift = {}
     for how in ("none", str(calibration)):
@@ -93,6 +95,7 @@ def test_the_file_improves_the_odometry_of_a_run(calibration: Path) -> None:
     assert drift[str(calibration)] < 0.6 * drift["none"]
 
 
+@thorough
 def test_a_run_with_global_poses_stays_where_it_should(calibration: Path) -> None:
     settings = SwerveTrackSettings(periods=1, settle_time=2.0, calibration=str(calibration), global_poses=True)
     result = REGISTRY["swerve-track"].run(settings, SEED, None)
@@ -126,7 +129,7 @@ def test_command_prints_and_writes(folder: Path, tmp_path: Path, capsys: pytest.
         (["{log}", "--robot", "swerve-ur10"], "no channel 'steer'"),
     ],
 )
-def test_bad_input_is_one_sentence(
+def test_bad_input_is_one_message(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "text").write_text("no archive")
@@ -140,7 +143,7 @@ def test_bad_input_is_one_sentence(
 @pytest.mark.parametrize(
     ("name", "message"), [("swerve-fixed-ur10", "this was 'swerve-ur10', whose base"), ("own", "steer")]
 )
-def test_a_robot_with_another_base_than_that_of_the_run_is_refused(
+def test_a_robot_with_another_base_than_that_of_the_run_is_rejected(
     name: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A file of one's own with the same base is taken: the next thing that is wrong is the log."""

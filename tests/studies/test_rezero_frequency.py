@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from effort import thorough
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
@@ -18,6 +19,7 @@ def both():  # type: ignore[no-untyped-def]
     return REGISTRY["rezero-frequency"].run(RezeroFrequencySettings(**SHORT), 0, None)
 
 
+@thorough
 def test_filters_halve_the_torque_error(both) -> None:  # type: ignore[no-untyped-def]
     assert both.completed, both.reason
     m = {name: metric.value for name, metric in both.metrics.items()}

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
@@ -24,7 +25,9 @@ def values(result) -> dict[str, float]:  # type: ignore[no-untyped-def]
     return {name: m.value for name, m in result.metrics.items()}
 
 
-@pytest.mark.parametrize(("held", "settle", "pause"), [("ball", 1.5, 6.0), ("hand", 0.5, 4.5)])
+@pytest.mark.parametrize(
+    ("held", "settle", "pause"), [pytest.param("ball", 1.5, 6.0, marks=thorough), ("hand", 0.5, 4.5)]
+)
 def test_a_push_moves_the_robot_and_it_comes_back(held: str, settle: float, pause: float) -> None:
     short = {"forces": (60.0,), "settle_time": settle, "pause": pause}
     kind = {"ball": RezeroPushBallSettings, "hand": RezeroPushHandSettings}[held]
@@ -48,7 +51,7 @@ def test_a_push_moves_the_robot_and_it_comes_back(held: str, settle: float, paus
     assert [np.trapezoid(s.y, s.x) for s in shown.series] == pytest.approx([12.0, 12.0], rel=0.01)
 
 
-@pytest.mark.parametrize("controller", ["lqr", "scheduled-lqr"])
+@pytest.mark.parametrize("controller", ["lqr", pytest.param("scheduled-lqr", marks=thorough)])
 def test_regulators_stand_a_small_push_without_a_plan(controller: str) -> None:
     settings = RezeroPushBallSettings(forces=(40.0,), settle_time=0.5, pause=4.0, controller=controller)
     result = REGISTRY["rezero-push-ball"].run(settings, 0, None)
@@ -73,7 +76,7 @@ def test_a_fall_is_foreseen_and_ends_with_motors_off() -> None:
     assert 0.1 < tilt[-1] < 0.85 and len(tilt) > 0.5 * 400
 
 
-def test_a_force_beyond_all_leans_is_learnt_told_and_ends_the_run() -> None:
+def test_a_force_beyond_all_leans_is_learnt_reported_and_ends_the_run() -> None:
     """90 N for good: 1.3 times what the wheels can hold (90 N x 0.125 m against 8.6 N m at the ball)."""
     settings = RezeroPushHandSettings(forces=(90.0,), push_duration=5.0, settle_time=0.5)
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
@@ -121,6 +124,7 @@ def test_hand_stays_while_the_ball_drives_round() -> None:
     assert m["ball_error_rms"] < 0.06
 
 
+@thorough
 def test_unknown_load_leaves_no_offset() -> None:
     result = REGISTRY["rezero-wholebody"].run(RezeroWholebodySettings(settle_time=6.0, hold_time=2.0), 0, None)
     m, log = values(result), result.log

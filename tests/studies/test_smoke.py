@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from archives import check_steps, check_track
+from effort import thorough
 from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
@@ -61,6 +62,7 @@ def test_swerve_follows_its_path(track, tmp_path: Path) -> None:  # type: ignore
     assert track.mpc.rate_hz == 50.0
 
 
+@thorough
 def test_rezero_takes_its_steps(steps, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     check_statistics(steps)
     check_steps(steps, tmp_path)
@@ -101,6 +103,7 @@ def test_same_seed_same_bits(track) -> None:  # type: ignore[no-untyped-def]
     repeats(track, TRACK, 0.5)
 
 
+@thorough
 def test_another_seed_another_run(track) -> None:  # type: ignore[no-untyped-def]
     other = REGISTRY["swerve-track"].run(TRACK, 1, None)
     assert other.completed
@@ -109,6 +112,7 @@ def test_another_seed_another_run(track) -> None:  # type: ignore[no-untyped-def
     assert value(other) < 0.008
 
 
+@thorough
 def test_rezero_without_preview_repeats() -> None:
     first = REGISTRY["rezero-steps"].run(SHORT, 0, None)
     check_statistics(first)

@@ -55,16 +55,16 @@ def test_standstill_is_seen(stopped: float) -> None:
 
 @pytest.mark.parametrize("name", ["ik", "four_wheel"])
 def test_hinged_legs_stay_where_they_are(name: str) -> None:
-    """Of a robot whose legs could swing: the rivals leave them closed. Truth: rolling straight ahead, legs at home."""
+    """Of a robot whose legs could swing: the baselines leave them closed. Truth: rolling straight ahead, legs at home."""
     settings = SwerveFixedSettings(motions=("forward",), random_time=0.0)
     motion, robot = Motion.of(settings, 0), load_robot("swerve-ur10")
-    agent = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
+    controller = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
     home = robot.state.split(robot.home)
-    agent.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
-    command = agent.command(3.0, PolicyQueue())  # in the midst of the motion
+    controller.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
+    command = controller.command(3.0, PolicyQueue())  # in the midst of the motion
     assert not command.brake.any() and np.isfinite(command.wheel).all() and np.isfinite(command.steer).all()
 
 
-def test_another_base_is_refused() -> None:
+def test_another_base_is_rejected() -> None:
     with pytest.raises(InputError, match="type 'ball'"):
         fixed.EXPERIMENT.run(SwerveFixedSettings(robot="rezero"), 0)

@@ -50,21 +50,21 @@ def _calibrator_of(file: Path, given: str | None) -> Calibrator:
 
     metrics = file.with_name("metrics.json")
     try:
-        said = str(read_metrics(metrics)["settings"]["robot"])
+        message = str(read_metrics(metrics)["settings"]["robot"])
     except (InputError, KeyError) as error:
         if given is None:
             raise InputError(f"--robot: is needed, {metrics} does not say which robot this was") from error
         return _calibrator(given)
-    if given is None or given == said:
-        return _calibrator(said)
+    if given is None or given == message:
+        return _calibrator(message)
     found = _calibrator(given)
     try:
-        there = _calibrator(said)
+        there = _calibrator(message)
     except InputError:  # a file that is not there any more
         return found
     if not _same_base(found.geometry, there.geometry):
         raise InputError(
-            f"--robot: {metrics} says that this was '{said}', whose base is another than that of '{given}'; leave --robot out, or "
+            f"--robot: {metrics} says that this was '{message}', whose base is another than that of '{given}'; leave --robot out, or "
             "give the log.npz without the metrics.json beside it"
         )
     return found

@@ -27,7 +27,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots.checks import check_joints, check_tool, compiled
 from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.fixed_joints import fix_joint
-from wbmpc.robots.model_import import keep_mechanics, refuse_couplings, widen
+from wbmpc.robots.model_import import keep_mechanics, reject_couplings, widen
 from wbmpc.robots.wheel_geometry import check_radii
 from wbmpc.yaml_file import load_yaml
 
@@ -308,7 +308,7 @@ def load_spec(description: RobotDescription) -> mujoco.MjSpec:
     except (ValueError, ElementTree.ParseError) as error:
         raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
     keep_mechanics(spec, description.base.body, path)
-    refuse_couplings(spec, description)
+    reject_couplings(spec, description)
     widen(spec, description.limits.position, path)
     for name, angle in description.fixed_joints.items():
         fix_joint(spec, name, angle, description.source)

@@ -7,7 +7,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.robots.checks import refuse_reference
+from wbmpc.robots.checks import reject_reference
 
 
 def fix_joint(spec: mujoco.MjSpec, name: str, value: float, source: str) -> None:
@@ -18,7 +18,7 @@ def fix_joint(spec: mujoco.MjSpec, name: str, value: float, source: str) -> None
     joint = next((j for j in spec.joints if j.name == name), None)
     if joint is None:
         raise unknown_name("joint (key 'fixed_joints')", name, [j.name for j in spec.joints], where=source)
-    refuse_reference(source, name, float(joint.ref))
+    reject_reference(source, name, float(joint.ref))
     body = joint.parent
     rotation = lie.quaternion_to_rotation(_body_quaternion(spec, body, source))
     axis = np.asarray(joint.axis, float) / np.linalg.norm(joint.axis)

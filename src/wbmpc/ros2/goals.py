@@ -67,12 +67,12 @@ class HandTrack:
 
 @dataclass(frozen=True)
 class Task:
-    """What base and hand are to do. ``carried``: the hand goes with the base; ``said``: the task as a sentence."""
+    """What base and hand are to do. ``carried``: the hand goes with the base; ``description``: the task as a message."""
 
     base: Track
     hand: HandTrack
     carried: bool
-    said: str
+    description: str
 
 
 class Planner:
@@ -147,7 +147,7 @@ class Planner:
     def _base(self, x: Array) -> Array:
         return np.array(x[self.robot.state["base"]][:3])
 
-    def _change(self, x: Array, t: float, twist: Array, hold: float, going: Task | None, said: str) -> Task:
+    def _change(self, x: Array, t: float, twist: Array, hold: float, going: Task | None, description: str) -> Task:
         """To a body twist (3), which is then held for ``hold`` [s]."""
         (place, now), held = (self._base(x), np.zeros(3)), self._held(x)
         if going is not None:
@@ -161,13 +161,13 @@ class Planner:
         s = np.concatenate([changing, ramp + np.arange(0.1, hold, 0.1)])
         share = np.minimum(0.5 * (s[1:] + s[:-1]) / ramp, 1.0) if ramp > 0.0 else np.ones(s.size - 1)
         poses = _integrated(place, now + share[:, None] * (twist - now), np.diff(s))
-        return self._carry(Track(t + s, poses), held, said)
+        return self._carry(Track(t + s, poses), held, description)
 
     def _held(self, x: Array) -> tuple[Array, Array, Array]:
         """Pose of the base (3), position (3) and quaternion (4) of the hand that belong together."""
         return self._base(x), *self.robot.pose(x)
 
-    def _carry(self, base: Track, held: tuple[Array, Array, Array], said: str) -> Task:
+    def _carry(self, base: Track, held: tuple[Array, Array, Array], description: str) -> Task:
         """The hand keeps its pose in the base."""
         start, position, orientation = held
         turns = base.poses[:, 2] - start[2]
@@ -176,7 +176,7 @@ class Planner:
         moved = np.stack([c * d[0] - s * d[1], s * d[0] + c * d[1]], axis=1) + base.poses[:, :2]
         positions = np.concatenate([moved, np.full((moved.shape[0], 1), position[2])], axis=1)
         quaternions = [lie.quaternion_multiply(lie.quaternion_about((0, 0, 1), a), orientation) for a in turns]
-        return Task(base, HandTrack(base.times, positions, np.array(quaternions)), True, said)
+        return Task(base, HandTrack(base.times, positions, np.array(quaternions)), True, description)
 
     def _approach(self, x: Array, t: float, position: Array, orientation: Array) -> HandTrack:
         start, turned = self.robot.pose(x)

@@ -22,7 +22,7 @@ GROUPS = ("wheel", "steer", "arm", "brake")
 #: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
 NUMBERS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
 #: Types of goals and orders, by the keys of their topics.
-ORDERS = {
+REQUEST_TYPES = {
     "goal_pose": "geometry_msgs/msg/PoseStamped", "end_effector_goal": "geometry_msgs/msg/PoseStamped",
     "base_path": "nav_msgs/msg/Path", "end_effector_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
     "legs": "sensor_msgs/msg/JointState", "brakes": NUMBERS, "leg_configuration": "std_msgs/msg/String",

@@ -18,10 +18,10 @@ from wbmpc.settings import LARGEST, Settings, Weight
 _OF_WEIGHTS = list(get_args(Weight)[1].metadata)
 
 
-def parameters_of(pilot: BaseAdapter, settings: RosSettings) -> Parameters:
+def parameters_of(adapter: BaseAdapter, settings: RosSettings) -> Parameters:
     """``robot``, ``use_sim_time``, ``rates.*``, ``frames.*`` read-only; the weights ``cost.*`` settable."""
     given = [
-        Parameter("robot", pilot.robot.description.name, "name of the robot's description"),
+        Parameter("robot", adapter.robot.description.name, "name of the robot's description"),
         Parameter("use_sim_time", settings.use_sim_time, "whether time is that of /clock"),
         *(Parameter(f"rates.{n}", float(v), "rate [Hz]") for n, v in settings.rates.model_dump().items()),
         *(Parameter(f"frames.{n}", str(v), "name of a frame") for n, v in settings.frames.model_dump().items()),
@@ -31,7 +31,7 @@ def parameters_of(pilot: BaseAdapter, settings: RosSettings) -> Parameters:
 
     def change(values: dict[str, Value]) -> None:
         cost = changed_cost(state["cost"], values)
-        pilot.pending.reweigh(weights_of(pilot.problem(cost)))
+        adapter.pending.reweigh(weights_of(adapter.problem(cost)))
         state["cost"] = cost
 
     return Parameters(given, change)

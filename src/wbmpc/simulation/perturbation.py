@@ -35,7 +35,7 @@ class Perturbation(BaseModel):
     order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
     [rad/s/√s, m/s²/√s]. An idealised state sensor: ``state_age`` [s] and noise of the measured state.
 
-    Torque drives, and not spreads: ``actuator_dead_time`` [s] of the drives (whole physics steps: anything else is refused); series
+    Torque drives, and not spreads: ``actuator_dead_time`` [s] of the drives (whole physics steps: anything else is rejected); series
     elastic drives (:mod:`wbmpc.simulation.elastic_drives`) where ``wheel_spring`` or ``arm_spring`` [N m/rad] are not 0, with rotors of
     ``wheel_rotor`` and ``arm_rotor`` [kg m²] at the joint, ``spring_damping``, and a torque loop of ``torque_gain`` and
     ``torque_damping``.

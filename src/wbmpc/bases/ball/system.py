@@ -32,6 +32,6 @@ def make_system(robot: RobotModel, plant: BallPlant) -> System:
     mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
     timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.computation_delay)
     controller = BallController(robot, mpc, torque, timing.period, DriveSettings(DRIVE_LAG))
-    controller.leaning = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)
+    controller.lean_control = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)
     mpc.reset(home, torque)
     return System(plant, controller, mpc, timing)

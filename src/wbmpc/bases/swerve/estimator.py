@@ -22,7 +22,7 @@ from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 #: A wheel that hangs in the air goes its own way: contradiction of the wheels [m/s] averaged over [s], the share of it that one
-#: wheel has to make, for how long [s] it is not believed after that, fewest wheels that can tell which one it is.
+#: wheel has to make, for how long [s] it is not believed after that, fewest wheels from which the faulty one can be identified.
 CONTRADICTS, ODD_TIME, ODD_SHARE, ODD_FOR, ODD_WHEELS = 0.01, 0.03, 0.8, 0.1, 4
 #: Weight in the odometry of a wheel that slips.
 SLIP_WEIGHT = 1e-3
@@ -118,7 +118,7 @@ class SwerveEstimator:
             slips |= self._side_slip.left > 0.0
         if self._odd is not None:
             slips |= self._odd.odd > 0.0
-        # one sound wheel alone tells no motion
+        # one sound wheel alone does not determine the motion
         return np.where(slips, SLIP_WEIGHT, 1.0) if slips.any() and np.sum(~slips) > 1 else None
 
     def _smooth(self, smoothing: Smoothing, h: float) -> None:

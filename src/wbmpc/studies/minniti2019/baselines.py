@@ -1,4 +1,4 @@
-"""The ball robot's controllers by name: the MPC with either tracking, and its rivals with their searched gains."""
+"""The ball robot's controllers by name: the MPC with either tracking, and its baselines with their searched gains."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ class TaskspaceSettings(Settings):
     balance: Positive = 1.63
 
 
-class RivalsSettings(Settings):
-    """Gains of each rival, found by ``python benchmarks/rezero_rivals.py --search all``: the same search, as many runs, the same tuning seeds."""
+class BaselineSettings(Settings):
+    """Gains of each baseline, found by ``python benchmarks/ball_baselines.py --search all``: the same search, as many runs, the same tuning seeds."""
 
     lqr: RegulatorSettings = RegulatorSettings()
     scheduled_lqr: RegulatorSettings = RegulatorSettings()
@@ -92,7 +92,7 @@ _STIFF = SeparateSettings(ball=53.7, ball_speed=0.782, tilt_rate=0.569, wheel=0.
 _DAMPED = RegulatorSettings(torque=30.0, damping=10.0, posture=10.0)
 #: For accurate tasks: the same search on the square with a load that nobody knows of. The regulators were not searched: theirs
 #: is the best of four sets that were tried on the circle.
-ACCURATE_RIVALS = RivalsSettings(
+ACCURATE_BASELINES = BaselineSettings(
     lqr=_DAMPED,
     scheduled_lqr=_DAMPED,
     separate=_STIFF,
@@ -173,7 +173,7 @@ _SEPARATES = frozenset(
 
 def _unread(controller: Controller) -> frozenset[str]:
     """Keys of the ball robot's settings that a controller does not read."""
-    others = {f"baseline.{name}" for name in RivalsSettings.model_fields if name != controller.replace("-", "_")}
+    others = {f"baseline.{name}" for name in BaselineSettings.model_fields if name != controller.replace("-", "_")}
     if controller == "mpc":
         return frozenset(others)
     idle = others | {"expected_push_time", "max_pushed_speed", "estimate_payload", "tracking"}
@@ -211,7 +211,7 @@ class Parts:
 
 
 def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController, MPC | None]:
-    """The agent that the settings name, and the MPC that plans for it (None: nothing does)."""
+    """The controller that the settings name, and the MPC that plans for it (None: nothing does)."""
     policies = settings.controller == "mpc" and settings.tracking.kind == "policy"
     late = policies or settings.controller in REGULATORS
     drives = DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time if late else 0.0)
@@ -226,16 +226,18 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController,
         return _taskspace(settings, p), None
     if name in REGULATORS:
         gains = settings.baseline.lqr if name == "lqr" else settings.baseline.scheduled_lqr
-        agent = LqrController(*own)
+        controller = LqrController(*own)
         regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
-        agent.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.max_error)
-        agent.forecast = _felt(p)
-        return agent, None
+        controller.regulate(
+            regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.max_error
+        )
+        controller.forecast = _felt(p)
+        return controller, None
     return _separate(settings, p)
 
 
 def _felt(p: Parts) -> FallPredictor:
-    """Falls that rivals foresee: by the state alone, for plans that they have are not the optimiser's of the whole robot."""
+    """Falls that baselines foresee: by the state alone, for plans that they have are not the optimiser's of the whole robot."""
     return FallPredictor(p.robot, p.arm, ahead=0.0)
 
 
@@ -246,10 +248,10 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceController:
 
     home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.baseline.taskspace.model_dump())
     more = (p.period, DriveSettings(settings.actuator_time_constant), settings.estimate_disturbance, p.estimator)
-    agent = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
-    agent.stance = lambda t: p.mpc.reference["body"].at(t)
-    agent.forecast = _felt(p)
-    return agent
+    controller = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
+    controller.stance = lambda t: p.mpc.reference["body"].at(t)
+    controller.forecast = _felt(p)
+    return controller
 
 
 def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, MPC]:
@@ -264,19 +266,19 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
     planner = MPC(base_problem(p.robot, settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
     planner.reference["body"] = p.mpc.reference["body"]
     inverse = HandInverse(p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1))
-    agent = SeparateController(
+    controller = SeparateController(
         p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.actuator_time_constant),
         settings.estimate_disturbance and name != "separate", p.estimator,
         planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral), aware=name == "separate-aware",
     )  # fmt: skip
-    agent.forecast = _felt(p)
+    controller.forecast = _felt(p)
     home = p.robot.base.numeric.equilibrium(p.arm)[0]
-    planner.reset(agent.believed(home), p.torque[p.robot.input["wheel"]])
-    return agent, planner
+    planner.reset(controller.believed(home), p.torque[p.robot.input["wheel"]])
+    return controller, planner
 
 
 def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: RegulatorSettings) -> LqrWeights:
-    """The MPC's weights, times the rival's factors, for a regulator."""
+    """The MPC's weights, times the baseline's factors, for a regulator."""
     h, b, t = settings.cost.end_effector, settings.cost.body, settings.cost.torque
     fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
     arm, joints = r.posture * np.array([b.arm, b.arm_rate]), robot.base.nq - 5

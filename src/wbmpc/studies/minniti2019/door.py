@@ -18,7 +18,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress, Timing
-from wbmpc.studies.minniti2019.door_control import DoorAgent, Push
+from wbmpc.studies.minniti2019.door_control import DoorController, Push
 from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, worst_estimates
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, TIP_MASS, TIP_RADIUS, Door, DoorPlant
@@ -70,13 +70,15 @@ def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
 
 
 def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tuple[float, str]:
-    """The force [N] to push with where ``force`` is asked for, and a sentence (a warning too) if it is less."""
+    """The force [N] to push with where ``force`` is asked for, and a message (a warning too) if it is less."""
     most = settings.lean_share * held(settings, robot)
     if force <= most:
         return force, ""
-    told = f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (lean_share)"
-    _LOG.warning("%s, at %g N", told, force)
-    return most, told
+    fault = (
+        f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (lean_share)"
+    )
+    _LOG.warning("%s, at %g N", fault, force)
+    return most, fault
 
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
@@ -91,24 +93,24 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
     )  # fmt: skip
     plant = make_plant(settings, robot, home, torque, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
-    possible, told = bounded(settings, robot, force)
-    agent = make_agent(settings, possible, robot, mpc, home, torque, timing.period, geometry)
+    possible, fault = bounded(settings, robot, force)
+    controller = make_controller(settings, possible, robot, mpc, home, torque, timing.period, geometry)
     log = Log()
 
     def record(t: float, command: Any, plans: Any) -> None:
-        record_rezero(log, t, plant, agent, command.torque)
-        record_door(log, t, plant, agent, plans)
+        record_rezero(log, t, plant, controller, command.torque)
+        record_door(log, t, plant, controller, plans)
 
     duration = settings.settle_time + settings.timeout + settings.final_hold_time
-    outcome = Loop(plant, agent, mpc, timing, duration, record).run(progress)
-    return Trial(force, log, outcome.ending, mpc, (*filter(None, [told]), *outcome.faults))
+    outcome = Loop(plant, controller, mpc, timing, duration, record).run(progress)
+    return Trial(force, log, outcome.ending, mpc, (*filter(None, [fault]), *outcome.faults))
 
 
-def make_agent(
+def make_controller(
     settings: RezeroDoorSettings, force: float, robot: RobotModel, mpc: MPC, home: np.ndarray, torque: np.ndarray, period: float,
     geometry: DoorGeometry,
-) -> DoorAgent:  # fmt: skip
-    """The agent at home, with its references and what it is to do."""
+) -> DoorController:  # fmt: skip
+    """The controller at home, with its references and what it is to do."""
     hand, quaternion = robot.pose(home)
     wanted = lambda t: force * float(np.clip(t / max(settings.rise_time, 1e-9), 0.0, 1.0))
     push = Push(
@@ -123,7 +125,7 @@ def make_agent(
     for pose in ("hand", "turn"):
         mpc.reference[pose] = Reference.poses([0.0], hand, quaternion)
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
-    agent = DoorAgent(
+    controller = DoorController(
         robot,
         mpc,
         push,
@@ -137,25 +139,25 @@ def make_agent(
         estimator,
         FallPredictor(robot, robot.home[robot.state["arm"]]),
     )
-    mpc.solver.set_parameters(agent.parameters())
-    start = np.concatenate([home, agent.door]) if agent.with_door else home
+    mpc.solver.set_parameters(controller.parameters())
+    start = np.concatenate([home, controller.door]) if controller.with_door else home
     mpc.reset(start, np.concatenate([torque, np.zeros(3)]))
-    return agent
+    return controller
 
 
-def record_door(log: Log, t: float, plant: DoorPlant, agent: DoorAgent, plans: Any) -> None:
+def record_door(log: Log, t: float, plant: DoorPlant, controller: DoorController, plans: Any) -> None:
     """Forces, door and phases."""
     log.add("force", t, plant.contact_force())
     log.add("normal", t, plant.normal)
     log.add("door", t, np.array([plant.angle, plant.rate]))
-    log.add("door_estimated", t, agent.door)
-    log.add("force_measured", t, -agent.force)
-    log.add("force_sensorless", t, -agent.sensorless.force)
+    log.add("door_estimated", t, controller.door)
+    log.add("force_measured", t, -controller.force)
+    log.add("force_sensorless", t, -controller.sensorless.force)
     log.add("force_planned", t, -plans.current.feedforward(t)[-3:])
-    log.add("pushing", t, float(agent.phase == "push"))
-    log.add("touching", t, float(agent.contact.touching))
-    log.add("impedance", t, agent.impedance)
-    log.add("hand_wanted", t, agent.mpc.reference["hand"].at(t)[:3])
+    log.add("pushing", t, float(controller.phase == "push"))
+    log.add("touching", t, float(controller.contact.touching))
+    log.add("impedance", t, controller.impedance)
+    log.add("hand_wanted", t, controller.mpc.reference["hand"].at(t)[:3])
 
 
 def build(settings: RezeroDoorSettings, seed: int) -> Scenario:

@@ -27,7 +27,7 @@ class RezeroDoorSettings(RezeroSettings):
     the hand starts, with ``speed`` [m/s]; it lets go at ``opening_angle`` [rad], or ``timeout`` [s] after it started; the run ends
     ``final_hold_time`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
     (what is left out: as suits the scheme); ``door_position_error`` [m]: the door's place is not known better; ``lean_share``: a force beyond this
-    share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is told."""
+    share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is reported."""
 
     cost: RezeroCost = RezeroCost(
         end_effector=HandCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),

@@ -73,12 +73,12 @@ def drive(
         estimator,
         FallPredictor(robot, robot.home[robot.state["arm"]]),
     )
-    agent: BallController
+    controller: BallController
     if name == "shaped":
-        agent = FrequencyAwareController(robot, mpc, torque, *own)
-        mpc.reset(*agent.memory.dynamics.equilibrium(home, torque))
+        controller = FrequencyAwareController(robot, mpc, torque, *own)
+        mpc.reset(*controller.memory.dynamics.equilibrium(home, torque))
     else:
-        agent = BallController(robot, mpc, torque, *own)
+        controller = BallController(robot, mpc, torque, *own)
         mpc.reset(home, torque)
     single, asked = Log(), torque.copy()
 
@@ -92,9 +92,9 @@ def drive(
         log.add(f"asked_{name}", t, asked.copy())  # the command before this one, which has acted until now
         asked[:] = command.torque
         log.add(f"wanted_{name}", t, places[k])
-        record_rezero(single, t, plant, agent, command.torque)
+        record_rezero(single, t, plant, controller, command.torque)
 
-    outcome = Loop(plant, agent, mpc, timing, float(times[-1]) + settings.hold_time, record).run(progress)
+    outcome = Loop(plant, controller, mpc, timing, float(times[-1]) + settings.hold_time, record).run(progress)
     append_as(single, log, name, ("state", "tilt", "torque"))
     return outcome
 

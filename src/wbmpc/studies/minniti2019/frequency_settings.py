@@ -15,7 +15,7 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 VARIANTS = ("plain", "shaped")
-#: Shorter steps [m] are not told from the hand's noise.
+#: Shorter steps [m] cannot be distinguished from the noise.
 LEAST_STEP = 0.01
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
 ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, actuator_time_constant=0.0)

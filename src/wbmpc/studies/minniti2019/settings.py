@@ -11,10 +11,10 @@ from wbmpc.bases.ball.settings import BallControllerSettings
 from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
 from wbmpc.settings import ExperimentSettings
 from wbmpc.studies.minniti2019.baselines import (
-    ACCURATE_RIVALS,
+    ACCURATE_BASELINES,
+    BaselineSettings,
     Controller,
     PolicyTracking,
-    RivalsSettings,
     Tracking,
     by_controller,
 )
@@ -27,14 +27,14 @@ STATE_NOISE = tuple(f"plant.{kind}_noise" for kind in ("position", "angle", "spe
 class RezeroSettings(BallControllerSettings, ExperimentSettings):
     """``robot``: a name or a file, of a base of type ball; the weights were found for Rezero.
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
-    unknown mass at the hand; ``controller``: the MPC, or a rival that has its estimator and the same limits of the drives,
+    unknown mass at the hand; ``controller``: the MPC, or a baseline that has its estimator and the same limits of the drives,
     with its gains (``baseline``); ``tracking`` of the MPC's plans. ``only_with``: what the chosen controller and estimator read."""
 
     robot: str = "rezero"
     estimator: Literal["filter", "truth"] = "filter"
     payload: float = Field(0.0, ge=0, le=5.0)
     controller: Controller = "mpc"
-    baseline: RivalsSettings = RivalsSettings()
+    baseline: BaselineSettings = BaselineSettings()
     tracking: Tracking = PolicyTracking()
 
     only_with: ClassVar[Rules] = {
@@ -51,10 +51,10 @@ class RezeroSettings(BallControllerSettings, ExperimentSettings):
 
 class AccurateSettings(RezeroSettings):
     """A hand that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly; so have
-    the rivals."""
+    the baselines."""
 
     expected_push_time: float = Field(0.0, ge=0, le=1.0)
     cost: RezeroCost = RezeroCost(
         end_effector=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0), lean=0.6
     )
-    baseline: RivalsSettings = ACCURATE_RIVALS
+    baseline: BaselineSettings = ACCURATE_BASELINES

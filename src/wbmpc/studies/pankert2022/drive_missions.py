@@ -38,7 +38,7 @@ class SwerveDriveSettings(ExperimentSettings):
     settle_time: float = Field(20.0, ge=0, le=120)
     actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     leg_guard: bool = True
-    # of a search that benchmarks/rivals.py does, of which only a part was run
+    # of a search that benchmarks/swerve_baselines.py does, of which only a part was run
     baseline_base_gain: float = Field(8.0, ge=0, le=50)
     baseline_leg_gain: float = Field(8.0, ge=0, le=50)
     baseline_steer_gain: float = Field(40.0, gt=0, le=100)

@@ -14,7 +14,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.settings import ExperimentSettings
 from wbmpc.studies.base_path import BasePath, Segment, in_turn, random_twists
-from wbmpc.studies.pankert2022.directions import refuse_directions
+from wbmpc.studies.pankert2022.directions import reject_directions
 
 Name = Literal["forward", "sideways", "diagonal", "turning", "combined"]
 SEGMENTS: dict[Name, Segment] = {
@@ -78,7 +78,7 @@ class Motion:
     def set(self, mpc: MPC, robot: RobotModel) -> None:
         t = self.path.times[::2]
         legs = np.tile(legs_at_home(robot), (t.size, 1))
-        refuse_directions(robot, t, self.path.twists[::2], legs, 0.0 * legs)
+        reject_directions(robot, t, self.path.twists[::2], legs, 0.0 * legs)
         states = np.tile(robot.home, (t.size, 1))
         states[:, robot.state["base"]] = self.path.poses[::2]
         inputs = np.zeros((t.size, robot.input.size))

@@ -1,6 +1,6 @@
-"""The ball robot's MPC against its rivals: gains by the same search on tuning seeds, tables on reporting seeds.
+"""The ball robot's MPC against its baselines: gains by the same search on tuning seeds, tables on reporting seeds.
 
-Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--draws 3] [--first 0]
+Usage: python benchmarks/ball_baselines.py [--search lqr … | all] [--draws 3] [--first 0]
        [--task pushes | square] [--seeds 200-203]
        [--runs NAME …] [--only CONTROLLER …] [--file FILE] [--report]
 Without --search: the table. Every run is kept in FILE (JSON lines) and is not done again, in the search too.
@@ -231,7 +231,7 @@ def main() -> None:
     )
     parser.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS)[:3])
     parser.add_argument("--only", nargs="+", choices=list(CONTROLLERS), default=list(CONTROLLERS))
-    parser.add_argument("--file", type=Path, default=Path("rezero_rivals.jsonl"))
+    parser.add_argument("--file", type=Path, default=Path("ball_baselines.jsonl"))
     parser.add_argument("--report", action="store_true", help="run nothing, write the table of what there is")
     given = parser.parse_args()
     store = Store(given.file)

@@ -99,8 +99,8 @@ def test_every_seed_slopes_another_way() -> None:
         "steer_noise",
     ],
 )
-def test_a_ball_robot_refuses_them(name: str) -> None:
-    """What it does not have; nothing of it (0) is what it has. Only a mass at the hand is told where it can be set."""
+def test_a_ball_robot_rejects_them(name: str) -> None:
+    """What it does not have; nothing of it (0) is what it has. Only a mass at the hand is reported where it can be set."""
     with pytest.raises(InputError, match=f"plant.{name}: is for swerve robots only") as error:
         BallPlant(
             load_description("rezero"), perturbation=Perturbation.none(**{name: 7 if name == "encoder_counts" else 0.4})
@@ -116,6 +116,6 @@ def test_rigid_drives_have_no_rotors(name: str) -> None:
 
 
 @pytest.mark.parametrize(("plant", "robot"), [(BallPlant, "rezero"), (SwervePlant, "swerve-ur10")])
-def test_a_refused_start_is_no_command(plant: Any, robot: str) -> None:
+def test_a_rejected_start_is_no_command(plant: Any, robot: str) -> None:
     with pytest.raises(InputError, match=r"^start: 'state"):
         plant(load_description(robot), np.zeros(3))
