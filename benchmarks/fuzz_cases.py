@@ -81,7 +81,7 @@ def settings(rng: random.Random, folder: Path) -> Case:
     key = rng.choice(keys(model))
     value: Any = model().model_dump(mode="json")
     for part in key.split("."):
-        value = None if value is None else value[part]
+        value = None if value is None else value.get(part)  # None too in a section of another kind
     kind, expected = rng.choice(("default", "never", "soup", "unknown", "not finite", "number")), INVALID
     text = json.dumps(value)
     if kind == "default":
