@@ -22,7 +22,7 @@ TRUTHS = ("yes", "no", "on", "off", "true", "False", "[yes, no]", "{a: yes}")
 def _default(model: type[BaseModel], key: str) -> Any:
     value: Any = model().model_dump(mode="json")
     for part in key.split("."):
-        value = None if value is None else value[part]
+        value = None if value is None else value.get(part)
     return value
 
 

@@ -84,6 +84,10 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
     ("changes", "words"),
     [
         ({"model": "amr.urdf"}, ("'model'", "amr.urdf")),
+        ({"name": ""}, ("key 'name'", "letters, digits, - and _", "got ''")),
+        ({"name": "../amr"}, ("key 'name'", "letters, digits, - and _", "got '../amr'")),
+        ({"name": "-amr"}, ("key 'name'", "begins with a letter or digit")),
+        ({"name": "a" * 65}, ("key 'name'", "at most 64 characters")),
         ({"arm": {"joints": ["one", "tow"], "tool": "hand"}}, ("'tow'", "did you mean 'two'", "arm.joints")),
         ({"arm": {"joints": ["one", "two"], "tool": "hnad"}}, ("'hnad'", "did you mean 'hand'", "arm.tool")),
         ({"arm": {"joint": ["one"], "tool": "hand"}}, ("'arm.",)),

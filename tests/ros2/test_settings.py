@@ -90,6 +90,13 @@ controllers:
         ("controllers: {w: {topic: '', joints: [wheel_LF]}}", "controllers.w.topic='': a name is needed"),
         ("goals: {base: 0}", "goals.base=0"),
         ("safety: {watchdog: 0}", "safety.watchdog=0"),
+        ("safety: {watchdog: 1e-300}", "safety.watchdog=1e-300: input should be greater than or equal to 0.001"),
+        ("safety: {policy: 1e-9}", "safety.policy=1e-09: input should be greater than or equal to 0.001"),
+        ("safety: {jump: 1e-300}", "safety.jump=1e-300: input should be greater than or equal to 0.001"),
+        (
+            "cost: {end_effector: {weight: 1e300}}",
+            "cost.end_effector.weight=1e+300: input should be less than or equal to",
+        ),
         ("joints: {wheel_XX: a}", "unknown joint (key 'joints') 'wheel_XX'"),
         ("joints: {wheel_LF: wheel_RF}", "two joints are called 'wheel_RF' on the bus"),
         ("controllers: {w: {topic: /w, joints: [wheel_LF, wheel_LF]}}", "joint 'wheel_LF' is commanded by 'w' too"),

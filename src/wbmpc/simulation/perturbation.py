@@ -90,8 +90,8 @@ class Perturbation(BaseModel):
     body_payload: float = Field(default=0.0, ge=0, le=500)
     slope: float = Field(default=0.0, ge=0, le=0.5)
     brake_fault: Literal["none", "open", "closed"] = "none"
-    brake_fault_leg: Annotated[int, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0, ge=0)
-    brake_fault_time: Annotated[float, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0.0, ge=0)
+    brake_fault_leg: Annotated[int, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0, ge=0, le=1000)
+    brake_fault_time: Annotated[float, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0.0, ge=0, le=1e6)
     floor_cables: float = Field(default=0.0, ge=0, le=0.02)
 
     @field_validator("friction", mode="before")

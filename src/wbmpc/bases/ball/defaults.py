@@ -12,7 +12,7 @@ from wbmpc.bases.ball.balance import Balance
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
-from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 
 
 class HandCost(Settings):
@@ -23,8 +23,8 @@ class HandCost(Settings):
     weight: Weight = 300.0
     orientation: Weight = 60.0
     roll: Weight = 3.0
-    limit: float = Field(default=0.1, gt=0)
-    turn_limit: float = Field(default=0.1, gt=0)
+    limit: Positive = 0.1
+    turn_limit: Positive = 0.1
     twist: Weight = 1.0
     angular: Weight = 0.2
 
@@ -61,7 +61,7 @@ class RezeroCost(Settings):
     torque: TorqueCost = TorqueCost()
     terminal: Weight = 1.0
     lean: float = Field(default=0.0, ge=0, le=1.0)
-    speed_slack: float = Field(default=1e3, gt=0)
+    speed_slack: Positive = 1e3
 
 
 def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:

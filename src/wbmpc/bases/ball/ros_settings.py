@@ -28,7 +28,7 @@ class BallRosSettings(RosSettings):
     wrench: Exerted | None = Exerted()
     estimate_disturbance: bool = True
     expected_push_time: float = Field(_DEFAULT.expected_push_time, ge=0, le=1.0)
-    max_pushed_speed: Annotated[float, LEARNT] = Field(_DEFAULT.max_pushed_speed, gt=0)
+    max_pushed_speed: Annotated[float, LEARNT] = Field(_DEFAULT.max_pushed_speed, ge=0.01, le=100)
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
         """The arm's limits are limits of the state; the wheels' are guessed."""

@@ -47,7 +47,7 @@ class BallControllerSettings(Settings):
     estimate_disturbance: bool = True
     estimate_payload: Annotated[bool, LEARNT] = True
     expected_push_time: float = Field(0.3, ge=0, le=1.0)
-    max_pushed_speed: Annotated[float, LEARNT] = Field(2.0, gt=0)
+    max_pushed_speed: Annotated[float, LEARNT] = Field(2.0, ge=0.01, le=100)
     actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     actuator_dead_time: float = Field(0.010, ge=0, le=0.05)
 

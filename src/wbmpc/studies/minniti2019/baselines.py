@@ -17,7 +17,7 @@ from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.configuration import OnlyWith, kind_alone
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.settings import Settings, Weight
+from wbmpc.settings import Positive, Settings, Weight
 from wbmpc.studies.minniti2019.held_arm import base_problem
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
 from wbmpc.studies.minniti2019.separate import ArmLoop, EndEffectorInverse, SeparateController
@@ -39,12 +39,12 @@ class RegulatorSettings(Settings):
     """Factors of the MPC's weights of torques (``torque``; another one of the arm's, ``arm``), ball speed and tilt rate
     (``damping``), the arm's angles and rates (``posture``), end effector (``hand``); ``max_error`` [m]: position errors beyond it are cut."""
 
-    torque: float = Field(1.0, gt=0)
-    arm: float = Field(1.0, gt=0)
-    posture: float = Field(1.0, gt=0)
-    damping: float = Field(1.0, gt=0)
-    hand: float = Field(1.0, gt=0)
-    max_error: float = Field(0.1, gt=0)
+    torque: Positive = 1.0
+    arm: Positive = 1.0
+    posture: Positive = 1.0
+    damping: Positive = 1.0
+    hand: Positive = 1.0
+    max_error: Positive = 0.1
 
 
 class SeparateSettings(Settings):
@@ -54,22 +54,22 @@ class SeparateSettings(Settings):
     ball: Weight = 30.0
     ball_speed: Weight = 3.0
     tilt_rate: Weight = 3.0
-    wheel: float = Field(0.1, gt=0)
-    pace: float = Field(10.0, gt=0)
+    wheel: Positive = 0.1
+    pace: Positive = 10.0
     integral: Weight = 1.0
 
 
 class TaskspaceSettings(Settings):
     """What :class:`wbmpc.studies.minniti2019.taskspace_control.TaskGains` says of them."""
 
-    hand: float = Field(5.02, gt=0)
-    turn: float = Field(2.5, gt=0)
-    ball: float = Field(6.04, gt=0)
-    ball_speed: float = Field(1.07, gt=0)
-    yaw: float = Field(TaskGains.yaw, gt=0)
-    tilt: float = Field(212.0, gt=0)
-    wheel_torque: float = Field(6.69, gt=0)
-    balance: float = Field(1.63, gt=0)
+    hand: Positive = 5.02
+    turn: Positive = 2.5
+    ball: Positive = 6.04
+    ball_speed: Positive = 1.07
+    yaw: Positive = TaskGains.yaw
+    tilt: Positive = 212.0
+    wheel_torque: Positive = 6.69
+    balance: Positive = 1.63
 
 
 class BaselineSettings(Settings):
@@ -118,7 +118,7 @@ class ActuatorTracking(Settings):
     wheel_damping: Weight = ActuatorGains.wheel_damping
     arm_stiffness: Weight = ActuatorGains.arm_stiffness
     arm_damping: Weight = ActuatorGains.arm_damping
-    leak_time_constant: float = Field(ActuatorGains.leak_time_constant, gt=0)
+    leak_time_constant: Positive = ActuatorGains.leak_time_constant
 
     def gains(self) -> ActuatorGains:
         """The tracking controller's."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
 from wbmpc.bases.ball.residuals import JointEffort
 from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
-from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 from wbmpc.studies.minniti2019.door_model import WithDoor
 from wbmpc.studies.minniti2019.door_residuals import PanelContact
 
@@ -45,10 +44,10 @@ class DoorScheme(Settings):
     row: bool = True
     identify: bool = True
     cone: bool = True
-    friction: Annotated[float, OnlyWith(cone=True)] = Field(0.35, gt=0)
-    least: Annotated[float, OnlyWith(cone=True)] = Field(0.5, ge=0)
-    baumgarte: Annotated[float, OnlyWith(row=True)] = Field(10.0, gt=0)
-    door_rate: Annotated[float, OnlyWith(row=True)] = Field(0.8, gt=0)
+    friction: Annotated[Positive, OnlyWith(cone=True)] = 0.35
+    least: Annotated[Weight, OnlyWith(cone=True)] = 0.5
+    baumgarte: Annotated[Positive, OnlyWith(row=True)] = 10.0
+    door_rate: Annotated[Positive, OnlyWith(row=True)] = 0.8
 
 
 def suited(scheme: DoorScheme) -> PushCost:

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
 from wbmpc.configuration import OnlyWith, Rules, unused
-from wbmpc.settings import Settings, Weight
+from wbmpc.settings import Positive, Settings, Weight
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
@@ -25,10 +25,10 @@ class FilterSettings(Settings):
     """ν = (pole / zero) (s + zero) / (s + pole) u in rad/s for wheels and arm; ``wheel_weight`` and ``arm_weight``: factors of the
     torques' weights with the filter, so that the end effector rises as fast as without."""
 
-    wheel_zero: float = Field(20.0, gt=0)
-    wheel_pole: float = Field(160.0, gt=0)
-    arm_zero: float = Field(20.0, gt=0)
-    arm_pole: float = Field(160.0, gt=0)
+    wheel_zero: Positive = 20.0
+    wheel_pole: Positive = 160.0
+    arm_zero: Positive = 20.0
+    arm_pole: Positive = 160.0
     wheel_weight: Weight = 1.0
     arm_weight: Weight = 1.0
 
