@@ -132,13 +132,10 @@ class MPC:
         self.reference = References(self.solver)
         self.guess = guess
         self.statistics = Statistics()
-        unheld = [] if plan_only_limits else self.solver.problem.unclipped_input_rows()
-        if unheld:
-            raise InputError(
-                f"mpc: hard row '{unheld[0]}' limits inputs in a way that is not linear: a policy's feedback cannot be held to it; "
-                "valid: rows that are linear in inputs and references, hard=False, or MPC(..., plan_only_limits=True), where what "
-                "feedback adds is cut by your own code"
-            )
+        terms = {t.name: t.residual for t in ocp.terms.values()}
+        self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
+        if not plan_only_limits:
+            self._check_limits()
         self._planes = planes = self.solver.problem.input_planes()
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)
@@ -157,8 +154,18 @@ class MPC:
         #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
         self.events_without_node = 0
         self._reported = False
-        terms = {t.name: t.residual for t in ocp.terms.values()}
-        self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
+
+    def _check_limits(self) -> None:
+        """Raise :class:`InputError` for a hard row of inputs that no policy can hold. Limits of how fast inputs change are of plans:
+        a policy does not know the last command."""
+        rows = self.solver.problem.unclipped_input_rows()
+        unheld = [row for row in rows if not any(row.startswith(f"{name}.") for name in self._follow_last)]
+        if unheld:
+            raise InputError(
+                f"mpc: hard row '{unheld[0]}' limits inputs in a way that is not linear: a policy's feedback cannot be held to it; "
+                "valid: rows that are linear in inputs and references, hard=False, or MPC(..., plan_only_limits=True), where what "
+                "feedback adds is cut by your own code"
+            )
 
     @property
     def guess(self) -> Guess | None:

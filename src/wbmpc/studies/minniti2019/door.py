@@ -92,6 +92,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
     mpc = MPC(
         door_problem(robot, settings.mpc, settings.cost, push, settings.scheme, geometry.opening),
         settings.mpc.solver(), settings.mpc.rate,
+        plan_only_limits=True,  # the friction cone, whose axes are the door's
     )  # fmt: skip
     plant = make_plant(settings, robot, home, torque, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
