@@ -83,5 +83,7 @@ print([name for name in {EXTRA} if name in sys.modules])
 def test_a_robot_and_a_solve_load_no_library_of_reports_or_the_command_line() -> None:
     paths = os.pathsep.join(str(p) for p in (SOURCE.parents[1], Path(__file__).parent))
     environment = {**os.environ, "PYTHONPATH": paths}
-    done = subprocess.run([sys.executable, "-c", PLANNING], env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", PLANNING], env=environment, capture_output=True, text=True, timeout=300
+    )
     assert (done.stdout, done.stderr) == ("[]\n", "")
