@@ -13,7 +13,6 @@ from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.settings import Settings, Weight
@@ -21,6 +20,7 @@ from wbmpc.studies.minniti2019.held_arm import base_problem
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
 from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse, SeparateController
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController
+from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, TrackingController
 
 if TYPE_CHECKING:
     from wbmpc.studies.minniti2019.settings import RezeroSettings
@@ -103,7 +103,7 @@ ACCURATE_RIVALS = RivalsSettings(
 
 
 class ActuatorSettings(Settings):
-    """What :class:`wbmpc.bases.ball.tracking.ActuatorGains` says of them."""
+    """What :class:`wbmpc.studies.minniti2019.tracking_control.ActuatorGains` says of them."""
 
     wheel_stiffness: Weight = ActuatorGains.wheel_stiffness
     wheel_damping: Weight = ActuatorGains.wheel_damping

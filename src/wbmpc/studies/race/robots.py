@@ -12,9 +12,9 @@ from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
 from wbmpc.benchmark.problems import Problem, RaceProblems
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
-from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
+from wbmpc.studies.paths import SinePath
 from wbmpc.studies.race import MAKERS
 
 Limits = Literal["hard", "soft"]
