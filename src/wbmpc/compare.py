@@ -31,7 +31,7 @@ _SIGNALS = ("/hand/", "/odom", "/command/", "/joint_states", "/mpc/")
 class Run:
     """What there is of a run at a ``path``: ``figures`` as in metrics.json, signals by channel, ``note``: what is missing, and why.
 
-    ``labels``: names of a channel's components, where the recording has told them.
+    ``labels``: names of a channel's components, where the recording has them.
     """
 
     path: Path
@@ -125,7 +125,7 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def experiments(runs: list[dict[str, Any]]) -> str:
-    """A sentence where two runs are of different experiments; else empty."""
+    """A message where two runs are of different experiments; else empty."""
     a, b = (run.get("experiment") or "unknown" for run in runs)
     return (
         ""

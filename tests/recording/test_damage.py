@@ -48,7 +48,7 @@ def contents(recording: Recording) -> tuple[object, ...]:
 
 
 def read_all(path: Path) -> Recording | None:
-    """The recording with all its numbers decoded; None if it, or a topic of it, is refused with a sentence."""
+    """The recording with all its numbers decoded; None if it, or a topic of it, is rejected with a message."""
     try:
         found = read_recording(path)
         for topic in found.topics:
@@ -62,7 +62,7 @@ def read_all(path: Path) -> Recording | None:
 @quick
 @given(st.data())
 def test_changed_bytes_never_pass_unnoticed(whole: Path, tmp_path: Path, data: st.DataObject) -> None:
-    """What is read is what was written, or damage or a missing end is told, or the file is refused: never another error."""
+    """What is read is what was written, or damage or a missing end is reported, or the file is rejected: never another error."""
     original = whole.read_bytes()
     changed = bytearray(original)
     for _ in range(data.draw(st.integers(1, 4))):
@@ -125,7 +125,7 @@ def test_a_changed_attachment_or_setting_is_seen(whole: Path, tmp_path: Path) ->
     assert read_recording(path).damage
 
 
-def test_every_command_says_a_sentence(
+def test_every_command_says_a_message(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With a damaged recording, and with files that are none."""

@@ -40,8 +40,8 @@ from wbmpc.studies.pankert2022 import stability as swerve_stability
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 from wbmpc.view.replay import Film
 
-FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]
-BALL = ["--set", "forces=[20]", "--set", "settle=0.5", "--set", "pause=2"]
+FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "settle_time=1", "--set", "calibration=none"]
+BALL = ["--set", "forces=[20]", "--set", "settle_time=0.5", "--set", "pause=2"]
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -231,7 +231,7 @@ def test_what_ran_is_in_the_file(track: Path) -> None:
 
 
 def test_recording_changes_nothing(track: Path) -> None:
-    settings = SwerveTrackSettings(periods=1, speed=0.8, rest=1.0, calibration="none")
+    settings = SwerveTrackSettings(periods=1, speed=0.8, settle_time=1.0, calibration="none")
     alone = REGISTRY["swerve-track"].run(settings, 3, None)
     saved = json.loads((track / "metrics.json").read_text())["metrics"]
     assert {n: m.value for n, m in alone.metrics.items()} == {n: m["value"] for n, m in saved.items()}
@@ -245,7 +245,7 @@ def test_a_killed_run_leaves_a_readable_file(tmp_path: Path) -> None:
         "run",
         "swerve-track",
         "--set",
-        "rest=0",
+        "settle_time=0",
         "--set",
         "calibration=none",
         "--out",
@@ -313,7 +313,7 @@ def test_a_second_loop_follows_the_first(tmp_path: Path) -> None:
 def test_a_run_without_an_mpc_is_recorded(tmp_path: Path) -> None:
     recorder, part = Recorder(tmp_path / "run.mcap", {}), _Part()
     running = part.running()
-    recorder.begin(Running(running.plant, running.agent, None, running.timing, 1.0))
+    recorder.begin(Running(running.plant, running.controller, None, running.timing, 1.0))
     recorder.tick(0.0, SwerveCommand.stop(), part.plans)
     recorder.close({"completed": "true"})
     topics = read_recording(tmp_path).topics
@@ -390,7 +390,7 @@ def test_ctrl_c_ends_a_loop_that_an_experiment_runs_itself(tmp_path: Path) -> No
 
 
 class _Part:
-    """The least that a recorder looks at: a plant, an agent that has not measured, an MPC that has not solved."""
+    """The least that a recorder looks at: a plant, a controller that has not measured, an MPC that has not solved."""
 
     def __init__(self) -> None:
         self.plans = PolicyQueue()
@@ -399,10 +399,10 @@ class _Part:
             solver=SimpleNamespace(schedule=ModeSchedule((Mode("rest"),))),
         )  # fmt: skip
         self._timing = Timing(0.0025, 5, 8, 4)
-        self._agent = SimpleNamespace()
+        self._controller = SimpleNamespace()
 
     def running(self) -> Running:
-        return Running(SwervePlant(load_description("swerve-ur10")), self._agent, self._mpc, self._timing, 1.0)  # type: ignore[arg-type]
+        return Running(SwervePlant(load_description("swerve-ur10")), self._controller, self._mpc, self._timing, 1.0)  # type: ignore[arg-type]
 
 
 STACK = """

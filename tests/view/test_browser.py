@@ -47,7 +47,7 @@ def start(*arguments: str) -> tuple[subprocess.Popen[str], str]:
 
 def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     """The hand's goal is dragged in the middle of a run; a push is asked for; the run is ended from the browser."""
-    run = ("run", "rezero-steps", "--set", "settle=120", "--out", str(tmp_path), "--json", "--view")
+    run = ("run", "rezero-steps", "--set", "settle_time=120", "--out", str(tmp_path), "--json", "--view")
     process, url = start(*run)
     try:
         with browser() as page:

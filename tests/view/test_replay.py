@@ -38,9 +38,9 @@ class Truth:
         self.poses: dict[float, np.ndarray] = {}
 
     def begin(self, running: Running) -> None:
-        self.plant, self.agent = running.plant, running.agent
+        self.plant, self.controller = running.plant, running.controller
         # the controller believes that it is elsewhere: what is shown must not
-        running.agent.estimator.odometry._state.mean[:3] += [0.3, -0.1, 0.2]
+        running.controller.estimator.odometry._state.mean[:3] += [0.3, -0.1, 0.2]
 
     def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         self.plant.truth()
@@ -90,7 +90,7 @@ def test_numbers_and_forces(run: SimpleNamespace) -> None:
     assert numbers["t"] == 0.1 and 0.0 < numbers["solve"] < 1.0 and numbers["deadline"] == 0.02
 
 
-def test_recordings_without_pictures_are_refused(tmp_path: Path) -> None:
+def test_recordings_without_pictures_are_rejected(tmp_path: Path) -> None:
     file = McapFile(tmp_path / "run.mcap")
     file.put("/mode", "std_msgs/String", 0.0, {"data": "H"})
     file.close()
@@ -203,7 +203,7 @@ def test_bad_input(run: SimpleNamespace, arguments: tuple[str, ...], capsys: pyt
     assert BAD[arguments] in err and err.count("\n") == 1
 
 
-def test_without_graphics_there_is_one_sentence_that_names_packages(
+def test_without_graphics_there_is_one_message_that_names_packages(
     run: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     def nothing(*_: object) -> None:

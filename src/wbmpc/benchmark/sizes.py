@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from wbmpc.benchmark.ours import ours
-from wbmpc.benchmark.problems import race_problems, zoo_bench
+from wbmpc.benchmark.problems import race_problems, suite_bench
 
 
 def size_race(repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
@@ -14,7 +14,7 @@ def size_race(repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
     rows = []
     for name, (make, milliseconds, goal) in race_problems().sizes.items():
         note(name)
-        problem = zoo_bench(make())
+        problem = suite_bench(make())
         t, figures = problem.solver.problem, ours(problem, repeat)[2]
         best = figures["iteration_ms"]
         rows.append(

@@ -41,8 +41,8 @@ def warn(host: str) -> None:
         )
 
 
-def say_where(url: str, as_json: bool = False, what: str = "view") -> None:
-    """Where a browser finds it: a sentence on standard error, or the object on standard output."""
+def print_address(url: str, as_json: bool = False, what: str = "view") -> None:
+    """Where a browser finds it: a message on standard error, or the object on standard output."""
     typer.echo(json.dumps({"url": url}) if as_json else f"the {what} is at {url}", err=not as_json)
 
 
@@ -50,7 +50,7 @@ def open_view(title: str, host: str, port: int, no_token: bool = False, *, as_js
     """A view that says where it is when it can be opened."""
     from wbmpc.view.live import View
 
-    shown = View(title, host, port, opened=partial(say_where, as_json=as_json), with_token=not no_token)
+    shown = View(title, host, port, opened=partial(print_address, as_json=as_json), with_token=not no_token)
     warn(host)
     return shown
 
@@ -102,7 +102,7 @@ def _view_realtime(robot: str, seed: int, host: str, port: int, no_token: bool, 
     from wbmpc.view.realtime import RealtimeView
     from wbmpc.view.session import run_realtime
 
-    opened = partial(say_where, as_json=as_json)
+    opened = partial(print_address, as_json=as_json)
     shown = RealtimeView(f"{robot}, real time", robot, host, port, opened=opened, with_token=not no_token)
     warn(host)
     reason = "interrupted"
@@ -156,7 +156,7 @@ def replay(
     if html is not None:
         typer.echo(json.dumps({"page": str(html)}) if as_json else f"the replay is in {html}")
         return
-    say_where(player.url, as_json, "replay")
+    print_address(player.url, as_json, "replay")
     with suppress(KeyboardInterrupt):
         player.run()
     with redirect_stdout(io.StringIO()):  # the server says that it stops

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from wbmpc.robots import RobotDescription
-from wbmpc.simulation.payloads import PAYLOAD, add_load, add_payload, incline
+from wbmpc.simulation.payloads import PAYLOAD, add_body_payload, add_payload, incline
 from wbmpc.simulation.perturbation import Draw, Perturbation
 from wbmpc.simulation.world import Array, Edit, InWorld, add_drive, add_floor, add_light, set_options
 
@@ -63,8 +63,8 @@ class WheeledPlant(InWorld):
         p = self.perturbation
         if p.payload > 0.0:
             add_payload(spec, self.description.arm.tool, p.payload)
-        if p.load > 0.0:
-            add_load(spec, self.base.body, p.load)
+        if p.body_payload > 0.0:
+            add_body_payload(spec, self.base.body, p.body_payload)
         if p.slope > 0.0:
             incline(spec, p.slope, self.draw.downhill)
         if edit is not None:

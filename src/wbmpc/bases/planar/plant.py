@@ -81,7 +81,7 @@ class PlanarPlant(WheeledPlant):
 
     def _drive_wheel(self, spec: mujoco.MjSpec, i: int) -> None:
         name, body = self._names["wheel"][i], spec.joint(self._names["wheel"][i]).parent
-        spec.joint(name).armature, spec.joint(name).frictionloss = 0.03, self.perturbation.joint_loss
+        spec.joint(name).armature, spec.joint(name).frictionloss = 0.03, self.perturbation.dry_friction
         effort = self.description.limits.effort.get(name, np.inf)
         add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, self.draw.wheel_lag[i], WHEEL_GAIN)
         # net force of all that touches below this body (data: force; reduction 3: net force)

@@ -37,7 +37,7 @@ WHEEL_HALF_WIDTH = 0.02
 _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
 
 
-def refuse_two_wheels(description: RobotDescription) -> None:
+def reject_two_wheels(description: RobotDescription) -> None:
     """Raise :class:`InputError` for a swerve base that cannot stand by itself."""
     assert isinstance(description.base, SwerveBaseDescription)
     if len(description.base.modules) < 3:
@@ -72,11 +72,11 @@ class SwervePlant(WheeledPlant):
     ) -> None:
         if not isinstance(description.base, SwerveBaseDescription):
             raise InputError(f"{description.name}: this plant needs a swerve base")
-        refuse_two_wheels(description)
+        reject_two_wheels(description)
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
         check_perturbation(self.perturbation)
-        self._refuse_brake_fault()
+        self._reject_brake_fault()
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
@@ -99,7 +99,7 @@ class SwervePlant(WheeledPlant):
         self.start_sensors(self._zero_errors())
         self._place(self._groups(state), lift, settle)
 
-    def _refuse_brake_fault(self) -> None:
+    def _reject_brake_fault(self) -> None:
         p, legs = self.perturbation, [m.hinge for m in self.base.modules if m.hinge]
         if p.brake_fault != "none" and p.brake_fault_leg >= len(legs):
             valid = ", ".join(f"{i} ({n})" for i, n in enumerate(legs)) or "a robot with hinged legs"
@@ -119,7 +119,7 @@ class SwervePlant(WheeledPlant):
             )  # fmt: skip
             self._normal_force_sensor(spec, f"contact_{module.wheel}")
             for joint in (module.steer, module.wheel):
-                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, self.perturbation.joint_loss
+                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, self.perturbation.dry_friction
             if module.hinge:
                 spec.joint(module.hinge).damping = [1.0, 0, 0]
             self._servo(spec, module.wheel, WHEEL_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
