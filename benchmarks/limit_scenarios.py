@@ -24,11 +24,11 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Mode, ModeSchedule, Reference
-from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.solver import SQP
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
+from wbmpc.studies.paths import SinePath
 
 Array = np.ndarray
 Event = tuple[float, Callable[[], None]]

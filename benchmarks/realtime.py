@@ -34,7 +34,6 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.paths import SinePath
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
@@ -42,6 +41,7 @@ from wbmpc.runtime.shared_memory import Sizes
 from wbmpc.settings import MpcSettings
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.step_goals import STEPS, target
+from wbmpc.studies.paths import SinePath
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0

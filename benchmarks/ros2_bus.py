@@ -22,7 +22,6 @@ from wbmpc.bases.ball.ros_settings import BallRosSettings
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
-from wbmpc.paths import SinePath
 from wbmpc.registry import REGISTRY
 from wbmpc.ros2.bus import DEFAULT
 from wbmpc.ros2.convert import header, path, upright
@@ -30,6 +29,7 @@ from wbmpc.studies.minniti2019.step_figures import progress_of, rise_time
 from wbmpc.studies.minniti2019.step_goals import STEADY, STEPS
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings, Schedule
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION, PERIOD_LENGTH, SwerveTrackSettings
+from wbmpc.studies.paths import SinePath
 
 #: Offsets of the end effector's path [m], as in the experiment; a path begins this long after it was sent [s].
 AHEAD, SIDE, HEIGHT, LEAD = 0.30, 0.65, 0.80, 2.0

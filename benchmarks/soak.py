@@ -21,8 +21,8 @@ from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
+from wbmpc.studies.paths import SinePath
 from wbmpc.types import Observation
 
 #: Between two solves [s]; the spread of what the state is off its plan.

@@ -19,8 +19,9 @@ import numpy as np
 from wbmpc.benchmark.child import within
 from wbmpc.benchmark.ours import ONE_ITERATION, single_iteration
 from wbmpc.benchmark.peers import TOLERANCE, Prepared, nlp_solver, prepare
-from wbmpc.benchmark.problems import Problem, rezero_bench
+from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
+from wbmpc.studies.race.robots import rezero_bench
 
 BUDGETS_MS = (0.4, 1.0, 3.0, 10.0)
 PERIODS, EVERY, KICK, MAXIMUM = 150, 25, 0.15, 20

@@ -12,7 +12,7 @@ from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
 from wbmpc.benchmark.problems import suite_bench
 from wbmpc.benchmark.program import Program
 from wbmpc.benchmark.residual import EQUAL, Measure, least_squares, to_equal_residual
-from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
+from wbmpc.studies.race.small import cartpole, double_integrator
 
 
 def test_multipliers_of_signed_rows_are_those_of_scipy() -> None:

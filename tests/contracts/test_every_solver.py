@@ -15,10 +15,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "solver"))
 import ipopt
 
 from toys import rezero_solver, robot
-from wbmpc.benchmark.test_problems import MAKERS
-from wbmpc.benchmark.test_problems.problem import SampleProblem
+from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.ocp import Constraint, Reference
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
+from wbmpc.studies.race import MAKERS
 
 SOLVERS = {
     "sqp-merit": SQP(iterations=400),

@@ -18,7 +18,7 @@ from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.ros import BusSwerveController, DeferredMonitor
 from wbmpc.control.protocols import Estimator, Fault, Monitor
-from wbmpc.estimation.force import ForceMonitor
+from wbmpc.studies.minniti2019.force import ForceMonitor
 from wbmpc.studies.pankert2022.rolling import RollingController
 
 #: Constructor arguments that a controller may have.

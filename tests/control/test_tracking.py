@@ -12,13 +12,13 @@ from toys import robot
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, TrackingController
 
 BALL = robot("rezero")
 N, PERIOD = BALL.base.nq, 0.0025

@@ -21,14 +21,14 @@ from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.fused_odometry import AHEAD, FusedOdometry
-from wbmpc.estimation.momentum import MomentumObserver
-from wbmpc.estimation.rocking import rockings
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import ReleaseOdometry, WheelOdometry
+from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
+from wbmpc.studies.minniti2019.momentum import MomentumObserver
+from wbmpc.studies.pankert2022.rocking import rockings
 
 H, NAN = 0.0025, float("nan")
 ROBOT = robot("rezero")

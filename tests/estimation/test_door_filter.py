@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from wbmpc.errors import InputError
-from wbmpc.estimation.contact import ContactMonitor
+from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 
 H, TRUTH = 0.0025, np.array([4.0, 8.0, 5.0])

@@ -9,9 +9,17 @@ import pytest
 
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.contact import ContactMonitor
-from wbmpc.estimation.force import CONFIRMED, MAX_ZERO, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_TIME, ForceMonitor
+from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_control import DoorController
+from wbmpc.studies.minniti2019.force import (
+    CONFIRMED,
+    UNFELT,
+    UNFELT_TIME,
+    ZERO_LEFT,
+    ZERO_MOST,
+    ZERO_TIME,
+    ForceMonitor,
+)
 
 H, PUSH = 0.0025, np.array([0.0, 0.0, 8.0])
 

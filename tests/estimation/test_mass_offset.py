@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from wbmpc import stability
 from wbmpc.errors import InputError
-from wbmpc.estimation.mass_offset import MassOffset, Tipping, estimate_mass_offset
+from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping, estimate_mass_offset
 
 FEET = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])
 MIDDLE, REACH, TALL, STEP = np.array([-0.01, 0.01]), 0.2, 0.5, 0.05

@@ -9,10 +9,10 @@ from toys import robot
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
-from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.door_control import SensorlessForce
+from wbmpc.studies.minniti2019.momentum import MomentumObserver
 
 ROBOT, PUSHED = robot("rezero"), load_robot("rezero", contact="force")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])

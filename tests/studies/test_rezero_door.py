@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from effort import thorough
-from wbmpc.estimation.force import UNFELT_TIME, ForceMonitor
 from wbmpc.studies.minniti2019 import door as rezero_door
 from wbmpc.studies.minniti2019 import door_control as control
 from wbmpc.studies.minniti2019.door_figures import trial_metrics
 from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
+from wbmpc.studies.minniti2019.force import UNFELT_TIME, ForceMonitor
 
 SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=6.0, final_hold_time=0.8)
 #: With a mass that nobody tells of: 1 kg felled the robot after the release when the arm had no posture to go back to.

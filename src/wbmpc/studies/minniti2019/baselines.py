@@ -13,8 +13,6 @@ from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
-from wbmpc.configuration import OnlyWith, kind_alone
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.settings import Positive, Settings, Weight
@@ -22,6 +20,7 @@ from wbmpc.studies.minniti2019.held_arm import base_problem
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
 from wbmpc.studies.minniti2019.separate import ArmLoop, EndEffectorInverse, SeparateController
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController
+from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, TrackingController
 
 if TYPE_CHECKING:
     from wbmpc.studies.minniti2019.settings import RezeroSettings
@@ -111,7 +110,7 @@ class PolicyTracking(Settings):
 
 class ActuatorTracking(Settings):
     """Between two plans the paper's feed-forward and PD act in the drives, with the gains of
-    :class:`wbmpc.bases.ball.tracking.ActuatorGains`."""
+    :class:`wbmpc.studies.minniti2019.tracking_control.ActuatorGains`."""
 
     kind: Literal["actuators"] = "actuators"
     wheel_stiffness: Weight = ActuatorGains.wheel_stiffness

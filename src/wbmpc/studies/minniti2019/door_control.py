@@ -22,15 +22,15 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.messages import BallMeasurement
-from wbmpc.estimation.contact import ContactMonitor
-from wbmpc.estimation.force import ForceMonitor
-from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule, Reference
+from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter
 from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, place_of
+from wbmpc.studies.minniti2019.force import ForceMonitor
+from wbmpc.studies.minniti2019.momentum import MomentumObserver
 from wbmpc.types import Observation
 
 Array = np.ndarray

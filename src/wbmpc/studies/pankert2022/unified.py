@@ -26,7 +26,6 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Reference, RelaxedBarrier, residuals, sets
-from wbmpc.paths import Approach
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.stability import StanceOf, leg_angles, region_margin, support_triangles
 from wbmpc.stability.geometry import Triangle
@@ -36,6 +35,7 @@ from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.unified_figures import metrics, plots
 from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
+from wbmpc.studies.paths import Approach
 
 NAME = "swerve-unified"
 SUMMARY = "the end effector holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"

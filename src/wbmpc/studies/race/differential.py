@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.benchmark.test_problems.problem import SampleProblem
+from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about
 from wbmpc.model.ode import Ode
 from wbmpc.model.robot import RobotModel, load_robot

@@ -5,11 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.test_problems.multibody import Multibody
-from wbmpc.benchmark.test_problems.problem import SampleProblem
+from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.model.kinematics import constant
 from wbmpc.model.tree import Frame, Link
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference, residuals
+from wbmpc.studies.race.multibody import Multibody
 
 #: Length [m] and mass [kg] of the whole arm, however many links; radius [m] of the links; inertia of a drive [kg m²].
 LENGTH, MASS, RADIUS, ARMATURE = 1.2, 12.0, 0.05, 0.1
