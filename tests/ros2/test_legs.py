@@ -207,7 +207,7 @@ def test_a_flood_of_bad_orders_is_a_few_lines(robot: Any, caplog: pytest.LogCapt
     """Each with another name, so that none is a repetition."""
     for k in range(200):
         robot.control.legs._from_topic("/flood", lambda m: robot.control.legs._wanted("", [m], (), ()), f"leg{k}")
-    assert "unknown leg 'leg199'" in robot.control.legs.refused
+    assert "unknown leg 'leg199'" in robot.control.legs.rejected
     assert 1 <= sum("/flood: " in r.getMessage() for r in caplog.records) <= 5
 
 
