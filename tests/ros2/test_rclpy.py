@@ -42,6 +42,18 @@ def test_asked_for_but_not_there() -> None:
 
 
 @needs_dds
+def test_types_are_found_where_rclpy_is_alone(made: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation of rclpy and messages need not have rosidl_runtime_py. Truth: a class of Python's own, by its path."""
+    monkeypatch.setitem(sys.modules, "rosidl_runtime_py.utilities", None)
+    monkeypatch.delitem(sys.modules, "wbmpc.ros2.ros", raising=False)
+    from collections.abc import Mapping
+
+    from wbmpc.ros2.ros import get_message
+
+    assert get_message("collections/abc/Mapping") is Mapping
+
+
+@needs_dds
 def test_every_kind_of_field_is_written_with_its_type(made: list[Any]) -> None:
     from wbmpc.ros2.ros import fill
 

@@ -319,10 +319,11 @@ class ControlNode:
         if legs.apply(adapter.brakes, t, leg):
             assert legs.angles is not None
             adapter.swing(legs.angles)
+            adapter.legs = legs.aims
             assert self._task is not None
             self._put(self._task, adapter.references(self._task, x))
         if legs.watch(adapter.brakes, t, leg):
-            adapter.legs = legs.angles
+            adapter.legs = legs.aims
             assert self._task is not None
             self._put(self._task, adapter.references(self._task, x))
 

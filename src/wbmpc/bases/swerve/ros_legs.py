@@ -31,6 +31,9 @@ SET_LEGS = "wbmpc_msgs/srv/SetLegs"
 Now = tuple[Array, Array]
 #: A leg is where it should be within this [rad].
 THERE = 0.01
+#: A leg on its way is to go to so much [rad] beyond where it should be, and its brake ends it there. Of the last 0.03 rad alone a
+#: plan would make nothing where wheels do not point along the leg's circle: to turn them costs more than those are worth.
+BEYOND = 0.08
 #: A leg that comes no nearer by this [rad] within so long [s] will not arrive: wheels turn first for a second or two, and a guard
 #: may hold it now and then.
 NEARER, PATIENCE = 0.002, 4.0
@@ -62,6 +65,7 @@ class Legs:
         self._nearest, self._since = np.zeros(
             (2, len(self.names))
         )  # of legs on their way: distance [rad], since when [s]
+        self._side = np.zeros(len(self.names))  # from which side legs come: the sign of their ways
         self._command: tuple[Array, Array] | None = None
         self._lock = threading.Lock()
         topics = settings.topics
@@ -190,6 +194,11 @@ class Legs:
 
     # ------------------------------------------------------------------ in the node's thread
     @property
+    def aims(self) -> Array | None:
+        """Where (n) [rad] the plan is to take the legs: of those on their way, :data:`BEYOND` where they are to go."""
+        return None if self.angles is None else self.angles + BEYOND * self.moving * self._side
+
+    @property
     def waiting(self) -> bool:
         """Whether there is an order that has not been taken."""
         return self._command is not None
@@ -221,20 +230,21 @@ class Legs:
         # a leg that is let go, or held where it is, goes nowhere
         stays = ~self.moving & ~np.isnan(brake)
         self.angles = np.where(stays, leg, self.angles)
+        self._side = np.sign(self.angles - leg)
         return True
 
     def watch(self, brakes: BrakeControl, t: float, leg: Array) -> bool:
-        """Close the brakes of legs that have arrived, and of those that come no nearer; whether there were some of these, which
-        stay where they are."""
+        """Close the brakes of legs that have arrived, and of those that come no nearer, which stay where they are; whether there
+        were some: :attr:`aims` has changed."""
         if self.angles is None or not self.moving.any():
             return False
-        there = self.moving & (np.abs(leg - self.angles) < THERE)
+        there = self.moving & (self._side * (self.angles - leg) < THERE)
         if there.any():
             self._close(brakes, t, there)
             _LOG.info("%s arrived: brakes closed", self._named(there))
         stuck = self._stuck(brakes, t, leg)
         if not stuck.any():
-            return False
+            return bool(there.any())
         self._close(brakes, t, stuck)
         places = zip(self.names, leg, self.angles, stuck, strict=True)
         message = [f"{n} stopped at {a:.3f} rad on its way to {to:.3f} rad" for n, a, to, ended in places if ended]
