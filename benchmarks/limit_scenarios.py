@@ -104,10 +104,10 @@ def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cos
     mpc = variant.mpc(lambda s: rezero_problem(robot, s, cost), planner)
     set_home_references(mpc, robot, torque)
     plant = BallPlant(robot.description, home, torque, settings.plant, seed)
-    timing = Timing.of(plant.timestep, settings.control.rate, planner.rate, planner.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, planner.rate, planner.computation_delay)
     estimator = BallEstimator(robot, home)
     controller = BallController(
-        robot, mpc, torque, timing.period, DriveSettings(settings.drive_lag), estimator=estimator
+        robot, mpc, torque, timing.period, DriveSettings(settings.actuator_time_constant), estimator=estimator
     )
     controller.lean_control = lean_control_of(settings, robot, robot.home[robot.state["arm"]])
     mpc.reset(home, torque)
@@ -185,7 +185,7 @@ def _swerve(
     settings, cost = MpcSettings(barrier_mu=SWERVE_MU), SwerveCost(state=StateCost(leg=leg_weight))
     mpc = variant.mpc(lambda s: swerve_problem(robot, s, cost, accelerations=True), settings)
     plant = SwervePlant(robot.description, robot.state.split(robot.home), None, seed)
-    timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.delay)
+    timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.computation_delay)
     brakes = None
     if schedule is not None:
         mpc.set_schedule(schedule)

@@ -69,7 +69,7 @@ def write_gains(mode: str, controller: str, found: dict[str, float]) -> None:
 def settings_with(controller: str, found: dict[str, float]) -> tuple[str, ...]:
     """Settings of a run with that baseline and these gains."""
     key = controller.replace("-", "_")
-    return f"controller={controller}", *(f"rival.{key}.{k}={v:g}" for k, v in found.items())
+    return f"controller={controller}", *(f"baseline.{key}.{k}={v:g}" for k, v in found.items())
 
 
 def settings_of(mode: str, controller: str, file: Path | None = None) -> tuple[str, ...]:

@@ -98,7 +98,7 @@ def make_rezero_controller(own: MPC, plant: BallPlant, rate: float) -> BallContr
     arm = robot.home[robot.state["arm"]]
     robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
     controller = BallController(
-        robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.drive_lag)
+        robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.actuator_time_constant)
     )
     controller.lean_control = lean_control_of(BALL, robot, arm)
     return controller

@@ -73,9 +73,14 @@ class ModelledRobot:
         given, own = RegulatorSettings(**gains), copy.copy(self._gains)
         own.weights = regulator_weights(self.robot, self.settings, given)
         controller = LqrController(
-            self.robot, self.mpc, self.torque, self.period, DriveSettings(self.settings.drive_lag), observer=False
+            self.robot,
+            self.mpc,
+            self.torque,
+            self.period,
+            DriveSettings(self.settings.actuator_time_constant),
+            observer=False,
         )
-        controller.regulate(own, lambda t: self.home, scheduled, given.most)
+        controller.regulate(own, lambda t: self.home, scheduled, given.max_error)
         return controller
 
     def generalised(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -166,7 +171,7 @@ def search(robot: ModelledRobot, controller: str, walks: int, sets: int, first: 
 
 def present(robot: ModelledRobot, controller: str) -> Gains:
     """The gains that there are."""
-    own = getattr(robot.settings.rival, controller.replace("-", "_"))
+    own = getattr(robot.settings.baseline, controller.replace("-", "_"))
     return {k: float(getattr(own, k)) for k in SPACE[controller]} | gains(robot.mode, controller)
 
 

@@ -56,8 +56,8 @@ def error(name: str, gains: dict[str, float], seeds: range, random: float) -> fl
 
 def _tour(gains: dict[str, float], seed: int) -> np.ndarray:
     """Squares [m²] of the position error on the tour."""
-    given = {f"rival_{key}": value for key, value in gains.items()}
-    settings = SwerveDriveSettings.model_validate({"rest": REST, **given})
+    given = {f"baseline_{key}": value for key, value in gains.items()}
+    settings = SwerveDriveSettings.model_validate({"settle_time": REST, **given})
     error = swerve_drive.baseline_on_tour(settings, seed)
     return np.asarray(np.sum(error[:, :2] ** 2, axis=1))
 
@@ -65,7 +65,7 @@ def _tour(gains: dict[str, float], seed: int) -> np.ndarray:
 def _motions(name: str, gains: dict[str, float], seed: int, random: float) -> np.ndarray:
     """Squares [m²] of the position error on the motions by which a baseline is judged, infinite if it did not get through them."""
     robot, motions = load_robot("swerve-fixed-ur10"), MOTIONS[name]
-    settings = SwerveFixedSettings(random=random, rest=REST)
+    settings = SwerveFixedSettings(random_time=random, settle_time=REST)
     if motions is not None:
         settings = settings.model_copy(update={"motions": motions, "random": 0.0})
     fixed.CONTROLLERS[name] = fixed.baseline(KINDS[name], **gains)
@@ -80,7 +80,7 @@ def _start(name: str) -> dict[str, float]:
     if name != "tour":
         return dict(fixed.GAINS[name])
     settings = SwerveDriveSettings()
-    return {key: float(getattr(settings, f"rival_{key}")) for key in GRIDS[name]}
+    return {key: float(getattr(settings, f"baseline_{key}")) for key in GRIDS[name]}
 
 
 def main() -> None:

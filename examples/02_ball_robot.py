@@ -28,7 +28,7 @@ mpc.reference["torque"] = wb.Reference.constant(torque)
 mpc.reset(home, torque)
 
 plant = BallPlant(robot.description, home, torque, seed=1)  # masses, friction, drive lag … differ from the model
-timing = Timing.of(plant.timestep, control_rate=400.0, mpc_rate=settings.rate, delay=settings.delay)
+timing = Timing.of(plant.timestep, control_rate=400.0, mpc_rate=settings.rate, delay=settings.computation_delay)
 controller = BallController(robot, mpc, torque, timing.period, DriveSettings(lag=0.02))
 end_effector: list[np.ndarray] = []
 

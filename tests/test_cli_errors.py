@@ -172,9 +172,9 @@ REAL = {
     ): "mpc.horizon=10000000000000.0: input should be less than or equal to 1000",
     ("run", "swerve-track", "--set", "mpc.first_interval=1e-30"): "first_interval: 1e-30 s is too short",
     ("run", "swerve-track", "--set", "cost.state.arm=1e308"): "cost 'state', terminal weight of 'arm': must be finite",
-    ("run", "rezero-steps", "--set", "hold=1"): "hold=1",
-    ("run", "rezero-steps", "--set", "hold=2"): "hold=2: a step needs 2.3 s",
-    ("run", "rezero-steps", "--set", "hold=1.5"): "a smaller mpc.horizon or preview=false needs less",
+    ("run", "rezero-steps", "--set", "hold_time=1"): "hold_time=1",
+    ("run", "rezero-steps", "--set", "hold_time=2"): "hold_time=2: a step needs 2.3 s",
+    ("run", "rezero-steps", "--set", "hold_time=1.5"): "a smaller mpc.horizon or preview=false needs less",
     ("run", "rezero-steps", "--set", "mpc.rate=true"): "mpc.rate=true: a number or text is needed",
 }
 

@@ -94,8 +94,8 @@ def test_a_value_without_a_key_is_named_by_its_setting_alone() -> None:
     "value",
     [
         "joint_offset=1e12",
-        "com=1e12",
-        "drive_lag=1e12",
+        "com_offset=1e12",
+        "actuator_time_constant=1e12",
         "gyro_noise=1e12",
         "friction=1e12",
         "encoder_counts=1000000000000000",

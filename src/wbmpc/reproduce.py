@@ -264,12 +264,12 @@ def _clip(jobs: list[Job], name: str, out: Path, target: bool) -> str:
     """The clip of the first finished run, drawn once; or why there is none."""
     path, job = out / name / "clip.mp4", next(j for j in jobs if j.name == name and j.done)
     if target and not (path.is_file() and path.stat().st_mtime >= job.mark.stat().st_mtime):
-        from wbmpc.recording.reader import read
+        from wbmpc.recording.reader import read_recording
         from wbmpc.view.render import render
         from wbmpc.view.replay import Film
 
         try:
-            render(Film(read(job.directory)), path, (0.0, float("inf")), CLIP_SIZE, CLIP_SPEED)
+            render(Film(read_recording(job.directory)), path, (0.0, float("inf")), CLIP_SIZE, CLIP_SPEED)
         except InputError as error:
             return f"<p>There is no clip: {html.escape(str(error))}</p>"
     if not path.is_file():

@@ -43,9 +43,9 @@ def test_the_search_gives_every_controller_as_many_runs_and_the_best_of_them(
 def test_every_gain_and_run_is_a_setting() -> None:
     for controller, space in ball_baselines.SPACE.items():
         for name, (low, _) in space.items():
-            given = [f"controller={controller}", f"rival.{controller.replace('-', '_')}.{name}={low!r}"]
+            given = [f"controller={controller}", f"baseline.{controller.replace('-', '_')}.{name}={low!r}"]
             settings = configure(REGISTRY["rezero-steps"].config_type, given, "")
-            own = getattr(settings.rival, controller.replace("-", "_"))
+            own = getattr(settings.baseline, controller.replace("-", "_"))
             assert getattr(own, name) == low
     for name, given_run, shown in ball_baselines.RUNS.values():
         for given_controller in ball_baselines.CONTROLLERS.values():
@@ -72,7 +72,7 @@ def test_losses_count_what_is_missed(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert ball_baselines.loss(store, "pushes", "lqr", gains, 0) == pytest.approx(4.0 + 1.5 + 2.0 + 2.0 + 2.0)
     # 40 mm are two units, an infinite error the most there is
     assert ball_baselines.loss(store, "square", "lqr", gains, 0) == pytest.approx(2.0 + 20.0)
-    assert all({"controller=lqr", "rival.lqr.hand=0.3"} <= set(given) for given in asked)
+    assert all({"controller=lqr", "baseline.lqr.hand=0.3"} <= set(given) for given in asked)
 
 
 def test_finished_runs_are_not_done_again_and_make_the_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

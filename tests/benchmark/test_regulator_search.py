@@ -120,7 +120,7 @@ def test_the_push_does_the_work_of_a_force_at_the_base(robot: ModelledRobot) -> 
 
 
 #: Wheels that hardly do anything: found by a search for what stands, wherever it goes.
-ROLLS_AWAY = {"hand": 2.92e-4, "torque": 4220.0, "arm": 0.039, "posture": 60.0, "damping": 0.936, "most": 0.174}
+ROLLS_AWAY = {"hand": 2.92e-4, "torque": 4220.0, "arm": 0.039, "posture": 60.0, "damping": 0.936, "max_error": 0.174}
 
 
 def test_to_stand_is_not_to_come_back(robot: ModelledRobot) -> None:
@@ -138,10 +138,14 @@ def test_gains_that_were_found_are_the_maps(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setattr(push_map, "GAINS", tmp_path / "gains.json")
     push_map.GAINS.write_text("{}")
     assert push_map.settings_of("ball", "scheduled-lqr") == ("controller=scheduled-lqr",)
-    push_map.write_gains("ball", "scheduled-lqr", {"torque": 20.0, "most": 0.05})
+    push_map.write_gains("ball", "scheduled-lqr", {"torque": 20.0, "max_error": 0.05})
     push_map.write_gains("hand", "lqr", {"torque": 3.0})
     given = push_map.settings_of("ball", "scheduled-lqr")
-    assert given == ("controller=scheduled-lqr", "rival.scheduled_lqr.torque=20", "rival.scheduled_lqr.most=0.05")
+    assert given == (
+        "controller=scheduled-lqr",
+        "baseline.scheduled_lqr.torque=20",
+        "baseline.scheduled_lqr.max_error=0.05",
+    )
     assert push_map.settings_of("hand", "scheduled-lqr") == ("controller=scheduled-lqr",)
     assert push_map.settings_of("hand", "mpc") == ()
 

@@ -120,7 +120,7 @@ def test_a_dead_time_of_many_ticks_is_predicted_over() -> None:
     ],
 )
 def test_a_dead_time_that_cannot_be_predicted_over_is_rejected(dead: float, said: str) -> None:
-    with pytest.raises(InputError, match=f"drive_dead_time: .*{said}"):
+    with pytest.raises(InputError, match=f"actuator_dead_time: .*{said}"):
         BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, DriveSettings(0.02, dead))  # type: ignore[arg-type]
 
 

@@ -75,7 +75,7 @@ def test_a_force_that_pushes_the_robot_away_is_reported_and_ends_the_run(caplog:
     for force in (50.0, 20.0, 50.0):  # who is driven fast by a goal is not pushed away
         lean_control.check(2.0, pushed(force), x)
         lean_control.check(2.25, pushed(force), x)
-    with pytest.raises(DisturbanceTooLarge, match=r"50 N .* faster than 2 m/s \(pushed_speed\); motors off"):
+    with pytest.raises(DisturbanceTooLarge, match=r"50 N .* faster than 2 m/s \(max_pushed_speed\); motors off"):
         lean_control.check(2.31, pushed(50.0), x)
 
 

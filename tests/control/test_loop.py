@@ -94,12 +94,12 @@ def test_timing_counts_whole_steps() -> None:
             (5e-4, 400.0, 60.0, 0.01),
             r"mpc\.rate: 60 Hz \(16\.6667 ms\) is not a whole number of controller periods of 2\.5 ms",
         ),
-        ((5e-4, 400.0, 50.0, 0.011), r"mpc\.delay: 0\.011 s is not a whole number of controller periods"),
+        ((5e-4, 400.0, 50.0, 0.011), r"mpc\.computation_delay: 0\.011 s is not a whole number of controller periods"),
         ((5e-4, 4000.0, 50.0, 0.01), r"control\.rate"),
         ((5e-4, 400.0, 800.0, 0.01), r"mpc\.rate: 800 Hz is faster than the controller \(control\.rate\), 400 Hz"),
         ((5e-4, 100.0, 200.0, 0.01), r"mpc\.rate: 200 Hz is faster than the controller \(control\.rate\), 100 Hz"),
         ((5e-4, 400.0, 1e-310, 0.01), r"mpc\.rate: inf s is too long, more than a million controller periods"),
-        ((5e-4, 400.0, 50.0, 1e300), r"mpc\.delay: 1e\+300 s is too long"),
+        ((5e-4, 400.0, 50.0, 1e300), r"mpc\.computation_delay: 1e\+300 s is too long"),
     ],
 )
 def test_rates_that_are_not_a_whole_number_of_steps(rates: tuple[float, ...], message: str) -> None:

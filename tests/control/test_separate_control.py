@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc import lie
 from wbmpc.registry import REGISTRY
@@ -104,9 +105,9 @@ def test_integral_removes_what_a_constant_torque_leaves(integral: float, left: b
     assert 0.2 - q[0] == pytest.approx(2.0 / 64.0 if left else 0.0, abs=2e-4)
 
 
-@pytest.mark.parametrize("name", ["separate", "separate-aware"])
+@pytest.mark.parametrize("name", [pytest.param("separate", marks=thorough), "separate-aware"])
 def test_separate_control_stands_a_small_push(name: str) -> None:
-    settings = RezeroPushHandSettings(forces=(30.0,), settle=0.5, pause=2.0, controller=name)
+    settings = RezeroPushHandSettings(forces=(30.0,), settle_time=0.5, pause=2.0, controller=name)
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
     assert result.completed, result.reason
     torque = result.log.array("torque")

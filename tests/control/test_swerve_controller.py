@@ -101,18 +101,21 @@ def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(allow_sid
     assert error < 1e-4 if allow_side_slip else error > 1e-3
 
 
-@pytest.mark.parametrize("odd_wheels", [True, False])
-def test_the_odometry_does_not_listen_to_a_wheel_that_hangs_in_the_air(odd_wheels: bool) -> None:
+@pytest.mark.parametrize("reject_lifted_wheels", [True, False])
+def test_the_odometry_does_not_listen_to_a_wheel_that_hangs_in_the_air(reject_lifted_wheels: bool) -> None:
     """Three wheels roll straight ahead at 0.3 m/s, the fourth turns 0.1 m/s faster. Truth: the base goes as the three do."""
     geometry = SWERVE.base.geometry
     controller = SwerveController(
-        SWERVE, np.zeros(3), PERIOD, estimation=EstimatorSettings(use_gyro=False, odd_wheels=odd_wheels)
+        SWERVE,
+        np.zeros(3),
+        PERIOD,
+        estimation=EstimatorSettings(use_gyro=False, reject_lifted_wheels=reject_lifted_wheels),
     )
     speed = np.array([0.3, 0.3, 0.4, 0.3]) / geometry.wheel_radius
     for k in range(150):
         controller.measure(message(k * PERIOD, steer=-geometry.wheel_heading, wheel=k * PERIOD * speed))
     error = np.abs(controller.estimator.odometry.pose - [149 * PERIOD * 0.3, 0.0, 0.0]).max()
-    assert error < 1e-3 if odd_wheels else error > 5e-3
+    assert error < 1e-3 if reject_lifted_wheels else error > 5e-3
 
 
 def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:
@@ -188,7 +191,7 @@ def test_no_steering_command_is_beyond_what_the_description_allows() -> None:
     for own, maximum in (({}, 2.0), ({"steer_LF": 2.2}, 2.2)):
         d = SWERVE.description
         slow = {**d.limits.velocity, **{name: 2.0 for name in SWERVE.input.groups["steer"]}}
-        limits = d.limits.model_copy(update={"velocity": slow, "drive_velocity": own})
+        limits = d.limits.model_copy(update={"velocity": slow, "actuator_velocity": own})
         controller = SwerveController(RobotModel(d.model_copy(update={"limits": limits})), np.zeros(3), PERIOD)
         plans, largest = PolicyQueue(), 0.0
         plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size), steer=1.5))
@@ -349,15 +352,15 @@ def test_smoothed_positions_are_those_of_the_moment() -> None:
 def test_calibration_corrects_angles_and_wheel_speeds() -> None:
     """Zeros are taken off what the encoders say; a wheel of twice the radius turns half as fast for the same way."""
     geometry, rng = SWERVE.base.geometry, np.random.default_rng(5)
-    leg_zero, steer_zero = rng.normal(size=(2, 4))
+    leg_offset, steer_offset = rng.normal(size=(2, 4))
     known = WheelCalibration(
-        steer_zero, leg_zero, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8))
+        steer_offset, leg_offset, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8))
     )
     controller, plans = (
         SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=EstimatorSettings(calibration=known)),
         PolicyQueue(),
     )
-    controller.measure(message(leg=leg_zero + 0.1, steer=steer_zero + 0.2))
+    controller.measure(message(leg=leg_offset + 0.1, steer=steer_offset + 0.2))
     state = SWERVE.state.split(controller.state())
     np.testing.assert_allclose(state["leg"], 0.1)
     np.testing.assert_allclose(state["steer"], 0.2)

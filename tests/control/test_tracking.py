@@ -29,7 +29,7 @@ ROLLING[N] = 0.5  # along x at 0.5 m/s: the wheels' speeds are constant
 def followed(bleed: float, factor: float, seconds: float) -> tuple[TrackingController, np.ndarray]:
     """Wheel errors (n, 3) [rad] while a plan rolls along x and the true wheels turn ``factor`` times as fast."""
     still = SimpleNamespace(solver=SimpleNamespace(simulate=lambda x, u, h: x, set_parameters=lambda w: None))
-    gains = ActuatorGains(bleed=bleed)
+    gains = ActuatorGains(leak_time_constant=bleed)
     controller = TrackingController(BALL, still, np.zeros(6), PERIOD, DriveSettings(), False, gains=gains)  # type: ignore[arg-type]
     times, plans = np.array([0.0, 100.0]), PolicyQueue()
     plans.add(0.0, Policy(times, np.stack([ROLLING, ROLLING]), np.zeros((1, 6)), np.zeros((1, 6, 2 * N))))
@@ -70,8 +70,8 @@ def test_speeds_are_those_of_the_wheels_on_a_rolling_ball() -> None:
 
 
 def test_bad_gains_are_named() -> None:
-    with pytest.raises(InputError, match="bleed must be positive"):
-        ActuatorGains(bleed=0.0)
+    with pytest.raises(InputError, match="leak_time_constant must be positive"):
+        ActuatorGains(leak_time_constant=0.0)
     with pytest.raises(InputError, match="arm_damping must be at least 0"):
         ActuatorGains(arm_damping=-1.0)
 
@@ -80,7 +80,7 @@ def test_drives_close_the_loop_between_commands() -> None:
     """One command, held: the drives pull the elbow to where it says, against MuJoCo's gravity fed forward."""
     home, torque = BALL.base.numeric.equilibrium(BALL.home[5:N])
     still = Perturbation(
-        mass=0.0, inertia=0.0, com=0.0, joint_offset=0.0, drive_lag=0.002, drive_lag_spread=0.0
+        mass=0.0, inertia=0.0, com_offset=0.0, joint_offset=0.0, actuator_time_constant=0.002, actuator_time_constant_spread=0.0
     )  # fmt: skip
     plant = BallPlant(BALL.description, home, torque, still, 0)
     now = np.concatenate([np.zeros(3), home[5:N]])
@@ -97,7 +97,7 @@ def test_drives_close_the_loop_between_commands() -> None:
 
 def test_a_push_with_the_papers_tracking() -> None:
     tracking = {"kind": "actuators"}
-    settings = RezeroPushHandSettings(forces=(30.0,), settle=0.5, pause=2.0, tracking=tracking)
+    settings = RezeroPushHandSettings(forces=(30.0,), settle_time=0.5, pause=2.0, tracking=tracking)
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
     assert result.completed, result.reason
     assert 0.01 < result.metrics["hand_error_max"].value < 0.3

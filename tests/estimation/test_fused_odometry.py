@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
+from effort import draws
 from wbmpc.errors import InputError
 from wbmpc.estimation.fused_odometry import PATIENCE, FusedOdometry
 from wbmpc.estimation.odometry_filter import BIAS, OdometryNoise
@@ -67,7 +68,7 @@ def test_derivatives_of_the_twist_are_finite_differences(geometry) -> None:  # t
         zeros[:, i] = (at(1) - at(-1)) / 2e-6
         of = lambda s, u=unit: fit_twist(geometry, radius * (1 + s * u), previous, now).twist
         factors[:, i] = (of(1) - of(-1)) / 2e-6
-    np.testing.assert_allclose(moved.by_steer_zero(), zeros, atol=1e-10)
+    np.testing.assert_allclose(moved.by_steer_offset(), zeros, atol=1e-10)
     np.testing.assert_allclose(moved.by_radius(), factors, atol=1e-10)
     assert np.abs(moved.twist).max() > 1e-3
 
@@ -89,7 +90,7 @@ LEVELS = {
 def test_covariance_fits_the_errors(level: str) -> None:
     """Slip is found from the wheels' contradiction alone: the filter is reported nothing of its size."""
     pose, bias = [], []
-    for seed in range(40):
+    for seed in range(draws(10, 40)):
         base = Drawn(FOUR, seed, length=8.0, **LEVELS[level])
         odometry = filtered(base)
         pose.append(squared(base.poses[-1] - odometry.pose, odometry.covariance))
@@ -102,7 +103,7 @@ def test_covariance_fits_the_errors(level: str) -> None:
 @pytest.mark.parametrize("geometry", [ring(2), ring(3, hinged=False), ring(6)], ids=["2", "3 fixed", "6"])
 def test_covariance_fits_with_any_number_of_modules(geometry) -> None:  # type: ignore[no-untyped-def]
     pose = []
-    for seed in range(25):
+    for seed in range(draws(8, 25)):
         base = Drawn(geometry, seed, slip=2e-3, zero=2e-3, length=8.0)
         odometry = filtered(base)
         pose.append(squared(base.poses[-1] - odometry.pose, odometry.covariance))
@@ -221,7 +222,7 @@ LIDAR = (5, 3, (0.005, 0.005, 0.002))
 def test_late_global_poses_bound_the_error() -> None:
     """10 Hz, 60 ms late, 5 mm and 2 mrad on a base that slips and is not calibrated: 10 mm rms; covariance consistent."""
     errors, pose = [], []
-    for seed in range(15):
+    for seed in range(draws(5, 15)):
         base = Drawn(FOUR, seed, slip=1e-3, zero=2e-3, radius=2e-3, length=20.0)
         odometry = filtered(base, lidar=LIDAR)
         errors.append(base.poses[-1] - odometry.pose)

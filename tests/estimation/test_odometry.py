@@ -129,10 +129,14 @@ def test_residual_shows_the_wheel_that_slips():
 
 def test_calibration_repairs_radii_and_zeros():
     poses, samples = roll_out(GEOMETRY, 3.0, 0.0025, swinging, swing_rates)
-    factor, leg_zero, steer_zero = np.array([1.01, 0.99, 1.0, 1.02]), 0.01 * np.arange(4), 0.02 * np.ones(4)
-    reported = [(leg + leg_zero, steer + steer_zero, wheel / factor) for leg, steer, wheel in samples]
+    factor, leg_offset, steer_offset = np.array([1.01, 0.99, 1.0, 1.02]), 0.01 * np.arange(4), 0.02 * np.ones(4)
+    reported = [(leg + leg_offset, steer + steer_offset, wheel / factor) for leg, steer, wheel in samples]
     right = WheelOdometry(
-        GEOMETRY, poses[0], wheel_radius=GEOMETRY.wheel_radius * factor, leg_zero=leg_zero, steer_zero=steer_zero
+        GEOMETRY,
+        poses[0],
+        wheel_radius=GEOMETRY.wheel_radius * factor,
+        leg_offset=leg_offset,
+        steer_offset=steer_offset,
     )
     wrong = WheelOdometry(GEOMETRY, poses[0])
     for sample in reported:

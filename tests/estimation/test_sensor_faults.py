@@ -32,7 +32,7 @@ class Sound(NamedTuple):
 
 @cache
 def sound() -> Sound:
-    p = Perturbation(state_age=0.0, drive_lag=0.01)
+    p = Perturbation(state_age=0.0, actuator_time_constant=0.01)
     plant, estimator, limit = BallPlant(ROBOT.description, HOME, TORQUE, p, 0), BallEstimator(ROBOT, HOME), 4.0
     messages, states = [], []
     for k in range(round(END / H)):

@@ -90,8 +90,10 @@ LIMITS = {"wheel_effort": 4.0}
 
 def test_a_forgotten_joint_of_a_ball_robot(tmp_path: Path) -> None:
     text = rejection(ball_robot(tmp_path, arm=ONE, home={}, limits=LIMITS))
-    assert all(w in text for w in ("mine.yaml", "mine.xml", "'arm_elbow'", "arm.joints", "lock: {arm_elbow: 0}")), text
-    held = load_robot(ball_robot(tmp_path, arm=ONE, home={}, limits=LIMITS, lock={"arm_elbow": 0.3}))
+    assert all(
+        w in text for w in ("mine.yaml", "mine.xml", "'arm_elbow'", "arm.joints", "fixed_joints: {arm_elbow: 0}")
+    ), text
+    held = load_robot(ball_robot(tmp_path, arm=ONE, home={}, limits=LIMITS, fixed_joints={"arm_elbow": 0.3}))
     plant = BallPlant(held.description)
     assert plant.model.nv == 6 + 3 + 2  # the base, the ball, two joints of the arm
 
@@ -106,7 +108,7 @@ def test_forgotten_wrist_joints_of_a_swerve_robot(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump({**data, "model": str(DATA / data["model"])}))
     text = rejection(path)
     assert "'wrist_2_joint', 'wrist_3_joint'" in text and "arm.joints or base.modules" in text
-    assert "lock: {wrist_2_joint: 0, wrist_3_joint: 0}" in text
+    assert "fixed_joints: {wrist_2_joint: 0, wrist_3_joint: 0}" in text
 
 
 GRIPPER = """<robot name="r"><link name="base">{mass}</link><link name="arm">{mass}</link>
@@ -131,8 +133,8 @@ def fixed_robot(folder: Path, name: str, text: str, **keys: object) -> Path:
 def test_the_fingers_of_a_urdf_are_held_with_their_coupling(tmp_path: Path) -> None:
     """A finger that mimics the other one, held: the end effector is where MuJoCo has it with both at these values."""
     text = rejection(fixed_robot(tmp_path, "r.urdf", GRIPPER))
-    assert "'finger', 'other'" in text and "lock: {finger: 0, other: 0}" in text
-    robot = load_robot(fixed_robot(tmp_path, "r.urdf", GRIPPER, lock={"finger": 0.03, "other": -0.03}))
+    assert "'finger', 'other'" in text and "fixed_joints: {finger: 0, other: 0}" in text
+    robot = load_robot(fixed_robot(tmp_path, "r.urdf", GRIPPER, fixed_joints={"finger": 0.03, "other": -0.03}))
     model = mujoco.MjModel.from_xml_string(
         GRIPPER.replace("<link", '<mujoco><compiler fusestatic="false"/></mujoco><link', 1)
     )
@@ -153,7 +155,7 @@ def test_what_an_mjcf_has_beside_its_mechanics_is_in_nobodys_way(tmp_path: Path)
       <equality><joint joint1="f" joint2="g"/><tendon tendon1="t"/></equality><sensor><jointpos joint="f"/></sensor>
       <actuator><position name="one" joint="one"/><position tendon="t"/></actuator>
       <keyframe><key qpos="0 0 0 1 0 0 0 0 0 0"/></keyframe></mujoco>"""
-    path = fixed_robot(tmp_path, "r.xml", xml, lock={"f": 0.01, "g": 0.02})
+    path = fixed_robot(tmp_path, "r.xml", xml, fixed_joints={"f": 0.01, "g": 0.02})
     model = load_spec(load_description(path)).compile()
     assert (model.nv, model.neq, model.nu, model.ntendon, model.nsensor, model.nkey) == (1, 0, 0, 0, 0, 0)
     np.testing.assert_allclose(load_robot(path).pose([0.0])[0], [0.02, 0.0, 0.2], atol=1e-12)
@@ -189,7 +191,7 @@ def test_a_joint_that_does_not_count_from_its_drawing(joint: str, tmp_path: Path
 def test_a_held_joint_that_does_not_count_from_its_drawing(tmp_path: Path) -> None:
     path = ring(tmp_path, ('name="lift"', 'name="lift" ref="0.5"'))
     data = yaml.safe_load(path.read_text())
-    data.update(arm={"joints": ["pan"], "tool": "hand"}, lock={"lift": 0.1})
+    data.update(arm={"joints": ["pan"], "tool": "hand"}, fixed_joints={"lift": 0.1})
     path.write_text(yaml.safe_dump(data))
     assert "joint 'lift' has a 'ref' of 0.5" in rejection(path)
 

@@ -224,7 +224,7 @@ def test_a_joint_of_a_urdf_that_mimics_another(tmp_path: Path) -> None:
     mimic = '<mimic joint="one"/>'
     text = rejection(urdf(tmp_path, mimic, ["one", "two"]))
     assert all(w in text for w in ("r.urdf", "'mimic'", "'one'", "'two'")), text
-    assert "acts on joint 'one', of" in rejection(urdf(tmp_path, mimic, ["one"], lock={"two": 0.2}))
+    assert "acts on joint 'one', of" in rejection(urdf(tmp_path, mimic, ["one"], fixed_joints={"two": 0.2}))
 
 
 def test_a_gripper_with_springs_and_loops_that_is_held(tmp_path: Path) -> None:
@@ -244,6 +244,6 @@ def test_a_gripper_with_springs_and_loops_that_is_held(tmp_path: Path) -> None:
         "base": {"type": "fixed", "body": "base"},
         "arm": {"joints": ["a"], "tool": "g"},
     }
-    (tmp_path / "r.yaml").write_text(yaml.safe_dump({**data, "lock": {"f": 0.1, "g": 0.2}}))
+    (tmp_path / "r.yaml").write_text(yaml.safe_dump({**data, "fixed_joints": {"f": 0.1, "g": 0.2}}))
     model = load_spec(load_description(tmp_path / "r.yaml")).compile()
     assert (model.nv, model.neq, model.ntendon) == (1, 0, 0)

@@ -19,7 +19,7 @@ from wbmpc.simulation.perturbation import Perturbation
 
 ROBOT = load_robot("rezero")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
-IDEAL = Perturbation.none(drive_lag=0.0)
+IDEAL = Perturbation.none(actuator_time_constant=0.0)
 
 
 def plant(perturbation: Perturbation = IDEAL, seed: int = 0, state=HOME, torque=TORQUE, **options) -> BallPlant:
@@ -261,7 +261,7 @@ def test_a_fault_that_would_never_act_is_rejected(fault: dict[str, str], said: s
 
 
 def test_messages_are_late_and_a_stalled_encoder_stands() -> None:
-    p = plant(Perturbation.none(drive_lag=0.0, state_age=0.005))
+    p = plant(Perturbation.none(actuator_time_constant=0.0, state_age=0.005))
     p.sensors.faults = (SensorFault("stalled", 0, 0.1, 0.2),)
     seen = []
     for _ in range(120):

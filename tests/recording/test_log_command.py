@@ -12,7 +12,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from wbmpc.cli import main
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.recording.writer import McapFile, stamp
 
 RNG = np.random.default_rng(4)
@@ -138,7 +138,7 @@ def test_plots(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_hand_error(run: Path) -> None:
     from wbmpc.recording.plots import hand_error
 
-    times, error = hand_error(read(run))  # type: ignore[misc]
+    times, error = hand_error(read_recording(run))  # type: ignore[misc]
     np.testing.assert_array_equal(times, TIMES)
     np.testing.assert_allclose(error, np.sqrt((POSES[:, :3] ** 2).sum(axis=1)))
 

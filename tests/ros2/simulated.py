@@ -101,7 +101,7 @@ class Simulated:
         position, turned = self.control.robot.pose(self.control.adapter.snapshot()[1])  # type: ignore[index]
         position = position + [dx, 0.0, dz + self.control.adapter.planner.lift]
         pose = {"position": dict(zip("xyz", position)), "orientation": dict(zip("wxyz", turned))}
-        self.send("/hand_goal", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "odom"}, "pose": pose})
+        self.send("/end_effector_goal", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "odom"}, "pose": pose})
 
     def messages(self, level: int) -> list[str]:
         """What diagnostics of a level said."""

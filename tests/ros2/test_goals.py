@@ -14,7 +14,7 @@ from wbmpc.ros2.goals import LEASH, STEP, EndEffectorTrack, Planner, Task, Track
 from wbmpc.ros2.settings import Goals, Speeds
 
 ROBOT, BALL = load_robot("swerve-ur10"), load_robot("rezero")
-SPEEDS = Speeds(base=0.4, turn=0.5, hand=0.2)
+SPEEDS = Speeds(base=0.4, turn=0.5, end_effector=0.2)
 PLANNER = Planner(ROBOT, SPEEDS)
 HAND, TURNED = ROBOT.pose(ROBOT.home)
 
@@ -150,7 +150,7 @@ def test_too_far_is_rejected_at_once(far: float) -> None:
     with pytest.raises(InputError, match=r"the base's goal is"):
         PLANNER.along_base_path(at(), 0.0, Track(np.array([0.0, 1.0]), np.stack([np.zeros(3), pose])), None)
     with pytest.raises(
-        InputError, match=r"the end effector's goal is .* m away, valid: 0 to 100 m \(key 'goals.hand'\)"
+        InputError, match=r"the end effector's goal is .* m away, valid: 0 to 100 m \(key 'goals.end_effector'\)"
     ):
         PLANNER.to_end_effector(at(), 0.0, HAND + pose, TURNED)
     path = EndEffectorTrack(np.array([0.0, 1.0]), np.stack([HAND, HAND + pose]), np.tile(TURNED, (2, 1)))
@@ -160,7 +160,7 @@ def test_too_far_is_rejected_at_once(far: float) -> None:
 
 def test_a_long_way_has_few_samples() -> None:
     """As far as the settings may ever allow: two hours and more by the same speeds."""
-    planner = Planner(ROBOT, SPEEDS, Goals(base=1e4, hand=1e4))
+    planner = Planner(ROBOT, SPEEDS, Goals(base=1e4, end_effector=1e4))
     base = planner.to_base(at(), 3.0, np.array([9e3, 0.0, 0.0])).base
     assert base.times.size < 3000 and base.times[0] == 3.0
     assert base.times[-1] == pytest.approx(3.0 + 0.5 * np.pi * 9e3 / 0.4)

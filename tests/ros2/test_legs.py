@@ -172,6 +172,14 @@ def test_a_bad_topic_is_reported(robot: Any, caplog: pytest.LogCaptureFixture) -
     assert robot.until(lambda: any("4 numbers" in text for text in reported()))
 
 
+def test_a_flood_of_bad_orders_is_a_few_lines(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """Each with another name, so that none is a repetition."""
+    for k in range(200):
+        robot.control.legs._from_topic("/flood", lambda m: robot.control.legs._target("", [m], (), ()), f"leg{k}")
+    assert "unknown leg 'leg199'" in robot.control.legs.refused
+    assert 1 <= sum("/flood: " in r.getMessage() for r in caplog.records) <= 5
+
+
 def test_the_services_bytes_are_those_of_rmw_cyclonedds(robot: Any) -> None:
     """A client of another make: header of 16 bytes (client, number) before the request; the answer begins with the same."""
     s, t = robot, types("jazzy")

@@ -24,7 +24,7 @@ if not MISSING:
     from wbmpc.ros2.settings import RosSettings
 
 
-HAND = "cost.hand.weight"
+HAND = "cost.end_effector.weight"
 
 
 def ask(p: Pair, service: str, kind: str, **values: Any) -> Any:
@@ -69,7 +69,7 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_reported(pair: Calla
     target = SwerveCost()
     target = target.model_copy(
         update={
-            "hand": target.hand.model_copy(update={"weight": 500.0}),
+            "end_effector": target.end_effector.model_copy(update={"weight": 500.0}),
             "state": target.state.model_copy(update={"yaw": 7.0}),
         }
     )
@@ -91,7 +91,7 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_reported(pair: Calla
     ("given", "says"),
     [
         (number("rates.odom", 10.0), "read-only"),
-        (number("cost.hand.wait", 10.0), "did you mean 'cost.hand.weight'"),
+        (number("cost.end_effector.wait", 10.0), "did you mean 'cost.end_effector.weight'"),
         (number(HAND, -1.0), "valid: 0 to"),
         (number(HAND, np.nan), "a finite number is needed"),
         ({"name": HAND, "value": {"type": 4, "string_value": "much"}}, "float is needed, got str"),
@@ -169,7 +169,7 @@ def test_every_input_is_an_endpoint_before_there_is_a_robot(pair: Callable[..., 
     """Who publishes speeds with a node of its own finds a subscription at once."""
     p = pair()
     topics = p.settings.topics
-    inputs = [getattr(topics, n) for n in ("joint_states", "imu", "goal_pose", "hand_goal", "base_path", "hand_path",
+    inputs = [getattr(topics, n) for n in ("joint_states", "imu", "goal_pose", "end_effector_goal", "base_path", "end_effector_path",
               "cmd_vel", "wrench", "legs", "brakes", "leg_configuration")]  # fmt: skip
     there = lambda t: [e.type for e in p.standin.node.subscribers(t) if not e.own]
     assert wait_until(lambda: all(there(t) for t in inputs))

@@ -29,8 +29,8 @@ if not MISSING:
         ("/goal_pose", "odom", {"x": float("nan")}, "a number is not finite"),
         ("/goal_pose", "odom", {"x": 1.0, "z": 5.0}, "has z = 5.00 m in 'odom'; valid: -0.50 to "),
         ("/goal_pose", "base_link", {"x": 1.0, "z": -2.0}, "has z = -2.00 m in 'base_link'; valid: -"),
-        ("/hand_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
-        ("/hand_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
+        ("/end_effector_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
+        ("/end_effector_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
     ],
 )
 def test_a_bad_goal_changes_nothing(

@@ -71,7 +71,10 @@ controllers:
             "topics: {joint_states: /clock}",
             "key 'topics.joint_states': '/clock' always carries rosgraph_msgs/msg/Clock",
         ),
-        ("topics: {hand_pose: tf_static}", "key 'topics.hand_pose': 'tf_static' always carries tf2_msgs/msg/TFMessage"),
+        (
+            "topics: {end_effector_pose: tf_static}",
+            "key 'topics.end_effector_pose': 'tf_static' always carries tf2_msgs/msg/TFMessage",
+        ),
         ("topics: {odom: /robot_description}", "'/robot_description' always carries std_msgs/msg/String"),
         ("topics: {plan: /rosout}", "key 'topics.plan': '/rosout' always carries"),
         ("ignore: [gripper, wheel_LF]", "key 'ignore': 'wheel_LF' is a joint of this robot, which is needed"),
@@ -108,11 +111,11 @@ def test_faults_are_one_message_with_the_file(tmp_path: Path, text: str, says: s
 
 
 def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt(tmp_path: Path) -> None:
-    path, ball = write(tmp_path, "{observer: false, pushed_speed: 1}"), load_robot("rezero")
-    with pytest.raises(InputError, match="pushed_speed: with observer=false nothing uses it"):
+    path, ball = write(tmp_path, "{estimate_disturbance: false, max_pushed_speed: 1}"), load_robot("rezero")
+    with pytest.raises(InputError, match="max_pushed_speed: with estimate_disturbance=false nothing uses it"):
         load_settings(path, ball)
-    settings = load_settings(write(tmp_path, "{observer: true, pushed_speed: 1}"), ball)
-    assert settings.pushed_speed == 1.0  # type: ignore[attr-defined]
+    settings = load_settings(write(tmp_path, "{estimate_disturbance: true, max_pushed_speed: 1}"), ball)
+    assert settings.max_pushed_speed == 1.0  # type: ignore[attr-defined]
 
 
 def test_a_file_without_a_key_is_the_defaults(tmp_path: Path) -> None:
@@ -182,7 +185,7 @@ def test_commands_reject_other_robots_and_missing_files(tmp_path: Path, capsys: 
 
 def test_a_ball_robots_settings_are_its_own(tmp_path: Path) -> None:
     ball = load_robot("rezero")
-    settings = load_settings(write(tmp_path, "joints: {wheel_0: omni_front}\ncost: {hand: {roll: 1.0}}"), ball)
+    settings = load_settings(write(tmp_path, "joints: {wheel_0: omni_front}\ncost: {end_effector: {roll: 1.0}}"), ball)
     assert settings.mpc.horizon == 1.3 and settings.bus_name("wheel_0") == "omni_front"
     assert set(settings.command_topics(ball)) == {"wheel_controller", "arm_controller"}
     with pytest.raises(InputError, match=r"unknown key 'cost.state'"):

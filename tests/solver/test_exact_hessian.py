@@ -7,6 +7,7 @@ import ipopt
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import Rows, ToyDynamics, hardened_pendulum, pendulum, rezero_solver, robot
 from wbmpc.errors import InputError
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
@@ -116,6 +117,7 @@ def test_convergence_is_quadratic_where_gauss_newtons_is_linear() -> None:
     assert slow[2] > 1e-2 * slow[1]
 
 
+@thorough
 @pytest.mark.parametrize("algorithm", [SQP, ILQR])
 def test_robot_and_hard_rows(algorithm: type[SQP]) -> None:
     a, b = (hardened_pendulum(algorithm(iterations=300, hessian=h)).solve(START) for h in ("gauss_newton", "exact"))

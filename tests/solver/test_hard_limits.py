@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from effort import thorough
 from toys import LinearQuadratic, Rows, ToyDynamics, hardened_pendulum, pendulum
 from wbmpc.errors import InputError, SolveFailed
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, sets
@@ -270,7 +271,7 @@ def test_state_equality_along_the_path(backend: str) -> None:
     np.testing.assert_allclose(found.x, x, atol=1e-5)
 
 
-@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("backend", ["compiled", pytest.param("interpreted", marks=thorough)])
 def test_augmented_lagrangian_has_the_optimum_of_the_interior_point(backend: str) -> None:
     soft = box("force", "u", 0.5, hard=False, penalty=AugmentedLagrangian(10.0))
     a = Solver(double_integrator(soft), SQP(backend=backend), use_cache=False).solve(np.array([1.0, 0.5]))

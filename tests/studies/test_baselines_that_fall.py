@@ -74,7 +74,7 @@ def test_swerve_drive_tells_how_its_baseline_ended(how: Ending, goes_on: bool, m
     monkeypatch.setattr(experiment, "run_lockstep", lambda *_: how)
     for part in ("metrics", "plots"):
         monkeypatch.setattr(swerve_drive, part, lambda *_: {})
-    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(rest=0.0), 0)
+    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(settle_time=0.0), 0)
     # what the user ended was not found in the robot
     assert result.faults == ([f"rival: {FELL.reason}; nothing is compared with it"] if how is FELL else [])
     assert result.reason == ("" if how is FELL else ENDED.reason)
@@ -84,7 +84,7 @@ def test_swerve_drive_tells_how_its_baseline_ended(how: Ending, goes_on: bool, m
 def test_a_real_fall_of_the_baseline_is_its_ending(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plant that counts as fallen from its 20 ms on. The search of gains takes such a baseline for infinitely bad."""
     monkeypatch.setattr(SwervePlant, "fell", property(lambda plant: plant.time > 0.02))
-    settings = SwerveDriveSettings(rest=0.0)
+    settings = SwerveDriveSettings(settle_time=0.0)
     mission, _ = tour(SWERVE, 0.1)
     bench = swerve_drive._Run(settings, SWERVE, 0, Log())
     ending = bench.rival(mission, 1.0).ending
@@ -105,7 +105,7 @@ def fixed(monkeypatch: pytest.MonkeyPatch, who: str, how: Ending) -> RunResult:
     monkeypatch.setattr(swerve_fixed, "drive", drive)
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
     monkeypatch.setattr(swerve_fixed, "plots", lambda *_: [])
-    return swerve_fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+    return swerve_fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("forward",), random_time=0.0), 0)
 
 
 @pytest.mark.parametrize("who", ["ik", "four_wheel", "mpc"])

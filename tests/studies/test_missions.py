@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
@@ -83,7 +84,7 @@ def test_clearance_at_the_door() -> None:
 
 
 # ---------------------------------------------------------------------- runs
-QUIET = SwerveDriveSettings(rest=1.0, plant=Perturbation.none(encoder_counts=2**14))
+QUIET = SwerveDriveSettings(settle_time=1.0, plant=Perturbation.none(encoder_counts=2**14))
 
 
 def run_straight(name: str, is_open: bool, knock: float | None = None):  # type: ignore[no-untyped-def]
@@ -118,10 +119,11 @@ def test_the_baseline_drives_and_reconfigures() -> None:
     assert bench.log.array("rival.leg")[-1] == pytest.approx(out, abs=0.02)
 
 
+@thorough
 @pytest.mark.parametrize("legs", ["targets", "support"])
 def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
     experiment = REGISTRY["swerve-unified"]
-    result = experiment.run(experiment.config_type(rest=2.0, legs=legs), 1, None)
+    result = experiment.run(experiment.config_type(settle_time=2.0, legs=legs), 1, None)
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert result.completed, result.reason
     assert 1e-4 < m["hand_error_rms"] < 0.005
@@ -170,8 +172,12 @@ FILE = "calibration=wheels.yaml"
             [FILE, "sensors=false", "localisation.rate=5"],
             "localisation: nothing uses it without sensors=true or calibration=drive",
         ),
-        ("swerve-fixed", ["motions=[]", "random=0"], "motions: none is left, and random is 0"),
-        ("swerve-fixed", ["random=10", "motions=[forward,turning,forward]"], "motions: 'forward' stands there twice"),
+        ("swerve-fixed", ["motions=[]", "random_time=0"], "motions: none is left, and random_time is 0"),
+        (
+            "swerve-fixed",
+            ["random_time=10", "motions=[forward,turning,forward]"],
+            "motions: 'forward' stands there twice",
+        ),
     ],
 )
 def test_what_nothing_reads_or_nobody_can_follow_is_rejected(experiment: str, given: list[str], words: str) -> None:

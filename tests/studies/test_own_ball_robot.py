@@ -97,7 +97,7 @@ def test_wheels_are_reported_from_the_arm(own: RobotModel) -> None:
     log = recorded(own)
     (plot,) = (p for p in common_plots(log, np.zeros(3), np.zeros(2)) if p.title == "Wheel torques")
     assert [s.y[0] for s in plot.series] == [1.0, 2.0, 3.0, 4.0, 5.0]
-    settings = RezeroFrequencySettings(settle=1.3, hold=1.0)
+    settings = RezeroFrequencySettings(settle_time=1.3, hold_time=1.0)
     found = rezero_frequency.metrics(settings, recorded(own, "plain"), {"plain": Ending()})
     assert found["torque_error_rms_plain"].value == pytest.approx(np.sqrt(11.0))
     assert found["arm_torque_error_rms_plain"].value == pytest.approx(np.sqrt(451.0 / 6.0))

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from effort import thorough
 from wbmpc.estimation.force import UNFELT_TIME, ForceMonitor
 from wbmpc.studies.minniti2019 import door as rezero_door
 from wbmpc.studies.minniti2019 import door_control as control
@@ -14,7 +15,7 @@ from wbmpc.studies.minniti2019.door_figures import trial_metrics
 from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 
-SHORT = RezeroDoorSettings(forces=(16.0,), settle=1.0, patience=6.0, rest=0.8)
+SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=6.0, final_hold_time=0.8)
 #: With a mass that nobody tells of: 1 kg felled the robot after the release when the arm had no posture to go back to.
 LOADED = SHORT.model_copy(update={"payload": 1.0})
 
@@ -89,7 +90,7 @@ def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:
     """Half a second of losses from 2.5 to 20 ms: what is planned for now stays inside the cone and is no jump beyond it; without
     contact nothing is planned from the next plan on (12.5 ms, and 10 ms of delay)."""
     monkeypatch.setattr(control, "ContactMonitor", Chattering)
-    settings = SHORT.model_copy(update={"patience": 3.8, "rest": 0.2, "forces": (8.0,)})
+    settings = SHORT.model_copy(update={"timeout": 3.8, "final_hold_time": 0.2, "forces": (8.0,)})
     trial = rezero_door.push_door(settings, 8.0, 2)
     log = trial.log
     assert not trial.ending.reason
@@ -120,16 +121,17 @@ def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> N
         assert rezero_door.bounded(SHORT, robot, force) == (force, "")
     possible, reported = rezero_door.bounded(SHORT, robot, 30.0)
     assert possible == pytest.approx(21.04, rel=2e-3) and "21.0 N only" in reported
-    assert rezero_door.bounded(SHORT.model_copy(update={"hold": 1.0}), robot, 30.0) == (30.0, "")
+    assert rezero_door.bounded(SHORT.model_copy(update={"lean_share": 1.0}), robot, 30.0) == (30.0, "")
 
 
+@thorough
 def test_without_the_row_the_force_is_missed() -> None:
     """The paper's free wrench: the same door, the same force."""
     paper = SHORT.model_copy(
-        update={"scheme": DoorScheme(row=False, identify=False, cone=False), "patience": 4.0, "rest": 0.2}
+        update={"scheme": DoorScheme(row=False, identify=False, cone=False), "timeout": 4.0, "final_hold_time": 0.2}
     )
     trial = rezero_door.push_door(paper, 8.0, 1)
-    figures = trial_metrics(trial, paper.rise)
+    figures = trial_metrics(trial, paper.rise_time)
     assert not trial.ending.reason
     assert figures["force_error_ratio"] > 0.15
     assert figures["touch_peak"] > 8.0

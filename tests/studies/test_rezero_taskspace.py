@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc import lie
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
@@ -68,8 +69,9 @@ def test_torques_of_the_baseline_respect_the_limits() -> None:
     assert np.any(np.abs(torque) > 0.99 * controller.limit)
 
 
+@thorough
 def test_both_controllers_take_the_steps() -> None:
-    settings = RezeroTaskspaceSettings(settle=1.0, hold=1.0)
+    settings = RezeroTaskspaceSettings(settle_time=1.0, hold_time=1.0)
     result = rezero_taskspace.EXPERIMENT.run(settings, 1, None)
     assert result.completed, result.reason
     m, log = {n: v.value for n, v in result.metrics.items()}, result.log
@@ -91,7 +93,7 @@ def test_ctrl_c_in_the_second_part_is_reported() -> None:
 
     # the first part is only there to be over
     slow = RezeroTaskspaceSettings().mpc.model_copy(update={"rate": 40.0})
-    settings = RezeroTaskspaceSettings(settle=0.5, hold=1.0, mpc=slow, control=ControlSettings(rate=200.0))
+    settings = RezeroTaskspaceSettings(settle_time=0.5, hold_time=1.0, mpc=slow, control=ControlSettings(rate=200.0))
     result = rezero_taskspace.EXPERIMENT.run(settings, 1, pressed)
     assert result.interrupted and not result.completed and "interrupted" in result.reason
     # what was not run does not count as an error

@@ -23,7 +23,7 @@ from wbmpc.cli import STEERED, main
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.robots import load_description
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep, watched
@@ -35,7 +35,7 @@ pytest.importorskip("viser")
 live = pytest.importorskip("wbmpc.view.live")
 
 
-SHORT = [text for key in ("forces=[10]", "settle=0.5", "pause=2.0") for text in ("--set", key)]
+SHORT = [text for key in ("forces=[10]", "settle_time=0.5", "pause=2.0") for text in ("--set", key)]
 
 
 def free_port() -> int:
@@ -231,12 +231,12 @@ def test_a_run_begins_anew_from_its_start_on_reset(tmp_path: Path, capsys: pytes
     captured = capsys.readouterr()
     result = json.loads(captured.out)
     assert len(begun) == 2 and f"begun anew; the run until then is in {tmp_path / 'seen'}\n" in captured.err
-    first, second = read(tmp_path / "seen"), read(tmp_path / "seen-2")
+    first, second = read_recording(tmp_path / "seen"), read_recording(tmp_path / "seen-2")
     assert first.metadata["result"]["reason"].endswith("begun anew in the view")
     assert 0.0 < first.duration < second.duration and second.metadata["result"]["completed"] == "true"
     assert main([*arguments, str(tmp_path / "alone")]) == 0
     assert json.loads(capsys.readouterr().out)["metrics"] == result["metrics"]
-    np.testing.assert_array_equal(*(read(tmp_path / n)["/hand/pose"].data for n in ("seen-2", "alone")))
+    np.testing.assert_array_equal(*(read_recording(tmp_path / n)["/hand/pose"].data for n in ("seen-2", "alone")))
 
 
 def test_a_steered_run_says_so(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from wbmpc import lie, reproduce
 from wbmpc.cli import main
 from wbmpc.errors import InputError, WbmpcError
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.recording.writer import McapFile
 from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.view import render
@@ -54,7 +54,9 @@ class Truth:
 def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     folder, truth = tmp_path_factory.mktemp("run"), Truth()
     mpc = record(folder, truth)
-    return SimpleNamespace(folder=folder, truth=truth, film=Film(read(folder)), goal=mpc.reference["hand"].at(0.0))
+    return SimpleNamespace(
+        folder=folder, truth=truth, film=Film(read_recording(folder)), goal=mpc.reference["hand"].at(0.0)
+    )
 
 
 def test_bodies_are_where_they_were(run: SimpleNamespace) -> None:
@@ -93,7 +95,7 @@ def test_recordings_without_pictures_are_rejected(tmp_path: Path) -> None:
     file.put("/mode", "std_msgs/String", 0.0, {"data": "H"})
     file.close()
     with pytest.raises(InputError, match=r"holds no frames \(/tf\) or no scene"):
-        Film(read(tmp_path))
+        Film(read_recording(tmp_path))
 
 
 # ---------------------------------------------------------------------- pages

@@ -134,7 +134,7 @@ def _print_json(fit: WheelFit, names: list[str], hidden: list[str], target: Path
     found, std = fit.calibration, fit.calibration.std
     rows = {
         name: {
-            "steer_zero": float(found.steer_zero[i]),
+            "steer_zero": float(found.steer_offset[i]),
             "wheel_radius": float(found.wheel_radius[i]),
             "steer_zero_std": float(std[0][i]),
             "wheel_radius_std": float(std[1][i]),
@@ -149,11 +149,11 @@ def _print(fit: WheelFit, names: list[str], hidden: list[str], target: Path, pri
     found, std = fit.calibration, fit.calibration.std
     for i, name in enumerate(names):
         typer.echo(
-            f"{name}: steer zero {1e3 * found.steer_zero[i]:.2f} mrad (std {1e3 * std[0][i]:.2f}), "
+            f"{name}: steer zero {1e3 * found.steer_offset[i]:.2f} mrad (std {1e3 * std[0][i]:.2f}), "
             f"radius {1e3 * found.wheel_radius[i]:.3f} mm (std {1e3 * found.wheel_radius[i] * std[1][i]:.3f})"
         )
     mean = found.covariance[: found.modules, : found.modules].mean() ** 0.5
-    typer.echo(f"mean of the steer zeros {1e3 * found.steer_zero.mean():.2f} mrad (std {1e3 * mean:.2f})")
+    typer.echo(f"mean of the steer zeros {1e3 * found.steer_offset.mean():.2f} mrad (std {1e3 * mean:.2f})")
     for text in hidden:
         typer.echo(f"not shown by this drive: {text}")
     if (fit.previous.covariance != prior.covariance).any():

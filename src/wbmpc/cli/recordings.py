@@ -43,9 +43,9 @@ def _summary(recording: Recording) -> dict[str, Any]:
 @log.command()
 def info(file: File, as_json: AsJson = False) -> None:
     """What a recording holds."""
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
 
-    recording = read(file)
+    recording = read_recording(file)
     summary = _summary(recording)
     if as_json:
         typer.echo(json.dumps(summary))
@@ -73,10 +73,10 @@ def plot(
 ) -> None:
     """Draw topics, or an overview, into one HTML page."""
     from wbmpc.recording.plots import of_topics, overview
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
     from wbmpc.report import plots_page
 
-    recording = read(file)
+    recording = read_recording(file)
     path = new_file("--out", out, recording.path.with_name("plots.html"), force)
     plots = of_topics(recording, topics) if topics else overview(recording)
     path.write_text(plots_page(recording.title, str(recording.path), plots))
@@ -94,9 +94,9 @@ def export(
 ) -> None:
     """Write topics as tables for other tools."""
     from wbmpc.recording.export import export as write
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
 
-    recording = read(file)
+    recording = read_recording(file)
     directory = new_directory("--out", out, recording.path.with_name("export"), force)
 
     def check(files: list[Path]) -> None:

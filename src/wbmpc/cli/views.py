@@ -136,7 +136,7 @@ def replay(
     """Show a recording in a browser, with a time bar; or write it as one page."""
     from importlib.util import find_spec
 
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
     from wbmpc.view.replay import Film, Player, write_page
 
     if find_spec("viser") is None:
@@ -146,7 +146,7 @@ def replay(
     access = Access.of(host, not no_token)
     if html is not None:
         new_file("--html", html, html, force)
-    film = Film(read(file))
+    film = Film(read_recording(file))
     with redirect_stdout(io.StringIO()):  # the server's banner
         if html is not None:
             write_page(film, html, port)
@@ -178,7 +178,7 @@ def render(
     as_json: AsJson = False,
 ) -> None:
     """Draw a recording into a film, a GIF or a picture, without a display."""
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
     from wbmpc.view.render import render as draw
     from wbmpc.view.replay import Film
 
@@ -191,7 +191,7 @@ def render(
         new_file(f"--{kind[1:]}", path, path, force)
     if not start >= 0.0:
         raise InputError(f"--start: must not be negative, got {start:g}")
-    film = Film(read(file))
+    film = Film(read_recording(file))
     drawn = {str(path): draw(film, path, (start, end), (width, height), speed) for path, _ in wanted}
     if as_json:
         typer.echo(json.dumps({"pictures": drawn}))

@@ -78,7 +78,7 @@ class FusedOdometry:
         known = self._prior
         if known.modules != n:
             raise InputError(f"odometry: 'calibration' is of {known.modules} modules, the base has {n}")
-        self._reader = WheelOdometry(geometry, leg_zero=known.leg_zero, steer_zero=known.steer_zero)
+        self._reader = WheelOdometry(geometry, leg_offset=known.leg_offset, steer_offset=known.steer_offset)
         p = np.zeros((WHEELS + 2 * n, WHEELS + 2 * n))
         p[:3, :3] = np.diag(np.square(_not_negative("pose_std", numbers("odometry", "pose_std", pose_std, 3))))
         p[BIAS, BIAS] = self.noise.gyro_bias**2
@@ -139,7 +139,7 @@ class FusedOdometry:
         """What is known of the wheels by now."""
         n, prior, c = self._n, self._prior, self._state.mean[WHEELS:]
         radius = prior.wheel_radius * (1.0 + c[n:])
-        return WheelCalibration(prior.steer_zero + c[:n], prior.leg_zero, radius, self._state.p[WHEELS:, WHEELS:])
+        return WheelCalibration(prior.steer_offset + c[:n], prior.leg_offset, radius, self._state.p[WHEELS:, WHEELS:])
 
     # ------------------------------------------------------------------ from outside
     def place(self, pose: ArrayLike, covariance: ArrayLike | None = None) -> None:
@@ -276,7 +276,7 @@ class FusedOdometry:
         # Smoothed, and of the intervals before: the age of this message is in its own derivative and in what it is
         # compared with, and their product would look like a wrong radius.
         by_wheels = self._by_wheels * h
-        now_by_wheels = np.concatenate([moved.by_steer_zero(), moved.by_radius()], axis=1)
+        now_by_wheels = np.concatenate([moved.by_steer_offset(), moved.by_radius()], axis=1)
         self._by_wheels = self._by_wheels + (1.0 - np.exp(-h / SMOOTHING)) * (now_by_wheels / h - self._by_wheels)
         turn = np.nan if gyro is None else gyro * h
         counts = self.noise.reading**2 * float(np.sum(moved.fit[2] ** 2))

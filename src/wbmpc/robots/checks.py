@@ -56,7 +56,7 @@ def check_joints(description: RobotDescription, model: mujoco.MjModel) -> None:
         which, them = (f"joint {names} of", "it") if len(left) == 1 else (f"joints {names} of", "them")
         raise InputError(
             f"{description.source}: {which} {description.model} can move, but no key names {them}: "
-            f"name {them} in {description.joint_keys(' or ')}, or hold {them} with 'lock: {{{hold}}}' [rad or m]"
+            f"name {them} in {description.joint_keys(' or ')}, or hold {them} with 'fixed_joints: {{{hold}}}' [rad or m]"
         )
 
 

@@ -143,7 +143,9 @@ def reject_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None
         spec.delete(element)
 
 
-_UNKNOWN = "of which the planner's equations know nothing: take it out of the file, or hold its joints with 'lock'"
+_UNKNOWN = (
+    "of which the planner's equations know nothing: take it out of the file, or hold its joints with 'fixed_joints'"
+)
 
 
 def _body_of(model: mujoco.MjModel, joint: int) -> str:

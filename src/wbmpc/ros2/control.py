@@ -55,7 +55,7 @@ class ControlNode:
         self.period = 1.0 / settings.rates.control
         self.clock: WallClock | BusClock = WallClock(turns=TURNS)
         if settings.lockstep:  # the MPC begins a period after its observation
-            self.clock = BusClock(max(settings.mpc.delay - self.period, 0.0))
+            self.clock = BusClock(max(settings.mpc.computation_delay - self.period, 0.0))
         elif settings.use_sim_time:
             self.clock = BusClock()
         self.runner: RealTimeRunner | None = None

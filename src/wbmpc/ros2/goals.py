@@ -58,7 +58,7 @@ class Track:
 
 @dataclass(frozen=True)
 class EndEffectorTrack:
-    """Positions (n, 3) [m] and quaternions (n, 4) of the end effector over times (n,) [s]."""
+    """Positions (n, 3) [m] and quaternions (n, 4) of the hand over times (n,) [s]."""
 
     times: Array
     positions: Array
@@ -183,7 +183,7 @@ class Planner:
         angle = np.linalg.norm(
             lie.quaternion_log(lie.quaternion_multiply(lie.quaternion_conjugate(turned), orientation))
         )
-        way = float(np.linalg.norm(position - start)) / self.speeds.hand
+        way = float(np.linalg.norm(position - start)) / self.speeds.end_effector
         times, share = _profile(max(way, float(angle) / self.speeds.turn))
         quaternions = np.array([lie.slerp(turned, orientation, s) for s in share])
         return EndEffectorTrack(t + times, start + share[:, None] * (position - start), quaternions)
@@ -213,7 +213,7 @@ class Planner:
 
     def _check_end_effector(self, x: Array, positions: Array) -> None:
         """The base takes the arm there over the floor; the height is what the arm reaches above the floor."""
-        self._check_far("hand", positions[:, :2], self.robot.pose(x)[0][:2])
+        self._check_far("end_effector", positions[:, :2], self.robot.pose(x)[0][:2])
         middle, heights = self.lift + self.shoulder, self.lift + positions[:, 2]
         low, high = max(middle - self.reach, 0.0), middle + self.reach
         over = np.maximum(heights - high, low - heights)
@@ -223,12 +223,12 @@ class Planner:
                 f"the end effector's goal is out of reach: height {heights[k]:.2f} m, possible {low:.2f} to {high:.2f} m"
             )
 
-    def _check_far(self, who: str, places: Array, here: Array) -> None:
-        """Places (n, 2) on the floor against the settings' ``goals``, from ``here`` (2)."""
-        limit = getattr(self.goals, who)
+    def _check_far(self, key: str, places: Array, here: Array) -> None:
+        """Places (n, 2) on the floor against ``key`` of the settings' ``goals``, from ``here`` (2)."""
+        limit, who = getattr(self.goals, key), key.replace("_", " ")
         farthest = float(np.hypot(*(places - here).T).max())
         if farthest > limit:
-            raise InputError(f"the {who}'s goal is {farthest:.4g} m away, valid: 0 to {limit:g} m (key 'goals.{who}')")
+            raise InputError(f"the {who}'s goal is {farthest:.4g} m away, valid: 0 to {limit:g} m (key 'goals.{key}')")
 
 
 def timed(positions: Array, turns: Array, times: Array | None, t: float, speed: float, turn: float) -> Array:
@@ -254,7 +254,9 @@ def end_effector_track(
 ) -> EndEffectorTrack:
     """A path of the end effector."""
     turns = np.array([2.0 * np.arccos(min(abs(float(a @ b)), 1.0)) for a, b in pairwise(orientations)])
-    return EndEffectorTrack(timed(positions, turns, times, t, speeds.hand, speeds.turn), positions, orientations)
+    return EndEffectorTrack(
+        timed(positions, turns, times, t, speeds.end_effector, speeds.turn), positions, orientations
+    )
 
 
 def planar_path(positions: Array, orientations: Array) -> Array:

@@ -13,7 +13,7 @@ from wbmpc.checks import is_covariance
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import Node
-from wbmpc.ros2.convert import nearest_turn, planar, read_pose, seconds
+from wbmpc.ros2.convert import error_message, nearest_turn, planar, read_pose, seconds
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.runtime.safety import SafeStop
@@ -88,9 +88,10 @@ class PoseSource:
         try:
             self._read(message)
         except InputError as error:
-            if str(error) != self._wrong:
-                self._limit.log(_LOG, logging.ERROR, "wrong", str(error))
-            self._wrong = str(error)
+            said = error_message(error)
+            if said != self._wrong:
+                self._limit.log(_LOG, logging.ERROR, "wrong", said)
+            self._wrong = said
         else:
             self._wrong = ""
 

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from wbmpc.ros2.bus import SENSOR, Node
+from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.convert import error_message
 
 _LOG = logging.getLogger("wbmpc")
@@ -36,7 +36,7 @@ class MultiTypeSubscriber:
         for kind in kinds:
             try:
                 self._ends[kind] = self._node.subscribe(
-                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)
+                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes), largest=SMALL
                 )
             except Exception as error:
                 fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {error_message(error)}"

@@ -35,8 +35,8 @@ class Publishers:
         self.controller = controller
         topics = controller.settings.topics
         kinds = {
-            "odom": "nav_msgs/msg/Odometry", "hand_pose": "geometry_msgs/msg/PoseStamped", "plan": "nav_msgs/msg/Path",
-            "hand_plan": "nav_msgs/msg/Path", "footprint": "visualization_msgs/msg/MarkerArray",
+            "odom": "nav_msgs/msg/Odometry", "end_effector_pose": "geometry_msgs/msg/PoseStamped", "plan": "nav_msgs/msg/Path",
+            "end_effector_plan": "nav_msgs/msg/Path", "footprint": "visualization_msgs/msg/MarkerArray",
             "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
         }  # fmt: skip
         names = {key: getattr(topics, key) for key in kinds}
@@ -95,7 +95,7 @@ class Publishers:
             upright_again = np.asarray(lie.quaternion_conjugate(e.orientation))
             transforms.append(_transform(now, frames.base, part, np.zeros(3), upright_again))
         self._send("tf", {"transforms": transforms})
-        self._send("hand_pose", {"header": header(now, frames.world), "pose": pose(*self._end_effector(x))})
+        self._send("end_effector_pose", {"header": header(now, frames.world), "pose": pose(*self._end_effector(x))})
 
     def _end_effector(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pose of the end effector above the floor."""
@@ -116,7 +116,7 @@ class Publishers:
         for x in policy.x[nodes]:
             self.controller.yield_to_controller()
             end_effector.append(self._end_effector(x))
-        for key, poses in (("plan", base), ("hand_plan", end_effector)):
+        for key, poses in (("plan", base), ("end_effector_plan", end_effector)):
             positions, turned = (np.array(part) for part in zip(*poses, strict=True))
             self._send(key, path(now, world, positions, turned, times))
 

@@ -13,7 +13,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, Node
+from wbmpc.ros2.bus import DEFAULT, LONG, Node
 from wbmpc.ros2.convert import error_message, planar, read_pose, read_vector, seconds, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track, planar_path
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
@@ -57,11 +57,13 @@ class RequestQueue:
         )
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
         for key, take in {
-            "goal_pose": self._goal_pose, "hand_goal": self._end_effector_goal, "base_path": self._base_path,
-            "hand_path": self._end_effector_path, "wrench": self._take_wrench,
+            "goal_pose": self._goal_pose, "end_effector_goal": self._end_effector_goal, "base_path": self._base_path,
+            "end_effector_path": self._end_effector_path, "wrench": self._take_wrench,
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
-                node.subscribe(topic, REQUEST_TYPES[key], partial(self._try, topic, take), DEFAULT, deferred=True)
+                node.subscribe(
+                    topic, REQUEST_TYPES[key], partial(self._try, topic, take), DEFAULT, deferred=True, largest=LONG
+                )
 
     # ------------------------------------------------------------------ taken up
     def take(self) -> Request | None:

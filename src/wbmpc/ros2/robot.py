@@ -15,9 +15,9 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.base_adapter import BaseAdapter, Groups
-from wbmpc.ros2.bus import SENSOR, Node
+from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.convert import seconds
+from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.joints import Inertial, JointReader, JointSample, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.trajectory_client import Sender, senders
@@ -68,9 +68,11 @@ class BusRobot:
         self._armed = False
         self._stopping: float | None = None
         self._last = adapter.rest()
-        node.subscribe(settings.topics.joint_states, "sensor_msgs/msg/JointState", self._take_joints, SENSOR)
+        node.subscribe(
+            settings.topics.joint_states, "sensor_msgs/msg/JointState", self._take_joints, SENSOR, largest=SMALL
+        )
         if settings.topics.imu:
-            node.subscribe(settings.topics.imu, "sensor_msgs/msg/Imu", self._take_imu, SENSOR)
+            node.subscribe(settings.topics.imu, "sensor_msgs/msg/Imu", self._take_imu, SENSOR, largest=SMALL)
         elif adapter.needs_imu:
             raise InputError("topics.imu: this robot needs an inertial unit")
         self._senders: list[Sender] = senders(node, adapter.robot, settings)
@@ -80,7 +82,7 @@ class BusRobot:
         try:
             sample = self._reader.read(message)
         except InputError as error:
-            self._note("joints", str(error))
+            self._note("joints", error_message(error))
             if not self._armed:
                 self._reader.reset()
             return
@@ -96,7 +98,7 @@ class BusRobot:
         try:
             taken, at = read_imu(message), seconds(message.header.stamp)
         except InputError as error:
-            self._note("imu", str(error))
+            self._note("imu", error_message(error))
             return
         self._good("imu")
         with self._lock:

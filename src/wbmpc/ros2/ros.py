@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosidl_runtime_py.utilities import get_message, get_service
 
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, Endpoint, Qos, full_name
+from wbmpc.ros2.bus import DEFAULT, LARGEST, Endpoint, Qos, full_name
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.mismatch import Mismatches, Ours
 from wbmpc.ros2.parameters import Parameters, descriptor_of
@@ -68,7 +68,7 @@ class RosNode:
 
     def subscribe(
         self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
-        others: tuple[str, ...] = (),
+        others: tuple[str, ...] = (), largest: int = LARGEST,
     ) -> Callable[[], None]:  # fmt: skip
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
         go on. Returns what ends it."""
@@ -80,7 +80,7 @@ class RosNode:
             try:
                 callback(message)
             except Exception as error:
-                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {type(error).__name__}: {error}")
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
         later = lambda message: self._deferred.append((call, message))
         taken = later if deferred else call

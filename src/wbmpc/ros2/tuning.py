@@ -55,7 +55,7 @@ def _weights(prefix: str, cost: Settings) -> list[Parameter]:
 
 
 def changed_cost(cost: Any, values: dict[str, Value]) -> Any:
-    """Settings with other weights, named as in ``cost.hand.weight``. Raises :class:`InputError`."""
+    """Settings with other weights, named as in ``cost.end_effector.weight``. Raises :class:`InputError`."""
     data = cost.model_dump()
     for name, value in values.items():
         *path, last = name.split(".")[1:]

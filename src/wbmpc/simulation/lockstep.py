@@ -62,7 +62,7 @@ class Timing:
                 f"plans; valid: the controller's rate or a whole part of it"
             )
         every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
-        return cls(period, steps, every, whole("mpc.delay", delay, period, "controller periods", least=0))
+        return cls(period, steps, every, whole("mpc.computation_delay", delay, period, "controller periods", least=0))
 
 
 @dataclass(frozen=True)

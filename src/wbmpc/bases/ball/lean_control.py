@@ -74,7 +74,7 @@ class LeanControl:
             _LOG.warning("%s", self.push_fault)
         if t - self._driven_since >= HELD:
             raise DisturbanceTooLarge(
-                f"{what}: the ball goes faster than {self.speed:g} m/s (pushed_speed); motors off"
+                f"{what}: the ball goes faster than {self.speed:g} m/s (max_pushed_speed); motors off"
             )
 
     def _borne(self, force: Array, yaw: float) -> Array:

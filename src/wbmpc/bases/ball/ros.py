@@ -209,7 +209,9 @@ class BallRosAdapter:
         self._model.solver.simulate(robot.home, self._torque, period)
         resting(robot, *robot.pose(robot.home))
         self._push = (
-            PushEstimator(robot, robot.home[robot.state["arm"]], settings.brace) if settings.brace > 0.0 else None
+            PushEstimator(robot, robot.home[robot.state["arm"]], settings.expected_push_time)
+            if settings.expected_push_time > 0.0
+            else None
         )
         home = robot.home[robot.state["arm"]]
         self._lean_control = lean_control_of(settings, robot, home)
@@ -219,7 +221,13 @@ class BallRosAdapter:
         s = self.settings
         estimator = BallEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
         controller = BusBallController(
-            self.robot, self._model, self._torque, self.period, DriveSettings(s.drive_lag), s.observer, estimator
+            self.robot,
+            self._model,
+            self._torque,
+            self.period,
+            DriveSettings(s.actuator_time_constant),
+            s.estimate_disturbance,
+            estimator,
         )
         controller.fix, controller.answer, controller.shoves = self.fix, self._answer, self._push
         controller.lean_control = self._lean_control

@@ -231,7 +231,7 @@ def _shown(previous: WheelCalibration, found: WheelCalibration, part: slice) -> 
 
 def _numbers(wheels: WheelCalibration, geometry: ModuleGeometry) -> Array:
     """Zeros [rad] and relative errors of radii (2n)."""
-    return np.concatenate([wheels.steer_zero, wheels.wheel_radius / geometry.wheel_radius - 1.0])
+    return np.concatenate([wheels.steer_offset, wheels.wheel_radius / geometry.wheel_radius - 1.0])
 
 
 def _surprise(previous: WheelCalibration, found: WheelCalibration, part: slice, apart: Array) -> float:
@@ -334,7 +334,7 @@ def _as_believed(
         ways = ways[:, shown >= SHOWN]
         apart[part] = root @ ways @ ways.T @ np.linalg.pinv(root) @ apart[part]
     radius = previous.wheel_radius + geometry.wheel_radius * apart[n:]
-    return replace(found, steer_zero=previous.steer_zero + apart[:n], wheel_radius=radius)
+    return replace(found, steer_offset=previous.steer_offset + apart[:n], wheel_radius=radius)
 
 
 def _contradicted(odometry: FusedOdometry) -> bool:

@@ -274,7 +274,7 @@ class SwerveBase:
         found = joint_limits(self, description, self._groups, limits.velocity, limits.acceleration, twist)
         steering = self.base.joint_groups()["steer"]
         found.actuator_upper[Layout(self.input)["steer"]] = [
-            limits.drive_velocity.get(name, limits.velocity.get(name, np.inf)) for name in steering
+            limits.actuator_velocity.get(name, limits.velocity.get(name, np.inf)) for name in steering
         ]
         return found
 

@@ -25,7 +25,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.localization import Localisation
-from wbmpc.simulation.payloads import PAYLOAD, add_load, add_payload, incline
+from wbmpc.simulation.payloads import PAYLOAD, add_body_payload, add_payload, incline
 from wbmpc.simulation.perturbation import Draw, Perturbation, quantise
 from wbmpc.simulation.world import (
     ROBOT,
@@ -145,7 +145,7 @@ class SwervePlant(InWorld):
             )  # fmt: skip
             self._normal_force_sensor(spec, f"contact_{module.wheel}")
             for joint in (module.steer, module.wheel):
-                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, p.joint_loss
+                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, p.dry_friction
             if module.hinge:
                 spec.joint(module.hinge).damping = [1.0, 0, 0]
             self._servo(spec, module.wheel, _VELOCITY_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
@@ -158,8 +158,8 @@ class SwervePlant(InWorld):
         self._add_imu(spec)
         if p.payload > 0.0:
             add_payload(spec, self.description.arm.tool, p.payload)
-        if p.load > 0.0:
-            add_load(spec, self.base.body, p.load)
+        if p.body_payload > 0.0:
+            add_body_payload(spec, self.base.body, p.body_payload)
         if p.slope > 0.0:
             incline(spec, p.slope, draw.downhill)
         if edit is not None:

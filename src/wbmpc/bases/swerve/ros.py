@@ -191,7 +191,7 @@ class SwerveRosAdapter:
         s = self.settings
         gyro = s.use_gyro and self._has_imu
         controller = BusSwerveController(
-            self.robot, pose, self.period, self.brakes, tracking=TrackingSettings(lag=s.drive_lag),
+            self.robot, pose, self.period, self.brakes, tracking=TrackingSettings(lag=s.actuator_time_constant),
             estimation=EstimatorSettings(use_gyro=gyro), monitor=self._new_monitor(), guard=s.leg_guard,
         )  # fmt: skip
         controller.estimator.fix = self.fix

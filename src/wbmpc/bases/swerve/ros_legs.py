@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.brake_control import BrakeControl, reject_floating, reject_floating_way
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.bus import DEFAULT, Node
+from wbmpc.ros2.bus import DEFAULT, SMALL, Node
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 from wbmpc.stability import leg_angles
@@ -57,6 +58,7 @@ class Legs:
         self.angles: Array | None = None
         self.moving = np.zeros(len(self.names), dtype=bool)
         self.rejected = self.short = ""
+        self._limit = RateLimit()
         self._nearest, self._since = np.zeros(
             (2, len(self.names))
         )  # of legs on their way: distance [rad], since when [s]
@@ -71,7 +73,12 @@ class Legs:
         for key, take in takes.items():
             if topic := getattr(topics, key):
                 node.subscribe(
-                    topic, REQUEST_TYPES[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True
+                    topic,
+                    REQUEST_TYPES[key],
+                    partial(self._from_topic, topic, take),
+                    DEFAULT,
+                    deferred=True,
+                    largest=SMALL,
                 )
         if topics.set_legs:
             try:
@@ -102,7 +109,7 @@ class Legs:
     def reject(self, message: str) -> None:
         """Say once why an order is not taken."""
         if message != self.rejected:
-            _LOG.warning("%s", message)
+            self._limit.log(_LOG, logging.WARNING, message.split(":")[0], message)
         self.rejected = message
 
     def _target(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:

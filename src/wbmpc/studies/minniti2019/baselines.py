@@ -36,14 +36,14 @@ REGULATORS = ("lqr", "scheduled-lqr")
 
 class RegulatorSettings(Settings):
     """Factors of the MPC's weights of torques (``torque``; another one of the arm's, ``arm``), ball speed and tilt rate
-    (``damping``), the arm's angles and rates (``posture``), end effector (``hand``); ``most`` [m]: position errors beyond it are cut."""
+    (``damping``), the arm's angles and rates (``posture``), end effector (``hand``); ``max_error`` [m]: position errors beyond it are cut."""
 
     torque: float = Field(1.0, gt=0)
     arm: float = Field(1.0, gt=0)
     posture: float = Field(1.0, gt=0)
     damping: float = Field(1.0, gt=0)
     hand: float = Field(1.0, gt=0)
-    most: float = Field(0.1, gt=0)
+    max_error: float = Field(0.1, gt=0)
 
 
 class SeparateSettings(Settings):
@@ -109,7 +109,7 @@ class ActuatorSettings(Settings):
     wheel_damping: Weight = ActuatorGains.wheel_damping
     arm_stiffness: Weight = ActuatorGains.arm_stiffness
     arm_damping: Weight = ActuatorGains.arm_damping
-    bleed: float = Field(ActuatorGains.bleed, gt=0)
+    leak_time_constant: float = Field(ActuatorGains.leak_time_constant, gt=0)
 
 
 class TrackingSettings(Settings):
@@ -138,26 +138,42 @@ _PLAN = frozenset(
 #: What regulators take of the costs (:func:`regulator_weights`) is all but these; what `separate` and its like take: these.
 _NO_REGULATORS = frozenset(
     f"cost.{n}"
-    for n in ("hand.limit", "hand.turn_limit", "terminal", "lean", "speed_slack", "torque.force", "torque.moment")
+    for n in (
+        "end_effector.limit",
+        "end_effector.turn_limit",
+        "terminal",
+        "lean",
+        "speed_slack",
+        "torque.force",
+        "torque.moment",
+    )
 )
 _SEPARATES = frozenset(
     f"cost.{n}"
-    for n in ("hand.weight", "hand.orientation", "hand.roll", "body.yaw", "body.yaw_rate", "body.arm", "lean")
+    for n in (
+        "end_effector.weight",
+        "end_effector.orientation",
+        "end_effector.roll",
+        "body.yaw",
+        "body.yaw_rate",
+        "body.arm",
+        "lean",
+    )
 )
 
 
 def unread(controller: Controller, tracking: TrackingSettings) -> frozenset[str]:
     """Names of the ball robot's settings that a controller does not read."""
-    baselines = {f"rival.{name}" for name in BaselineSettings.model_fields if name != controller.replace("-", "_")}
+    baselines = {f"baseline.{name}" for name in BaselineSettings.model_fields if name != controller.replace("-", "_")}
     if controller == "mpc":
-        return frozenset(baselines | {"drive_dead_time" if tracking.kind == "actuators" else "tracking.gains"})
-    idle = baselines | {"brace", "pushed_speed", "weigh", "tracking.kind", "tracking.gains"}
+        return frozenset(baselines | {"actuator_dead_time" if tracking.kind == "actuators" else "tracking.gains"})
+    idle = baselines | {"expected_push_time", "max_pushed_speed", "estimate_payload", "tracking.kind", "tracking.gains"}
     if controller in REGULATORS:
         return frozenset(idle | _PLAN | _NO_REGULATORS)
     if controller == "taskspace":
-        return frozenset(idle | _PLAN | _weights() | {"drive_dead_time"})
-    blind = {"observer"} if controller == "separate" else set()
-    return frozenset(idle | blind | {"mpc.first_interval", "drive_dead_time"} | (_weights() - _SEPARATES))
+        return frozenset(idle | _PLAN | _weights() | {"actuator_dead_time"})
+    blind = {"estimate_disturbance"} if controller == "separate" else set()
+    return frozenset(idle | blind | {"mpc.first_interval", "actuator_dead_time"} | (_weights() - _SEPARATES))
 
 
 @dataclass(frozen=True)
@@ -176,8 +192,8 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController,
     """The controller that the settings name, and the MPC that plans for it (None: nothing does)."""
     policies = settings.controller == "mpc" and settings.tracking.kind != "actuators"
     late = policies or settings.controller in REGULATORS
-    drives = DriveSettings(settings.drive_lag, settings.drive_dead_time if late else 0.0)
-    own = (p.robot, p.mpc, p.torque, p.period, drives, settings.observer, p.estimator)
+    drives = DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time if late else 0.0)
+    own = (p.robot, p.mpc, p.torque, p.period, drives, settings.estimate_disturbance, p.estimator)
     name = settings.controller
     if name == "mpc":
         more = (*own, FallPredictor(p.robot, p.arm))
@@ -187,10 +203,12 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController,
     if name == "taskspace":
         return _taskspace(settings, p), None
     if name in REGULATORS:
-        gains = settings.rival.lqr if name == "lqr" else settings.rival.scheduled_lqr
+        gains = settings.baseline.lqr if name == "lqr" else settings.baseline.scheduled_lqr
         controller = LqrController(*own)
         regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
-        controller.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.most)
+        controller.regulate(
+            regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.max_error
+        )
         controller.forecast = _felt(p)
         return controller, None
     return _separate(settings, p)
@@ -206,8 +224,8 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceController:
         pose = p.mpc.reference["hand"].at(t)
         return pose[:3], pose[3:]
 
-    home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.rival.taskspace.model_dump())
-    more = (p.period, DriveSettings(settings.drive_lag), settings.observer, p.estimator)
+    home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.baseline.taskspace.model_dump())
+    more = (p.period, DriveSettings(settings.actuator_time_constant), settings.estimate_disturbance, p.estimator)
     controller = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
     controller.stance = lambda t: p.mpc.reference["body"].at(t)
     controller.forecast = _felt(p)
@@ -216,8 +234,8 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceController:
 
 def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, MPC]:
     name = settings.controller
-    gains: SeparateSettings = getattr(settings.rival, name.replace("-", "_"))
-    h, b = settings.cost.hand, settings.cost.body
+    gains: SeparateSettings = getattr(settings.baseline, name.replace("-", "_"))
+    h, b = settings.cost.end_effector, settings.cost.body
     weights = {"ball": gains.ball, "ball_speed": gains.ball_speed, "tilt_rate": gains.tilt_rate}
     cost = settings.cost.model_copy(update={
         "body": b.model_copy(update=weights),
@@ -229,7 +247,8 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
         p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1)
     )
     controller = SeparateController(
-        p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.drive_lag), settings.observer and name != "separate", p.estimator,
+        p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.actuator_time_constant),
+        settings.estimate_disturbance and name != "separate", p.estimator,
         planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral), aware=name == "separate-aware",
     )  # fmt: skip
     controller.forecast = _felt(p)
@@ -240,7 +259,7 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
 
 def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: RegulatorSettings) -> LqrWeights:
     """The MPC's weights, times the baseline's factors, for a regulator."""
-    h, b, t = settings.cost.hand, settings.cost.body, settings.cost.torque
+    h, b, t = settings.cost.end_effector, settings.cost.body, settings.cost.torque
     fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
     arm, joints = r.posture * np.array([b.arm, b.arm_rate]), robot.base.nq - 5
     state = robot.state.vector({

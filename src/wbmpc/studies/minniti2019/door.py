@@ -33,7 +33,7 @@ LABELS = ("low", "high")
 #: Where the end effector touches the panel, from the hinge; the gap before it [m].
 LEVER, GAP = 0.7, 0.10
 HERE = [
-    "the door's hinge is where it is believed to be within misplaced; the closed panel's place is learnt from the touch",
+    "the door's hinge is where it is believed to be within door_position_error; the closed panel's place is learnt from the touch",
     "only the rubber tip of the end effector touches the door, and only its panel; the robot's body does not",
     "the force sensor has noise of 0.1 N and a bias of 0.1 N for each axis; it stands between end effector and tip",
     "the closer's torque is constant, dry friction is Coulomb's",
@@ -45,8 +45,8 @@ NOMINAL = (2.56, 12.0, 3.5)
 def make_plant(
     settings: RezeroDoorSettings, robot: RobotModel, home: np.ndarray, torque: np.ndarray, seed: int
 ) -> DoorPlant:
-    """The robot before a door that stands up to ``misplaced`` away from where it is believed to be."""
-    error = np.random.default_rng([seed, 23]).uniform(-settings.misplaced, settings.misplaced, 2)
+    """The robot before a door that stands up to ``door_position_error`` away from where it is believed to be."""
+    error = np.random.default_rng([seed, 23]).uniform(-settings.door_position_error, settings.door_position_error, 2)
     hinge = np.array(believed(robot.pose(home)[0]).hinge) + error
     door = Door((float(hinge[0]), float(hinge[1])), **DOORS[settings.door])
     return DoorPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
@@ -64,7 +64,7 @@ def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
     """The steady force [N] on the end effector that the limit of the lean holds at home; infinite without that limit.
 
     A door that gives way takes the force from a robot that leans for it: what the lean then needs to be stopped is left over by
-    ``hold``. (Rezero: 35 N. Pushed with 30 N it ran after doors and fell, tuning seeds 1 and 6.)"""
+    ``lean_share``. (Rezero: 35 N. Pushed with 30 N it ran after doors and fell, tuning seeds 1 and 6.)"""
     if settings.cost.lean == 0.0:
         return np.inf
     balance = Balance.of(robot, robot.home[robot.state["arm"]])
@@ -73,17 +73,19 @@ def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
 
 def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tuple[float, str]:
     """The force [N] to push with where ``force`` is asked for, and a message (a warning too) if it is less."""
-    maximum = settings.hold * held(settings, robot)
+    maximum = settings.lean_share * held(settings, robot)
     if force <= maximum:
         return force, ""
-    fault = f"pushed with {maximum:.1f} N only: of what the lean can hold, the rest is for doors that give way (hold)"
+    fault = (
+        f"pushed with {maximum:.1f} N only: of what the lean can hold, the rest is for doors that give way (lean_share)"
+    )
     _LOG.warning("%s, at %g N", fault, force)
     return maximum, fault
 
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
     """One run with the reference ``force`` [N]."""
-    robot = ball_robot(settings, settings.weigh and settings.observer, contact="force")
+    robot = ball_robot(settings, settings.estimate_payload and settings.estimate_disturbance, contact="force")
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0])
     push = settings.push or suited(settings.scheme)
@@ -92,7 +94,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
         settings.mpc.solver(), settings.mpc.rate,
     )  # fmt: skip
     plant = make_plant(settings, robot, home, torque, seed)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     possible, fault = bounded(settings, robot, force)
     controller = make_controller(settings, possible, robot, mpc, home, torque, timing.period, geometry)
     log = Log()
@@ -101,7 +103,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
         record_rezero(log, t, plant, controller, command.torque)
         record_door(log, t, plant, controller, plans)
 
-    duration = settings.settle + settings.patience + settings.rest
+    duration = settings.settle_time + settings.timeout + settings.final_hold_time
     outcome = Loop(plant, controller, mpc, timing, duration, record).run(progress)
     return Trial(force, log, outcome.ending, mpc, (*filter(None, [fault]), *outcome.faults))
 
@@ -112,9 +114,9 @@ def make_controller(
 ) -> DoorController:  # fmt: skip
     """The controller at home, with its references and what it is to do."""
     end_effector, quaternion = robot.pose(home)
-    target = lambda t: force * float(np.clip(t / max(settings.rise, 1e-9), 0.0, 1.0))
+    target = lambda t: force * float(np.clip(t / max(settings.rise_time, 1e-9), 0.0, 1.0))
     push = Push(
-        target, end_effector, quaternion, settings.settle, settings.speed, settings.open, settings.settle + settings.patience,
+        target, end_effector, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
         back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
     )  # fmt: skip
     for body in ("body", "push_body"):
@@ -134,8 +136,8 @@ def make_controller(
         settings.scheme.identify,
         torque,
         period,
-        DriveSettings(settings.drive_lag, settings.drive_dead_time),
-        settings.observer,
+        DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time),
+        settings.estimate_disturbance,
         estimator,
         FallPredictor(robot, robot.home[robot.state["arm"]]),
     )
@@ -172,7 +174,7 @@ def build(settings: RezeroDoorSettings, seed: int) -> Scenario:
     names, log = LABELS[-len(settings.forces) :], Log()
     return Scenario(
         log, [Part(f"{force:g} N", partial(push, force)) for force in sorted(settings.forces)],
-        lambda run: {**metrics(trials, names, settings.rise), **worst_estimates(trials)},
+        lambda run: {**metrics(trials, names, settings.rise_time), **worst_estimates(trials)},
         lambda run: [plot for name, t in zip(names, trials, strict=False) for plot in door_plots(name, t, settings)],
         [*HERE, *IDEALISATIONS],
     )  # fmt: skip

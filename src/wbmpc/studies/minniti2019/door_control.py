@@ -67,7 +67,7 @@ def modes(door: bool) -> dict[str, Mode]:
 @dataclass(frozen=True)
 class Push:
     """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the end effector starts from ``start`` (3) [m] at time
-    ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``open`` [rad] or, touch or not, at time ``give_up`` [s]
+    ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``opening_angle`` [rad] or, touch or not, at time ``give_up`` [s]
     and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries."""
 
     force: Callable[[float], float]

@@ -104,7 +104,9 @@ def ball_robot(settings: RezeroSettings, payload: bool = False, contact: str = "
 
 def robot_of(settings: RezeroSettings) -> RobotModel:
     """The ball robot as the controller of the settings models it: with a mass at the end effector where that is estimated."""
-    return ball_robot(settings, settings.weigh and settings.observer and settings.controller == "mpc")
+    return ball_robot(
+        settings, settings.estimate_payload and settings.estimate_disturbance and settings.controller == "mpc"
+    )
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ def ball_system(
     for term, reference in references.items():
         mpc.reference[term] = reference
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
     controller, planner = make_controller(settings, Parts(robot, mpc, torque, timing.period, estimator, arm))
     mpc.reset(home, torque)
@@ -160,9 +162,9 @@ def task_scenario(
     if settings.controller == "mpc":
         robot = controller.robot
         controller.lean_control = lean_control_of(settings, robot, task.arm)
-        if settings.brace > 0.0 and controller.estimator is not None:
+        if settings.expected_push_time > 0.0 and controller.estimator is not None:
             # (states from the simulator with noise are all pushes)
-            controller.shoves = PushEstimator(robot, task.arm, settings.brace)
+            controller.shoves = PushEstimator(robot, task.arm, settings.expected_push_time)
 
     def record(t: float, command: Any, plans: Any) -> None:
         if previous is not None:

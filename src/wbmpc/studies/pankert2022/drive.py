@@ -96,13 +96,13 @@ class _Run:
         mpc.reference["hand"] = Reference.poses(t, *riding(robot, home, mission.base(t)[0]))
         brakes = BrakeControl(robot, delay=s.plant.brake_delay, changed=mpc.set_schedule)
         mission.apply(brakes)
-        timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
+        timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)
         controller = SwerveController(
-            robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=s.drive_lag),
-            estimation=EstimatorSettings(use_gyro=s.use_gyro, odd_wheels=s.odd_wheels),
+            robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=s.actuator_time_constant),
+            estimation=EstimatorSettings(use_gyro=s.use_gyro, reject_lifted_wheels=s.reject_lifted_wheels),
             supervision=SupervisionSettings(guard=s.leg_guard and knock is None, report=brakes.accept),
         )  # fmt: skip
-        stand_still(plant, controller, timing, s.rest)
+        stand_still(plant, controller, timing, s.settle_time)
         mpc.reset(home)
         hit = None if knock is None else Knock(knock, plant, plant.time, corners(robot)["LF"])
         plant.external = hit
@@ -119,7 +119,7 @@ class _Run:
         """The rolling inverse kinematics on the same way: same plant, odometry and brakes."""
         s, robot, name = self.settings, self.robot, "rival"
         _, plant = self.start(mission, edit)
-        timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
+        timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)
         brakes = BrakeControl(robot)
         mission.apply(brakes)
 
@@ -129,10 +129,10 @@ class _Run:
 
         controller = RollingController(
             robot, plant.truth().pose, timing.period, goals,
-            RollingGains(s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain, s.rival_lead, s.rival_look_ahead),
-            brakes.commanded, estimation=EstimatorSettings(use_gyro=s.use_gyro, odd_wheels=s.odd_wheels),
+            RollingGains(s.baseline_base_gain, s.baseline_leg_gain, s.baseline_steer_gain, s.baseline_lead, s.baseline_look_ahead),
+            brakes.commanded, estimation=EstimatorSettings(use_gyro=s.use_gyro, reject_lifted_wheels=s.reject_lifted_wheels),
         )  # fmt: skip
-        stand_still(plant, controller, timing, s.rest)
+        stand_still(plant, controller, timing, s.settle_time)
 
         def record(now: float, command: Any, plans: Any) -> None:
             if round(now / timing.period) % 4 == 0:

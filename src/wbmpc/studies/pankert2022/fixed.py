@@ -45,7 +45,9 @@ Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], Sw
 def _mpc_controller(
     r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion
 ) -> SwerveController:
-    return SwerveController(r, pose, period, tracking=TrackingSettings(lag=s.drive_lag, allow_side_slip=fast_enough(r)))
+    return SwerveController(
+        r, pose, period, tracking=TrackingSettings(lag=s.actuator_time_constant, allow_side_slip=fast_enough(r))
+    )
 
 
 def goals(
@@ -113,11 +115,11 @@ def drive(
 ) -> Outcome:
     """One controller over the whole reference; logs its poses as ``base_NAME`` and ``odometry_NAME``."""
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     controller = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
     if mpc is not None:
         controller.supervision.report = closed_brakes(robot, mpc)
-    stand_still(plant, controller, timing, settings.rest)
+    stand_still(plant, controller, timing, settings.settle_time)
 
     def record(t: float, command: Any, plans: Any) -> None:
         if round(t / timing.period) % 4:

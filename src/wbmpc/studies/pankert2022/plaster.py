@@ -95,14 +95,14 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
         robot.description, robot.state.split(robot.home), settings.plant, seed,
         edit=terrain if settings.terrain else None, localisation=source,
     )  # fmt: skip
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
     controller = SwerveController(
-        robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=settings.drive_lag),
+        robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=settings.actuator_time_constant),
         estimation=EstimatorSettings(calibration=calibration),
         supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
-    stand_still(plant, controller, timing, settings.rest)
+    stand_still(plant, controller, timing, settings.settle_time)
     mpc.reset(robot.home)
     log = Log()
     sensor = _WallSensor(robot, timing.period, seed) if settings.sensors else None

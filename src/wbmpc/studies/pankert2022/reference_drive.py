@@ -30,7 +30,7 @@ from wbmpc.studies.pankert2022.directions import reject_directions
 
 class SwerveCalibrateSettings(Settings):
     """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right;
-    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first;
+    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``settle_time`` [s] before the first;
     ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base."""
 
     robot: str = "swerve-ur10"
@@ -39,7 +39,7 @@ class SwerveCalibrateSettings(Settings):
     turn: float = Field(np.pi, gt=0, le=7)
     pause: float = Field(0.5, ge=0, le=60)
     rounds: int = Field(1, ge=1, le=20)
-    rest: float = Field(5.0, ge=0, le=120)
+    settle_time: float = Field(5.0, ge=0, le=120)
     open_brakes: bool = True
     localisation: LocalisationSettings = LocalisationSettings()
     control: ControlSettings = ControlSettings()
@@ -91,7 +91,7 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     part = robot.state["steer"]
     least, maximum = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
     closed, ramp = np.zeros(geometry.modules), s.speed / ACCELERATION
-    phases = [_Phase(s.rest, steer, np.zeros(3), 0.0, closed)]
+    phases = [_Phase(s.settle_time, steer, np.zeros(3), 0.0, closed)]
     opening, strokes = max(OPENING, s.plant.brake_delay + SURE), _strokes(geometry, leg, s)
     legs = np.tile(leg, (len(strokes), 1))
     reject_directions(robot, np.arange(len(strokes)), np.array([twist for twist, _ in strokes]), legs, 0.0 * legs)

@@ -44,12 +44,12 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)
     source = settings.localisation.source(seed) if settings.global_poses else None
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=source)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     # after everything that rejects bad settings at once
     calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
     pose0 = plant.truth().pose
     controller = SwerveController(
-        robot, pose0, timing.period, tracking=TrackingSettings(lag=settings.drive_lag, friction=settings.friction),
+        robot, pose0, timing.period, tracking=TrackingSettings(lag=settings.actuator_time_constant, friction=settings.friction),
         estimation=EstimatorSettings(
             calibration=calibration, use_gyro=settings.use_gyro, smoothing=settings.smoothing
         ),
@@ -57,7 +57,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     )  # fmt: skip
     # the model's base has one height: what the true one lacks of it, the end effector makes up for
     references.set(mpc, robot.home, -calibration.rise(robot.base.geometry))
-    stand_still(plant, controller, timing, settings.rest)
+    stand_still(plant, controller, timing, settings.settle_time)
     release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
     mpc.reset(robot.home)
     log = Log()

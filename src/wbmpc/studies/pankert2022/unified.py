@@ -115,13 +115,13 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     brakes = BrakeControl(robot, delay=settings.plant.brake_delay, changed=mpc.set_schedule)
     mission.apply(brakes)
     plant = SwervePlant(robot.description, robot.state.split(home), settings.plant, seed)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     controller = SwerveController(
-        robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=settings.drive_lag),
+        robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=settings.actuator_time_constant),
         estimation=EstimatorSettings(use_gyro=settings.use_gyro),
         supervision=SupervisionSettings(guard=settings.leg_guard, report=brakes.accept),
     )  # fmt: skip
-    stand_still(plant, controller, timing, settings.rest)
+    stand_still(plant, controller, timing, settings.settle_time)
     mpc.reset(home)
     log, stance_of = Log(), StanceOf(robot)
 
