@@ -139,7 +139,7 @@ def _push(rig: Rig, start: float, force: Array, body: str | None = None) -> list
 
 
 def rezero_push(variant: Variant, seed: int) -> Rig:
-    """Two pushes of the base, 0.2 s, 100 to 150 N, any horizontal direction, while the end effector holds its place."""
+    """Two pushes of the base, 0.2 s, 100 to 150 N, any horizontal direction, while the end effector holds its position."""
     rng = np.random.default_rng([seed, 1])
     rig = _rezero(load_robot("rezero"), variant, seed, 5.0)
     for start in (0.5, 2.75):

@@ -34,8 +34,8 @@ ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), n
         (lambda: FallPredictor(BALL, ARM, share=-1.0), "'share' must be positive"),
         (lambda: FallPredictor(BALL, ARM, seconds=NAN), "'seconds' must be finite"),
         (lambda: FallPredictor(BALL, NAN * ARM), "'arm' needs 3"),
-        (lambda: LeanControl(BALL, ARM, 0.6, 0.0), "leaning: 'speed' must be positive"),
-        (lambda: LeanControl(BALL, ARM, NAN, 2.0), "leaning: 'share' must be finite"),
+        (lambda: LeanControl(BALL, ARM, 0.6, 0.0), "lean_control: 'speed' must be positive"),
+        (lambda: LeanControl(BALL, ARM, NAN, 2.0), "lean_control: 'share' must be finite"),
         (lambda: BallController(BALL, None, np.zeros(6), 0.0, DriveSettings()), "'period' must be positive"),  # type: ignore[arg-type]
         (lambda: DriveSettings(lag=-0.02), "'lag' must not"),
         (lambda: BallController(BALL, None, np.full(6, NAN), 0.0025, DriveSettings()), "'torque' needs 6"),  # type: ignore[arg-type]

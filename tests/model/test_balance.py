@@ -11,7 +11,7 @@ import pytest
 from toys import robot
 from wbmpc.bases.ball.balance import Balance, divergent
 from wbmpc.bases.ball.balance import load_offset as offset_of
-from wbmpc.bases.ball.defaults import HandCost, RezeroCost, rezero_problem
+from wbmpc.bases.ball.defaults import EndEffectorCost, RezeroCost, rezero_problem
 from wbmpc.bases.ball.residuals import CapturePoint, JointEffort
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
@@ -171,7 +171,7 @@ def test_the_plan_keeps_the_lean_within_its_limit() -> None:
     """A far goal of the end effector: with the limit the plan's divergent lean stays inside; without it the same plan passes it."""
     lean = {}
     for share in (0.0, 0.3):
-        cost = RezeroCost(end_effector=HandCost(limit=10.0), lean=share)
+        cost = RezeroCost(end_effector=EndEffectorCost(limit=10.0), lean=share)
         settings = MpcSettings(horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-3)
         solver = Solver(
             rezero_problem(ROBOT, settings, cost), SQP(iterations=60, interior_point=InteriorPoint(barrier=1e-3))

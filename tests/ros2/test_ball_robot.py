@@ -153,11 +153,11 @@ def test_somebody_else_on_the_drives_topic_is_reported_and_it_holds_its_place(
     s = made()
     balancing(s)
     somebody = s.other.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
-    assert s.until(lambda: "holds its place: somebody else publishes on /arm" in s.control.state)
+    assert s.until(lambda: "holds its position: another node publishes on /arm" in s.control.state)
     s.end_effector(dx=0.2)
     standing(s)
-    assert "a goal is rejected: somebody else" in s.control.request_queue.rejected
-    assert errors(caplog, "somebody else publishes") == 1 and any("somebody" in m for m in s.messages(2))
+    assert "a goal is rejected: another node" in s.control.request_queue.rejected
+    assert errors(caplog, "another node publishes") == 1 and any("another node" in m for m in s.messages(2))
     s.other._writers.remove(somebody._writer)
     somebody._writer.__del__()
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
@@ -289,7 +289,7 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
     np.testing.assert_allclose(truth.tool, ROBOT.pose(ROBOT.home)[0] + [0.2, 0.0, 0.0], atol=0.02)
     assert np.sqrt(s.control.adapter.estimate().covariance[0, 0]) < 3e-3
     source.sending = False
-    assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
+    assert s.until(lambda: "holds its position: the pose on /localisation is" in s.control.state), s.control.state
     s.end_effector(dx=0.2)
     standing(s)
     assert "a goal is rejected: the pose on /localisation" in s.control.request_queue.rejected
@@ -301,7 +301,7 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
 def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
     made: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One pose that is off by 1 m is left out; when they stay there it holds its place and takes no goals until they are back."""
+    """One pose that is off by 1 m is left out; when they stay there it holds its position and takes no goals until they are back."""
     s = made(topics={"pose": "/localisation"})
     source = Localisation(s)
     balancing(s)
@@ -311,7 +311,7 @@ def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
     assert s.until(lambda: not s.control.source.fault) and s.control.state == "running: end effector to a goal"
     assert errors(caplog, "jumped by 1.0") == 1
     source.offset[0] = 1.05
-    assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
+    assert s.until(lambda: "holds its position: the pose on /localisation is" in s.control.state), s.control.state
     s.end_effector(dx=0.2)
     standing(s)
     assert "jumped by 1.0" in s.control.state and "a goal is rejected: the pose on" in s.control.request_queue.rejected

@@ -206,7 +206,7 @@ def test_a_bad_topic_is_reported(robot: Any, caplog: pytest.LogCaptureFixture) -
 def test_a_flood_of_bad_orders_is_a_few_lines(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
     """Each with another name, so that none is a repetition."""
     for k in range(200):
-        robot.control.legs._from_topic("/flood", lambda m: robot.control.legs._wanted("", [m], (), ()), f"leg{k}")
+        robot.control.legs._from_topic("/flood", lambda m: robot.control.legs._target("", [m], (), ()), f"leg{k}")
     assert "unknown leg 'leg199'" in robot.control.legs.rejected
     assert 1 <= sum("/flood: " in r.getMessage() for r in caplog.records) <= 5
 

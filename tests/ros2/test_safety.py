@@ -129,9 +129,9 @@ def test_another_controller_stops_ours(pair: Callable[..., Any], caplog: pytest.
     p = pair()
     drive(p)
     p.standin.node.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
-    check_stopped(p, "somebody else publishes on /arm_controller/commands", caplog)
+    check_stopped(p, "another node publishes on /arm_controller/commands", caplog)
     p.go(0.0)
-    assert p.until(lambda: "a goal is rejected: waiting: somebody else publishes" in p.control.request_queue.rejected)
+    assert p.until(lambda: "a goal is rejected: waiting: another node publishes" in p.control.request_queue.rejected)
 
 
 def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:

@@ -235,7 +235,7 @@ def _sink(node: Node, controller: Controller, ours: str, needed: bool) -> list[F
     others = [name for name in who if name != ours]
     if others:
         named = f" ('{others[0]}')" if others[0] else ""
-        return [Finding(ERROR, topic, f"somebody else publishes on it{named}: the controller will not start")]
+        return [Finding(ERROR, topic, f"another node publishes on it{named}: the controller will not start")]
     if len(who) > 1:
         return [Finding(ERROR, topic, f"{len(who)} nodes called '{ours}' publish on it: they stop each other")]
     if not subscribers:

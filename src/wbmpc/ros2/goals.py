@@ -58,7 +58,7 @@ class Track:
 
 @dataclass(frozen=True)
 class EndEffectorTrack:
-    """Positions (n, 3) [m] and quaternions (n, 4) of the end effector over times (n,) [s]."""
+    """Positions (n, 3) [m] and quaternions (n, 4) of the hand over times (n,) [s]."""
 
     times: Array
     positions: Array

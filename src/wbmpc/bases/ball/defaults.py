@@ -15,7 +15,7 @@ from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, Relaxe
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 
 
-class HandCost(Settings):
+class EndEffectorCost(Settings):
     """Weights of the end effector: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
     which the arm cannot control at rest; linear and angular velocity. Errors beyond ``limit`` [m] and ``turn_limit`` [rad]
     pull no harder (SmoothL1): a sudden large goal must not ask for more than the wheels' torque."""
@@ -56,7 +56,7 @@ class RezeroCost(Settings):
     divergent component, as a share of what the wheels can stop (:class:`wbmpc.bases.ball.balance.Balance`); 0: none.
     ``speed_slack``: penalty of arm speeds beyond their limit, where that cannot be held [per range and second]."""
 
-    end_effector: HandCost = HandCost()
+    end_effector: EndEffectorCost = EndEffectorCost()
     body: BodyCost = BodyCost()
     torque: TorqueCost = TorqueCost()
     terminal: Weight = 1.0

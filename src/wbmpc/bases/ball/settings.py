@@ -7,7 +7,7 @@ from typing import Annotated, Protocol
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost
+from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost, TorqueCost
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
@@ -18,7 +18,7 @@ from wbmpc.settings import MpcSettings, Settings
 #: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
 #: swings from limit to limit for ever.
 STEPS_AND_PUSHES = RezeroCost(
-    end_effector=HandCost(orientation=40.0),
+    end_effector=EndEffectorCost(orientation=40.0),
     body=BodyCost(tilt_rate=3.0, arm=1.0),
     torque=TorqueCost(wheel=0.1, arm=0.3),
     lean=0.6,
@@ -36,7 +36,7 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
 
 
 class BallControllerSettings(Settings):
-    """``estimate_disturbance``: whether constant disturbances are estimated, and of them (``estimate_payload``), for the MPC, a mass at the end effector;
+    """``estimate_disturbance``: whether constant disturbances are estimated, and of them (``estimate_payload``), for the MPC, its end effector;
     ``expected_push_time`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
     ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
     ``actuator_time_constant`` [s] that the controller assumes, and ``actuator_dead_time`` [s] that the MPC's policy and the regulators do, in the

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost
+from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost, TorqueCost
 from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, PushCost, suited
 from wbmpc.studies.minniti2019.settings import RezeroSettings
@@ -30,7 +30,7 @@ class RezeroDoorSettings(RezeroSettings):
     share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is reported."""
 
     cost: RezeroCost = RezeroCost(
-        end_effector=HandCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
+        end_effector=EndEffectorCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
         body=BodyCost(ball_speed=1.0, tilt_rate=5.0, arm=1.0),
         torque=TorqueCost(wheel=0.2, arm=0.3),
         lean=0.6,

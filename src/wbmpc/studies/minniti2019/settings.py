@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost
+from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost
 from wbmpc.bases.ball.settings import BallControllerSettings
 from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
 from wbmpc.settings import ExperimentSettings
@@ -55,6 +55,8 @@ class AccurateSettings(RezeroSettings):
 
     expected_push_time: float = Field(0.0, ge=0, le=1.0)
     cost: RezeroCost = RezeroCost(
-        end_effector=HandCost(weight=1000.0, orientation=2.0, roll=0.0), body=BodyCost(ball=150.0, yaw=20.0), lean=0.6
+        end_effector=EndEffectorCost(weight=1000.0, orientation=2.0, roll=0.0),
+        body=BodyCost(ball=150.0, yaw=20.0),
+        lean=0.6,
     )
     baseline: BaselineSettings = ACCURATE_BASELINES

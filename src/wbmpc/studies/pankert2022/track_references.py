@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc import lie
-from wbmpc.bases.swerve.defaults import HandCost, SwerveCost
+from wbmpc.bases.swerve.defaults import EndEffectorCost, SwerveCost
 from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -35,7 +35,7 @@ class SwerveTrackSettings(ExperimentSettings):
     ``localisation``; ``actuator_time_constant`` [s] that the controller assumes; ``friction``, ``smoothing``: see
     :class:`wbmpc.bases.swerve.controller.SwerveController`."""
 
-    cost: SwerveCost = SwerveCost(end_effector=HandCost(weight=4000.0))
+    cost: SwerveCost = SwerveCost(end_effector=EndEffectorCost(weight=4000.0))
     robot: str = "swerve-ur10"
     variant: Literal["horizontal", "vertical", "peaks"] = "horizontal"
     periods: int = Field(6, ge=1, le=20)
