@@ -13,10 +13,10 @@ from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_control import DoorController
 from wbmpc.studies.minniti2019.force import (
     CONFIRMED,
+    MAX_ZERO,
     UNFELT,
     UNFELT_TIME,
     ZERO_LEFT,
-    ZERO_MOST,
     ZERO_TIME,
     ForceMonitor,
 )
