@@ -262,7 +262,7 @@ def recordings(rng: random.Random, folder: Path) -> Case:
 def messages(rng: random.Random, folder: Path) -> Case:
     """Bytes of ROS messages."""
     kind = rng.choice(list(DEFINITIONS))
-    data = encode(kind, {}, look=_look, missing={})
+    data = encode(kind, {}, lookup=_look, missing={})
     how, expected = rng.choice(("as it is", "cut", "longer", "bytes", "noise", "header")), OPEN
     if how == "as it is":
         expected = VALID
