@@ -117,7 +117,7 @@ class BallFilter:
         turned = best.guess.wheel - self.state.wheel
         self.state, self.covariance, self.faults = best.guess.moved(best.error), best.covariance, best.faults
         self.rate = self._inertial.last[0] - self.state.gyro_bias
-        self._look_for_stalled(w, turned)
+        self._detect_stalled(w, turned)
         return self.state
 
     def _bridge(self, h: float, wheel: Array) -> None:
@@ -138,7 +138,7 @@ class BallFilter:
         p[V, V] = velocity**2 * np.eye(3)
         p[A, A] = GAP_LEAN**2 * np.eye(3) + (heading + turning**2 - GAP_LEAN**2) * np.outer(up, up)
         p[16:, 16:] = self.noise.encoder**2 * np.eye(self._n)
-        self._inertial.forget()
+        self._inertial.reset()
         self._turning, self.faults, self._read = 0.0, (), wheel.copy()
         self._turned[:] = 0.0
 
@@ -155,7 +155,7 @@ class BallFilter:
         if persists or (best.loose and unit.jumps(message)):
             without = self._explained(h, wheel, unit.last, "jumps")
             if not without.loose:
-                unit.refuse()
+                unit.reject()
                 return without
         unit.accept(message)
         return best
@@ -204,7 +204,7 @@ class BallFilter:
             yield (f"wheel_{i} slips",), ANY * np.diag(np.eye(n)[i])
         yield ("ball slips",), ANY * np.eye(n)
 
-    def _look_for_stalled(self, wheel: Array, expected: Array) -> None:
+    def _detect_stalled(self, wheel: Array, expected: Array) -> None:
         """An encoder that stays within a few counts (one may flicker) while its wheel must have turned by :data:`STALLED`."""
         moves = np.abs(wheel - self._read) > self._still
         self._turned = np.where(moves, 0.0, self._turned + expected)
@@ -292,7 +292,7 @@ class BallFilter:
     def know_lean(self, up: ArrayLike, spread: float) -> None:
         """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].
 
-        Near upright a horizontal bias of the accelerometer looks like a lean; this tells them apart, as well as it is known.
+        Near upright a horizontal bias of the accelerometer looks like a lean; this distinguishes them, as well as it is known.
         Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
         """
         up = numbers("ball filter", "up", up, 3)
