@@ -66,7 +66,7 @@ def test_names_of_files_and_topics_do_not_steer_the_terminal(tmp_path: Path, cap
     path = tmp_path / "run.mcap"
     file = McapFile(path)
     file.metadata("run", {"experiment": ODD, "seed": 1, "started": ODD})
-    text = encode("std_msgs/String", {"data": "x"}, look=fields, missing={})
+    text = encode("std_msgs/String", {"data": "x"}, lookup=fields, missing={})
     file.put_bytes(f"/{ODD}", "std_msgs/String", 0.0, text)
     file.metadata("result", {"completed": "false", "reason": ODD})
     file.close()

@@ -37,7 +37,7 @@ def _recording(kind: str = "", other: str = "", topic: str = "/hand/pose") -> by
             file.put("/tf", "tf2_msgs/TFMessage", 0.01 * k, {"transforms": [frame]})
             joints = {"header": header, "name": ["a", "b"], "position": pose[:2], "velocity": [], "effort": []}
             if kind:
-                file.put_bytes("/mixed", kind, 0.01 * k, encode(other, {}, look=_look, missing={}))
+                file.put_bytes("/mixed", kind, 0.01 * k, encode(other, {}, lookup=_look, missing={}))
             file.put("/joint_states", "sensor_msgs/JointState", 0.01 * k, joints)
         file.metadata("result", {"completed": "true", "metrics": '{"error": 0.1}'})
         file.close()
@@ -84,7 +84,7 @@ def recordings(rng: random.Random, folder: Path) -> Case:
 def messages(rng: random.Random, folder: Path) -> Case:
     """Bytes of ROS messages."""
     kind = rng.choice(list(DEFINITIONS))
-    data = encode(kind, {}, look=_look, missing={})
+    data = encode(kind, {}, lookup=_look, missing={})
     how, expected = rng.choice(("as it is", "cut", "longer", "bytes", "noise", "header")), OPEN
     if how == "as it is":
         expected = VALID
