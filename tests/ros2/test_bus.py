@@ -148,7 +148,7 @@ def test_what_is_on_the_wire_goes_into_a_bag_and_comes_out_of_it(nodes: tuple[An
 
 
 # ---------------------------------------------------------------------- topics
-def test_all_messages_come_in_command(nodes: tuple[Any, Any]) -> None:
+def test_all_messages_come_in_order(nodes: tuple[Any, Any]) -> None:
     one, other = nodes
     got: list[float] = []
     other.subscribe("/count", "std_msgs/msg/Float64", lambda m: got.append(m.data), Qos(depth=1000))

@@ -13,9 +13,9 @@ from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.sent_torques import DriveSettings
+from wbmpc.configuration import OnlyWith, kind_alone
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.configuration import OnlyWith, kind_alone
 from wbmpc.settings import Positive, Settings, Weight
 from wbmpc.studies.minniti2019.held_arm import base_problem
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
