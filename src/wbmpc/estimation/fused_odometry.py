@@ -10,6 +10,7 @@ docs/explanation.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -89,7 +90,8 @@ class FusedOdometry:
         finite("odometry", history=history)
         self._keep, self._past = float(_not_negative("history", history)), deque[Moment]()
         self._spare: Array | None = None  # a record that nobody needs any more
-        self._started, self._open = False, np.zeros(n, dtype=bool)
+        self._started, self._closed = False, np.zeros(n, dtype=bool)
+        self._open: Mask = self._closed
         self.twist: Array = np.zeros(3)
         self.taken = self.refused = self._refusals = 0
         self._misfits = 0.0
@@ -204,7 +206,7 @@ class FusedOdometry:
         its end no longer count. Raises :class:`InputError` for numbers that are not finite or time that goes back.
         """
         now, arrays, time = self._reader.checked(leg, steer, wheel), self._memory.arrays, self.time
-        if not np.isfinite(t) or t < time or (gyro is not None and not np.isfinite(gyro)):
+        if not math.isfinite(t) or t < time or (gyro is not None and not math.isfinite(gyro)):
             raise InputError(
                 f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s"
             )
@@ -214,7 +216,7 @@ class FusedOdometry:
         if not self._started:
             self._start(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
-            self._advance(h, gyro, self._open & is_open, weighed)
+            self._advance(h, gyro, self._closed if is_open is self._closed else self._open & is_open, weighed)
             while self._past and self._past[0].record[0] < t - self._keep:
                 self._spare = self._past.popleft().record
         arrays["before"][:] = arrays["now"]
@@ -222,8 +224,8 @@ class FusedOdometry:
         return self.pose
 
     def _advance(self, h: float, gyro: float | None, is_open: Mask, weights: Array | None) -> None:
-        memory, arrays, n = self._memory, self._memory.arrays, self._n
-        way = float(np.max(np.abs(arrays["now"][2 * n :] - arrays["before"][2 * n :]))) * self.geometry.wheel_radius
+        memory, arrays = self._memory, self._memory.arrays
+        way = memory.farthest() * self.geometry.wheel_radius
         leap = way > LEAP and way > LEAP_SPEED * h
         gap = h > GAP or leap
         arrays["weights"][:] = 1.0 if weights is None or gap else weights
@@ -234,7 +236,7 @@ class FusedOdometry:
             self._bridge(h, LEAP_STD if leap else 0.0)
         else:
             memory.measure(h, 0.0 if gyro is None else gyro * h, gyro is not None)
-            if weights is None and is_open.any():
+            if weights is None and is_open is not self._closed and is_open.any():
                 memory.legs = self._shown(is_open, h)
         self._remember()
         self._go_on()
@@ -279,7 +281,7 @@ class FusedOdometry:
     def _opened(self, brake: ArrayLike | None) -> Mask:
         """Hinges (n) that turn freely."""
         if brake is None or not self.geometry.has_hinge:
-            return np.zeros(self._n, dtype=bool)
+            return self._closed
         return np.asarray(numbers("odometry", "brake", brake, self._n) > 0.5)
 
     def _start(self, t: float, rate: float) -> None:

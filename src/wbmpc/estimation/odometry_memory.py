@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.estimation.odometry_filter import LegsShow, OdometryNoise, State
-from wbmpc.estimation.odometry_step import WHEELS, Interval, Noise, Way, advance, measure
+from wbmpc.estimation.odometry_step import WHEELS, Interval, Noise, Way, advance, farthest, measure
 from wbmpc.estimation.wheel_fit import WheelFit
 from wbmpc.estimation.wheel_slip import WINDOWS, slip_memory
-from wbmpc.kernel.step import Backend, Step
+from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
@@ -30,7 +30,8 @@ class OdometryMemory:
     (3, 3), all of them views of it. ``arrays``: everything by its name in the compiled functions.
 
     ``measure(h, turn, has_gyro)`` finds the interval from the positions ``before`` and ``now``, ``advance()`` moves the state
-    over it; ``wheels``: the fit alone. ``legs``: what open legs showed in the interval.
+    over it; ``farthest()`` [rad]: how far the wheel turned that turned most; ``wheels``:
+    the fit alone. ``legs``: what open legs showed in the interval.
     """
 
     def __init__(self, geometry: ModuleGeometry, radius: Array, noise: OdometryNoise, backend: Backend) -> None:
@@ -53,8 +54,9 @@ class OdometryMemory:
             "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
         }
         a = self.arrays
-        self.measure = Step(measure, {k: a[k] for k in measure.argument_names if k in a}, backend, n=n)
-        self.advance = Step(advance, {k: a[k] for k in advance.argument_names if k in a}, backend, n=n)
+        self.measure = bind(measure, a, backend, n=n)
+        self.advance = bind(advance, a, backend, n=n)
+        self.farthest = bind(farthest, a, backend, n=n)
         self.legs: LegsShow | None = None
 
     @property

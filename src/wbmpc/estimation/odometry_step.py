@@ -10,7 +10,7 @@ from enum import IntEnum
 import numpy as np
 
 from wbmpc.estimation.compilation import compiled, step
-from wbmpc.estimation.wheel_fit import fit, sinc
+from wbmpc.estimation.wheel_fit import fit, move
 from wbmpc.estimation.wheel_slip import slip_intensity
 from wbmpc.kernel.ir import Floats
 
@@ -54,6 +54,15 @@ class Way(IntEnum):
 
 #: Contradictions of the wheels are added up over pieces of way [m] of this length, in which the counts of encoders cancel.
 PIECE = 0.05
+
+
+@step
+def farthest(n: int, before: Floats, now: Floats) -> float:
+    """How far [rad] the wheel turned that turned most."""
+    angle = 0.0
+    for i in range(2 * n, 3 * n):
+        angle = max(angle, abs(now[i] - before[i]))
+    return angle
 
 
 @compiled
@@ -141,14 +150,8 @@ def drive(n: int, mean: Floats, twist: Floats, by_wheels: Floats, correction: Fl
         dx += by_wheels[j] * known
         dy += by_wheels[2 * n + j] * known
         dyaw += by_wheels[4 * n + j] * known
-    s, c = sinc(dyaw), 0.5 * dyaw * sinc(0.5 * dyaw) ** 2
-    ahead, aside = s * dx - c * dy, c * dx + s * dy
-    x = np.cos(mean[2]) * ahead - np.sin(mean[2]) * aside
-    y = np.sin(mean[2]) * ahead + np.cos(mean[2]) * aside
     yaw = mean[2] + 0.5 * dyaw
-    mean[0] += x
-    mean[1] += y
-    mean[2] += dyaw
+    x, y = move(mean, dx, dy, dyaw)
     pose[0], pose[1], pose[2] = np.cos(yaw), -np.sin(yaw), -0.5 * y
     pose[3], pose[4], pose[5] = np.sin(yaw), np.cos(yaw), 0.5 * x
     pose[6], pose[7], pose[8] = 0.0, 0.0, 1.0

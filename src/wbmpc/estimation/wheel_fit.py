@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wbmpc.estimation.compilation import compiled, step
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, Step
+from wbmpc.kernel.step import Backend, Step, bind
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
@@ -18,6 +18,19 @@ def sinc(x: float) -> float:
     if x == 0.0:
         return 1.0
     return np.sin(x) / x
+
+
+@compiled
+def move(pose: Floats, dx: float, dy: float, dyaw: float) -> tuple[float, float]:
+    """Move ``pose`` (x, y, yaw) by a body twist with this integral, exactly; by what x and y moved."""
+    s, c = sinc(dyaw), 0.5 * dyaw * sinc(0.5 * dyaw) ** 2
+    ahead, aside = s * dx - c * dy, c * dx + s * dy
+    x = np.cos(pose[2]) * ahead - np.sin(pose[2]) * aside
+    y = np.sin(pose[2]) * ahead + np.cos(pose[2]) * aside
+    pose[0] += x
+    pose[1] += y
+    pose[2] += dyaw
+    return x, y
 
 
 @compiled
@@ -82,6 +95,20 @@ def fit(
         residual[2 * i + 1] = moved[2 * i + 1] - dy - dyaw * axes[2 * i]
 
 
+@step
+def dead_reckon(
+    hinge: Floats, length: Floats, leg_heading: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
+    weights: Floats, before: Floats, now: Floats, twist: Floats, residual: Floats, rolled: Floats, heading: Floats,
+    slope: Floats, axes: Floats, moved: Floats, pose: Floats,
+) -> None:  # fmt: skip
+    """As :func:`fit`; ``pose`` (3) moves by the twist."""
+    fit(
+        hinge, length, leg_heading, wheel_heading, n, radius, correction, weights, before, now, twist, residual, rolled,
+        heading, slope, axes, moved,
+    )  # fmt: skip
+    move(pose, twist[0], twist[1], twist[2])
+
+
 class WheelFit:
     """The step :func:`fit` of one geometry with its arrays in ``memory``: ``before`` and ``now`` (3n) go in, ``twist`` (3),
     ``residual`` (2n), ``rolled``, ``heading`` (n) and ``slope`` (3 · 2n) come out. ``correction`` (2n) is 0, ``weights`` (n) are 1.
@@ -111,4 +138,8 @@ class WheelFit:
             **given,
         }
         self.n = n
-        self.run = Step(fit, self.memory, backend, n=n)
+        self.run = bind(fit, self.memory, backend, n=n)
+
+    def with_pose(self, pose: Array) -> Step:
+        """The step :func:`dead_reckon` on the same arrays and on a ``pose`` (3)."""
+        return bind(dead_reckon, self.memory | {"pose": pose}, n=self.n)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc import lie
 from wbmpc.checks import each, numbers, positive
 from wbmpc.estimation.wheel_fit import WheelFit
 from wbmpc.model.wheels import ModuleGeometry
@@ -138,7 +137,8 @@ class WheelOdometry:
         positive("odometry", wheel_radius=float(self.radius.min()))
         self._leg_zero = each("odometry", "leg_zero", leg_zero, n)
         self._steer_zero = each("odometry", "steer_zero", steer_zero, n)
-        self._fit, self._started = WheelFit(geometry, self.radius), False
+        self._fit, self._started, self._pose = WheelFit(geometry, self.radius), False, self.pose.copy()
+        self._run = self._fit.with_pose(self._pose)
         self.increment: Array = np.zeros(3)
         self.residual: Array = np.zeros((n, 2))
 
@@ -150,9 +150,9 @@ class WheelOdometry:
         now, memory = self.checked(leg, steer, wheel), self._fit.memory
         np.concatenate(now, out=memory["now"])
         if self._started:
-            self._fit.run()
+            self._run()
             self.increment, self.residual = memory["twist"].copy(), memory["residual"].reshape(self._n, 2).copy()
-            self.pose = lie.se2_step(self.pose, self.increment)
+            self.pose = self._pose.copy()
         memory["before"][:] = memory["now"]
         self._started = True
         return self.pose

@@ -99,6 +99,12 @@ class Step:
         return Step(self._function, deepcopy(self._memory, memo), self._backend, **self._constants)
 
 
+def bind(function: Callable[..., Any], arrays: Memory, backend: Backend = "compiled", **constants: int | float) -> Step:
+    """A :class:`Step` on those of the ``arrays`` that the function has arguments for: several steps share one dictionary."""
+    names = function.argument_names if isinstance(function, Function) else ()
+    return Step(function, {name: arrays[name] for name in names if name in arrays}, backend, **constants)
+
+
 def _address(symbol: str, name: str, array: Any, dtype: type) -> int:
     if not isinstance(array, np.ndarray) or array.dtype != dtype or not array.flags.c_contiguous:
         raise KernelError(f"{symbol}: '{name}' needs a contiguous array of {dtype.__name__}")
