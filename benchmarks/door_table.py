@@ -38,9 +38,9 @@ def measure(scheme: str, door: str, force: float, seed: int) -> dict[str, Any]:
     """Figures of one run."""
     row, identify, cone = SCHEMES[scheme]
     known = DoorScheme(row=row, identify=identify, cone=cone)
-    settings = RezeroDoorSettings(scheme=known, door=door, hold=10.0)  # type: ignore[arg-type]  # all forces as they are asked
+    settings = RezeroDoorSettings(scheme=known, door=door, lean_share=10.0)  # type: ignore[arg-type]  # all forces as they are asked
     trial = push_door(settings, force, seed)
-    return {"scheme": scheme, "door": door, "force": force, "seed": seed, **trial_metrics(trial, settings.rise)}
+    return {"scheme": scheme, "door": door, "force": force, "seed": seed, **trial_metrics(trial, settings.rise_time)}
 
 
 def cell(runs: list[dict[str, Any]]) -> str:

@@ -17,8 +17,8 @@ CASES: dict[str, dict[str, object]] = {
     "filter": {},
     "truth": {"estimator": "truth"},
     "filter, 1 kg": {"payload": 1.0},
-    "filter, no observer": {"observer": False},
-    "filter, 1 kg, no observer": {"payload": 1.0, "observer": False},
+    "filter, no observer": {"estimate_disturbance": False},
+    "filter, 1 kg, no observer": {"payload": 1.0, "estimate_disturbance": False},
 }
 
 

@@ -1,9 +1,9 @@
-"""Generated hostile inputs: every one is accepted, or refused with one message and exit code 2, within 10 s.
+"""Generated hostile inputs: every one is accepted, or rejected with one message and exit code 2, within 10 s.
 
 Usage: python benchmarks/fuzz.py [--cases 10000] [--seed 0] [--only KIND] [--json]
 
 Cases are run in a process of their own, one after the other; one that hangs or takes its process down is counted, and the next
-begins in a fresh one. *Nonsense*: a case whose generator knows that it is wrong was accepted, or that it is right was refused.
+begins in a fresh one. *Nonsense*: a case whose generator knows that it is wrong was accepted, or that it is right was rejected.
 Exits with 1 if there are tracebacks, hangs or nonsense.
 """
 

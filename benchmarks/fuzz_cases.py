@@ -1,6 +1,6 @@
 """Generated inputs of the fuzz command: settings, robot files, recordings, logs, calibrations, buses' files, messages, scenes.
 
-A case knows what it must lead to where that can be known: ``valid`` (accepted), ``invalid`` (refused), or nothing (either).
+A case knows what it must lead to where that can be known: ``valid`` (accepted), ``invalid`` (rejected), or nothing (either).
 """
 
 from __future__ import annotations
@@ -382,7 +382,8 @@ def calibrations(rng: random.Random, folder: Path) -> Case:
 
     robot, names = _base()
     rows: dict[str, dict[str, Any]] = {
-        n: {"steer_zero": 0.001, "wheel_radius": 0.1, "steer_zero_std": 1e-3, "wheel_radius_std": 1e-3} for n in names
+        n: {"steer_offset": 0.001, "wheel_radius": 0.1, "steer_offset_std": 1e-3, "wheel_radius_std": 1e-3}
+        for n in names
     }
     data: dict[str, Any] = {"modules": rows}
     kind, expected = (

@@ -28,7 +28,7 @@ def run(first: float, intervals: int, seed: int, periods: int) -> dict[str, floa
     settings = base.model_copy(
         update={
             "periods": periods,
-            "rest": 2.0,
+            "settle_time": 2.0,
             "mpc": base.mpc.model_copy(update={"first_interval": first, "intervals": intervals}),
             "plant": base.plant.model_copy(update={"joint_offset": 0.0}),
         }

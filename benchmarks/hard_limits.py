@@ -124,10 +124,10 @@ class Recorder:
 
     def _clock(self, t: float) -> float:
         """The plan's time: a swerve robot's runs ahead by the drives' lag."""
-        return t + self.rig.agent.tracking.settings.lag if self.swerve else t
+        return t + self.rig.controller.tracking.settings.lag if self.swerve else t
 
     def _wanted(self) -> np.ndarray:
-        return self.rig.agent.wanted[: self.rig.robot.input.size]
+        return self.rig.controller.wanted[: self.rig.robot.input.size]
 
     def _cut(self, command: Any) -> float:
         """Share of the range by which the command differs from what feedback or steering servo asked for."""
@@ -146,7 +146,7 @@ class Recorder:
     def _measured(self) -> np.ndarray:
         """The state as the sensors give it; of the ball robot without its noise."""
         if self.swerve:
-            return self.rig.agent.state()
+            return self.rig.controller.state()
         return self.rig.plant.state() + self.rig.plant.offset
 
     def _hand(self) -> np.ndarray:
@@ -154,7 +154,7 @@ class Recorder:
         truth = self.rig.plant.truth()
         if not self.swerve:
             return truth.tool
-        x, y, yaw = self.rig.agent.estimator.odometry.pose
+        x, y, yaw = self.rig.controller.estimator.odometry.pose
         c, s = np.cos(yaw), np.sin(yaw)
         along, across, _ = truth.tool_in_base
         return np.array([x + c * along - s * across, y + s * along + c * across, truth.tool[2]])
@@ -192,7 +192,7 @@ def run(scenario: str, variant: Variant, seed: int) -> dict[str, float]:
     """Figures of one run."""
     rig = SCENARIOS[scenario](variant, seed)
     record, solves = Recorder(rig), Solves(rig)
-    ending = run_lockstep(rig.plant, rig.agent, rig.mpc, rig.timing, rig.duration, record)
+    ending = run_lockstep(rig.plant, rig.controller, rig.mpc, rig.timing, rig.duration, record)
     state = np.array(record.state)
     return {
         "command_excess": max(record.command),

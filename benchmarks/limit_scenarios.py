@@ -1,6 +1,6 @@
 """Scenarios that press against hard limits, for both robots, all in MuJoCo with the protocol's perturbations.
 
-Each builds a :class:`Rig`: plant, agent, MPC, and what happens to them at which time. All draws come from the seed.
+Each builds a :class:`Rig`: plant, controller, MPC, and what happens to them at which time. All draws come from the seed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem, set_home_refer
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, leaning_of
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, lean_control_of
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_problem
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -76,7 +76,7 @@ class Rig:
     robot: RobotModel
     mpc: MPC
     plant: Any
-    agent: Any
+    controller: Any
     timing: Timing
     duration: float
     goal: Callable[[float], Array] = lambda t: np.zeros(3)
@@ -104,12 +104,14 @@ def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cos
     mpc = variant.mpc(lambda s: rezero_problem(robot, s, cost), planner)
     set_home_references(mpc, robot, torque)
     plant = BallPlant(robot.description, home, torque, settings.plant, seed)
-    timing = Timing.of(plant.timestep, settings.control.rate, planner.rate, planner.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, planner.rate, planner.computation_delay)
     estimator = BallEstimator(robot, home)
-    agent = BallController(robot, mpc, torque, timing.period, DriveSettings(settings.drive_lag), estimator=estimator)
-    agent.leaning = leaning_of(settings, robot, robot.home[robot.state["arm"]])
+    controller = BallController(
+        robot, mpc, torque, timing.period, DriveSettings(settings.actuator_time_constant), estimator=estimator
+    )
+    controller.lean_control = lean_control_of(settings, robot, robot.home[robot.state["arm"]])
     mpc.reset(home, torque)
-    rig = Rig(robot, mpc, plant, agent, timing, duration)
+    rig = Rig(robot, mpc, plant, controller, timing, duration)
     _hold_goals(rig, [(0.0, np.zeros(3))])
     return rig
 
@@ -183,14 +185,16 @@ def _swerve(
     settings, cost = MpcSettings(barrier_mu=SWERVE_MU), SwerveCost(state=StateCost(leg=leg_weight))
     mpc = variant.mpc(lambda s: swerve_problem(robot, s, cost, accelerations=True), settings)
     plant = SwervePlant(robot.description, robot.state.split(robot.home), None, seed)
-    timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.delay)
+    timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.computation_delay)
     brakes = None
     if schedule is not None:
         mpc.set_schedule(schedule)
         brakes = lambda t: np.array(schedule.modes[schedule.index(t)].values["brake"])
-    agent = SwerveController(robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=0.020))
+    controller = SwerveController(
+        robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=0.020)
+    )
     mpc.reset(robot.home)
-    return Rig(robot, mpc, plant, agent, timing, duration)
+    return Rig(robot, mpc, plant, controller, timing, duration)
 
 
 def _follow(rig: Rig, t: Array, hand: Array, base: Array, leg: Array | None = None) -> None:
@@ -237,7 +241,7 @@ def swerve_jump(variant: Variant, seed: int) -> Rig:
 
     def jump(by: Array) -> Callable[[], None]:
         def act() -> None:
-            rig.agent.estimator.odometry.place(rig.agent.estimator.odometry.pose + by)
+            rig.controller.estimator.odometry.place(rig.controller.estimator.odometry.pose + by)
 
         return act
 

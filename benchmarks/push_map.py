@@ -44,7 +44,7 @@ from wbmpc.studies.minniti2019.push_map import (
     wanted,
 )
 
-#: Gains of rivals by what is held and controller, found by benchmarks/regulator_search.py on tuning seeds.
+#: Gains of baselines by what is held and controller, found by benchmarks/regulator_search.py on tuning seeds.
 GAINS = Path(__file__).with_name("push_map_gains.json")
 
 
@@ -67,9 +67,9 @@ def write_gains(mode: str, controller: str, found: dict[str, float]) -> None:
 
 
 def settings_with(controller: str, found: dict[str, float]) -> tuple[str, ...]:
-    """Settings of a run with that rival and these gains."""
+    """Settings of a run with that baseline and these gains."""
     key = controller.replace("-", "_")
-    return f"controller={controller}", *(f"rival.{key}.{k}={v:g}" for k, v in found.items())
+    return f"controller={controller}", *(f"baseline.{key}.{k}={v:g}" for k, v in found.items())
 
 
 def settings_of(mode: str, controller: str, file: Path | None = None) -> tuple[str, ...]:
@@ -88,7 +88,7 @@ def todo_of(given: argparse.Namespace) -> dict[str, list[Point]]:
 
 
 def run(todo: list[Point], file: Path, workers: Workers, processes: int, fine: float, criteria: Sequence[str]) -> None:
-    """All pushes, each written and told when it is done. Ctrl-C (or SIGTERM) ends the program with a sentence."""
+    """All pushes, each written and reported when it is done. Ctrl-C (or SIGTERM) ends the program with a message."""
     started, done = time.time(), read(file)
     left = {p.key for p in todo if wanted(done.get(p.key, {}), fine, criteria) is not None}
     push = partial(workers.submit, simulated)
@@ -100,7 +100,7 @@ def run(todo: list[Point], file: Path, workers: Workers, processes: int, fine: f
                     found[impulse] = outcome
                     if wanted(found, fine, criteria) is None:
                         left.discard(point.key)
-                    said = f"{impulse:g} N s: {told(outcome)} ({', '.join(limits(found, c) for c in criteria)})"
+                    said = f"{impulse:g} N s: {outcome_text(outcome)} ({', '.join(limits(found, c) for c in criteria)})"
                     print(
                         f"{len(left)} of {len(todo)} left, {time.time() - started:.0f} s: {point.key}: {said}",
                         flush=True,
@@ -111,7 +111,7 @@ def run(todo: list[Point], file: Path, workers: Workers, processes: int, fine: f
             raise SystemExit(TERMINATED if termination.came else INTERRUPTED) from None
 
 
-def told(outcome: Outcome) -> str:
+def outcome_text(outcome: Outcome) -> str:
     """An outcome in a word or two."""
     return "recovers" if outcome.recovers else "stands" if outcome.stands else "no"
 
@@ -220,7 +220,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=200)
     parser.add_argument("--set", dest="given", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--controllers", nargs="+", choices=get_args(Controller), default=["mpc"])
-    parser.add_argument("--gains", type=Path, help="of rivals")
+    parser.add_argument("--gains", type=Path, help="of baselines")
     parser.add_argument(
         "--criteria",
         nargs="+",
@@ -263,7 +263,7 @@ def main() -> None:
         processes = given.processes or os.cpu_count() or 1
         try:
             run(everything, file, Workers(processes), processes, given.fine, given.criteria)
-        except WbmpcError as error:  # what only the plant refuses, in the process of a push
+        except WbmpcError as error:  # what only the plant rejects, in the process of a push
             parser.error(str(error))
     done = read(file)
     print("\n".join(summary(todo, done, given.fine, given.criteria)))

@@ -4,7 +4,7 @@ Usage: python benchmarks/random_problems.py [--seeds 0-149] [--show]
 
 Every seed draws a system (one to six states, one to four inputs, sines and products), a grid of 1 to 100 intervals, costs, and
 some of: hard bounds and rows, discs, obstacles, multiplier rows, barriers, equalities of every kind, switched modes; starts inside
-and outside. Guesses are the start held. IPOPT gets the same discretised problem (``random_rival.py``) and is started where ours
+and outside. Guesses are the start held. IPOPT gets the same discretised problem (``ipopt_baseline.py``) and is started where ours
 ended (is that an optimum?) and from our guess (which optimum, or none?).
 """
 
@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from random_rival import Rival
+from ipopt_baseline import IpoptBaseline
 
 from wbmpc.model.ode import Ode
 from wbmpc.ocp import (
@@ -49,7 +49,7 @@ class Drawn(NamedTuple):
     x0: np.ndarray
     schedule: ModeSchedule | None
     settings: SQP
-    told: str
+    kind: str
 
 
 # ---------------------------------------------------------------------- what is drawn
@@ -147,7 +147,7 @@ def draw(seed: int) -> Drawn:
 
 
 # ---------------------------------------------------------------------- who is right
-def verdict(ours: Solution, other: Rival, x0: np.ndarray) -> tuple[str, str]:
+def outcome(ours: Solution, other: IpoptBaseline, x0: np.ndarray) -> tuple[str, str]:
     """A class of outcomes, and what is to be said of this one."""
     cold = other.solve(other.vector(np.tile(x0, (other.n + 1, 1)), np.zeros((other.n, other.nu))), near=False)
     if ours.status not in (Status.CONVERGED, Status.RELAXED):
@@ -165,8 +165,8 @@ def verdict(ours: Solution, other: Rival, x0: np.ndarray) -> tuple[str, str]:
     near = other.solve(z, near=True)
     scale = SAME * (1.0 + abs(cost))
     moved = np.abs(near.x - ours.x).max()
-    said = f"{ours.status.name}, cost {cost:.9g}, IPOPT {near.cost:.9g} from there (moved {moved:.2g}, {near.told})"
-    said += f", {cold.cost:.9g} from the guess ({cold.told})"
+    said = f"{ours.status.name}, cost {cost:.9g}, IPOPT {near.cost:.9g} from there (moved {moved:.2g}, {near.kind})"
+    said += f", {cold.cost:.9g} from the guess ({cold.kind})"
     if near.solved and near.cost < cost - scale:
         return "ours is no optimum", said
     if not near.solved and not (cold.solved and abs(cold.cost - cost) <= scale):
@@ -212,13 +212,13 @@ def main(arguments: list[str]) -> None:
     for seed in range(int(first), int(last or first) + 1):
         drawn = draw(seed)
         solver, ours = attempt(drawn, drawn.settings)
-        found, said = verdict(ours, Rival(solver, drawn.x0), drawn.x0)
+        found, said = outcome(ours, IpoptBaseline(solver, drawn.x0), drawn.x0)
         if found.endswith("IPOPT solves it"):
             found += other_settings(drawn)
         classes[found] += 1
         iterations += [ours.iterations] if ours.status in (Status.CONVERGED, Status.RELAXED) else []
         if given.show or not found.startswith("same"):
-            print(f"{seed} [{drawn.told}] {found}: {said}", flush=True)
+            print(f"{seed} [{drawn.kind}] {found}: {said}", flush=True)
     print(f"{sum(classes.values())} problems, {time.process_time() - start:.0f} s of processor time")
     for name, count in classes.most_common():
         print(f"{count:5d}  {name}")

@@ -20,17 +20,21 @@ RATES = (80.0, 200.0, 400.0, 1000.0)
 DELAYS = {"delay of one period": None, "same delay, 10 ms": 0.010}
 #: One step of the hand, 0.2 m and back, with the protocol's rigid drives.
 STEP = (
-    "variants=['plain']", "plant.wheel_spring=0", "plant.arm_spring=0", "plant.drive_lag=0.02", "drive_lag=0.02",
-    "settle=1.5", "hold=3.5",
+    "variants=['plain']", "plant.wheel_spring=0", "plant.arm_spring=0", "plant.actuator_time_constant=0.02", "actuator_time_constant=0.02",
+    "settle_time=1.5", "hold_time=3.5",
 )  # fmt: skip
-PUSHES = ("forces=[100, 200]", "settle=2", "pause=5")
+PUSHES = ("forces=[100, 200]", "settle_time=2", "pause=5")
 #: Directions [rad] of the pushes of 0.2 s that are made stronger until the robot falls.
 DIRECTIONS = np.deg2rad([45.0])
 
 
 def settings(rate: float, delay: float | None) -> list[str]:
     control = 1000.0 if rate > 400.0 else 400.0
-    return [f"mpc.rate={rate:g}", f"control.rate={control:g}", f"mpc.delay={1.0 / rate if delay is None else delay:g}"]
+    return [
+        f"mpc.rate={rate:g}",
+        f"control.rate={control:g}",
+        f"mpc.computation_delay={1.0 / rate if delay is None else delay:g}",
+    ]
 
 
 def limits(kept: Kept, given: list[str], seed: int) -> list[float]:

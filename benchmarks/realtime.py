@@ -25,7 +25,7 @@ from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, set_home_reference
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.settings import leaning_of
+from wbmpc.bases.ball.settings import lean_control_of
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.messages import SwerveCommand
@@ -57,7 +57,7 @@ class Case:
     rate: float
     make_mpc: Callable[[float], MPC]
     make_plant: Callable[[], Any]
-    make_agent: Callable[[MPC, Any, float], Any]
+    make_controller: Callable[[MPC, Any, float], Any]
     stop: Any
     hand: Callable[[np.ndarray], np.ndarray]
     judged: Callable[[np.ndarray], np.ndarray]
@@ -97,11 +97,11 @@ def make_rezero_agent(own: MPC, plant: BallPlant, rate: float) -> BallController
     robot = load_robot("rezero")
     arm = robot.home[robot.state["arm"]]
     robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])  # builds the function: not in the first tick
-    agent = BallController(
-        robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.drive_lag)
+    controller = BallController(
+        robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.actuator_time_constant)
     )
-    agent.leaning = leaning_of(BALL, robot, arm)
-    return agent
+    controller.lean_control = lean_control_of(BALL, robot, arm)
+    return controller
 
 
 def rezero_case() -> Case:
@@ -158,23 +158,23 @@ def swerve_case(intervals: int) -> Case:
 
 # ---------------------------------------------------------------------- one run
 class Watched:
-    """An agent that keeps its estimated state at every eighth tick."""
+    """A controller that keeps its estimated state at every eighth tick."""
 
-    def __init__(self, agent: Any) -> None:
-        self.agent, self.times, self.states, self._ticks = agent, [], [], 0
-        self.measure, self.predict = agent.measure, agent.predict
+    def __init__(self, controller: Any) -> None:
+        self.controller, self.times, self.states, self._ticks = controller, [], [], 0
+        self.measure, self.predict = controller.measure, controller.predict
 
     @property
     def clamped(self) -> bool:
-        return bool(self.agent.clamped)
+        return bool(self.controller.clamped)
 
     def command(self, t: float, plans: Any) -> Any:
-        """The agent's command."""
+        """The controller's command."""
         if self._ticks % 8 == 0:
             self.times.append(t)
-            self.states.append(self.agent.state())
+            self.states.append(self.controller.state())
         self._ticks += 1
-        return self.agent.command(t, plans)
+        return self.controller.command(t, plans)
 
 
 def place(core: int | None, fifo: bool) -> None:
@@ -206,11 +206,11 @@ def run(
     cores = sorted(os.sched_getaffinity(0))
     first, last = (cores[0], cores[-1]) if len(cores) > 1 else (None, None)
     robot = Simulated(case.make_plant, plant.measure(), case.stop, clock, first, fifo)
-    agent = Watched(case.make_agent(own, plant, control))
+    controller = Watched(case.make_controller(own, plant, control))
     make = partial(case.make_mpc, rate)
     settings = RealTimeSettings(control, max_policy_age=0.25, records=200_000)
     runner = RealTimeRunner(
-        robot, agent, make if process else make(), settings, clock, sizes=Sizes.of(own.solver.ocp),
+        robot, controller, make if process else make(), settings, clock, sizes=Sizes.of(own.solver.ocp),
         parameters=lambda: own.solver.parameters, setup=partial(place, last, fifo),
     )  # fmt: skip
     # with the MPC elsewhere the controller sits beside the physics; else on the other core with the MPC's thread
@@ -229,8 +229,8 @@ def run(
     robot.close()
     gc.enable()
     model = load_robot("rezero" if name == "rezero" else "swerve-ur10")
-    estimated = np.array([model.pose(x)[0] for x in agent.states])
-    figures = {"estimated": errors(case, np.array(agent.times), estimated), "world": errors(case, *robot.hand())}
+    estimated = np.array([model.pose(x)[0] for x in controller.states])
+    figures = {"estimated": errors(case, np.array(controller.times), estimated), "world": errors(case, *robot.hand())}
     return {
         "robot": name, "mpc": "process" if process else "thread", "fifo": fifo, "wanted_rate": rate, "control_rate": control,
         "fell": bool(robot.board["fell"]), "largest_tilt": robot.board["tilt"], "physics_behind": int(robot.board["behind"]),

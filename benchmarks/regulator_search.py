@@ -7,7 +7,7 @@ gains so far, made small is how far hand or ball are from their place when the n
 over five directions; the push (0.2 s) gets harder whenever all five are recovered from. Then a race of the walks' best sets, and
 of those that there are, as the push map measures them, in four other directions on tuning seeds. Simulated pushes are kept in
 FILE (JSON lines) and are not simulated again. With ``--write`` the winner goes to benchmarks/push_map_gains.json, where the push
-map takes its rivals from.
+map takes its baselines from.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from ball_baselines import SPACE, Store, candidate
 from push_map import gains, settings_with, write_gains
-from rezero_rivals import SPACE, Store, candidate
 
 from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.sent_torques import DriveSettings
@@ -68,25 +68,30 @@ class ModelledRobot:
         place = pose.position + pose.rotation @ ca.DM(base.tree.links[BODY].com)
         self._slope = ca.Function("slope", [q], [ca.densify(ca.jacobian(place[:2], q))])
 
-    def agent(self, scheduled: bool, gains: Gains) -> LqrController:
+    def controller(self, scheduled: bool, gains: Gains) -> LqrController:
         """With these factors of the weights."""
         given, own = RegulatorSettings(**gains), copy.copy(self._gains)
         own.weights = regulator_weights(self.robot, self.settings, given)
-        agent = LqrController(
-            self.robot, self.mpc, self.torque, self.period, DriveSettings(self.settings.drive_lag), observer=False
+        controller = LqrController(
+            self.robot,
+            self.mpc,
+            self.torque,
+            self.period,
+            DriveSettings(self.settings.actuator_time_constant),
+            observer=False,
         )
-        agent.regulate(own, lambda t: self.home, scheduled, given.most)
-        return agent
+        controller.regulate(own, lambda t: self.home, scheduled, given.max_error)
+        return controller
 
     def generalised(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """The generalised forces (nq) of a horizontal force (2) [N] at the centre of mass of the base."""
         out: np.ndarray = np.array(self._slope(q)).T @ force
         return out
 
-    def loss(self, agent: LqrController, direction: float, impulse: float) -> float:
+    def loss(self, controller: LqrController, direction: float, impulse: float) -> float:
         """How bad a push [N s] ends, when the push experiments would push again: e/(1 + e) for a largest error e [m] of hand or
         ball, 1 to 2 for a fall, more the earlier."""
-        states = self.pushed(agent, direction, impulse, self.settings.pause)
+        states = self.pushed(controller, direction, impulse, self.settings.pause)
         steps = round(self.settings.pause / self.period)
         if len(states) < steps:
             return 2.0 - len(states) / steps
@@ -96,16 +101,16 @@ class ModelledRobot:
         error = float(np.linalg.norm(place - wanted, axis=1).max())
         return error / (1.0 + error)
 
-    def losses(self, agent: LqrController, impulse: float, most: float = np.inf) -> list[float]:
+    def losses(self, controller: LqrController, impulse: float, most: float = np.inf) -> list[float]:
         """Over the directions, until their sum is beyond ``most``."""
         found: list[float] = []
         for direction in MODELLED:
-            found.append(self.loss(agent, direction, impulse))
+            found.append(self.loss(controller, direction, impulse))
             if sum(found) > most:
                 break
         return found
 
-    def pushed(self, agent: LqrController, direction: float, impulse: float, seconds: float) -> np.ndarray:
+    def pushed(self, controller: LqrController, direction: float, impulse: float, seconds: float) -> np.ndarray:
         """States (n, nx) from a push on, every period, until it falls."""
         x, torque, n = self.home.copy(), self.torque.copy(), self.robot.base.nq
         blend = 1.0 - np.exp(-self.period / LAG)
@@ -116,9 +121,9 @@ class ModelledRobot:
             if t < LENGTH + self.period:
                 force = self.generalised(x[:n], push) if t < LENGTH else np.zeros(n)
                 self.mpc.solver.set_parameters({"disturbance": force})
-            wanted = agent.limits.possible(agent._law(t, x, None)[1])
+            wanted = controller.limits.possible(controller._law(t, x, None)[1])
             torque = torque + blend * (wanted - torque)
-            x = agent._step(x, torque, self.period)
+            x = controller._step(x, torque, self.period)
             if not np.isfinite(x).all() or np.hypot(x[3], x[4]) > FALLEN:
                 break
             states.append(x)
@@ -136,7 +141,7 @@ def walk(
     """The impulse [N s] that ``sets`` of gains are at in the end (the best recovers from ``RAISE`` less), and the best. Steps are
     longer after a better set and shorter after a worse one: some of five are better (Rechenberg's rule)."""
     best, impulse, step = start, GENTLE, 0.5
-    losses = lambda tried, *more: robot.losses(robot.agent(controller == "scheduled-lqr", tried), impulse, *more)
+    losses = lambda tried, *more: robot.losses(robot.controller(controller == "scheduled-lqr", tried), impulse, *more)
     found = losses(best)
     for _ in range(1, sets):
         while back(found):
@@ -166,7 +171,7 @@ def search(robot: ModelledRobot, controller: str, walks: int, sets: int, first: 
 
 def present(robot: ModelledRobot, controller: str) -> Gains:
     """The gains that there are."""
-    own = getattr(robot.settings.rival, controller.replace("-", "_"))
+    own = getattr(robot.settings.baseline, controller.replace("-", "_"))
     return {k: float(getattr(own, k)) for k in SPACE[controller]} | gains(robot.mode, controller)
 
 
@@ -199,8 +204,8 @@ def simulated(store: Store, mode: str, controller: str, seeds: list[int]) -> Cal
     def recovers(tried: Gains, impulse: float, task: int) -> bool:
         direction, seed = SIMULATED[task // len(seeds)], seeds[task % len(seeds)]
         passed = store.recovers(Point(mode, direction, LENGTH, seed, settings_with(controller, tried)), impulse)
-        told = f"{np.rad2deg(direction):g} deg, seed {seed}, {impulse:g} N s"
-        print(f"  {tried}, {told}: {'recovers' if passed else 'no'}", flush=True)
+        case = f"{np.rad2deg(direction):g} deg, seed {seed}, {impulse:g} N s"
+        print(f"  {tried}, {case}: {'recovers' if passed else 'no'}", flush=True)
         return passed
 
     return recovers

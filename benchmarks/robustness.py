@@ -33,12 +33,12 @@ SWERVE: dict[str, tuple[str, ...]] = {
     "protocol": (),
     "hand 5 kg": ("plant.payload=5",),
     "hand 10 kg": ("plant.payload=10",),
-    "body 75 kg": ("plant.load=75",),
-    "body 150 kg": ("plant.load=150",),
+    "body 75 kg": ("plant.body_payload=75",),
+    "body 150 kg": ("plant.body_payload=150",),
     "slope 3 deg": ("plant.slope=0.05236",),
-    "delay 5 ms": ("mpc.delay=0.005",),
-    "delay 25 ms": ("mpc.delay=0.025",),
-    "all at once": ("plant.payload=10", "plant.load=150", "plant.slope=0.05236", "mpc.delay=0.025"),
+    "delay 5 ms": ("mpc.computation_delay=0.005",),
+    "delay 25 ms": ("mpc.computation_delay=0.025",),
+    "all at once": ("plant.payload=10", "plant.body_payload=150", "plant.slope=0.05236", "mpc.computation_delay=0.025"),
 }
 BALL: dict[str, tuple[str, ...]] = {
     "protocol": (),
@@ -46,10 +46,10 @@ BALL: dict[str, tuple[str, ...]] = {
     "floor 1.1": ("plant.friction=1.1",),
     "hand 0.5 kg": ("payload=0.5",),
     "hand 1 kg": ("payload=1.0",),
-    "cables 5 mm": ("plant.cables=0.005",),
-    "late 2 ms": ("plant.dead_time=0.002",),
-    "late 8 ms": ("plant.dead_time=0.008",),
-    "late 15 ms": ("plant.dead_time=0.015",),
+    "cables 5 mm": ("plant.floor_cables=0.005",),
+    "late 2 ms": ("plant.actuator_dead_time=0.002",),
+    "late 8 ms": ("plant.actuator_dead_time=0.008",),
+    "late 15 ms": ("plant.actuator_dead_time=0.015",),
 }
 #: Variants of an experiment that the protocol asks for: (experiment, settings, goals other than those of the experiment).
 VARIANTS: dict[str, tuple[str, tuple[str, ...], dict[str, float]]] = {
@@ -58,7 +58,7 @@ VARIANTS: dict[str, tuple[str, tuple[str, ...], dict[str, float]]] = {
     "radii of each wheel": ("swerve-track", ("plant.wheel_radius_each=0.002",), {}),
     "calibrated arm": ("swerve-track", ("plant.joint_offset=0",), {"hand_error_mean_odometry": 2e-4}),
     "odometry only": ("swerve-plaster", ("sensors=false",), {}),
-    "ten minutes": ("swerve-fixed", ("random=600",), {}),
+    "ten minutes": ("swerve-fixed", ("random_time=600",), {}),
 }
 #: Variants that take so long that only the first of the seeds runs them.
 ONCE = ("ten minutes",)
@@ -258,7 +258,7 @@ def _protocol(cell: Cell) -> str:
 
 
 def against_goals(found: list[Cell]) -> list[dict[str, Any]]:
-    """Rows of the table of goals: the protocol and the variants, no burdens."""
+    """Rows of the table of goals: the protocol and the variants, no payload."""
     rows = []
     for cell in found:
         if cell.condition == "protocol" or cell.condition in VARIANTS:

@@ -96,7 +96,7 @@ def steps(bus: Bus, settings: RezeroStepsSettings, count: int = len(STEPS)) -> S
     robot = load_robot("rezero")
     schedule, lift = Schedule.of(settings, robot), np.array([0.0, 0.0, robot.base.radius])
     recorder, node = Recorder(bus.node), bus.node
-    goal = node.publisher("/hand_path", "nav_msgs/msg/Path", DEFAULT)
+    goal = node.publisher("/end_effector_path", "nav_msgs/msg/Path", DEFAULT)
     bus.wait_for(lambda: recorder.rows["base"] and matched(goal), 60.0)
     # the robot is held until it is commanded: the path's first moment is when it starts
     times, positions, turned = [0.0], [schedule.positions[0]], [schedule.quaternions[0]]
@@ -129,7 +129,7 @@ def judged(recorder: Recorder, schedule: Schedule, settings: RezeroStepsSettings
         log.add("hand_quaternion", row[0] - start, row[4:8])
     rises, steady = [], []
     for k in range(count):
-        begin, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold
+        begin, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold_time
         window = (log.times("hand") >= begin - lead) & (log.times("hand") < end - lead)
         rises.append(rise_time(log.times("hand")[window], progress_of(k, log, schedule, window)))
         last = (t - start >= end - lead - STEADY) & (t - start < end - lead)
@@ -145,7 +145,7 @@ def inside(settings: SwerveTrackSettings, seed: int) -> float:
 
 def swerve(given: argparse.Namespace) -> dict[str, Any]:
     """`swerve-track` on the bus and in one process; the stream of commands while the base drives in real time."""
-    settings = SwerveTrackSettings(periods=given.periods, speed=given.speed, rest=given.rest)
+    settings = SwerveTrackSettings(periods=given.periods, speed=given.speed, settle_time=given.rest)
     figures: dict[str, Any] = {}
     if not given.only_stream:
         with open_bus(61, given.seed, lockstep=not given.realtime, factor=1.0 if given.realtime else 10.0) as bus:
@@ -161,7 +161,7 @@ def swerve(given: argparse.Namespace) -> dict[str, Any]:
 
 def ball(given: argparse.Namespace) -> dict[str, Any]:
     """`rezero-steps` on the bus and in one process; the stream of commands while it balances in real time."""
-    settings = RezeroStepsSettings(rest=0.0)
+    settings = RezeroStepsSettings(final_hold_time=0.0)
     figures: dict[str, Any] = {}
     if not given.only_stream:
         with open_bus(63, given.seed, factor=10.0, robot="rezero") as bus:

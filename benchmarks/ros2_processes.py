@@ -1,5 +1,5 @@
 """The processes of a bus for benchmarks and tests: `wbmpc ros2 sim` and `wbmpc ros2 control` on a private domain, and who records
-what is told there."""
+what is reported there."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def balance(bus: Bus) -> Callable[[], None]:
     """A goal for the ball robot's hand: 0.2 m ahead."""
     robot = load_robot("rezero")
     position, turned = robot.pose(robot.home)
-    goal = bus.node.publisher("/hand_goal", "geometry_msgs/msg/PoseStamped")
+    goal = bus.node.publisher("/end_effector_goal", "geometry_msgs/msg/PoseStamped")
     bus.wait_for(lambda: matched(goal), 60.0)
     at = pose(position + [0.2, 0.0, robot.base.radius], turned)
     return lambda: goal.publish({"header": header(0.0, "odom"), "pose": at})

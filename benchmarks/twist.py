@@ -27,8 +27,8 @@ PANELS = (
 
 def settings(factor: float) -> list[str]:
     """Of a run with the twist's weights times a factor."""
-    hand = RezeroFrequencySettings().cost.hand
-    return [f"cost.hand.{k}={factor * getattr(hand, k):g}" for k in ("twist", "angular")]
+    hand = RezeroFrequencySettings().cost.end_effector
+    return [f"cost.end_effector.{k}={factor * getattr(hand, k):g}" for k in ("twist", "angular")]
 
 
 def main() -> None:

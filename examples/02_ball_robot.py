@@ -1,4 +1,4 @@
-"""A ball-balancing robot in MuJoCo physics reaches 0.15 m to the side: problem, MPC, agent and plant by hand.
+"""A ball-balancing robot in MuJoCo physics reaches 0.15 m to the side: problem, MPC, controller and plant by hand.
 
 Run: python examples/02_ball_robot.py
 """
@@ -28,8 +28,8 @@ mpc.reference["torque"] = wb.Reference.constant(torque)
 mpc.reset(home, torque)
 
 plant = BallPlant(robot.description, home, torque, seed=1)  # masses, friction, drive lag … differ from the model
-timing = Timing.of(plant.timestep, control_rate=400.0, mpc_rate=settings.rate, delay=settings.delay)
-agent = BallController(robot, mpc, torque, timing.period, DriveSettings(lag=0.02))
+timing = Timing.of(plant.timestep, control_rate=400.0, mpc_rate=settings.rate, delay=settings.computation_delay)
+controller = BallController(robot, mpc, torque, timing.period, DriveSettings(lag=0.02))
 hand: list[np.ndarray] = []
 
 
@@ -38,7 +38,7 @@ def record(t: float, command: object, plans: PolicyQueue) -> None:
     hand.append(plant.truth().tool)
 
 
-ending = run_lockstep(plant, agent, mpc, timing, 6.0, record)
+ending = run_lockstep(plant, controller, mpc, timing, 6.0, record)
 last = np.array(hand[-400:])
 print(ending.reason or "the robot stood for 6 s")
 print(f"hand error in the last second: {1e3 * np.linalg.norm(last - aside, axis=1).mean():.2f} mm")

@@ -35,7 +35,7 @@ def draw(plant: SwervePlant | BallPlant, camera: Camera, line: np.ndarray) -> np
 
 def swerve() -> None:
     """The swerve robot on its way along the sine, in the second period."""
-    result = swerve_track.EXPERIMENT.run(SwerveTrackSettings(periods=2, rest=2.0), 0)
+    result = swerve_track.EXPERIMENT.run(SwerveTrackSettings(periods=2, settle_time=2.0), 0)
     robot, log = load_robot("swerve-ur10"), result.log
     k = int(0.62 * len(log.times("base")))
     parts = {g: log.array(g)[k] for g in ("base", "steer", "arm")}
@@ -47,11 +47,11 @@ def swerve() -> None:
 
 def rezero() -> None:
     """The ball robot in the middle of the 0.4 m step to the other side: it leans into it. The line joins both goals."""
-    settings = rezero_steps.RezeroStepsSettings(hold=2.0, rest=0.0, preview=False)
+    settings = rezero_steps.RezeroStepsSettings(hold_time=2.0, final_hold_time=0.0, preview=False)
     result = rezero_steps.EXPERIMENT.run(settings, 0)
     robot, log = load_robot("rezero"), result.log
     home, torque = robot.equilibrium(robot.home[robot.state["arm"]])
-    start = settings.settle + 3 * settings.hold
+    start = settings.settle_time + 3 * settings.hold_time
     during = (log.times("state") > start) & (log.times("state") < start + 0.7)
     k = int(np.argmax(np.where(during, log.array("tilt"), 0.0)))
     state = log.array("state")[k] * np.where(np.arange(robot.state.size) < 8, 1.0, 0.0)

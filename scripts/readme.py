@@ -82,13 +82,13 @@ def fill(readme: str, found: dict[str, dict[str, dict[str, Any]]], commit: str =
 
 def clip(sites: list[Path], path: Path) -> None:
     """The README's clip: the beginning of the first finished run of its experiment."""
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
     from wbmpc.view.render import render
     from wbmpc.view.replay import Film
 
     runs = [job for site in sites for job in finished(site) if job.name == CLIP]
     if runs:
-        render(Film(read(runs[0].directory)), path, (0.0, LONGEST), SIZE, SPEED)
+        render(Film(read_recording(runs[0].directory)), path, (0.0, LONGEST), SIZE, SPEED)
 
 
 def main() -> None:

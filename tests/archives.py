@@ -48,13 +48,13 @@ def check_steps(steps, folder: Path) -> None:  # type: ignore[no-untyped-def]
     home = ball.pose(ball.home)[0]
     lead, worst, rises = s["mpc"]["horizon"], [], []
     for k, step in enumerate(STEPS):
-        leave = s["settle"] + (k + 1) * s["hold"] - lead
+        leave = s["settle_time"] + (k + 1) * s["hold_time"] - lead
         goal = home + np.array(step.move)
         last = (t >= leave - 1.0) & (t < leave)
         worst.append(np.linalg.norm(log["hand_estimated"][last] - goal, axis=1).mean())
         if any(step.move):
             before = home + np.array(STEPS[k - 1].move if k else (0, 0, 0))
-            window = (t >= leave - s["hold"]) & (t < leave)
+            window = (t >= leave - s["hold_time"]) & (t < leave)
             gone = (hand[window] - before) @ (goal - before) / np.sum((goal - before) ** 2)
             first = lambda level, g=gone, w=window: t[w][np.argmax(g > level)]
             rises.append(first(0.9) - first(0.1))

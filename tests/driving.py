@@ -103,7 +103,7 @@ def drive(
     mpc.reference["input"] = Reference(t, inputs)
     plant = SwervePlant(robot.description, state.split(home), perturbation, seed)
     timing = Timing.of(plant.timestep, 400.0, 50.0, 0.010)
-    agent = SwerveController(
+    controller = SwerveController(
         robot, plant.truth().pose, timing.period, tracking=TrackingSettings(planned_steering=planned_steering)
     )
     mpc.reset(home)
@@ -113,10 +113,10 @@ def drive(
         times.append(now)
         planned.append(plans.current.feedforward(now)[robot.input["base"]])
         true.append(plant.truth().pose)
-        steered.append(agent.estimator.steer)
+        steered.append(controller.estimator.steer)
 
-    ending = run_lockstep(plant, agent, mpc, timing, motion.end + rest, record)
-    end = np.array([poses[-1], agent.estimator.odometry.pose, plant.truth().pose])
+    ending = run_lockstep(plant, controller, mpc, timing, motion.end + rest, record)
+    end = np.array([poses[-1], controller.estimator.odometry.pose, plant.truth().pose])
     return Drive(
         np.array(times), np.array(planned), np.array(true), end[0], end[1], end[2], ending.reason, np.array(steered)
     )

@@ -27,7 +27,7 @@ class Hand(Section):
 
 
 class CostTerms(Section):
-    hand: Hand = Hand()
+    end_effector: Hand = Hand()
 
 
 class Plant(Section):

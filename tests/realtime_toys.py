@@ -1,4 +1,4 @@
-"""A double integrator with its MPC, agent and robot for the tests of the real-time runner, and faults to put into them.
+"""A double integrator with its MPC, controller and robot for the tests of the real-time runner, and faults to put into them.
 
 The plant is exact in its own (virtual or wall) time: x' = v, v' = u with u held, so predictions have a truth.
 """

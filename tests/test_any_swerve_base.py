@@ -24,7 +24,7 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import assess, corners, leg_angles
 from wbmpc.studies.pankert2022 import brakes as swerve_brakes
 from wbmpc.studies.pankert2022 import unified as swerve_unified
-from wbmpc.studies.pankert2022.directions import refuse_directions
+from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.mission import at_home
 from wbmpc.studies.pankert2022.rolling import RollingController
 from wbmpc.studies.pankert2022.unified import rear_triangles
@@ -79,10 +79,10 @@ def test_open_legs_of_any_number_swing_and_closed_ones_stand(modules: int, tmp_p
     monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
     plant = SwervePlant(robot.description, robot.state.split(x), Perturbation(), 3)
     watching = SupervisionSettings(monitor=monitor)
-    agent = RollingController(robot, np.zeros(3), period, goals, brakes=brakes.commanded, supervision=watching)
+    controller = RollingController(robot, np.zeros(3), period, goals, brakes=brakes.commanded, supervision=watching)
     for k in range(1000):
-        agent.measure(plant.measure())
-        plant.step(agent.drive(k * period), 5)
+        controller.measure(plant.measure())
+        plant.step(controller.drive(k * period), 5)
     truth = plant.truth()
     np.testing.assert_allclose(truth.state[leg], 0.5 - SWING * sent, atol=0.02)
     assert np.hypot(*truth.pose[:2]) < 0.01 and abs(truth.pose[2]) < 0.02
@@ -106,11 +106,13 @@ def test_what_a_base_with_few_modules_cannot_do_is_said(tmp_path: Path) -> None:
         swerve_brakes.EXPERIMENT.run(swerve_brakes.SwerveBrakesSettings(robot=str(five)), 0)
     four = swerve_brakes.SwerveBrakesSettings(robot=str(write_base(tmp_path, 4, True, 0.25 * np.pi)))
     with pytest.raises(InputError, match=r"configuration A: .* outside its limits -1.2 to 1.2"):
-        swerve_brakes.EXPERIMENT.run(four, 0, lambda share, text: pytest.fail("simulated before it was refused"))
+        swerve_brakes.EXPERIMENT.run(four, 0, lambda share, text: pytest.fail("simulated before it was rejected"))
 
 
 # ---------------------------------------------------------------------- steering ranges
-def test_a_steering_range_of_less_than_half_a_turn_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_steering_range_of_less_than_half_a_turn_is_reported(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Wheels 0 and 2 point along 45° of the body at angle 0, 1 and 3 along 135°: the range decides what they reach."""
     wide, short = (
         write_base(tmp_path / n, 4, False, 0.25 * np.pi, r) for n, r in (("a", (-1.57, 1.57)), ("b", (-1.2, 1)))
@@ -123,7 +125,7 @@ def test_a_steering_range_of_less_than_half_a_turn_is_told(tmp_path: Path, caplo
 
     def ask(angle: float, speed: float = 0.2) -> None:
         twists = np.array([[0.0, 0.0, 0.0], [speed * np.cos(angle), speed * np.sin(angle), 0.0]])
-        refuse_directions(robot, t, twists, none, none)
+        reject_directions(robot, t, twists, none, none)
 
     for angle in (1.2, 1.7, 0.1, -0.3, 0.1 + np.pi):
         ask(angle)

@@ -1,4 +1,4 @@
-"""The command line when something goes wrong: its exit status, what is left, and one sentence for every bad input."""
+"""The command line when something goes wrong: its exit status, what is left, and one message for every bad input."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_ctrl_c_is_status_130_and_leaves_what_there_is(tmp_path: Path) -> None:
     assert all((tmp_path / f).is_file() for f in data["files"].values())
 
 
-def test_ctrl_c_in_any_command_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_in_any_command_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also where the command itself does not catch it."""
 
     class Interrupting(dict):  # type: ignore[type-arg]
@@ -144,7 +144,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("arguments", BAD, ids=" ".join)
-def test_bad_input_is_one_sentence_and_status_2(
+def test_bad_input_is_one_message_and_status_2(
     arguments: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "a-file").write_text("")
@@ -172,9 +172,9 @@ REAL = {
     ): "mpc.horizon=10000000000000.0: input should be less than or equal to 1000",
     ("run", "swerve-track", "--set", "mpc.first_interval=1e-30"): "first_interval: 1e-30 s is too short",
     ("run", "swerve-track", "--set", "cost.state.arm=1e308"): "cost 'state', terminal weight of 'arm': must be finite",
-    ("run", "rezero-steps", "--set", "hold=1"): "hold=1",
-    ("run", "rezero-steps", "--set", "hold=2"): "hold=2: a step needs 2.3 s",
-    ("run", "rezero-steps", "--set", "hold=1.5"): "a smaller mpc.horizon or preview=false needs less",
+    ("run", "rezero-steps", "--set", "hold_time=1"): "hold_time=1",
+    ("run", "rezero-steps", "--set", "hold_time=2"): "hold_time=2: a step needs 2.3 s",
+    ("run", "rezero-steps", "--set", "hold_time=1.5"): "a smaller mpc.horizon or preview=false needs less",
     ("run", "rezero-steps", "--set", "mpc.rate=true"): "mpc.rate=true: a number or text is needed",
 }
 
@@ -242,6 +242,6 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
         main(["run", "broken"], {"broken": broken_one})  # type: ignore[dict-item]
 
 
-def test_a_picture_before_the_start_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_picture_before_the_start_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["render", str(tmp_path), "--png", str(tmp_path / "a.png"), "--start", "-5"]) == 2
     assert capsys.readouterr().err == "wbmpc: --start: must not be negative, got -5\n"

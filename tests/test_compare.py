@@ -125,7 +125,7 @@ def test_recordings_are_taken_as_runs(killed: Path, tmp_path: Path, capsys: pyte
     assert rows["fell"] == ([0.0, 0.0], "1") and rows["error"] == ([None, 0.5], "") and data["notes"] == []
 
 
-def test_settings_are_told_on_a_screen(
+def test_settings_are_reported_on_a_screen(
     runs: list[dict],  # type: ignore[type-arg]
     capsys: pytest.CaptureFixture[str],
 ) -> None:

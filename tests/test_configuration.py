@@ -1,4 +1,4 @@
-"""Dotted settings: what they change, and one clear sentence for everything that is wrong."""
+"""Dotted settings: what they change, and one clear message for everything that is wrong."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_keys_are_all_leaves() -> None:
     assert keys(FakeSettings) == [
         "mpc.rate",
         "mpc.intervals",
-        "cost.hand.weight",
+        "cost.end_effector.weight",
         "plant.friction",
         "duration",
         "fall_at",
@@ -40,11 +40,11 @@ def test_without_assignments_the_defaults_hold() -> None:
 
 
 def test_only_the_named_keys_change() -> None:
-    given = ["mpc.rate=100", "cost.hand.weight=3e2", "plant.friction=[5e-1, 0.7]", "abort=true", "mpc.rate=80"]
+    given = ["mpc.rate=100", "cost.end_effector.weight=3e2", "plant.friction=[5e-1, 0.7]", "abort=true", "mpc.rate=80"]
     changed = configure(FakeSettings, given, "fake").model_dump()
     expected = FakeSettings().model_dump()
     expected["mpc"]["rate"] = 80.0  # the later one wins
-    expected["cost"]["hand"]["weight"] = 300.0
+    expected["cost"]["end_effector"]["weight"] = 300.0
     expected["plant"]["friction"] = (0.5, 0.7)
     expected["abort"] = True
     assert changed == expected
@@ -53,7 +53,7 @@ def test_only_the_named_keys_change() -> None:
 BAD = {
     "mpc.rat=3": ["unknown key 'mpc.rat'", "did you mean 'mpc.rate'", "valid in mpc: rate, intervals"],
     "rate=3": ["unknown key 'rate'", "did you mean 'mpc.rate'"],
-    "cost.hnd.weight=3": ["did you mean 'cost.hand.weight'", "valid in cost: hand.…"],
+    "cost.end_efector.weight=3": ["did you mean 'cost.end_effector.weight'", "valid in cost: end_effector.…"],
     "qqq=3": ["unknown key 'qqq'", "valid: mpc.…, cost.…, plant.…, duration"],
     "mpc=3": ["'mpc' is a section", "rate, intervals"],
     "mpc.rate.x=3": ["unknown key 'mpc.rate.x'", "did you mean 'mpc.rate'"],
@@ -78,7 +78,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("assignment", BAD)
-def test_a_fault_is_one_sentence_with_place_key_and_choices(assignment: str) -> None:
+def test_a_fault_is_one_message_with_place_key_and_choices(assignment: str) -> None:
     with pytest.raises(InputError) as caught:
         configure(FakeSettings, [assignment], "fake")
     text = str(caught.value)

@@ -88,7 +88,7 @@ def test_goal_from_rest(goal: str, start: float) -> None:
 def test_sideways_is_stationary_without_the_guess() -> None:
     """Straight wheels at rest are an exact stationary point of a sideways goal: the solver says "converged" and stays."""
     robot = load_robot("swerve-ur10")
-    cost = SwerveCost(hand=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=20.0, yaw=20.0))
+    cost = SwerveCost(end_effector=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=20.0, yaw=20.0))
     ocp = swerve_problem(robot, MpcSettings(horizon=6.0, intervals=40, limits="soft"), cost)
     solver = Solver(ocp, SQP(iterations=200))
     goal = robot.home.copy()

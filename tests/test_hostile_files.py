@@ -94,8 +94,8 @@ def test_a_value_without_a_key_is_named_by_its_setting_alone() -> None:
     "value",
     [
         "joint_offset=1e12",
-        "com=1e12",
-        "drive_lag=1e12",
+        "com_offset=1e12",
+        "actuator_time_constant=1e12",
         "gyro_noise=1e12",
         "friction=1e12",
         "encoder_counts=1000000000000000",
@@ -297,7 +297,7 @@ def test_a_message_of_other_values_is_an_error_with_its_field(kind: str, message
 
 
 # ---------------------------------------------------------------------- everything
-def test_generated_cases_are_accepted_or_refused_as_their_generators_know(
+def test_generated_cases_are_accepted_or_rejected_as_their_generators_know(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The short form of ``python benchmarks/fuzz.py``, in this process."""

@@ -123,7 +123,7 @@ def test_the_check_sees_a_wrong_import() -> None:
     }
 
 
-def test_the_architecture_page_lists_the_rooms_in_this_order() -> None:
+def test_the_architecture_page_lists_the_rooms_in_this_command() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text()
     rows = [cells.split("|")[1] for cells in page.splitlines() if re.match(r"\|\s*`[a-z0-9_]+(/TYPE)?(\.py|/)`", cells)]
     listed = [name for row in rows for name in re.findall(r"`([a-z0-9_]+(?:/TYPE)?)(?:\.py|/)`", row)]

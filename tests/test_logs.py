@@ -38,8 +38,8 @@ def test_causes_do_not_silence_each_other() -> None:
     for _ in range(3):
         log.warning("malformed %s", "a")
         log.error("malformed %s", "a")
-        log.warning("refused")
-    assert lines == ["malformed a", "malformed a", "refused"]
+        log.warning("rejected")
+    assert lines == ["malformed a", "malformed a", "rejected"]
     limit = RateLimitFilter(5.0, lambda: 0.0)
     assert [limit.limit.left_out(c) for c in ("one", "one", "two", "one")] == [0, None, 0, None]
 

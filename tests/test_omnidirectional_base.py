@@ -151,5 +151,5 @@ def test_what_is_no_omnidirectional_base_is_named(tmp_path: Path, wheels: Any, b
 
 
 def test_a_perturbation_that_the_plant_does_not_read_is_an_error():
-    with pytest.raises(InputError, match=r"plant\.cables: .* does not read it; valid: "):
-        base_type("omnidirectional").plant(ROBOT, Perturbation(cables=0.01), 0)
+    with pytest.raises(InputError, match=r"plant\.floor_cables: .* does not read it; valid: "):
+        base_type("omnidirectional").plant(ROBOT, Perturbation(floor_cables=0.01), 0)

@@ -322,7 +322,7 @@ def test_its_robot_follows_a_goal_dragged_in_the_view(gantry: Path, monkeypatch:
     pytest.importorskip("viser")
     from wbmpc.view import session
     from wbmpc.view.live import View
-    from wbmpc.view.steering import ORDERS, no_orders
+    from wbmpc.view.steering import REQUESTS, no_requests
 
     robot = load_robot(gantry)
     start, turn = robot.pose(robot.home)
@@ -333,14 +333,14 @@ def test_its_robot_follows_a_goal_dragged_in_the_view(gantry: Path, monkeypatch:
 
         def begin(self, running: Running) -> None:
             self.running, self.given = running, False
-            self.writer = Mailbox(ORDERS, view.orders.memory, view.orders.checked)
+            self.writer = Mailbox(REQUESTS, view.requests.memory, view.requests.checked)
             self.writer._written = int(self.writer._latest[0])
 
         def tick(self, t: float, command: Any, plans: Any) -> None:
             if t >= 0.1 and not self.given:
                 self.given = True
                 assert self.running.plant.data.qpos[0] == pytest.approx(0.0, abs=1e-6)
-                self.writer.write(**{**no_orders(), "goals": np.array(1.0), "goal": np.array([*goal, *turn])})
+                self.writer.write(**{**no_requests(), "goals": np.array(1.0), "goal": np.array([*goal, *turn])})
 
         def end(self, ending: Ending) -> None:
             self.ending = ending

@@ -21,7 +21,7 @@ CHROMIUM = shutil.which("chromium")
 FELL = FakeSettings(fall_at=2.0)
 
 
-def refuse(constant: str) -> None:
+def reject(constant: str) -> None:
     raise AssertionError(f"{constant} is not JSON")
 
 
@@ -35,7 +35,7 @@ def test_files_of_a_run(tmp_path: Path) -> None:
     files = write_run(result, tmp_path / "new" / "place")
     assert set(files) == {"metrics", "log", "report"}
     assert all(Path(f).is_file() for f in files.values())
-    data = json.loads(Path(files["metrics"]).read_text(), parse_constant=refuse)
+    data = json.loads(Path(files["metrics"]).read_text(), parse_constant=reject)
     assert {
         "experiment",
         "seed",
@@ -74,7 +74,7 @@ def test_metrics_repeat_bit_for_bit_and_hold_no_timings() -> None:
 def test_figures_that_are_not_finite_are_null(tmp_path: Path) -> None:
     result = run(FELL, 1)
     result.settings["odd"] = [float("nan"), {"x": np.float64(np.inf)}]
-    data = json.loads(Path(write_run(result, tmp_path)["metrics"]).read_text(), parse_constant=refuse)
+    data = json.loads(Path(write_run(result, tmp_path)["metrics"]).read_text(), parse_constant=reject)
     assert data["metrics"]["rise_time_max"] == {"value": None, "unit": "s"}
     assert data["settings"]["odd"] == [None, {"x": None}]
     assert data["completed"] is False and data["reason"] == "the robot fell at 2.00 s"
@@ -115,7 +115,7 @@ def test_page_shows_everything(html_page: str) -> None:
 def test_page_of_a_fall_says_so() -> None:
     text = page(run(FELL, 3))
     assert "The run did not complete: the robot fell at 2.00 s" in text
-    assert '"card verdict bad"' in text
+    assert '"card summary bad"' in text
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")

@@ -58,7 +58,7 @@ def peer_planner(name: str, prepared: Prepared, counts: list[int]) -> Planner:
 
     def plan(x0: np.ndarray, guess: Plan, iterations: int) -> Plan:
         if iterations not in solvers:
-            # Fatrop does none or at least two, one more than it is told: it gets the second one for nothing
+            # Fatrop does none or at least two, one more than it is reported: it gets the second one for nothing
             most = max(iterations - 1, 1) if name == "fatrop" else iterations
             solvers[iterations] = nlp_solver(name, prepared, most, TOLERANCE)
         start = np.concatenate([np.hstack([guess[0][:-1], guess[1]]).ravel(), guess[0][-1]])

@@ -28,7 +28,7 @@ REQUIREMENTS = ("crocoddyl", "pin<4.1")
 
 
 def environment(install: bool = True, seconds: float = 300.0) -> Path | str:
-    """The Python of crocoddyl's environment, made when it is not there; a sentence when that fails."""
+    """The Python of crocoddyl's environment, made when it is not there; a message when that fails."""
     try:
         folder = trusted_folder("crocoddyl")
     except (OSError, UntrustedCache) as error:
@@ -117,7 +117,7 @@ def lq_spec(nx: int, nu: int, intervals: int, repeat: int = 30) -> dict[str, Any
 
 
 def crocoddyl_figures(specs: Sequence[dict[str, Any]], seconds: float = 60.0) -> list[dict[str, Any]] | str:
-    """The child's figures, one for each problem; a sentence when there are none."""
+    """The child's figures, one for each problem; a message when there are none."""
     python = environment()
     if isinstance(python, str):
         return python

@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.benchmark.ours import ours
-from wbmpc.benchmark.peers import peer_figures, prepare
-from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench, zoo_bench
+from wbmpc.benchmark.peers import peer_statistics, prepare
+from wbmpc.benchmark.problems import Problem, rezero_bench, suite_bench, swerve_bench
 from wbmpc.benchmark.test_problems.multibody import Multibody
 from wbmpc.benchmark.test_problems.torque_arm import torque_arm
 from wbmpc.model.tree import Frame
@@ -47,7 +47,7 @@ def limited_arm(rows: int, kind: str, intervals: int = 50) -> Problem:
         box = sets.Box(-np.full(6, width), np.full(6, width))
         at: Literal["path", "path+terminal"] = "path" if name == "torque" else "path+terminal"
         problem.ocp.add(Constraint(f"{name}_limit", residuals.Expression(6, function), box, at=at, hard=True))
-    return zoo_bench(problem)
+    return suite_bench(problem)
 
 
 def _row(problem: Problem, solver: str, figures: dict[str, Any], **more: Any) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def _all(problem: Problem, repeat: int, peers: Iterable[str], **more: Any) -> li
     names = list(peers)
     if names:
         prepared = prepare(problem)
-        rows += [_row(problem, n, few(peer_figures(n, prepared, problem)), **more) for n in names]
+        rows += [_row(problem, n, few(peer_statistics(n, prepared, problem)), **more) for n in names]
     return rows
 
 
@@ -82,7 +82,7 @@ def over_intervals(repeat: int, peers: Iterable[str], note: Note) -> list[dict[s
     rows, specs = [], []
     for n in INTERVALS:
         note(f"{n} intervals")
-        problem = zoo_bench(torque_arm(6, n))
+        problem = suite_bench(torque_arm(6, n))
         rows += _all(problem, repeat, peers)
         specs.append((problem, torque_arm_spec(6, n)))
         rows += _all(swerve_bench(n), repeat, ()) + _all(rezero_bench(n, horizon=1.3), repeat, ())
@@ -94,7 +94,7 @@ def over_joints(repeat: int, peers: Iterable[str], note: Note) -> list[dict[str,
     rows, specs = [], []
     for joints in JOINTS:
         note(f"{joints} joints")
-        problem = zoo_bench(torque_arm(joints, 50))
+        problem = suite_bench(torque_arm(joints, 50))
         rows += _all(problem, repeat, peers, joints=joints)
         specs.append((problem, torque_arm_spec(joints, 50)))
     return rows + [{**r, "joints": r["nu"]} for r in _crocoddyl(specs)]

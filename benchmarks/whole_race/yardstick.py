@@ -86,7 +86,7 @@ def _as_sx(f: ca.Function) -> tuple[list[Any], list[Any]]:
 
 
 def build(code: str, seconds: float = 300.0) -> ctypes.CDLL | str:
-    """The shared library of the generated code with ``iteration.c``; a sentence when it cannot be made."""
+    """The shared library of the generated code with ``iteration.c``; a message when it cannot be made."""
     found = compiler()
     if found is None:
         return "no C compiler (cc, gcc) was found"

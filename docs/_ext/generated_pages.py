@@ -63,7 +63,7 @@ def _escaped(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: l
 
 
 def public_names() -> str:
-    """``wbmpc.NAME`` with the first sentence of its docstring."""
+    """``wbmpc.NAME`` with the first message of its docstring."""
     import wbmpc
 
     rows = []
@@ -75,7 +75,7 @@ def public_names() -> str:
 
 
 def _first(text: str) -> str:
-    """First sentence, as text for a Markdown cell."""
+    """First message, as text for a Markdown cell."""
     text = " ".join(text.split())
     text = re.sub(r":\w+:`~?([^`]*)`", r"`\1`", text).replace("``", "`")
     return re.split(r"(?<=[.:])\s", text, maxsplit=1)[0].rstrip(":").replace("|", "\\|")

@@ -3,7 +3,65 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # what type checkers see; a test compares it with the table below
+    from wbmpc.bases import base_type as base_type
+    from wbmpc.errors import InputError as InputError
+    from wbmpc.errors import SolveFailed as SolveFailed
+    from wbmpc.errors import SolverBusy as SolverBusy
+    from wbmpc.errors import WbmpcError as WbmpcError
+    from wbmpc.experiment import Experiment as Experiment
+    from wbmpc.experiment import Loop as Loop
+    from wbmpc.experiment import Scenario as Scenario
+    from wbmpc.log import Log as Log
+    from wbmpc.model.augment import DriveLag as DriveLag
+    from wbmpc.model.augment import FrequencyShaping as FrequencyShaping
+    from wbmpc.model.augment import InputFilter as InputFilter
+    from wbmpc.model.augment import InputRate as InputRate
+    from wbmpc.model.layout import Layout as Layout
+    from wbmpc.model.ode import Ode as Ode
+    from wbmpc.model.robot import RobotModel as RobotModel
+    from wbmpc.model.robot import load_robot as load_robot
+    from wbmpc.mpc.filters import FilterMemory as FilterMemory
+    from wbmpc.mpc.mpc import MPC as MPC
+    from wbmpc.mpc.policy import Policy as Policy
+    from wbmpc.mpc.policy_queue import PolicyQueue as PolicyQueue
+    from wbmpc.ocp import AugmentedLagrangian as AugmentedLagrangian
+    from wbmpc.ocp import Constraint as Constraint
+    from wbmpc.ocp import Cost as Cost
+    from wbmpc.ocp import Mode as Mode
+    from wbmpc.ocp import ModeSchedule as ModeSchedule
+    from wbmpc.ocp import OptimalControlProblem as OptimalControlProblem
+    from wbmpc.ocp import Reference as Reference
+    from wbmpc.ocp import RelaxedBarrier as RelaxedBarrier
+    from wbmpc.ocp import SmoothL1 as SmoothL1
+    from wbmpc.ocp import frequency_aware as frequency_aware
+    from wbmpc.ocp import residuals as residuals
+    from wbmpc.ocp import sets as sets
+    from wbmpc.recording.reader import Recording as Recording
+    from wbmpc.recording.reader import read_recording as read_recording
+    from wbmpc.recording.recorder import Recorder as Recorder
+    from wbmpc.result import Metric as Metric
+    from wbmpc.result import Plot as Plot
+    from wbmpc.result import RunResult as RunResult
+    from wbmpc.result import Series as Series
+    from wbmpc.runtime.clock import WallClock as WallClock
+    from wbmpc.runtime.runner import RealTimeRunner as RealTimeRunner
+    from wbmpc.runtime.runner import RobotInterface as RobotInterface
+    from wbmpc.runtime.safety import RealTimeSettings as RealTimeSettings
+    from wbmpc.simulation.lockstep import Timing as Timing
+    from wbmpc.simulation.lockstep import Watch as Watch
+    from wbmpc.simulation.lockstep import run_lockstep as run_lockstep
+    from wbmpc.solver import ILQR as ILQR
+    from wbmpc.solver import SLQ as SLQ
+    from wbmpc.solver import SQP as SQP
+    from wbmpc.solver import InteriorPoint as InteriorPoint
+    from wbmpc.solver import Solution as Solution
+    from wbmpc.solver import Solver as Solver
+    from wbmpc.solver import Status as Status
+    from wbmpc.solver import Trajectory as Trajectory
+    from wbmpc.types import Observation as Observation
 
 __version__ = "0.2.0"
 
@@ -47,16 +105,35 @@ _MODULES = {
     "SolveFailed": "wbmpc.errors",
     "SolverBusy": "wbmpc.errors",
     "WbmpcError": "wbmpc.errors",
+    "base_type": "wbmpc.bases",
+    "Trajectory": "wbmpc.solver",
+    "PolicyQueue": "wbmpc.mpc.policy_queue",
+    "Timing": "wbmpc.simulation.lockstep",
+    "Watch": "wbmpc.simulation.lockstep",
+    "run_lockstep": "wbmpc.simulation.lockstep",
+    "Experiment": "wbmpc.experiment",
+    "Loop": "wbmpc.experiment",
+    "Scenario": "wbmpc.experiment",
+    "Log": "wbmpc.log",
+    "Metric": "wbmpc.result",
+    "Plot": "wbmpc.result",
+    "RunResult": "wbmpc.result",
+    "Series": "wbmpc.result",
+    "Recorder": "wbmpc.recording.recorder",
+    "Recording": "wbmpc.recording.reader",
+    "read_recording": "wbmpc.recording.reader",
 }
 __all__ = ["__version__", *_MODULES]
 
 
-def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used, so that importing the package costs nothing."""
-    if name not in _MODULES:
-        raise AttributeError(f"module 'wbmpc' has no attribute '{name}'")
-    module = import_module(_MODULES[name])
-    return module if _MODULES[name].endswith(f".{name}") else getattr(module, name)
+if not TYPE_CHECKING:  # a type checker knows the names above, and no other
+
+    def __getattr__(name: str) -> Any:
+        """Load a public name when it is first used, so that importing the package costs nothing."""
+        if name not in _MODULES:
+            raise AttributeError(f"module 'wbmpc' has no attribute '{name}'")
+        module = import_module(_MODULES[name])
+        return module if _MODULES[name].endswith(f".{name}") else getattr(module, name)
 
 
 def __dir__() -> list[str]:

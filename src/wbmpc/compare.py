@@ -12,7 +12,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.json_file import parse_json
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.report import RECORDING
 from wbmpc.result import Plot, Series
 from wbmpc.robots import load_description
@@ -31,7 +31,7 @@ _SIGNALS = ("/hand/", "/odom", "/command/", "/joint_states", "/mpc/")
 class Run:
     """What there is of a run at a ``path``: ``figures`` as in metrics.json, signals by channel, ``note``: what is missing, and why.
 
-    ``labels``: names of a channel's components, where the recording has told them.
+    ``labels``: names of a channel's components, where the recording has them.
     """
 
     path: Path
@@ -74,7 +74,7 @@ def _files(directory: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def _recorded(path: Path) -> Run:
     """What a recording alone says. That of a run that ended holds its figures, without their units."""
-    recording = read(path)
+    recording = read_recording(path)
     about, result = recording.metadata.get("run", {}), recording.metadata.get("result", {})
     where = f"{recording.path}: what it says of its run"
     settings, values = (parse_json(text, where) for text in (about.get("settings", "{}"), result.get("metrics", "{}")))
@@ -100,7 +100,7 @@ def _from_recording(run: Run) -> Run:
     """The same with the signals of its recording, if it has one: numbers of a topic are a channel."""
     if run.path.is_dir() and not (run.path / RECORDING).is_file():
         return run
-    recording, log, labels = read(run.path), {}, {}
+    recording, log, labels = read_recording(run.path), {}, {}
     for topic in [t for t in recording.topics if t.startswith(_SIGNALS)]:
         found = recording.table(topic)
         columns = {name: values for name, values in found.columns.items() if values.dtype.kind == "f"}
@@ -125,7 +125,7 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def experiments(runs: list[dict[str, Any]]) -> str:
-    """A sentence where two runs are of different experiments; else empty."""
+    """A message where two runs are of different experiments; else empty."""
     a, b = (run.get("experiment") or "unknown" for run in runs)
     return (
         ""

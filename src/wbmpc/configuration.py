@@ -1,4 +1,4 @@
-"""Settings from dotted keys: ``mpc.rate=100`` onto a nested pydantic model, one clear sentence for each fault."""
+"""Settings from dotted keys: ``mpc.rate=100`` onto a nested pydantic model, one clear message for each fault."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
 
 
 def describe(error: ValidationError) -> str:
-    """All faults of a validation as one sentence, without web links: ``key=value: what is wrong; ...``."""
+    """All faults of a validation as one message, without web links: ``key=value: what is wrong; ...``."""
     faults, found = [], error.errors(include_url=False, include_context=False)
     for fault in found:
         place = fault["loc"]

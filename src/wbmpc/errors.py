@@ -11,7 +11,7 @@ class WbmpcError(Exception):
 
 
 class InputError(WbmpcError, ValueError):
-    """Bad input of the user: one clear sentence (file, key, valid choices). The command line exits with 2."""
+    """Bad input of the user: one clear message (file, key, valid choices). The command line exits with 2."""
 
 
 class NotFinite(InputError):
@@ -43,7 +43,7 @@ class SensorFailure(RunAborted):
 
 
 class SolveFailed(WbmpcError):
-    """A solve that was asked to ``throw`` ended without a solution; the message is the solution's sentence."""
+    """A solve that was asked to ``throw`` ended without a solution; the message is the solution's message."""
 
 
 class SolverBusy(WbmpcError, RuntimeError):

@@ -72,7 +72,8 @@ class Outcome:
 class Loop:
     """A closed loop in virtual time: plant, controller and MPC (None: nothing plans) for ``duration`` [s].
 
-    ``record(t, command, plans)`` is called once per controller period, before the command acts.
+    ``record(t, command, plans)`` is called once per controller period, before the command acts. A controller that monitors
+    something has ``faults``, a sequence of str.
     """
 
     plant: Any
@@ -85,7 +86,7 @@ class Loop:
     def run(self, progress: Progress | None = None) -> Outcome:
         """Run it to its end, or as far as it gets."""
         ending = run_lockstep(self.plant, self.controller, self.mpc, self.timing, self.duration, self.record, progress)
-        return Outcome(ending, list(self.controller.faults), self.controller, self.mpc)
+        return Outcome(ending, list(getattr(self.controller, "faults", ())), self.controller, self.mpc)
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,8 @@ main { max-width: 1060px; margin: 0 auto; padding: 32px 20px 64px; }
 h1 { font-size: 30px; line-height: 1.2; margin: 0; } h2 { font-size: 20px; margin: 40px 0 12px; }
 .sub { color: var(--soft); margin: 8px 0 0; font-size: 15px; }
 .card { background: var(--card); border: 1px solid var(--line); border-radius: 8px; }
-.verdict { margin: 20px 0; padding: 12px 18px; border-left: 5px solid var(--good); }
-.verdict.fair { border-left-color: var(--fair); } .verdict.bad { border-left-color: var(--bad); }
+.summary { margin: 20px 0; padding: 12px 18px; border-left: 5px solid var(--good); }
+.summary.fair { border-left-color: var(--fair); } .summary.bad { border-left-color: var(--bad); }
 .scroll { overflow-x: auto; } table { border-collapse: collapse; width: 100%; }
 th, td { text-align: left; padding: 7px 12px; white-space: nowrap; } tr + tr > * { border-top: 1px solid var(--line); }
 th { color: var(--soft); font-weight: 600; } .n { text-align: right; font-variant-numeric: tabular-nums; }
@@ -327,7 +327,7 @@ def goal_notes(result: RunResult) -> list[str]:
     return [*found, *(f"{name}: {note}" for name in missed if (note := result.metrics[name].goal_note))]
 
 
-def _verdict(result: RunResult) -> str:
+def _summary(result: RunResult) -> str:
     judged = {name: met for name in result.metrics if (met := result.reached(name)) is not None}
     missed = [html.escape(name) for name, met in judged.items() if not met]
     text = "The run completed" if result.completed else f"The run did not complete: {html.escape(result.reason)}"
@@ -336,7 +336,7 @@ def _verdict(result: RunResult) -> str:
     if missed:
         text += f", missed: {', '.join(missed)}"
     kind = "bad" if not result.completed else "fair" if missed else ""
-    return f'<div class="card verdict {kind}">{text}.</div>'
+    return f'<div class="card summary {kind}">{text}.</div>'
 
 
 def _solve_times(mpc: MpcStatistics | None) -> str:
@@ -365,7 +365,7 @@ def page(result: RunResult) -> str:
         f"{result.experiment}, seed {result.seed}",
         f"""<h1>{html.escape(result.experiment)}</h1>
 <p class="sub">Seed {result.seed}, simulated in MuJoCo; the plant differs from the planner's model as the settings say.</p>
-{_verdict(result)}
+{_summary(result)}
 <h2>Figures</h2>{metrics}
 <p class="sub">The paper's figures are of the real robot, ours of the simulation.</p>{notes}
 {_solve_times(result.mpc)}

@@ -167,7 +167,7 @@ def _spread(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     return {"unit": unit, "median": median, "worst": max(known), **bounds, "met": judged.met}
 
 
-_VERDICT = {True: '<span class="met">pass</span>', False: '<span class="missed">falls short</span>', None: ""}
+_OUTCOME = {True: '<span class="met">pass</span>', False: '<span class="missed">falls short</span>', None: ""}
 _HEADER = ["metric", "unit", "median", "largest", "paper", "goal (at most)", ""]
 
 
@@ -179,7 +179,7 @@ def _metric_rows(metrics: dict[str, Any]) -> list[list[str]]:
             html.escape(m["unit"]),
             *(text(m[k]) for k in ("median", "worst", "paper")),
             goal_text(Metric(m["median"], m["unit"], goal=m["goal"], least=m["least"])),
-            _VERDICT[m["met"]],
+            _OUTCOME[m["met"]],
         ]
         for n, m in metrics.items()
     ]
@@ -225,7 +225,7 @@ def _count(found: dict[str, Any]) -> str:
     judged = {key: met for key, met in judged.items() if met is not None}
     short = [html.escape(key) for key, met in judged.items() if not met]
     text = f"{len(judged) - len(short)} of {len(judged)} goals pass" + (f"; short: {', '.join(short)}" if short else "")
-    return f'<div class="card verdict {"fair" if short else ""}">{text}.</div>' if judged else ""
+    return f'<div class="card summary {"fair" if short else ""}">{text}.</div>' if judged else ""
 
 
 def _versions(found: dict[str, Any]) -> str:
@@ -264,12 +264,12 @@ def _clip(jobs: list[Job], name: str, out: Path, wanted: bool) -> str:
     """The clip of the first finished run, drawn once; or why there is none."""
     path, job = out / name / "clip.mp4", next(j for j in jobs if j.name == name and j.done)
     if wanted and not (path.is_file() and path.stat().st_mtime >= job.mark.stat().st_mtime):
-        from wbmpc.recording.reader import read
+        from wbmpc.recording.reader import read_recording
         from wbmpc.view.render import render
         from wbmpc.view.replay import Film
 
         try:
-            render(Film(read(job.directory)), path, (0.0, float("inf")), CLIP_SIZE, CLIP_SPEED)
+            render(Film(read_recording(job.directory)), path, (0.0, float("inf")), CLIP_SIZE, CLIP_SPEED)
         except InputError as error:
             return f"<p>There is no clip: {html.escape(str(error))}</p>"
     if not path.is_file():

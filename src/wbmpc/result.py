@@ -38,9 +38,9 @@ class Metric:
 
 
 def no_comparison(goal: float) -> Metric:
-    """The ratio to a rival that fell or ended early: no number, so that its ``goal`` does not count as reached."""
+    """The ratio to a baseline that fell or ended early: no number, so that its ``goal`` does not count as reached."""
     return Metric(
-        float("nan"), "1", goal=goal, goal_note="the rival did not get to the end, there is nothing to compare with"
+        float("nan"), "1", goal=goal, goal_note="the baseline did not get to the end, there is nothing to compare with"
     )
 
 
@@ -117,7 +117,7 @@ class Drawing:
 @dataclass
 class RunResult:
     """Everything a run leaves behind; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
-    experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as sentences."""
+    experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages."""
 
     experiment: str
     seed: int

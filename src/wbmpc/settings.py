@@ -33,7 +33,7 @@ class Settings(BaseModel):
 
 class MpcSettings(Settings):
     """``rate`` [Hz]; ``horizon`` [s] with ``intervals``; ``first_interval`` [s] of a geometric grid (0: uniform);
-    ``delay`` [s]: modelled computation time; ``iterations`` per update; ``limits``: by an interior
+    ``computation_delay`` [s]: modelled computation time; ``iterations`` per update; ``limits``: by an interior
     point (hard) or relaxed barriers (soft), both with ``barrier_mu``; ``rollout_restart``: see
     :class:`wbmpc.solver.InteriorPoint`."""
 
@@ -41,7 +41,7 @@ class MpcSettings(Settings):
     horizon: float = Field(10.0, gt=0, le=1000)
     intervals: int = Field(50, ge=1, le=1000)
     first_interval: float = Field(0.017, ge=0, le=1000)
-    delay: float = Field(0.010, ge=0, le=1.0)
+    computation_delay: float = Field(0.010, ge=0, le=1.0)
     iterations: int = Field(1, ge=1, le=50)
     limits: Literal["hard", "soft"] = "hard"
     barrier_mu: float = Field(3e-3, gt=0, le=1e6)

@@ -57,10 +57,10 @@ def _read(text: str, where: str, lines: bool) -> Any:
     except _BROKEN as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{where}: not valid YAML: {_said(error, lines)}") from error
+        raise InputError(f"{where}: not valid YAML: {_describe(error, lines)}") from error
 
 
-def _said(error: Exception, lines: bool) -> str:
+def _describe(error: Exception, lines: bool) -> str:
     if not isinstance(error, yaml.MarkedYAMLError):
         return " ".join(str(error).replace(' in "<unicode string>",', "").split()) or type(error).__name__
     text = ", ".join(part for part in (error.context, error.problem) if part)

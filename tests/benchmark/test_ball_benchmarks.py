@@ -32,8 +32,8 @@ def in_real_time() -> BallController:
 
 def at_its_limits(cost: RezeroCost) -> BallController:
     variant: Any = SimpleNamespace(mpc=lambda *_: NO_MPC)
-    agent: BallController = limit_scenarios._rezero(ROBOT, variant, 0, 5.0, cost).agent
-    return agent
+    controller: BallController = limit_scenarios._rezero(ROBOT, variant, 0, 5.0, cost).controller
+    return controller
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def at_its_limits(cost: RezeroCost) -> BallController:
 )
 def test_it_leans_against_forces_as_in_the_experiments(make: Any, share: float) -> None:
     """Against one that is too strong with what is left of 90 % of the reach beside ``share``, to which the problem limits it."""
-    leaning = make().leaning
-    assert leaning is not None and leaning.speed == RezeroSettings().pushed_speed
-    lean = leaning.shift(STRONG, 0.3) - leaning.centre(STRONG, 0.3)
-    assert np.hypot(*lean) == pytest.approx((0.9 - share) * leaning.reach)
+    lean_control = make().lean_control
+    assert lean_control is not None and lean_control.speed == RezeroSettings().max_pushed_speed
+    lean = lean_control.shift(STRONG, 0.3) - lean_control.centre(STRONG, 0.3)
+    assert np.hypot(*lean) == pytest.approx((0.9 - share) * lean_control.reach)

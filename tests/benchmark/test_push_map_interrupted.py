@@ -31,7 +31,7 @@ def made_up(point: Point, impulse: float) -> Outcome:
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_ctrl_c_ends_the_map_with_a_sentence_and_keeps_what_is_done(
+def test_ctrl_c_ends_the_map_with_a_message_and_keeps_what_is_done(
     number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(push_map, "simulated", made_up)
@@ -51,22 +51,22 @@ def test_ctrl_c_ends_the_map_with_a_sentence_and_keeps_what_is_done(
     thread.join()
     assert time.monotonic() - started < 30.0
     assert ended.value.code == status
-    told = capsys.readouterr()
-    assert told.err == f"interrupted: what is done is in {file}; the same command goes on from there\n"
-    assert "1 of 1 left" in told.out and "320 N s: no" in told.out
+    reported = capsys.readouterr()
+    assert reported.err == f"interrupted: what is done is in {file}; the same command goes on from there\n"
+    assert "1 of 1 left" in reported.out and "320 N s: no" in reported.out
     assert {k: list(v) for k, v in json.loads(file.read_text()).items()} == {point.key: [str(MOST)]}
     assert not multiprocessing.active_children()
 
 
-def refused(point: Point, impulse: float) -> Outcome:
+def rejected(point: Point, impulse: float) -> Outcome:
     raise InputError("mpc.rate: 77 Hz is not a whole number of periods")
 
 
-def test_what_a_run_refuses_is_a_sentence_and_status_2(
+def test_what_a_run_rejects_is_a_message_and_status_2(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Also where only the process of a push finds it."""
-    monkeypatch.setattr(push_map, "simulated", refused)
+    monkeypatch.setattr(push_map, "simulated", rejected)
     monkeypatch.setattr(push_map, "Workers", lambda count: Workers(1, "fork"))
     monkeypatch.setattr(sys, "argv", ["push_map.py", "--directions", "2", "--lengths", "0.2", "--out", str(tmp_path)])
     with pytest.raises(SystemExit, match="2"):
@@ -100,7 +100,7 @@ def test_ctrl_c_before_the_first_push_names_no_file(
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "reported"),
     [
         (["--lengths", "0.001"], "of 2.5 ms; valid: e.g. 0.0025 s\n"),
         (["--lengths", "0.2", "0.003"], "0.003 s is not a whole number of controller periods"),
@@ -108,16 +108,16 @@ def test_ctrl_c_before_the_first_push_names_no_file(
         (["--lengths", "6"], "length"),
         (["--lengths", "-0.1"], "length"),
         (["--fine", "nan"], "--fine a number above 0"),
-        (["--set", "length=0.4"], "length: the push map does not use it"),
-        (["--set", " settle=1"], "settle: the push map does not use it"),
+        (["--set", "push_duration=0.4"], "push_duration: the push map does not use it"),
+        (["--set", " settle_time=1"], "settle_time: the push map does not use it"),
         (["--out", "{}/broken.json"], "cannot be a folder"),
         (["--out", "{}/old"], "no file of a push map"),
         (["--controllers", "lqr", "--gains", "{}/broken.json"], "no file of gains"),
         (["--controllers", "lqr", "--gains", "{}/words.json"], "no file of gains"),
     ],
 )
-def test_what_a_map_cannot_take_is_told_before_it_starts(
-    given: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_what_a_map_cannot_take_is_reported_before_it_starts(
+    given: list[str], reported: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "broken.json").write_text("{")
     (tmp_path / "words.json").write_text('{"hand": {"lqr": {"torque": "much"}}}')
@@ -128,7 +128,7 @@ def test_what_a_map_cannot_take_is_told_before_it_starts(
     monkeypatch.setattr(sys, "argv", ["push_map.py", "--modes", "hand", *(a.format(tmp_path) for a in given), *out])
     with pytest.raises(SystemExit) as ended:
         push_map.main()
-    assert ended.value.code == 2 and told in capsys.readouterr().err
+    assert ended.value.code == 2 and reported in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 

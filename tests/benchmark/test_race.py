@@ -23,8 +23,8 @@ from wbmpc.benchmark import race
 from wbmpc.benchmark.child import within
 from wbmpc.benchmark.machine_speed import peak_gflops
 from wbmpc.benchmark.ours import ours
-from wbmpc.benchmark.peers import peer_figures, prepare, solve_with
-from wbmpc.benchmark.problems import Problem, zoo_bench
+from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
+from wbmpc.benchmark.problems import Problem, suite_bench
 from wbmpc.benchmark.program import Program, compiler
 from wbmpc.benchmark.test_problems.ballbot import ballbot
 from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
@@ -107,9 +107,9 @@ def test_the_peak_is_that_of_a_processor() -> None:
 
 # ---------------------------------------------------------------------- the program that peers get
 MAKERS: dict[str, Callable[[], Problem]] = {
-    "rk2, soft": lambda: zoo_bench(ballbot(4)),
-    "hard limit": lambda: zoo_bench(double_integrator(4, hard=True)),
-    "rk4, hard": lambda: zoo_bench(cartpole(4, hard=True)),
+    "rk2, soft": lambda: suite_bench(ballbot(4)),
+    "hard limit": lambda: suite_bench(double_integrator(4, hard=True)),
+    "rk4, hard": lambda: suite_bench(cartpole(4, hard=True)),
     "hard states, general rows": lambda: limited_arm(24, "general", 3),
     "hard states": lambda: limited_arm(36, "boxes", 3),
 }
@@ -133,7 +133,7 @@ def test_derivatives_of_the_program_are_casadis_own(name: str) -> None:
 
 
 def test_the_hessian_of_a_quadratic_cost_is_the_exact_one() -> None:
-    problem = zoo_bench(double_integrator(5, hard=True))
+    problem = suite_bench(double_integrator(5, hard=True))
     program = Program(problem.solver)
     exact = ca.Function("h", [program.x, program.p], [ca.hessian(program.cost(), program.x)[0]])
     z = np.random.default_rng(2).normal(size=program.x.shape[0])
@@ -149,7 +149,7 @@ def test_hard_states_do_not_count_at_the_measured_state() -> None:
 
 @pytest.mark.parametrize("name", ["ipopt", "fatrop"])
 def test_peers_find_our_solution_under_a_hard_limit(name: str) -> None:
-    problem = zoo_bench(double_integrator(20, hard=True))
+    problem = suite_bench(double_integrator(20, hard=True))
     x, u, figures = ours(problem, 3)
     assert figures["success"] and np.abs(u).max() > 1.0 - 1e-6  # the limit is active
     start = (np.tile(problem.x0, (21, 1)), np.zeros((20, 1)))
@@ -161,7 +161,7 @@ def test_peers_find_our_solution_under_a_hard_limit(name: str) -> None:
 # ---------------------------------------------------------------------- the quadratic problem of a step
 @pytest.mark.parametrize("make", [lambda: double_integrator(10), lambda: ballbot(8)], ids=["integrator", "ballbot"])
 def test_our_step_solves_the_dense_kkt_equations(make: Callable[[], Any]) -> None:
-    lq, packed = step_problem(zoo_bench(make()))
+    lq, packed = step_problem(suite_bench(make()))
     h, g, a, right = matrices(lq)
     nothing = np.zeros((a.shape[0],) * 2)
     kkt = np.block([[h.toarray(), a.toarray().T], [a.toarray(), nothing]])
@@ -170,14 +170,14 @@ def test_our_step_solves_the_dense_kkt_equations(make: Callable[[], Any]) -> Non
 
 
 def test_qp_peers_agree_with_us() -> None:
-    rows = {r["solver"]: r for r in quadratic_race(zoo_bench(double_integrator(10)), repeat=2)}
+    rows = {r["solver"]: r for r in quadratic_race(suite_bench(double_integrator(10)), repeat=2)}
     assert set(rows) == {"wbmpc Riccati", "hpipm", "osqp"}
     for row in rows.values():
         assert row["success"] and row["difference"] < 1e-6 and row["step_ms"] > 0.0
 
 
 def test_a_start_beside_the_guess_moves_the_step() -> None:
-    problem = zoo_bench(double_integrator(10))
+    problem = suite_bench(double_integrator(10))
     program, kernel = Program(problem.solver), problem.solver.kernel
     assert kernel is not None
     x, u = np.tile(problem.x0, (11, 1)), np.zeros((10, 1))
@@ -195,18 +195,18 @@ def test_a_start_beside_the_guess_moves_the_step() -> None:
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
 @pytest.mark.parametrize("make", [lambda: double_integrator(12), lambda: ballbot(12)], ids=["integrator", "ballbot"])
 def test_the_c_iteration_is_ours(make: Callable[[], Any]) -> None:
-    row = yardstick(zoo_bench(make()), repeat=5, rounds=1)
+    row = yardstick(suite_bench(make()), repeat=5, rounds=1)
     assert row["success"] and row["difference"] < 1e-9
     assert row["ratio"] == row["ours_ms"] / row["c_ms"] > 0.0
 
 
 def test_c_says_what_it_cannot_do() -> None:
-    row = yardstick(zoo_bench(cartpole(4)), repeat=1, rounds=1)
+    row = yardstick(suite_bench(cartpole(4)), repeat=1, rounds=1)
     assert not row["success"] and "rk2" in row["error"]
 
 
 # ---------------------------------------------------------------------- missing and hanging peers
-def test_without_its_environment_crocoddyl_is_left_out_with_a_sentence(
+def test_without_its_environment_crocoddyl_is_left_out_with_a_message(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path))
@@ -227,7 +227,7 @@ def _sleep() -> None:
     time.sleep(60.0)
 
 
-def test_a_peer_that_hangs_or_dies_ends_with_a_sentence() -> None:
+def test_a_peer_that_hangs_or_dies_ends_with_a_message() -> None:
     assert within(0.5, _sleep) == "no answer in 0 s"
     assert "exit status 3" in within(10.0, os._exit, 3)
     assert within(10.0, float, "x") == "could not convert string to float: 'x'"
@@ -236,16 +236,16 @@ def test_a_peer_that_hangs_or_dies_ends_with_a_sentence() -> None:
 
 def test_a_peer_without_a_compiler_runs_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("wbmpc.benchmark.program.compiler", lambda: None)
-    problem = zoo_bench(double_integrator(8))
+    problem = suite_bench(double_integrator(8))
     prepared = prepare(problem)
     assert "no C compiler" in prepared.how
-    figures = peer_figures("ipopt", prepared, problem)
+    figures = peer_statistics("ipopt", prepared, problem)
     assert figures["success"] and figures["iteration_ms"] > 0.0
 
 
 # ---------------------------------------------------------------------- closed loop
 def test_late_plans_cost_more_and_more_iterations_do_not() -> None:
-    problem = zoo_bench(double_integrator(20))
+    problem = suite_bench(double_integrator(20))
     planner = closed_loop.our_planner(problem, [])
     cost = lambda iterations, late: closed_loop.drive(problem, planner, iterations, late, 0, 80, slice(1, 2))
     best = cost(10, 0)
@@ -270,7 +270,7 @@ def test_goals_compare_with_the_fastest_peer() -> None:
 
 
 def test_the_run_is_one_object_of_known_structure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    make = lambda limits="soft": zoo_bench(double_integrator(6, hard=limits == "hard"))
+    make = lambda limits="soft": suite_bench(double_integrator(6, hard=limits == "hard"))
     monkeypatch.setattr(race, "ROBOTS", (make,))
     monkeypatch.setattr(race, "iteration_times", lambda: {"p": {"hard_ms": 1.1, "unlimited_ms": 1.0, "ratio": 1.1}})
     size = {

@@ -12,7 +12,7 @@ import pytest
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 import random_problems
-from random_rival import Rival
+from ipopt_baseline import IpoptBaseline
 
 from wbmpc.solver import Status
 
@@ -21,17 +21,17 @@ from wbmpc.solver import Status
 def test_ours_is_ipopts(seed: int) -> None:
     drawn = random_problems.draw(seed)
     solver, ours = random_problems.attempt(drawn, drawn.settings)
-    assert random_problems.verdict(ours, Rival(solver, drawn.x0), drawn.x0)[0] == "same"
+    assert random_problems.outcome(ours, IpoptBaseline(solver, drawn.x0), drawn.x0)[0] == "same"
 
 
-def test_another_answer_is_told() -> None:
+def test_another_answer_is_reported() -> None:
     drawn = random_problems.draw(2)
     solver, ours = random_problems.attempt(drawn, drawn.settings)
-    other = Rival(solver, drawn.x0)
+    other = IpoptBaseline(solver, drawn.x0)
     moved = replace(ours, x=ours.x + 1e-3 * np.arange(len(ours.x))[:, None])
-    assert random_problems.verdict(moved, other, drawn.x0)[0] == "ours violates"
+    assert random_problems.outcome(moved, other, drawn.x0)[0] == "ours violates"
     wrong = replace(ours, status=Status.RELAXED)
-    assert random_problems.verdict(wrong, other, drawn.x0)[0] == "wrong about giving way"
+    assert random_problems.outcome(wrong, other, drawn.x0)[0] == "wrong about giving way"
 
 
 def test_a_limit_of_state_and_input_with_a_slack_is_not_infeasible() -> None:
@@ -41,7 +41,7 @@ def test_a_limit_of_state_and_input_with_a_slack_is_not_infeasible() -> None:
     assert (
         ours.status is Status.ITERATION_LIMIT and "mixed" in ours.detail and "a limit that may give way" in ours.detail
     )
-    other = Rival(solver, drawn.x0)
+    other = IpoptBaseline(solver, drawn.x0)
     assert other.solve(other.vector(ours.x, ours.u), near=False).slack > 0.1
 
 

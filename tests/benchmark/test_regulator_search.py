@@ -35,7 +35,7 @@ class Known:
     def __init__(self, settings: Any) -> None:
         self.settings, self.tried = settings, []
 
-    def agent(self, scheduled: bool, gains: dict[str, float]) -> dict[str, float]:
+    def controller(self, scheduled: bool, gains: dict[str, float]) -> dict[str, float]:
         self.tried.append(gains)
         return gains
 
@@ -66,15 +66,15 @@ def test_a_robot_that_falls_later_or_rests_nearer_loses_less(
 ) -> None:
     """A fall after 1.4 of 7 s is 1.8; a hand 0.25 m off is 0.25/1.25 = 0.2; five directions, until it is too much."""
     states = np.tile(robot.home, (2800, 1))
-    monkeypatch.setattr(robot, "pushed", lambda agent, direction, impulse, seconds: states)
+    monkeypatch.setattr(robot, "pushed", lambda controller, direction, impulse, seconds: states)
     monkeypatch.setattr(regulator_search, "MODELLED", (0.0, 1.0))
-    agent: Any = None
-    assert robot.losses(agent, 10.0) == [0.0, 0.0]
+    controller: Any = None
+    assert robot.losses(controller, 10.0) == [0.0, 0.0]
     states[-1, 0] += 0.25
-    assert robot.losses(agent, 10.0) == pytest.approx([0.2, 0.2])
-    assert len(robot.losses(agent, 10.0, most=0.1)) == 1
+    assert robot.losses(controller, 10.0) == pytest.approx([0.2, 0.2])
+    assert len(robot.losses(controller, 10.0, most=0.1)) == 1
     states = states[:560]
-    assert robot.losses(agent, 10.0) == pytest.approx([1.8, 1.8])
+    assert robot.losses(controller, 10.0) == pytest.approx([1.8, 1.8])
 
 
 def test_the_race_is_won_by_the_strongest_and_leaves_the_others_early() -> None:
@@ -120,35 +120,39 @@ def test_the_push_does_the_work_of_a_force_at_the_base(robot: ModelledRobot) -> 
 
 
 #: Wheels that hardly do anything: found by a search for what stands, wherever it goes.
-ROLLS_AWAY = {"hand": 2.92e-4, "torque": 4220.0, "arm": 0.039, "posture": 60.0, "damping": 0.936, "most": 0.174}
+ROLLS_AWAY = {"hand": 2.92e-4, "torque": 4220.0, "arm": 0.039, "posture": 60.0, "damping": 0.936, "max_error": 0.174}
 
 
 def test_to_stand_is_not_to_come_back(robot: ModelledRobot) -> None:
     """40 N s are 1.7 m/s for 23 kg; the hand is back within 5 cm after 7 s, or the robot is metres away. No wheels stop 320 N s at
     once: that is 14 m/s."""
-    agent = robot.agent(False, ROLLS_AWAY)
-    pushed = robot.pushed(agent, 0.0, 40.0, 0.2)
+    controller = robot.controller(False, ROLLS_AWAY)
+    pushed = robot.pushed(controller, 0.0, 40.0, 0.2)
     assert len(pushed) == 80 and pushed[-1, robot.robot.base.nq] == pytest.approx(40.0 / 23.0, rel=0.5)
-    assert 3.0 / 4.0 < robot.loss(agent, 0.0, 40.0) < 1.0  # beyond 3 m
-    assert 1.0 < robot.loss(agent, 0.0, 320.0) <= 2.0
-    assert robot.loss(robot.agent(False, {}), 0.0, 10.0) < NEAR / (1.0 + NEAR)
+    assert 3.0 / 4.0 < robot.loss(controller, 0.0, 40.0) < 1.0  # beyond 3 m
+    assert 1.0 < robot.loss(controller, 0.0, 320.0) <= 2.0
+    assert robot.loss(robot.controller(False, {}), 0.0, 10.0) < NEAR / (1.0 + NEAR)
 
 
 def test_gains_that_were_found_are_the_maps(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(push_map, "GAINS", tmp_path / "gains.json")
     push_map.GAINS.write_text("{}")
     assert push_map.settings_of("ball", "scheduled-lqr") == ("controller=scheduled-lqr",)
-    push_map.write_gains("ball", "scheduled-lqr", {"torque": 20.0, "most": 0.05})
+    push_map.write_gains("ball", "scheduled-lqr", {"torque": 20.0, "max_error": 0.05})
     push_map.write_gains("hand", "lqr", {"torque": 3.0})
     given = push_map.settings_of("ball", "scheduled-lqr")
-    assert given == ("controller=scheduled-lqr", "rival.scheduled_lqr.torque=20", "rival.scheduled_lqr.most=0.05")
+    assert given == (
+        "controller=scheduled-lqr",
+        "baseline.scheduled_lqr.torque=20",
+        "baseline.scheduled_lqr.max_error=0.05",
+    )
     assert push_map.settings_of("hand", "scheduled-lqr") == ("controller=scheduled-lqr",)
     assert push_map.settings_of("hand", "mpc") == ()
 
 
 def test_the_summary_compares_direction_by_direction() -> None:
     """Medians of each, and of the ratios: 200/100, 150/150, 90/100; a direction that only one has does not count, and one in which
-    the other never recovers is told, not divided by. Farther than 3 m the ball went where the robot did not recover."""
+    the other never recovers is reported, not divided by. Farther than 3 m the ball went where the robot did not recover."""
     of = lambda *given: push_map.points("hand", 4, (0.2,), 0, given)
     todo = {"mpc": of(), "lqr": of("controller=lqr")}
     stands = {"mpc": (200.0, 150.0, 90.0, 170.0), "lqr": (100.0, 150.0, 100.0)}

@@ -8,8 +8,8 @@ import scipy.sparse as sp
 from scipy.optimize import nnls
 
 from wbmpc.benchmark.ours import ours, several_iterations
-from wbmpc.benchmark.peers import peer_figures, prepare, solve_with
-from wbmpc.benchmark.problems import zoo_bench
+from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
+from wbmpc.benchmark.problems import suite_bench
 from wbmpc.benchmark.program import Program
 from wbmpc.benchmark.residual import EQUAL, Measure, least_squares, to_equal_residual
 from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
@@ -40,7 +40,7 @@ def test_dependent_rows() -> None:
 @pytest.fixture(scope="module")
 def limited():  # type: ignore[no-untyped-def]
     """A double integrator at its limits: problem, peers' form, measure, our solution."""
-    problem = zoo_bench(double_integrator(12, hard=True))
+    problem = suite_bench(double_integrator(12, hard=True))
     prepared = prepare(problem, compile_functions=False)
     return problem, prepared, Measure(prepared.program), ours(problem, 2)[:2]
 
@@ -75,7 +75,7 @@ def test_what_is_wrong_shows(limited) -> None:  # type: ignore[no-untyped-def]
 
 def test_the_gradient_of_an_unlimited_optimum_by_hand() -> None:
     """min ½ Σ h |z|² … with the program's own numbers: y from the normal equations of all rows."""
-    problem = zoo_bench(double_integrator(6))
+    problem = suite_bench(double_integrator(6))
     program = Program(problem.solver)
     rng = np.random.default_rng(1)
     x, u = rng.normal(size=(7, 2)), rng.normal(size=(6, 1))
@@ -107,7 +107,7 @@ class Measured:
 
 
 def test_the_race_to_an_equal_residual() -> None:
-    problem = zoo_bench(cartpole(10))
+    problem = suite_bench(cartpole(10))
     prepared = prepare(problem, compile_functions=False)
     measure = Measure(prepared.program)
     most = ours(problem, 2)[2]["iterations"]
@@ -117,5 +117,5 @@ def test_the_race_to_an_equal_residual() -> None:
     if own["equal_iterations"] > 1:
         _, x, u = several_iterations(problem, own["equal_iterations"] - 1, 1)
         assert measure(x, u, problem.x0).largest > EQUAL
-    peer = peer_figures("ipopt", prepared, problem, measure)
+    peer = peer_statistics("ipopt", prepared, problem, measure)
     assert peer["residual"] <= EQUAL and 1 <= peer["equal_iterations"] <= peer["iterations"]

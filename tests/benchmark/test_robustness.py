@@ -1,4 +1,4 @@
-"""The study over burdens. Truth: files of runs written by hand, their order statistics."""
+"""The study over payload. Truth: files of runs written by hand, their order statistics."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def study(tmp_path: Path) -> dict[robustness.Job, str]:
     return found
 
 
-def test_figures_are_order_statistics_of_what_is_finished(study: dict[robustness.Job, str]) -> None:
+def test_figures_are_command_statistics_of_what_is_finished(study: dict[robustness.Job, str]) -> None:
     protocol, slope = robustness.cells(study)
     s = protocol.statistics()[METRIC]
     assert len(protocol.runs) == 20 and protocol.completed == 20
@@ -126,9 +126,9 @@ def test_table_of_goals(study: dict[robustness.Job, str], tmp_path: Path) -> Non
 
 def test_conditions_mean_what_they_are_called() -> None:
     given = {c: configure(SwerveUnifiedSettings, s, "") for c, s in robustness.SWERVE.items()}
-    assert (given["hand 10 kg"].plant.payload, given["body 150 kg"].plant.load) == (10.0, 150.0)
+    assert (given["hand 10 kg"].plant.payload, given["body 150 kg"].plant.body_payload) == (10.0, 150.0)
     assert given["slope 3 deg"].plant.slope == pytest.approx(3.0 * 3.141592653589793 / 180.0, rel=1e-4)
-    assert (given["delay 5 ms"].mpc.delay, given["delay 25 ms"].mpc.delay) == (0.005, 0.025)
+    assert (given["delay 5 ms"].mpc.computation_delay, given["delay 25 ms"].mpc.computation_delay) == (0.005, 0.025)
     assert given["protocol"] == SwerveUnifiedSettings()
 
 

@@ -53,6 +53,6 @@ ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), n
         (lambda: Smoothing(0.0), "smoothing: 'time' must be positive"),
     ],
 )
-def test_what_no_controller_can_be_made_of_is_refused(make: Callable[[], Any], words: str) -> None:
+def test_what_no_controller_can_be_made_of_is_rejected(make: Callable[[], Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         make()

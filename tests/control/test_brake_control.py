@@ -22,8 +22,8 @@ def planned(schedule: ModeSchedule, t: float) -> list[float]:
 
 
 def test_a_leg_is_planned_open_only_when_its_brake_has_opened() -> None:
-    told: list[ModeSchedule] = []
-    brakes = BrakeControl(SWERVE, delay=0.2, changed=told.append)
+    reported: list[ModeSchedule] = []
+    brakes = BrakeControl(SWERVE, delay=0.2, changed=reported.append)
     brakes.set(2.0, [1, 1, 0, 0])
     brakes.set(5.0, [0, 1, 0, 1])
     table = {
@@ -35,11 +35,11 @@ def test_a_leg_is_planned_open_only_when_its_brake_has_opened() -> None:
     }
     for t, (commanded, plan) in table.items():
         assert list(brakes.commanded(t)) == commanded
-        assert planned(told[-1], t) == plan
-    assert len(told) == 3  # at the start and after each event
+        assert planned(reported[-1], t) == plan
+    assert len(reported) == 3  # at the start and after each event
 
 
-def test_events_at_any_time_and_in_any_order() -> None:
+def test_events_at_any_time_and_in_any_command() -> None:
     brakes = BrakeControl(SWERVE)
     brakes.set(5.0, np.zeros(4))
     brakes.set(1.0, np.ones(4))
@@ -61,7 +61,7 @@ def test_the_plan_takes_a_faulty_brake_as_it_is() -> None:
     assert planned(brakes.schedule(), 0.0) == [1, 0, 0, 0]
     brakes.accept(BrakeFault(1.6, 2, "leg_LB", "opens after all", 0.01))
     assert planned(brakes.schedule(), 2.0) == [1, 1, 1, 1]
-    brakes.accept(BrakeFault(1.7, 0, "leg_LF", "holds after all", 0.2))  # was told not to hold
+    brakes.accept(BrakeFault(1.7, 0, "leg_LF", "holds after all", 0.2))  # was reported not to hold
     assert planned(brakes.schedule(), 0.0) == [0, 0, 0, 0]
 
 
@@ -74,25 +74,25 @@ def test_the_next_command_of_a_brake_is_believed() -> None:
     brakes.set(3.0, [0, 1, 0, 0])
     brakes.set(5.0, [0, 0, 0, 0])
     assert [planned(brakes.schedule(), t)[:2] for t in (2.0, 4.0, 6.0, 30.0)] == [[1, 1], [1, 1], [1, 0], [1, 0]]
-    brakes.forget(7.0)  # what was found of leg 0 is not forgotten with the events, and leg 1 stays believed
+    brakes.reset(7.0)  # what was found of leg 0 is not forgotten with the events, and leg 1 stays believed
     assert planned(brakes.schedule(), 7.0) == [1, 0, 0, 0]
     assert planned(brakes.schedule(), 20.2) == [1, 0, 0, 1]
 
 
 def test_events_that_are_over_are_forgotten() -> None:
     """Sixty events one after the other, as on a bus: what is kept does not grow, and nothing changes from now on."""
-    told: list[ModeSchedule] = []
-    brakes, every = BrakeControl(SWERVE, delay=0.2, changed=told.append), BrakeControl(SWERVE, delay=0.2)
+    reported: list[ModeSchedule] = []
+    brakes, every = BrakeControl(SWERVE, delay=0.2, changed=reported.append), BrakeControl(SWERVE, delay=0.2)
     for k in range(60):
         t = 0.15 * k
         state = [k % 2, k // 2 % 2, k // 3 % 2, 1]
-        brakes.forget(t)
+        brakes.reset(t)
         brakes.set(t, state)
         every.set(t, state)
-        assert len(told[-1].modes) < 8
+        assert len(reported[-1].modes) < 8
         for later in (0.0, 0.01, 0.1, 0.2, 0.21, 1.0):
             assert list(brakes.commanded(t + later)) == list(every.commanded(t + later))
-            assert planned(told[-1], t + later) == planned(every.schedule(), t + later)
+            assert planned(reported[-1], t + later) == planned(every.schedule(), t + later)
 
 
 def test_the_mpc_moves_open_legs_only() -> None:
@@ -114,7 +114,7 @@ def test_the_mpc_moves_open_legs_only() -> None:
     assert moved[-1, [0, 3]].min() > 0.1
 
 
-def test_bad_input_is_one_sentence() -> None:
+def test_bad_input_is_one_message() -> None:
     with pytest.raises(InputError, match="no brakes"):
         BrakeControl(robot("swerve-fixed-ur10"))
     with pytest.raises(InputError, match=r"0 .closed. or 1 .open."):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.bases.swerve.brake_control import FLOATING, BrakeControl, floating, refuse_floating_way
+from wbmpc.bases.swerve.brake_control import FLOATING, BrakeControl, floating, reject_floating_way
 from wbmpc.errors import InputError
 from wbmpc.model.wheels import wheel_velocities
 from wbmpc.stability import leg_angles
@@ -47,7 +47,7 @@ def test_one_closed_brake_holds() -> None:
     assert held > FLOATING
 
 
-def test_opening_in_h_is_refused_unless_the_legs_move() -> None:
+def test_opening_in_h_is_rejected_unless_the_legs_move() -> None:
     brakes = BrakeControl(SWERVE)
     with pytest.raises(InputError, match=r"nothing would hold the base against sideways .* valid: a closed brake"):
         brakes.set(1.0, OPEN, leg=np.zeros(4))
@@ -59,14 +59,14 @@ def test_opening_in_h_is_refused_unless_the_legs_move() -> None:
 def test_legs_may_pass_h_quickly_but_not_turn_all_parallel() -> None:
     """Legs that turn by the same angle from H are parallel all the way; to the mirror of X they pass H quickly."""
     x, fast = leg_angles(SWERVE, "X"), np.full(4, 0.4)
-    refuse_floating_way(G, x, -x, OPEN, fast)
-    refuse_floating_way(G, np.zeros(4), x, OPEN, fast)
-    refuse_floating_way(G, np.zeros(4), np.zeros(4), OPEN, fast)  # there already: its brakes close
+    reject_floating_way(G, x, -x, OPEN, fast)
+    reject_floating_way(G, np.zeros(4), x, OPEN, fast)
+    reject_floating_way(G, np.zeros(4), np.zeros(4), OPEN, fast)  # there already: its brakes close
     with pytest.raises(InputError, match=r"on the way to .* nothing would hold the base against .* for more than 1 s"):
-        refuse_floating_way(G, np.zeros(4), np.full(4, 0.6), OPEN, fast)
-    refuse_floating_way(G, np.zeros(4), np.full(4, 0.6), [1, 1, 1, 0], fast)
+        reject_floating_way(G, np.zeros(4), np.full(4, 0.6), OPEN, fast)
+    reject_floating_way(G, np.zeros(4), np.full(4, 0.6), [1, 1, 1, 0], fast)
     with pytest.raises(InputError, match=r"against (turning|sideways) for"):
-        refuse_floating_way(G, x, -x, OPEN, 0.03 * fast)
+        reject_floating_way(G, x, -x, OPEN, 0.03 * fast)
 
 
 def test_a_mission_may_pass_h_but_not_stay_there() -> None:
@@ -93,18 +93,18 @@ def test_a_mission_may_pass_h_but_not_stay_there() -> None:
         ((np.zeros(4), np.ones(4), OPEN, [1.0, 1.0, 1.0, np.nan]), "'rate' needs 4 finite"),
     ],
 )
-def test_a_way_that_is_none_is_refused(given: tuple, words: str) -> None:
+def test_a_way_that_is_none_is_rejected(given: tuple, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        refuse_floating_way(G, *given)
+        reject_floating_way(G, *given)
     if "leg" in words:
         with pytest.raises(InputError, match=words):
             BrakeControl(SWERVE).set(1.0, OPEN, leg=given[0])
 
 
 def test_legs_without_a_limit_of_speed_are_there_at_once() -> None:
-    refuse_floating_way(G, np.zeros(4), leg_angles(SWERVE, "X"), OPEN, np.full(4, np.inf))
+    reject_floating_way(G, np.zeros(4), leg_angles(SWERVE, "X"), OPEN, np.full(4, np.inf))
     with pytest.raises(InputError, match="on the way"):  # and stay: all parallel
-        refuse_floating_way(G, leg_angles(SWERVE, "X"), leg_angles(SWERVE, "H"), OPEN, [np.inf, np.inf, np.inf, 0.01])
+        reject_floating_way(G, leg_angles(SWERVE, "X"), leg_angles(SWERVE, "H"), OPEN, [np.inf, np.inf, np.inf, 0.01])
 
 
 @pytest.mark.parametrize("delay", [-1.0, np.nan, np.inf])

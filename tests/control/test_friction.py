@@ -21,8 +21,8 @@ def drive(friction: DryFriction, lost: np.ndarray, wanted, seconds: float, seed:
         now = angle - rng.uniform(0.0, 0.002) * speed
         friction.learn(now - seen, PERIOD)
         seen = now
-        told = friction.command(wanted(k * PERIOD), np.inf, np.inf)
-        rate = rate + (1.0 - np.exp(-PERIOD / LAG)) * (told - rate)
+        reported = friction.command(wanted(k * PERIOD), np.inf, np.inf)
+        rate = rate + (1.0 - np.exp(-PERIOD / LAG)) * (reported - rate)
     return np.array(speeds)
 
 
@@ -37,7 +37,7 @@ def test_drives_turn_as_wanted_in_both_directions() -> None:
 
 
 def test_a_drive_that_stands_learns_nothing_and_gets_nothing() -> None:
-    """One that sticks turns by nothing of what it is told: that is no measure of its friction."""
+    """One that sticks turns by nothing of what it is reported: that is no measure of its friction."""
     friction = DryFriction(2, PERIOD, LAG)
     drive(friction, np.array([0.04, 0.04]), lambda t: np.array([0.0, 0.01]), 2.0)
     np.testing.assert_array_equal(friction.droop, 0.0)
@@ -54,9 +54,9 @@ def test_a_blocked_drive_is_not_pushed_beyond_reason() -> None:
 def test_commands_stay_within_speed_and_step() -> None:
     friction = DryFriction(2, PERIOD, LAG)
     friction.droop = np.array([0.05, 0.05])
-    told = [friction.command(np.array([1.0, -0.5]), 1.0, np.array([0.3, 0.1])) for _ in range(8)]
-    assert np.abs(np.diff(told, axis=0, prepend=0.0)).max(axis=0) == pytest.approx([0.3, 0.1])
-    np.testing.assert_allclose(told[-1], [1.0, -0.55])
+    reported = [friction.command(np.array([1.0, -0.5]), 1.0, np.array([0.3, 0.1])) for _ in range(8)]
+    assert np.abs(np.diff(reported, axis=0, prepend=0.0)).max(axis=0) == pytest.approx([0.3, 0.1])
+    np.testing.assert_allclose(reported[-1], [1.0, -0.55])
 
 
 def test_smoothing_leaves_a_fifth_of_the_jitter_and_no_delay() -> None:

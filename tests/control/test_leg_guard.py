@@ -14,7 +14,7 @@ from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
-from wbmpc.bases.swerve.ros import BusAgent, SwervePilot
+from wbmpc.bases.swerve.ros import BusSwerveController, SwerveRosAdapter
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -91,14 +91,14 @@ def test_legs_open_one_after_the_other_and_the_planner_knows_when() -> None:
     assert len(changed) == 2
 
 
-def test_a_brake_that_is_told_to_close_or_does_not_hold_is_left_alone() -> None:
+def test_a_brake_that_is_reported_to_close_or_does_not_hold_is_left_alone() -> None:
     guard, moves = LegGuard(2), np.array([0.5, 0.5])
     guard.give_up(1)
     watched(guard, moves, np.zeros(2), 0.2)
     assert list(guard.holds) == [1, 0]
     guard.update(
         0.3, np.zeros(2), np.zeros(2), np.zeros(2)
-    )  # told to close: nothing is held besides, and both are believed again
+    )  # commanded to close: nothing is held besides, and both are believed again
     assert not guard.held(0.3).any() and guard.until[0] == 0.3
     watched(guard, moves, np.zeros(2), 0.2, start=0.4)
     assert list(guard.holds) == [2, 1]
@@ -109,11 +109,11 @@ def test_a_brake_that_is_told_to_close_or_does_not_hold_is_left_alone() -> None:
     assert guard.until[1] == until
 
 
-def test_times_may_start_anew_and_bad_numbers_are_refused() -> None:
+def test_times_may_start_anew_and_bad_numbers_are_rejected() -> None:
     guard = LegGuard(2)
     watched(guard, np.array([0.5, 0.0]), np.zeros(2), 0.2)
     assert guard.update(0.0, [3.0, 3.0], np.zeros(2), np.ones(2)), (
-        "the planner has to be told that nothing is held any more"
+        "the planner has to report to that nothing is held any more"
     )
     assert not guard.held(0.0).any()
     for bad in ([np.nan, 0.0], [0.0]):
@@ -158,45 +158,45 @@ def standing() -> PolicyQueue:
     return plans
 
 
-def swung(agent: SwerveController, seconds: float = 0.2) -> list[float]:
+def swung(controller: SwerveController, seconds: float = 0.2) -> list[float]:
     """The brakes that are commanded at last, while leg 1 turns at 0.5 rad/s though the plan stands."""
     home, plans = SWERVE.state.split(SWERVE.home), standing()
     for t in PERIOD * np.arange(round(seconds / PERIOD)):
         leg = home["leg"] + [0.0, 0.5 * t, 0.0, 0.0]
-        agent.measure(SwerveMeasurement(t, leg, home["steer"], home["wheel"], home["arm"]))
-        command = agent.command(t, plans)
+        controller.measure(SwerveMeasurement(t, leg, home["steer"], home["wheel"], home["arm"]))
+        command = controller.command(t, plans)
     return list(command.brake)
 
 
-def opened(told: list[ModeSchedule]) -> BrakeControl:
-    brakes = BrakeControl(SWERVE, changed=told.append)
+def opened(reported: list[ModeSchedule]) -> BrakeControl:
+    brakes = BrakeControl(SWERVE, changed=reported.append)
     brakes.set(0.0, np.ones(4))
     return brakes
 
 
-def test_the_agent_closes_the_brake_and_tells_the_planner() -> None:
-    told: list[ModeSchedule] = []
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened(told))
-    assert swung(agent) == [1, 0, 1, 1] and agent.holds == 1 and not agent.faults
-    assert planned(told[-1], 0.2) == [1, 0, 1, 1] and planned(told[-1], 2.0) == [1, 1, 1, 1]
-    agent.stop()
-    assert planned(told[-1], 0.2) == [1, 1, 1, 1]
+def test_the_controller_closes_the_brake_and_tells_the_planner() -> None:
+    reported: list[ModeSchedule] = []
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, opened(reported))
+    assert swung(controller) == [1, 0, 1, 1] and controller.holds == 1 and not controller.faults
+    assert planned(reported[-1], 0.2) == [1, 0, 1, 1] and planned(reported[-1], 2.0) == [1, 1, 1, 1]
+    controller.stop()
+    assert planned(reported[-1], 0.2) == [1, 1, 1, 1]
 
 
 def test_it_can_be_turned_off_and_rests_where_the_planner_would_not_know() -> None:
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]), supervision=SupervisionSettings(guard=False))
-    assert swung(agent) == [1, 1, 1, 1] and agent.holds == 0
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, lambda t: np.ones(4))
-    assert swung(agent) == [1, 1, 1, 1]
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]))
-    agent.brakes = lambda t: np.ones(4)  # as a view does
-    assert swung(agent) == [1, 1, 1, 1]
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]), supervision=SupervisionSettings(guard=False))
+    assert swung(controller) == [1, 1, 1, 1] and controller.holds == 0
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, lambda t: np.ones(4))
+    assert swung(controller) == [1, 1, 1, 1]
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, opened([]))
+    controller.brakes = lambda t: np.ones(4)  # as a view does
+    assert swung(controller) == [1, 1, 1, 1]
 
 
 def test_on_a_bus_the_nodes_own_thread_tells_the_planner() -> None:
-    told: list[ModeSchedule] = []
-    brakes = opened(told)
-    agent = BusAgent(SWERVE, np.zeros(3), PERIOD, brakes)
-    assert swung(agent) == [1, 0, 1, 1] and planned(told[-1], 0.2) == [1, 1, 1, 1]
-    SwervePilot.inspect(SimpleNamespace(agent=agent, brakes=brakes))  # type: ignore[arg-type]
-    assert planned(told[-1], 0.2) == [1, 0, 1, 1]
+    reported: list[ModeSchedule] = []
+    brakes = opened(reported)
+    controller = BusSwerveController(SWERVE, np.zeros(3), PERIOD, brakes)
+    assert swung(controller) == [1, 0, 1, 1] and planned(reported[-1], 0.2) == [1, 1, 1, 1]
+    SwerveRosAdapter.inspect(SimpleNamespace(controller=controller, brakes=brakes))  # type: ignore[arg-type]
+    assert planned(reported[-1], 0.2) == [1, 0, 1, 1]

@@ -94,12 +94,12 @@ def test_timing_counts_whole_steps() -> None:
             (5e-4, 400.0, 60.0, 0.01),
             r"mpc\.rate: 60 Hz \(16\.6667 ms\) is not a whole number of controller periods of 2\.5 ms",
         ),
-        ((5e-4, 400.0, 50.0, 0.011), r"mpc\.delay: 0\.011 s is not a whole number of controller periods"),
+        ((5e-4, 400.0, 50.0, 0.011), r"mpc\.computation_delay: 0\.011 s is not a whole number of controller periods"),
         ((5e-4, 4000.0, 50.0, 0.01), r"control\.rate"),
         ((5e-4, 400.0, 800.0, 0.01), r"mpc\.rate: 800 Hz is faster than the controller \(control\.rate\), 400 Hz"),
         ((5e-4, 100.0, 200.0, 0.01), r"mpc\.rate: 200 Hz is faster than the controller \(control\.rate\), 100 Hz"),
         ((5e-4, 400.0, 1e-310, 0.01), r"mpc\.rate: inf s is too long, more than a million controller periods"),
-        ((5e-4, 400.0, 50.0, 1e300), r"mpc\.delay: 1e\+300 s is too long"),
+        ((5e-4, 400.0, 50.0, 1e300), r"mpc\.computation_delay: 1e\+300 s is too long"),
     ],
 )
 def test_rates_that_are_not_a_whole_number_of_steps(rates: tuple[float, ...], message: str) -> None:
@@ -111,11 +111,11 @@ def test_rates_that_are_not_a_whole_number_of_steps(rates: tuple[float, ...], me
 def test_who_is_in_force(every: int, delay: int) -> None:
     """The newest policy whose computation is over; also when computing takes several MPC periods."""
     timing = Timing(0.01, 3, every, delay)
-    agent, plant, seen = FakeAgent(), fake_plant(), []
+    controller, plant, seen = FakeAgent(), fake_plant(), []
     record = lambda t, c, p: seen.append((round(t / 0.01), c.drive))
-    assert run_lockstep(plant, agent, FakeMPC(), timing, 0.5, record) == Ending()
+    assert run_lockstep(plant, controller, FakeMPC(), timing, 0.5, record) == Ending()
     assert plant.steps == 150
-    assert agent.measured == 50
+    assert controller.measured == 50
     for tick, command in seen:
         started = [i for i in range(0, tick + 1, every) if i + delay <= tick]
         newest = (started[-1] + delay if started else delay) * 0.01
@@ -185,7 +185,7 @@ class RaisingAgent(FakeAgent):
             raise ZeroDivisionError("nothing to divide by")
 
 
-def test_whatever_is_raised_in_a_run_stops_the_robot_and_is_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_whatever_is_raised_in_a_run_stops_the_robot_and_is_reported(caplog: pytest.LogCaptureFixture) -> None:
     plant, recorded = fake_plant(), []
     with caplog.at_level("DEBUG", "wbmpc"):
         ending = run_lockstep(

@@ -72,7 +72,7 @@ def test_no_other_gain_costs_less(robot: RobotModel, gains: RegulatorGains) -> N
         assert min(cost(found + near), cost(found - near)) > least
 
 
-def test_rest_under_a_force_to_first_order(robot: RobotModel, gains: RegulatorGains) -> None:
+def test_rest_under_a_force_to_first_command(robot: RobotModel, gains: RegulatorGains) -> None:
     arm, force = robot.home[robot.state["arm"]], np.array([0.2, -0.3, -0.5])
     (x0, u0), (x1, u1) = robot.base.numeric.equilibrium(arm), robot.base.numeric.equilibrium(arm, force=force)
     generalised = slopes(lambda q: robot.pose(np.concatenate([q, np.zeros(q.size)]))[0], x0[: robot.base.nq]).T @ force
@@ -82,18 +82,20 @@ def test_rest_under_a_force_to_first_order(robot: RobotModel, gains: RegulatorGa
     assert np.linalg.norm(shift - away) < 0.03 * np.linalg.norm(away)
 
 
-def agent(robot: RobotModel, gains: RegulatorGains, scheduled: bool, wanted: np.ndarray, most: float) -> LqrController:
+def controller(
+    robot: RobotModel, gains: RegulatorGains, scheduled: bool, wanted: np.ndarray, most: float
+) -> LqrController:
     u = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
     out = LqrController(robot, None, u, PERIOD, DriveSettings(0.02), observer=False)  # type: ignore[arg-type]
     out.regulate(gains, lambda t: wanted, scheduled, most)
     return out
 
 
-def asked(agent: LqrController, x: np.ndarray) -> np.ndarray:
+def asked(controller: LqrController, x: np.ndarray) -> np.ndarray:
     """Torques that the law asks for at x, before they are cut."""
-    agent.measure(BallMeasurement(0.0, x, 0.0))
-    agent.command(0.0, PolicyQueue())
-    return agent.wanted
+    controller.measure(BallMeasurement(0.0, x, 0.0))
+    controller.command(0.0, PolicyQueue())
+    return controller.wanted
 
 
 def test_scheduled_gains_turn_with_the_heading(robot: RobotModel, gains: RegulatorGains) -> None:
@@ -108,15 +110,15 @@ def test_scheduled_gains_turn_with_the_heading(robot: RobotModel, gains: Regulat
         turned[pair] = turn @ x[pair]
     there = home.copy()
     there[2] = yaw
-    here = asked(agent(robot, gains, True, home, 1.0), x)
+    here = asked(controller(robot, gains, True, home, 1.0), x)
     assert np.abs(here).max() > 0.1
-    assert asked(agent(robot, gains, True, there, 1.0), turned) == pytest.approx(here, abs=1e-9)
-    plain = asked(agent(robot, gains, False, there, 1.0), turned)
+    assert asked(controller(robot, gains, True, there, 1.0), turned) == pytest.approx(here, abs=1e-9)
+    plain = asked(controller(robot, gains, False, there, 1.0), turned)
     assert np.abs(plain - here).max() > 0.05
 
 
 def test_far_away_pulls_no_harder(robot: RobotModel, gains: RegulatorGains) -> None:
     home = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[0]
-    at = lambda far: asked(agent(robot, gains, False, home, 0.1), home + far * np.eye(home.size)[0])
+    at = lambda far: asked(controller(robot, gains, False, home, 0.1), home + far * np.eye(home.size)[0])
     assert at(0.1) == pytest.approx(at(0.5))
     assert np.abs(at(0.05) - at(0.1)).max() > 1e-3

@@ -10,13 +10,13 @@ import pytest
 from toys import robot
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.fall_detection import FallPredictor
-from wbmpc.bases.ball.ros import BusBallAgent
+from wbmpc.bases.ball.ros import BusBallController
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
-from wbmpc.bases.swerve.ros import BusAgent, DeferredMonitor
+from wbmpc.bases.swerve.ros import BusSwerveController, DeferredMonitor
 from wbmpc.control.protocols import Estimator, Fault, Monitor
 from wbmpc.estimation.force import ForceMonitor
 from wbmpc.studies.pankert2022.rolling import RollingController
@@ -26,7 +26,9 @@ MOST = 8
 SWERVE, BALL = robot("swerve-ur10"), robot("rezero")
 
 
-@pytest.mark.parametrize("kind", [SwerveController, BusAgent, RollingController, BallController, BusBallAgent])
+@pytest.mark.parametrize(
+    "kind", [SwerveController, BusSwerveController, RollingController, BallController, BusBallController]
+)
 def test_a_controller_has_few_arguments(kind: type) -> None:
     assert 3 <= len(inspect.signature(kind).parameters) <= MOST
 

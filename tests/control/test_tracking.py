@@ -29,24 +29,24 @@ ROLLING[N] = 0.5  # along x at 0.5 m/s: the wheels' speeds are constant
 def followed(bleed: float, factor: float, seconds: float) -> tuple[TrackingController, np.ndarray]:
     """Wheel errors (n, 3) [rad] while a plan rolls along x and the true wheels turn ``factor`` times as fast."""
     still = SimpleNamespace(solver=SimpleNamespace(simulate=lambda x, u, h: x, set_parameters=lambda w: None))
-    gains = ActuatorGains(bleed=bleed)
-    agent = TrackingController(BALL, still, np.zeros(6), PERIOD, DriveSettings(), False, gains=gains)  # type: ignore[arg-type]
+    gains = ActuatorGains(leak_time_constant=bleed)
+    controller = TrackingController(BALL, still, np.zeros(6), PERIOD, DriveSettings(), False, gains=gains)  # type: ignore[arg-type]
     times, plans = np.array([0.0, 100.0]), PolicyQueue()
     plans.add(0.0, Policy(times, np.stack([ROLLING, ROLLING]), np.zeros((1, 6)), np.zeros((1, 6, 2 * N))))
-    speed, errors = agent.speeds(ROLLING)[:3], []
+    speed, errors = controller.speeds(ROLLING)[:3], []
     for k in range(round(seconds / PERIOD)):
         wheel = factor * speed * k * PERIOD
-        agent.measure(BallMeasurement(k * PERIOD, ROLLING, 0.0, wheel, np.zeros(3)))
-        agent.command(k * PERIOD, plans)
-        errors.append(agent.wheel_error)
-    return agent, np.array(errors)
+        controller.measure(BallMeasurement(k * PERIOD, ROLLING, 0.0, wheel, np.zeros(3)))
+        controller.command(k * PERIOD, plans)
+        errors.append(controller.wheel_error)
+    return controller, np.array(errors)
 
 
 @pytest.mark.parametrize("bleed", [0.25, 1.0])
 def test_bleeding_bounds_the_drift_of_the_wheels(bleed: float) -> None:
     """Radii that are 2 % wrong: ė = Δ − e / bleed, e = bleed Δ (1 − exp(−t / bleed)), below bleed times the speed's error."""
-    agent, errors = followed(bleed, 0.98, 6.0)
-    wrong = 0.02 * agent.speeds(ROLLING)[:3]
+    controller, errors = followed(bleed, 0.98, 6.0)
+    wrong = 0.02 * controller.speeds(ROLLING)[:3]
     assert np.abs(wrong).max() > 0.05
     t = PERIOD * np.arange(len(errors))[:, None]
     np.testing.assert_allclose(
@@ -56,8 +56,8 @@ def test_bleeding_bounds_the_drift_of_the_wheels(bleed: float) -> None:
 
 
 def test_plain_integration_drifts_without_bound() -> None:
-    agent, errors = followed(np.inf, 0.98, 6.0)
-    wrong = 0.02 * agent.speeds(ROLLING)[:3]
+    controller, errors = followed(np.inf, 0.98, 6.0)
+    wrong = 0.02 * controller.speeds(ROLLING)[:3]
     np.testing.assert_allclose(errors[-1], wrong * (6.0 - PERIOD), rtol=1e-6, atol=1e-9)
 
 
@@ -65,13 +65,13 @@ def test_speeds_are_those_of_the_wheels_on_a_rolling_ball() -> None:
     """By hand: ψ̇ = −(r / r_w) aᵀ Ω with Ω = (0, ẋ / r, 0) for an upright base."""
     azimuth, zenith = np.array([0.0, 2.0, 4.0]) * np.pi / 3.0, np.pi / 4.0
     along_y = np.cos(zenith) * np.sin(azimuth)
-    agent, _ = followed(1.0, 1.0, PERIOD)
-    np.testing.assert_allclose(agent.speeds(ROLLING)[:3], -0.5 / 0.064 * along_y, atol=1e-12)
+    controller, _ = followed(1.0, 1.0, PERIOD)
+    np.testing.assert_allclose(controller.speeds(ROLLING)[:3], -0.5 / 0.064 * along_y, atol=1e-12)
 
 
 def test_bad_gains_are_named() -> None:
-    with pytest.raises(InputError, match="bleed must be positive"):
-        ActuatorGains(bleed=0.0)
+    with pytest.raises(InputError, match="leak_time_constant must be positive"):
+        ActuatorGains(leak_time_constant=0.0)
     with pytest.raises(InputError, match="arm_damping must be at least 0"):
         ActuatorGains(arm_damping=-1.0)
 
@@ -80,7 +80,7 @@ def test_drives_close_the_loop_between_commands() -> None:
     """One command, held: the drives pull the elbow to where it says, against MuJoCo's gravity fed forward."""
     home, torque = BALL.base.numeric.equilibrium(BALL.home[5:N])
     still = Perturbation(
-        mass=0.0, inertia=0.0, com=0.0, joint_offset=0.0, drive_lag=0.002, drive_lag_spread=0.0
+        mass=0.0, inertia=0.0, com_offset=0.0, joint_offset=0.0, actuator_time_constant=0.002, actuator_time_constant_spread=0.0
     )  # fmt: skip
     plant = BallPlant(BALL.description, home, torque, still, 0)
     now = np.concatenate([np.zeros(3), home[5:N]])
@@ -97,7 +97,7 @@ def test_drives_close_the_loop_between_commands() -> None:
 
 def test_a_push_with_the_papers_tracking() -> None:
     tracking = {"kind": "actuators"}
-    settings = RezeroPushHandSettings(forces=(30.0,), settle=0.5, pause=2.0, tracking=tracking)
+    settings = RezeroPushHandSettings(forces=(30.0,), settle_time=0.5, pause=2.0, tracking=tracking)
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
     assert result.completed, result.reason
     assert 0.01 < result.metrics["hand_error_max"].value < 0.3

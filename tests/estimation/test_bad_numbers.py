@@ -1,4 +1,4 @@
-"""What estimators refuse. Truth: a twin that is given the good messages alone has the same estimate afterwards, to the bit."""
+"""What estimators reject. Truth: a twin that is given the good messages alone has the same estimate afterwards, to the bit."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("make", "good", "bad", "name"), CASES)
-def test_a_message_that_cannot_be_is_refused_and_leaves_nothing(make: Any, good: Any, bad: Any, name: str) -> None:
+def test_a_message_that_cannot_be_is_rejected_and_leaves_nothing(make: Any, good: Any, bad: Any, name: str) -> None:
     (update, estimate), (other, twin) = make(), make()
     kind = NotFinite if any(not np.isfinite(part).all() for part in bad) else InputError
     for before in good[:-1]:
@@ -217,16 +217,16 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: WheelOdometry(FOUR, wheel_radius=NAN), "'wheel_radius' needs 4 finite"),
         (lambda: WheelOdometry(FOUR, wheel_radius=[0.1, 0.1]), "'wheel_radius' needs 4 finite"),
         (lambda: WheelOdometry(FOUR, wheel_radius=-1.0), "'wheel_radius' must be positive"),
-        (lambda: WheelOdometry(FOUR, steer_zero=NAN), "'steer_zero' needs 4 finite"),
-        (lambda: WheelOdometry(FOUR, leg_zero="a"), "'leg_zero' needs 4 finite"),
+        (lambda: WheelOdometry(FOUR, steer_offset=NAN), "'steer_offset' needs 4 finite"),
+        (lambda: WheelOdometry(FOUR, leg_offset="a"), "'leg_offset' needs 4 finite"),
         (lambda: WheelOdometry(FOUR, [0.0, 0.0]), "'pose0' needs 3 finite"),
         (lambda: ReleaseOdometry(FOUR, [0.0, 0.0, 0.0], 0.0), "'period' must be positive"),
         (lambda: ReleaseOdometry(FOUR, [0.0, NAN, 0.0], 0.01), "'pose0' needs 3 finite"),
         (lambda: WheelCalibration.unknown(FOUR, NAN), "'zero' must be finite"),
         (lambda: WheelCalibration.unknown(FOUR, -1e-3), "must not be negative"),
         (lambda: replace(KNOWN, wheel_radius=np.zeros(4)), "'wheel_radius' must be positive"),
-        (lambda: replace(KNOWN, steer_zero=np.full(4, NAN)), "'steer_zero' needs 4 finite"),
-        (lambda: replace(KNOWN, leg_zero=np.zeros(3)), "'leg_zero' needs 4 finite"),
+        (lambda: replace(KNOWN, steer_offset=np.full(4, NAN)), "'steer_offset' needs 4 finite"),
+        (lambda: replace(KNOWN, leg_offset=np.zeros(3)), "'leg_offset' needs 4 finite"),
         (lambda: replace(KNOWN, covariance=-KNOWN.covariance), "no variance of it may be negative"),
         (lambda: replace(KNOWN, covariance=np.ones((4, 16))), "8 rows of 8"),
         (lambda: FusedOdometry(FOUR, calibration=WheelCalibration.unknown(ring(3))), "of 3 modules, the base has 4"),
@@ -260,7 +260,7 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, spread=(0.0, 1.0)), "'spread' must be positive"),
         (lambda: DoorNoise(rate=NAN), "door filter's noise: 'rate' must be finite"),
         (lambda: DoorNoise(walk=-1.0), "door filter's noise: 'walk' must not be negative"),
-        (lambda: PushEstimator(ROBOT, ARM, NAN), "push estimator: 'brace' must be finite"),
+        (lambda: PushEstimator(ROBOT, ARM, NAN), "push estimator: 'expected_push_time' must be finite"),
         (lambda: PushEstimator(ROBOT, ARM[:2], 0.3), "push estimator: 'arm' needs 3"),
         (lambda: JointTracker([0.0], -1e-5, 1e-3, 7e-4), "joint tracker: 'encoder' must not be negative"),
         (lambda: JointTracker([NAN], 1e-5, 1e-3, 7e-4), "joint tracker: 'angles' needs 1"),
@@ -282,7 +282,7 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: MomentumObserver(ROBOT.base.numeric.mass_matrix, lambda q, v: ZERO).zero(), "first update"),
     ],
 )
-def test_what_no_estimator_can_be_made_of_is_refused(make: Callable[[], Any], words: str) -> None:
+def test_what_no_estimator_can_be_made_of_is_rejected(make: Callable[[], Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         make()
 

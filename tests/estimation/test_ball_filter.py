@@ -12,6 +12,7 @@ from scipy.linalg import solve_continuous_are
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from effort import draws
 from toys import robot
 from wbmpc import lie
 from wbmpc.bases.ball.estimator import BallEstimator, JointTracker
@@ -24,7 +25,7 @@ from wbmpc.bases.base import InertialDescription
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.simulation.perturbation import Perturbation
 
-H, SEEDS = 0.0025, 50
+H, SEEDS = 0.0025, draws(12, 50)
 ROBOT = robot("rezero")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 MOUNT = np.array([0.0, 0.0, 0.3])
@@ -107,7 +108,7 @@ def normalised(error: np.ndarray, covariance: np.ndarray, parts: np.ndarray) -> 
 
 
 def test_errors_are_as_large_as_the_covariance_says() -> None:
-    """Normalised estimation error squared over 50 seeds against both 99 % bounds of chi-square, whole and by part."""
+    """Normalised estimation error squared over the seeds against both 99 % bounds of chi-square, whole and by part."""
     noise = replace(BallNoise(), scale_time=1e6)
     runs = [filtered(seed, 1.5, noise) for seed in range(SEEDS)]
     parts = {"all": KEPT, "position": KEPT[:2], "velocity": np.r_[3:6], "attitude": np.r_[6:9], "biases": np.r_[9:15]}
@@ -134,7 +135,7 @@ class Balancing:
 
     def __init__(self, seed: int, *faults: SensorFault, **changes: float) -> None:
         self.plant = BallPlant(
-            ROBOT.description, HOME, TORQUE, Perturbation(state_age=0.0, drive_lag=0.01, **changes), seed
+            ROBOT.description, HOME, TORQUE, Perturbation(state_age=0.0, actuator_time_constant=0.01, **changes), seed
         )
         self.plant.sensors.faults = faults
         self.estimator = BallEstimator(ROBOT, HOME)
@@ -169,7 +170,7 @@ class Balancing:
 
 
 def test_errors_in_physics_stay_within_the_covariance() -> None:
-    """50 perturbed robots in MuJoCo, whose biases are drawn evenly and whose ball creeps: no part may have larger errors
+    """Perturbed robots in MuJoCo, whose biases are drawn evenly and whose ball creeps: no part may have larger errors
     than the covariance says (99 %), nor may it claim errors that are five times too large."""
     runs = [Balancing(seed).run(1.25) for seed in range(SEEDS)]
     parts = {"position": np.r_[0:2], "velocity": np.r_[3:6], "tilt": np.r_[6:8], "yaw": np.r_[8:9]}
@@ -180,18 +181,18 @@ def test_errors_in_physics_stay_within_the_covariance() -> None:
         assert size / 25.0 < total < chi2.ppf(0.99, size), f"{name}: {total:.0f} of {size}"
 
 
-def twisted(seed: int, told: float) -> Balancing:
-    """A robot that is twisted by 1.5 N m about the vertical from 1 to 3.5 s; the estimator is told of ``told`` times its torque."""
+def twisted(seed: int, reported: float) -> Balancing:
+    """A robot that is twisted by 1.5 N m about the vertical from 1 to 3.5 s; the estimator is reported of ``told`` times its torque."""
     run, gain, limit = Balancing(seed), regulator(), ROBOT.limits.input_upper[:6]
     base, torque = run.plant.model.body(run.plant.base.body).id, TORQUE
     for _ in range(round(3.5 / H)):
         m, turning = run.plant.measure(), ROBOT.base.wheel_torque_map()[2] @ torque[:3]
-        run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, told * turning)
+        run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, reported * turning)
         run.plant.data.xfrc_applied[base, 5] = 1.5 if m.time > 1.0 else 0.0
         torque = np.clip(TORQUE - gain @ (run.plant.state() - HOME), -limit, limit)
         run.plant.step(BallCommand(torque), 5)
     m = run.plant.measure()
-    run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, told * turning)
+    run.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, reported * turning)
     return run
 
 
@@ -262,7 +263,7 @@ def test_balance_tells_bias_from_lean() -> None:
 
 def test_standing_robot_uses_its_balance_once() -> None:
     """With a model that is exact and an accelerometer that was never calibrated the lean becomes right."""
-    exact = {"mass": 0.0, "inertia": 0.0, "com": 0.0, "joint_offset": 0.0}
+    exact = {"mass": 0.0, "inertia": 0.0, "com_offset": 0.0, "joint_offset": 0.0}
     wrong, right = (Balancing(4, accel_bias=0.4, **exact) for _ in range(2))
     noise = replace(BallNoise(), accel_bias=0.4 / np.sqrt(3.0), tilt=0.1)
     wrong.estimator = BallEstimator(ROBOT, HOME, noise, balance=1.0)
@@ -321,7 +322,7 @@ def test_joint_tracker_follows_a_sine() -> None:
     assert rms[0] < 2e-3 and rms[1] < 0.15
 
 
-def test_bad_readings_are_refused() -> None:
+def test_bad_readings_are_rejected() -> None:
     f = BallFilter(GEOMETRY, np.zeros(2), np.eye(3), BallNoise())
     with pytest.raises(InputError, match="'wheel' needs 3"):
         f.update(H, np.zeros(2), np.zeros(3), np.zeros(3))

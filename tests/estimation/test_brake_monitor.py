@@ -25,7 +25,7 @@ SINE = lambda t: 0.3 * np.sin(t) * np.array([1.0, -1.0, 1.0, -1.0])
 RATE = lambda t: 0.3 * np.cos(t) * np.array([1.0, -1.0, 1.0, -1.0])
 
 
-def test_legs_that_do_what_they_should_are_not_told() -> None:
+def test_legs_that_do_what_they_should_are_not_reported() -> None:
     assert watch(SINE, lambda t: OPEN, RATE).faults == []
     assert watch(lambda t: STILL, lambda t: CLOSED, RATE).faults == []
     # less than planned, but they move
@@ -67,7 +67,7 @@ def test_a_leg_that_is_held_by_small_rates_is_no_fault() -> None:
 
 
 @pytest.mark.parametrize("limit", [0.1, 0.12, 0.2, 0.4])
-def test_a_stuck_leg_is_told_within_two_seconds_at_any_limit(limit: float) -> None:
+def test_a_stuck_leg_is_reported_within_two_seconds_at_any_limit(limit: float) -> None:
     """Three legs move at 95 % of their limit, the fourth stands."""
     rate = 0.95 * limit * np.array([1.0, -1.0, 1.0, -1.0])
     (fault,) = watch(lambda t: rate * t * [1, 1, 1, 0], lambda t: OPEN, lambda t: rate, 3.0, limit=limit).faults
@@ -82,7 +82,7 @@ def test_creep_of_a_closed_leg_is_no_fault() -> None:
 
 
 def test_a_brake_that_slipped_once_holds_again() -> None:
-    """Knocked by 0.1 rad within 0.05 s, then the leg stands; from when that is told the plan moves it at 0.4 rad/s."""
+    """Knocked by 0.1 rad within 0.05 s, then the leg stands; from when that is reported the plan moves it at 0.4 rad/s."""
     slip = lambda t: np.array([0.1 * np.clip((t - 2.0) / 0.05, 0.0, 1.0), 0.0, 0.0, 0.0])
     rate = lambda t: np.array([-0.4 * (t > 2.01), 0.0, 0.0, 0.0])
     monitor = watch(slip, lambda t: CLOSED, rate)
@@ -97,7 +97,7 @@ def test_a_brake_that_slipped_once_holds_again() -> None:
 
 
 def test_several_stuck_legs() -> None:
-    """Legs that stand together are told together; another is judged again once the plan holds those that were told."""
+    """Legs that stand together are reported together; another is judged again once the plan holds those that were reported."""
     plan = lambda t: np.array([0.4, 0.4, 0.4, -0.4])
     monitor = watch(lambda t: STILL, lambda t: OPEN, plan)
     assert [(f.leg, f.time) for f in monitor.faults] == [(k, monitor.faults[0].time) for k in range(4)]
@@ -129,14 +129,14 @@ def test_brakes_take_their_time() -> None:
     assert watch(late, lambda t: CLOSED if t < 2.0 else OPEN, lambda t: 0.5 + STILL, end=4.0).faults == []
 
 
-def test_a_fault_is_told_once_for_each_command() -> None:
+def test_a_fault_is_reported_once_for_each_command() -> None:
     drift = lambda t: np.array([0.05 * t, 0.0, 0.0, 0.0])
     assert len(watch(drift, lambda t: CLOSED, lambda t: STILL).faults) == 1
     twice = watch(drift, lambda t: OPEN if 2.0 < t < 3.0 else CLOSED, lambda t: STILL).faults
     assert [f.leg for f in twice] == [0, 0] and twice[1].time > 3.25
 
 
-def test_senseless_thresholds_are_refused() -> None:
+def test_senseless_thresholds_are_rejected() -> None:
     with pytest.raises(InputError, match="positive"):
         BrakeMonitor(NAMES, moved=0.0)
     names = ("moved", "expected", "still", "window", "settle", "crawl", "patience", "creep")
@@ -159,7 +159,7 @@ def test_what_was_wrong_about_a_leg_is_not_real() -> None:
     assert len(monitor.withdrawn) == 1 and monitor.real == monitor.faults and len(monitor.real) == 1
 
 
-def test_a_leg_that_drifts_slowly_is_told() -> None:
+def test_a_leg_that_drifts_slowly_is_reported() -> None:
     """2 mrad/s, as a hinge that no brake holds drifted under a base that drove on: 10 mrad and what creeps meanwhile."""
     (fault,) = watch(lambda t: np.array([2e-3 * t, 0.0, 0.0, 0.0]), lambda t: CLOSED, lambda t: STILL, 8.0).faults
     assert fault.leg == 0 and fault.time == pytest.approx(10.0 / 1.8, abs=0.3)
@@ -177,7 +177,7 @@ def test_a_leg_that_drifts_slowly_is_told() -> None:
     ],
 )
 def test_a_message_that_says_nothing_does_not_blind_the_monitor(wrong: tuple, words: str) -> None:
-    """The leg slips by 20 mrad after it: as without the message, 10 mrad are told."""
+    """The leg slips by 20 mrad after it: as without the message, 10 mrad are reported."""
     monitor = BrakeMonitor(NAMES)
     monitor.update(0.0, STILL, CLOSED, STILL)
     with pytest.raises(InputError, match=words):
@@ -203,5 +203,5 @@ def test_a_clock_that_starts_anew() -> None:
         monitor.update(0.0, turned, CLOSED, STILL)
     monitor.restart_clock()
     slips = lambda t: turned * (1.0 + min(t, 1.0))
-    told = [[m.update(t, slips(t), CLOSED, STILL) for t in np.arange(0.0, 2.0, 0.01)] for m in (monitor, twin)]
-    assert told[0] == told[1] and len(monitor.faults) == 1
+    reported = [[m.update(t, slips(t), CLOSED, STILL) for t in np.arange(0.0, 2.0, 0.01)] for m in (monitor, twin)]
+    assert reported[0] == reported[1] and len(monitor.faults) == 1

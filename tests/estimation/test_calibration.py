@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
+from effort import draws
 from wbmpc.bases.swerve.calibration import WheelRecord, calibrate, fit_wheels, replay
 from wbmpc.errors import InputError
 from wbmpc.estimation.odometry_filter import OdometryNoise
@@ -50,10 +51,12 @@ def prior() -> WheelCalibration:
 def test_zeros_and_radii_are_found_within_their_covariance() -> None:
     """Over bases: errors over covariance are chi-square with 2n degrees, and much smaller than what was known before."""
     values, left = [], []
-    for seed in range(20):
+    for seed in range(draws(6, 20)):
         base = drawn(seed)
         found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
-        error = np.concatenate([found.steer_zero - base.zeros, found.wheel_radius / UNEVEN.wheel_radius - base.factors])
+        error = np.concatenate(
+            [found.steer_offset - base.zeros, found.wheel_radius / UNEVEN.wheel_radius - base.factors]
+        )
         values.append(error @ np.linalg.solve(found.covariance, error))
         left.append(error[:4].mean())
     low, high = chi2.ppf([0.001, 0.999], 8 * len(values))
@@ -70,7 +73,7 @@ def test_it_is_the_least_squares_fit_of_the_whole_record() -> None:
 
     def apart(parameters: np.ndarray) -> np.ndarray:
         zeros, factors, start = parameters[:4], parameters[4:8], parameters[8:]
-        odometry = WheelOdometry(UNEVEN, start, wheel_radius=UNEVEN.wheel_radius * (1.0 + factors), steer_zero=zeros)
+        odometry = WheelOdometry(UNEVEN, start, wheel_radius=UNEVEN.wheel_radius * (1.0 + factors), steer_offset=zeros)
         poses = [odometry.update(*sample) for sample in zip(data.leg, data.steer, data.wheel, strict=True)]
         at = np.array(poses)[::5]
         std = np.sqrt(np.diag(known.covariance))
@@ -80,7 +83,7 @@ def test_it_is_the_least_squares_fit_of_the_whole_record() -> None:
     data = WheelRecord(data.times, data.leg, data.steer, data.wheel, data.place_times, data.places, data.place_std)
     found = calibrate(UNEVEN, data, prior=known, noise=OdometryNoise(along=1e-6, across=1e-6))
     std = found.std
-    assert np.abs((found.steer_zero - fit[:4]) / std[0]).max() < 0.6
+    assert np.abs((found.steer_offset - fit[:4]) / std[0]).max() < 0.6
     assert np.abs((found.wheel_radius / UNEVEN.wheel_radius - 1.0 - fit[4:8]) / std[1]).max() < 0.6
     assert std[0].max() < 1.5e-3
 
@@ -91,7 +94,7 @@ def test_two_surveyed_poses_show_the_direction() -> None:
     data = record(base, (5e-4, 5e-4, 2e-4), every=400)
     assert len(data.places) == 2
     found = calibrate(UNEVEN, WheelRecord(*[getattr(data, f) for f in FIELDS]), prior=prior(), noise=CALM)
-    assert abs(found.steer_zero.mean() - base.zeros.mean()) < 1e-3
+    assert abs(found.steer_offset.mean() - base.zeros.mean()) < 1e-3
     assert found.covariance[:4, :4].mean() ** 0.5 < 0.5e-3 < 2e-3 / 2.0
     assert found.std[0].max() > 1e-3  # what the drive did not show stays uncertain
 
@@ -115,12 +118,12 @@ def straight_on(seed: int, brake: float) -> tuple[Drawn, WheelRecord]:
 def test_open_legs_show_every_zero() -> None:
     """Closed brakes leave one combination as uncertain as it was; with open ones it is found, within its own std over bases."""
     apart, nothing = [], WheelCalibration.unknown(ring(4), 2e-3, 0.0, 0.0)
-    for seed in range(8):
+    for seed in range(draws(4, 8)):
         base, data = straight_on(seed, 1.0)
         found = calibrate(base.geometry, data, prior=nothing, noise=CALM)
         std = np.sqrt(HIDDEN @ found.covariance[:4, :4] @ HIDDEN)
         assert std < 0.4e-3
-        apart.append(HIDDEN @ (found.steer_zero - base.zeros) / std)
+        apart.append(HIDDEN @ (found.steer_offset - base.zeros) / std)
     low, high = chi2.ppf([0.001, 0.999], len(apart))
     assert low < np.sum(np.square(apart)) < high, apart
     base, data = straight_on(0, 0.0)
@@ -130,7 +133,7 @@ def test_open_legs_show_every_zero() -> None:
 
 def test_calibrated_odometry_drifts_less() -> None:
     errors = {"before": [], "after": []}
-    for seed in range(5):
+    for seed in range(draws(2, 5)):
         base = drawn(seed)
         found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
         again = drawn(seed, length=40.0)
@@ -138,7 +141,7 @@ def test_calibrated_odometry_drifts_less() -> None:
         np.testing.assert_array_equal(again.zeros, base.zeros)
         for name, known in (("before", WheelCalibration.exact(UNEVEN)), ("after", found)):
             odometry = WheelOdometry(
-                UNEVEN, again.poses[0], wheel_radius=known.wheel_radius, steer_zero=known.steer_zero
+                UNEVEN, again.poses[0], wheel_radius=known.wheel_radius, steer_offset=known.steer_offset
             )
             for _, leg, steer, wheel, _ in samples:
                 odometry.update(leg, steer, wheel)
@@ -156,7 +159,7 @@ def test_file_keeps_the_numbers(tmp_path: Path) -> None:
     saved = WheelCalibration(*rng.normal(size=(2, 4)), 0.1 + 0.01 * rng.uniform(size=4), np.diag(rng.uniform(size=8)))
     saved.save(tmp_path / "c.yaml", NAMES)
     loaded = WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES)
-    for name in ("steer_zero", "leg_zero", "wheel_radius", "covariance"):
+    for name in ("steer_offset", "leg_offset", "wheel_radius", "covariance"):
         np.testing.assert_allclose(getattr(loaded, name), getattr(saved, name), rtol=1e-12)
 
 
@@ -177,7 +180,7 @@ def test_file_keeps_what_is_known_of_sums(known: float, tmp_path: Path) -> None:
 
 def test_a_file_without_correlation_says_that_errors_are_independent(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(
-        "modules: {a: {steer_zero_std: 0.002}, b: {wheel_radius_std: 0.001}, c: {}, d: {}}"
+        "modules: {a: {steer_offset_std: 0.002}, b: {wheel_radius_std: 0.001}, c: {}, d: {}}"
     )
     loaded = WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES)
     np.testing.assert_allclose(loaded.covariance, np.diag([4e-6, 0, 0, 0, 0, 1e-6, 0, 0]))
@@ -192,9 +195,9 @@ ROWS = "{a: {}, b: {}, c: {}, d: {}}"
         ("wheels: {}", "one key 'modules'"),
         ("modules: {a: {}}", "no entry for b, c, d"),
         ("modules: {aa: {}, b: {}, c: {}, d: {}}", "did you mean 'a'"),
-        ("modules: {a: {steer_zeros: 1}, b: {}, c: {}, d: {}}", "did you mean 'modules.a.steer_zero'|steer_zero"),
-        ("modules: {a: {steer_zero: x}, b: {}, c: {}, d: {}}", "modules.a.steer_zero': a finite number"),
-        ("modules: {a: {steer_zero: .nan}, b: {}, c: {}, d: {}}", "a finite number"),
+        ("modules: {a: {steer_offsets: 1}, b: {}, c: {}, d: {}}", "did you mean 'modules.a.steer_offset'|steer_offset"),
+        ("modules: {a: {steer_offset: x}, b: {}, c: {}, d: {}}", "modules.a.steer_offset': a finite number"),
+        ("modules: {a: {steer_offset: .nan}, b: {}, c: {}, d: {}}", "a finite number"),
         ("modules: {a: {wheel_radius: -0.1}, b: {}, c: {}, d: {}}", "positive"),
         ("modules: {a: 3, b: {}, c: {}, d: {}}", "a mapping is needed"),
         ("modules: [", "not valid YAML"),
@@ -207,7 +210,7 @@ ROWS = "{a: {}, b: {}, c: {}, d: {}}"
         (f"modules: {ROWS}\ncorrelation: {(2 * np.eye(8) - 1).tolist()}", "a correlation matrix"),
     ],
 )
-def test_bad_files_are_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:
+def test_bad_files_are_rejected_in_one_message(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=message) as error:
@@ -224,7 +227,7 @@ def test_keys_that_are_left_out_are_the_descriptions(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("drop", "message"), [("place", "no channel 'place'"), ("wheel.time", "no channel 'wheel'")])
-def test_a_log_without_the_channels_is_refused(drop: str, message: str) -> None:
+def test_a_log_without_the_channels_is_rejected(drop: str, message: str) -> None:
     times = np.arange(5.0)
     channels = {"steer": np.zeros((5, 4)), "wheel": np.zeros((5, 4)), "place": np.ones((5, 6))}
     channels |= {f"{name}.time": times for name in tuple(channels)}
@@ -272,13 +275,13 @@ ROLLING = np.tile(np.linspace(0.0, 1.0, 11)[:, None], (1, 4))
         ({"place.time": np.array([0.0, 1.02, 1.03]), "wheel": ROLLING}, "2 of 3 global poses are after .* moves"),
     ],
 )
-def test_records_that_make_no_sense_are_refused(changed: dict[str, np.ndarray], message: str) -> None:
+def test_records_that_make_no_sense_are_rejected(changed: dict[str, np.ndarray], message: str) -> None:
     with pytest.raises(InputError, match=f"there.npz: .*{message}") as error:
         WheelRecord.of({**SOUND, **changed}, "there.npz")
     assert "\n" not in str(error.value)
 
 
-def test_another_base_and_poses_that_do_not_fit_are_refused() -> None:
+def test_another_base_and_poses_that_do_not_fit_are_rejected() -> None:
     three = {name: SOUND[name][:, :3] for name in ("steer", "wheel", "leg")}
     with pytest.raises(InputError, match="4 modules"):
         calibrate(UNEVEN, WheelRecord.of({**SOUND, **three}))
@@ -309,7 +312,7 @@ LATER = {f"{name}.time": SOUND[f"{name}.time"] + 500.0 for name in ("leg", "gyro
         (True, {"leg": np.zeros((11, 0))}, "legs have hinges, and there is no channel 'leg'"),
     ],
 )
-def test_a_log_of_a_robot_with_other_legs_is_refused(
+def test_a_log_of_a_robot_with_other_legs_is_rejected(
     hinged: bool, changed: dict[str, np.ndarray], message: str
 ) -> None:
     """The same number of modules is not the same base; legs that stand, as encoders say it, may be fixed ones."""
@@ -336,7 +339,7 @@ def test_a_survey_before_and_after_the_drive_counts_as_one_within() -> None:
         there = WheelRecord.of({**channels, "place": two[order], "place.time": at[order]})
         found = replay(UNEVEN, there, prior=prior())
         assert found.taken == 2
-        zeros.append(found.calibration.steer_zero)
+        zeros.append(found.calibration.steer_offset)
     np.testing.assert_allclose(zeros[1:], [zeros[0]] * 2, atol=1e-15)
     known = found.calibration.covariance[:4, :4].mean() ** 0.5  # 0.5 mm at both ends of 0.8 m; 1 mrad before
     assert abs(zeros[0].mean() - base.zeros.mean()) < 3.0 * known and known < 0.7e-3
@@ -356,7 +359,7 @@ def test_wheels_far_beyond_what_was_believed_are_found_with_an_honest_std() -> N
     for seed in range(3):
         base, data = far_off(seed, 0.05)
         found = fit_wheels(base.geometry, data, noise=CALM).calibration
-        error = np.concatenate([found.steer_zero - base.zeros, found.wheel_radius / 0.1 - base.factors])
+        error = np.concatenate([found.steer_offset - base.zeros, found.wheel_radius / 0.1 - base.factors])
         values.append(error @ np.linalg.solve(found.covariance, error))
         assert abs(error[:4].mean()) < 4e-3
     assert sum(values) < chi2.ppf(0.999, 8 * len(values)), values
@@ -372,7 +375,7 @@ def test_a_survey_of_two_poses_shows_errors_that_nobody_expected(zero: float, ra
     fit = fit_wheels(base.geometry, record(base, (1e-3, 1e-3, 1e-3), every=200), noise=CALM)
     assert fit.used == fit.given == 2
     found, std = fit.calibration, fit.calibration.covariance[:4, :4].mean() ** 0.5
-    assert abs(found.steer_zero.mean() - zero) < 3.0 * std < 6e-3
+    assert abs(found.steer_offset.mean() - zero) < 3.0 * std < 6e-3
     assert found.wheel_radius.mean() / 0.1 - 1.0 == pytest.approx(radius, abs=3e-3)
     # of four zeros a straight stroke shows the sum and what turns the base: two stay as they were, and are named
     weights, left = fit.hidden()["steer zeros"]
@@ -389,7 +392,7 @@ def test_a_gyro_that_contradicts_the_rest_is_named(factor: float) -> None:
         fit_wheels(base.geometry, replace(data, gyro=factor * data.gyro))
 
 
-def test_records_that_no_wheels_explain_are_refused() -> None:
+def test_records_that_no_wheels_explain_are_rejected() -> None:
     base, data = far_off(1, 2e-3, 6.0)
     with pytest.raises(InputError, match="in radians"):
         fit_wheels(base.geometry, replace(data, steer=np.degrees(data.steer)))

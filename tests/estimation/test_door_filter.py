@@ -87,7 +87,7 @@ def test_rest_keeps_the_impedance() -> None:
 
 
 @pytest.mark.parametrize("bad", [[1.0, 2.0], [1.0, 0.0, 3.0], [1.0, np.nan, 3.0]])
-def test_impossible_guesses_are_refused(bad: list[float]) -> None:
+def test_impossible_guesses_are_rejected(bad: list[float]) -> None:
     with pytest.raises(InputError, match="positive"):
         DoorFilter(bad)
 

@@ -11,13 +11,13 @@ from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.force import CONFIRMED, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_MOST, ZERO_TIME, ForceMonitor
-from wbmpc.studies.minniti2019.door_control import DoorAgent
+from wbmpc.studies.minniti2019.door_control import DoorController
 
 H, PUSH = 0.0025, np.array([0.0, 0.0, 8.0])
 
 
 def judged(messages: list[np.ndarray]) -> tuple[float, ForceMonitor]:
-    """When [s] the fault was told (infinite: never), and the monitor."""
+    """When [s] the fault was reported (infinite: never), and the monitor."""
     monitor = ForceMonitor()
     for k, message in enumerate(messages):
         reading = monitor.judge(H, message)
@@ -37,8 +37,8 @@ def noisy(n: int) -> list[np.ndarray]:
 )
 def test_a_sensor_that_stands_is_found_after_25_ms(last: np.ndarray, says: str) -> None:
     """40 sound messages, then one and the same; zeros and what is no number too."""
-    told, monitor = judged(noisy(40) + [last] * 40)
-    assert told == pytest.approx(40 * H + 0.025, abs=1.01 * H) and says in monitor.fault
+    reported, monitor = judged(noisy(40) + [last] * 40)
+    assert reported == pytest.approx(40 * H + 0.025, abs=1.01 * H) and says in monitor.fault
 
 
 def test_sound_sensors_are_believed() -> None:
@@ -74,17 +74,17 @@ def test_a_spike_does_not_count_and_a_hit_does() -> None:
     ],
 )
 def test_a_sensor_that_the_motion_contradicts_is_found(touching: bool, felt: float, found: float, fault: str) -> None:
-    monitor, told = ForceMonitor(), np.inf
+    monitor, reported = ForceMonitor(), np.inf
     for k in range(200):
         for _ in range(k == 50):  # once it agrees: the time begins anew
             monitor.update(k * H, H, touching, felt, felt)
         if monitor.update(k * H, H, touching, felt, found):
-            told = min(told, k * H)
-    assert told == (pytest.approx(50 * H + UNFELT_TIME, abs=2 * H) if fault else np.inf)
+            reported = min(reported, k * H)
+    assert reported == (pytest.approx(50 * H + UNFELT_TIME, abs=2 * H) if fault else np.inf)
     assert fault in monitor.fault and bool(fault) == bool(monitor.fault)
 
 
-def test_bad_messages_are_refused() -> None:
+def test_bad_messages_are_rejected() -> None:
     monitor = ForceMonitor()
     with pytest.raises(InputError, match="'force' needs 3"):
         monitor.judge(H, np.zeros(2))
@@ -97,7 +97,7 @@ def test_bad_messages_are_refused() -> None:
 @pytest.mark.parametrize("off", [0.0, 0.9 * ZERO_LEFT, 2.6, 0.9 * ZERO_MOST, 1.1 * ZERO_MOST])
 def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
     """Noise of 0.1 N about a zero that is off; it was right until it jumped there, four averages before. What an ordinary
-    zeroing leaves is not touched, to the bit; what no sound sensor has is told, not taken out."""
+    zeroing leaves is not touched, to the bit; what no sound sensor has is reported, not taken out."""
     rng, monitor = np.random.default_rng(1), ForceMonitor()
     wrong = off * np.array([0.6, 0.0, -0.8])
     for k in range(round(8.0 * ZERO_TIME / H)):
@@ -113,8 +113,8 @@ def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
     assert monitor.tare() == fault and np.array_equal(monitor.zero, zero)  # once
 
 
-@pytest.mark.parametrize(("felt", "found", "told"), [(2.6, 0.5, True), (2.1, 0.5, True), (2.6, 1.6, False)])
-def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float, told: bool) -> None:
+@pytest.mark.parametrize(("felt", "found", "reported"), [(2.6, 0.5, True), (2.1, 0.5, True), (2.6, 1.6, False)])
+def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float, reported: bool) -> None:
     """A zero that moves by more than a touch's threshold, and by less than what contradicts the motion: the hand ran against the
     panel with 45 N 0.3 s later. The motion's numbers swing by 1.5 N (as recorded), about their truth."""
     monitor, first = ForceMonitor(), np.inf
@@ -122,43 +122,45 @@ def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float
         swings = found + 1.5 * np.sin(2.0 * np.pi * k * H / 0.05)
         if monitor.update(k * H, H, k >= 20, felt if k >= 20 else 0.0, swings):
             first = min(first, (k - 20) * H)
-    assert first == (pytest.approx(CONFIRMED, abs=2 * H) if told else np.inf)
-    assert bool(monitor.fault) == told and (not told or "that the robot's motion does not" in monitor.fault)
+    assert first == (pytest.approx(CONFIRMED, abs=2 * H) if reported else np.inf)
+    assert bool(monitor.fault) == reported and (not reported or "that the robot's motion does not" in monitor.fault)
 
 
-def agent_that_stands(begin: float) -> DoorAgent:
+def agent_that_stands(begin: float) -> DoorController:
     """A hand at rest with a level forearm, the panel above it; it starts at ``begin`` [s]."""
-    agent = DoorAgent.__new__(DoorAgent)
-    agent.phase, agent.period, agent.door, agent.measured = "approach", H, np.zeros(2), None
-    agent.force, agent.monitor, agent.leaning, agent._found = np.zeros(3), None, None, []
-    agent.contact, agent.sensor = ContactMonitor(), ForceMonitor()
-    agent.push = SimpleNamespace(begin=begin, give_up=9.0, open=1.0, tip_weight=0.0)  # type: ignore[assignment]
-    agent.robot = SimpleNamespace(home=None, pose=lambda x: (None, np.array([1.0, 0.0, 0.0, 0.0])))  # type: ignore[assignment]
-    agent.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([0.0, 0.0, -1.0])))  # type: ignore[assignment]
-    return agent
+    controller = DoorController.__new__(DoorController)
+    controller.phase, controller.period, controller.door, controller.measured = "approach", H, np.zeros(2), None
+    controller.force, controller.monitor, controller.lean_control, controller._found = np.zeros(3), None, None, []
+    controller.contact, controller.sensor = ContactMonitor(), ForceMonitor()
+    controller.push = SimpleNamespace(begin=begin, give_up=9.0, open=1.0, tip_weight=0.0)  # type: ignore[assignment]
+    controller.robot = SimpleNamespace(home=None, pose=lambda x: (None, np.array([1.0, 0.0, 0.0, 0.0])))  # type: ignore[assignment]
+    controller.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([0.0, 0.0, -1.0])))  # type: ignore[assignment]
+    return controller
 
 
-@pytest.mark.parametrize(("off", "told"), [(2.6, False), (6.5, True)])
-def test_nothing_touches_before_the_hand_starts(off: float, told: bool) -> None:
+@pytest.mark.parametrize(("off", "reported"), [(2.6, False), (6.5, True)])
+def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> None:
     """A zero that is off by 2.6 N was a touch at 0.01 s, and the closed panel learnt in the air. 8 N from 2 s on are one."""
-    agent, rng = agent_that_stands(1.0), np.random.default_rng(2)
+    controller, rng = agent_that_stands(1.0), np.random.default_rng(2)
     for k in range(round(2.5 / H)):
         force = np.array([0.0, 0.0, off + 8.0 * (k * H >= 2.0)]) + 0.1 * rng.normal(size=3)
-        agent._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=force))
-        assert agent.contact.touching == (not told and k * H >= 2.0 + agent.contact.debounce - 1e-9)
-    assert agent.force[2] == pytest.approx(0.0 if told else 8.0, abs=0.5)
-    assert len(agent._found) == told and all("reads 6.5 N where nothing touches (1.00 s)" in f for f in agent._found)
+        controller._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=force))
+        assert controller.contact.touching == (not reported and k * H >= 2.0 + controller.contact.debounce - 1e-9)
+    assert controller.force[2] == pytest.approx(0.0 if reported else 8.0, abs=0.5)
+    assert len(controller._found) == reported and all(
+        "reads 6.5 N where nothing touches (1.00 s)" in f for f in controller._found
+    )
 
 
 @pytest.mark.parametrize("phase", ["approach", "push", "release"])
-def test_an_agent_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
+def test_an_controller_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
     """A hand at rest with a level forearm; its sensor stands at 8 N. Told once; neither force nor contact then, in any phase."""
-    agent = agent_that_stands(0.0)
-    agent.phase = phase
+    controller = agent_that_stands(0.0)
+    controller.phase = phase
     touched = False
     for k in range(60):
-        agent._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=PUSH))
-        touched |= agent.contact.touching and agent.force[2] == 8.0
-    assert touched and not agent.contact.touching and not agent.force.any()
-    assert agent._ends(60 * H)
-    assert len(agent.faults) == 1 and "the force sensor gives the same numbers" in agent.faults[0]
+        controller._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=PUSH))
+        touched |= controller.contact.touching and controller.force[2] == 8.0
+    assert touched and not controller.contact.touching and not controller.force.any()
+    assert controller._ends(60 * H)
+    assert len(controller.faults) == 1 and "the force sensor gives the same numbers" in controller.faults[0]

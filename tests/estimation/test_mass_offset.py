@@ -109,7 +109,7 @@ def test_the_part_of_the_arm_turns_with_it() -> None:
 
 
 @pytest.mark.parametrize("spread", [0.0, -1.0, np.nan, np.inf])
-def test_senseless_spreads_are_refused(spread: float) -> None:
+def test_senseless_spreads_are_rejected(spread: float) -> None:
     with pytest.raises(InputError, match="spreads must be positive"):
         estimate_mass_offset([], seen=spread)
 
@@ -117,6 +117,6 @@ def test_senseless_spreads_are_refused(spread: float) -> None:
 @pytest.mark.parametrize(
     "wrong", [Tipping(FEET[[0, 0]], np.zeros(2), 0.0), Tipping(FEET[[0, 3]], np.array([np.nan, 0.0]), 0.0)]
 )
-def test_senseless_tippings_are_refused(wrong: Tipping) -> None:
+def test_senseless_tippings_are_rejected(wrong: Tipping) -> None:
     with pytest.raises(InputError, match="an edge between two places"):
         estimate_mass_offset([wrong])

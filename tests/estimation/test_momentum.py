@@ -38,7 +38,7 @@ def felt(perturbation: Perturbation, seed: int = 0) -> np.ndarray:
 def test_force_at_the_hand_is_found() -> None:
     """With a plant like the model, 0.1 s after its onset (three time constants of the observer); the ball's soft contact and
     its spin friction are not in the model."""
-    found = felt(Perturbation.none(drive_lag=0.0))
+    found = felt(Perturbation.none(actuator_time_constant=0.0))
     assert np.abs(found[39]).max() < 0.3
     assert found[80] == pytest.approx(FORCE, abs=0.12 * np.linalg.norm(FORCE))
     early = found[45] @ FORCE / (FORCE @ FORCE)

@@ -80,7 +80,7 @@ def test_exact_data_give_the_pose(motion):
     assert max(slip) < 1e-8
 
 
-def test_error_is_of_second_order_in_the_sampling_period():
+def test_error_is_of_second_command_in_the_sampling_period():
     errors = []
     for period in (0.05, 0.025):
         poses, samples = roll_out(GEOMETRY, 5.0, period, swinging, swing_rates)
@@ -129,13 +129,17 @@ def test_residual_shows_the_wheel_that_slips():
 
 def test_calibration_repairs_radii_and_zeros():
     poses, samples = roll_out(GEOMETRY, 3.0, 0.0025, swinging, swing_rates)
-    factor, leg_zero, steer_zero = np.array([1.01, 0.99, 1.0, 1.02]), 0.01 * np.arange(4), 0.02 * np.ones(4)
-    told = [(leg + leg_zero, steer + steer_zero, wheel / factor) for leg, steer, wheel in samples]
+    factor, leg_offset, steer_offset = np.array([1.01, 0.99, 1.0, 1.02]), 0.01 * np.arange(4), 0.02 * np.ones(4)
+    reported = [(leg + leg_offset, steer + steer_offset, wheel / factor) for leg, steer, wheel in samples]
     right = WheelOdometry(
-        GEOMETRY, poses[0], wheel_radius=GEOMETRY.wheel_radius * factor, leg_zero=leg_zero, steer_zero=steer_zero
+        GEOMETRY,
+        poses[0],
+        wheel_radius=GEOMETRY.wheel_radius * factor,
+        leg_offset=leg_offset,
+        steer_offset=steer_offset,
     )
     wrong = WheelOdometry(GEOMETRY, poses[0])
-    for sample in told:
+    for sample in reported:
         right.update(*sample)
         wrong.update(*sample)
     assert np.abs(right.pose - poses[-1]).max() < 1e-6
@@ -155,7 +159,7 @@ def test_the_releases_odometry_drifts_where_steering_turns_and_not_on_straight_l
 
 
 @pytest.mark.parametrize("bad", [np.zeros(3), np.array([0.0, 0.0, np.nan, 0.0])])
-def test_wrong_samples_are_refused(bad):
+def test_wrong_samples_are_rejected(bad):
     odometry = WheelOdometry(replace(GEOMETRY))
     with pytest.raises(InputError, match="steer"):
         odometry.update(np.zeros(4), bad, np.zeros(4))

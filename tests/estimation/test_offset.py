@@ -130,21 +130,21 @@ def test_no_wind_up_under_input_limits() -> None:
     """
     rng, system = np.random.default_rng(3), mass_point()
     mpc = controller(system, 0.0, 0.0, limit=2.0)
-    told, fooled = (
+    reported, fooled = (
         OffsetObserver(system, "d", [0, 0], [0], measured=["x.place"], noise=NOISE, process=1e-2, walk=3.0)
         for _ in range(2)
     )
     x, u, asked, right, wrong = np.zeros(2), 0.0, 0.0, [], []
     for k in range(600):
         y = [x[0] + NOISE * rng.normal()]
-        told.update(y, [u], H)
+        reported.update(y, [u], H)
         fooled.update(y, [asked], H)
-        mpc.solver.set_parameters(told.parameters())
-        u = float(mpc.update(Observation(k * H, told.state)).u[0, 0])
-        asked = -20.0 * x[0] - 9.0 * x[1] - told.offset[0]  # a linear law for the same task
+        mpc.solver.set_parameters(reported.parameters())
+        u = float(mpc.update(Observation(k * H, reported.state)).u[0, 0])
+        asked = -20.0 * x[0] - 9.0 * x[1] - reported.offset[0]  # a linear law for the same task
         push = -3.0 if k < 100 else -1.0
         x = moved(lambda x, u, push=push: np.array([x[1], u + push]), x, u)
-        right.append(told.offset[0] - push)
+        right.append(reported.offset[0] - push)
         wrong.append(fooled.offset[0] - push)
     for part in (right[60:100], right[130:]):
         assert np.abs(part).max() < 1.0 and np.sqrt(np.mean(np.square(part))) < 0.4
@@ -163,7 +163,7 @@ def test_no_wind_up_under_input_limits() -> None:
                 parameters={"d": ["wind", "slope"]},
             ),
             ["x.place", "x.speed"],
-            "'d.wind' cannot be told apart from 'd.slope' by measuring x.place, x.speed",
+            "'d.wind' cannot be distinguished from 'd.slope' by measuring x.place, x.speed",
         ),
         (
             Ode(
@@ -173,7 +173,7 @@ def test_no_wind_up_under_input_limits() -> None:
                 parameters={"d": ["push"]},
             ),
             ["x.place"],
-            "'d.push' leaves no trace|'d.push' cannot be told apart from 'x.other'",
+            "'d.push' leaves no trace|'d.push' cannot be distinguished from 'x.other'",
         ),
         (
             # the place of a sensor that itself has an unknown zero: bias and level look the same
@@ -184,12 +184,12 @@ def test_no_wind_up_under_input_limits() -> None:
                 parameters={"d": ["inflow"]},
             ),
             ["x.level"],
-            "'d.inflow' cannot be told apart from 'x.zero' by measuring x.level",
+            "'d.inflow' cannot be distinguished from 'x.zero' by measuring x.level",
         ),
     ],
     ids=["two forces", "unseen", "a state that does not move"],
 )
-def test_what_cannot_be_told_apart_is_refused(system: Ode, measured: list[str], message: str) -> None:
+def test_what_cannot_be_distinguished_is_rejected(system: Ode, measured: list[str], message: str) -> None:
     with pytest.raises(InputError, match=message):
         OffsetObserver(system, "d", np.zeros(2), np.zeros(1), measured=measured, noise=1e-3)
 
@@ -291,7 +291,7 @@ def test_other_parameters_are_asked_for(known: dict[str, object] | None, message
         OffsetObserver(spring(), "d", [0, 0], [0], measured=["x.place"], noise=NOISE, known=known)  # type: ignore[arg-type]
 
 
-def test_numbers_that_are_not_finite_are_refused() -> None:
+def test_numbers_that_are_not_finite_are_rejected() -> None:
     observer = OffsetObserver(lag(), "d", [0.0], [0.0], noise=1e-3)
     with pytest.raises(NotFinite, match="offset observer"):
         observer.update([np.nan], [0.0], H)

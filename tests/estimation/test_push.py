@@ -31,7 +31,7 @@ def offset(q: np.ndarray) -> np.ndarray:
 
 def felt(kick: np.ndarray, ticks: int) -> tuple[PushEstimator, np.ndarray]:
     """What is felt of speeds (8) [m/s², rad/s²] that come up in every tick, in a model in which nothing moves; angles (8)."""
-    push, x = PushEstimator(ROBOT, HOME, brace=0.2), ROBOT.home.copy()
+    push, x = PushEstimator(ROBOT, HOME, expected_push_time=0.2), ROBOT.home.copy()
     x[2:8] += [0.4, 0.1, -0.05, 0.2, 0.1, -0.3]
     for k in range(ticks):
         push.update(np.concatenate([x[:8], k * H * kick]), np.zeros(6), H, lambda x, u, h: x)

@@ -63,6 +63,6 @@ def test_two_rockings_and_noise_alone() -> None:
         ([1.0, 0.0], [0.0, 0.0], "even steps"),
     ],
 )
-def test_senseless_rates_are_refused(times: np.ndarray, rates: np.ndarray, words: str) -> None:
+def test_senseless_rates_are_rejected(times: np.ndarray, rates: np.ndarray, words: str) -> None:
     with pytest.raises(InputError, match=words):
         rockings(times, rates)

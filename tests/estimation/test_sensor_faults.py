@@ -32,7 +32,7 @@ class Sound(NamedTuple):
 
 @cache
 def sound() -> Sound:
-    p = Perturbation(state_age=0.0, drive_lag=0.01)
+    p = Perturbation(state_age=0.0, actuator_time_constant=0.01)
     plant, estimator, limit = BallPlant(ROBOT.description, HOME, TORQUE, p, 0), BallEstimator(ROBOT, HOME), 4.0
     messages, states = [], []
     for k in range(round(END / H)):
@@ -126,14 +126,14 @@ def test_one_bad_message_of_the_inertial_unit_does_no_harm_and_wheels_are_not_bl
 
 
 @pytest.mark.parametrize(("field", "by"), [("gyro", 3.0), ("accel", 100.0)])
-def test_an_inertial_unit_that_stays_off_is_told_so(field: str, by: float) -> None:
+def test_an_inertial_unit_that_stays_off_is_reported_so(field: str, by: float) -> None:
     """Eight in a row: then the run ends."""
     run = watched(off(field, 0, by, np.inf))
     assert all(names == ("imu jumps",) for names in run.said[20:28])
 
 
-@pytest.mark.parametrize(("rate", "told"), [(0.0, True), (6.0, True), (30.0, False)])
-def test_an_arm_that_is_flung_explains_what_the_unit_says(rate: float, told: bool) -> None:
+@pytest.mark.parametrize(("rate", "reported"), [(0.0, True), (6.0, True), (30.0, False)])
+def test_an_arm_that_is_flung_explains_what_the_unit_says(rate: float, reported: bool) -> None:
     """A hand that hits a door throws the arm through its stops, faster than the drives can (4 rad/s), and the base turns: the unit
     was blamed. Here the roll rate changes by 3 rad/s after 50 ms in which the first joint goes at ``rate``."""
 
@@ -141,7 +141,7 @@ def test_an_arm_that_is_flung_explains_what_the_unit_says(rate: float, told: boo
         m["arm"][0] += rate * H * k
         m["gyro"][0] += 3.0 * (k >= 20)
 
-    assert ("imu jumps" in watched(flung).names) == told
+    assert ("imu jumps" in watched(flung).names) == reported
 
 
 def test_a_hit_is_no_bad_message() -> None:

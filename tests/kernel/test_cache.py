@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import LinearQuadratic
 from wbmpc.kernel import build_kernel, cache
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Quadratic, RelaxedBarrier, SmoothL1, Transcription, sets
@@ -133,7 +134,7 @@ def test_what_is_no_file_is_bypassed_and_nothing_piles_up(folder: Path, thing: s
     assert list(folder.iterdir()) == [file]
 
 
-def test_a_full_disk_is_told_once_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_once_and_leaves_nothing(tmp_path: Path) -> None:
     code = """
 import resource, signal
 from wbmpc.kernel import cache
@@ -203,7 +204,7 @@ print(z.status.name)
 """
 
 
-@pytest.mark.parametrize("place", ["file", "missing_parent_is_file"])
+@pytest.mark.parametrize("place", ["file", pytest.param("missing_parent_is_file", marks=thorough)])
 def test_unwritable_directory_still_works(tmp_path: Path, place: str) -> None:
     """A folder that cannot be made (root may write everywhere, so a file stands in the way)."""
     (tmp_path / "file").write_text("not a folder")

@@ -35,7 +35,7 @@ def test_matrix_product(rows: int, n: int, inner: int, negative: bool, initial: 
     np.testing.assert_allclose(out, want, rtol=1e-12, atol=1e-13)
 
 
-def test_empty_product_is_refused() -> None:
+def test_empty_product_is_rejected() -> None:
     with pytest.raises(ValueError, match="empty"):
         dense.matrix_product("k", 1, 0, 3, 8, 1, 1, 8, None, False)
 

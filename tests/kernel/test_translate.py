@@ -255,7 +255,7 @@ def test_no_result_and_early_return() -> None:
     np.testing.assert_array_equal(m, [0.0, 1.0, 2.0, -1.0])
 
 
-def test_wrong_arrays_are_refused() -> None:
+def test_wrong_arrays_are_rejected() -> None:
     for bad in (np.zeros(4, np.float32), np.zeros((4, 4))[:, 0], np.zeros(4, np.int64)):
         with pytest.raises(KernelError, match="contiguous float64 or int64"):
             fill(bad, 2)

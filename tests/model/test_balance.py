@@ -171,7 +171,7 @@ def test_the_plan_keeps_the_lean_within_its_limit() -> None:
     """A far goal of the hand: with the limit the plan's divergent lean stays inside; without it the same plan passes it."""
     lean = {}
     for share in (0.0, 0.3):
-        cost = RezeroCost(hand=HandCost(limit=10.0), lean=share)
+        cost = RezeroCost(end_effector=HandCost(limit=10.0), lean=share)
         settings = MpcSettings(horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-3)
         solver = Solver(
             rezero_problem(ROBOT, settings, cost), SQP(iterations=60, interior_point=InteriorPoint(barrier=1e-3))

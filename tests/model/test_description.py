@@ -89,14 +89,14 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
         ({"arm": {"joint": ["one"], "tool": "hand"}}, ("'arm.",)),
         ({"home": {"on": 1.0}}, ("'on'", "did you mean 'one'", "home")),
         ({"home": {"one": 3.0}}, ("'home.one'", "3", "2")),
-        ({"lock": {"too": 1.0}}, ("'too'", "did you mean 'two'", "lock")),
+        ({"fixed_joints": {"too": 1.0}}, ("'too'", "did you mean 'two'", "fixed_joints")),
         ({"limits": {"velocities": {"one": 1.0}}}, ("'limits.velocities'", "did you mean 'limits.velocity'")),
         ({"limits": {"velocity": {"three": 1.0}}}, ("'three'", "limits.velocity")),
-        ({"limits": {"velocity": {"one": 2.0}, "drive_velocity": {"one": 1.0}}}, ("'one'", "no less than that")),
+        ({"limits": {"velocity": {"one": 2.0}, "actuator_velocity": {"one": 1.0}}}, ("'one'", "no less than that")),
         ({"limits": {"wheel_effort": 2.0}}, ("'limits.wheel_effort'", "type fixed", "valid: velocity")),
         (
-            {"limits": {"velocity": {"one": 1.0}, "drive_velocity": {"one": 2.0}}},
-            ("steering joint", "limits.drive_velocity"),
+            {"limits": {"velocity": {"one": 1.0}, "actuator_velocity": {"one": 2.0}}},
+            ("steering joint", "limits.actuator_velocity"),
         ),
         ({"hom": {}}, ("'hom'", "did you mean 'home'")),
         ({"base": {"type": "flying", "body": "base_link"}}, ("base", "fixed", "swerve", "ball")),
@@ -110,7 +110,7 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
         ({"arm": 5}, ("'arm'",)),
     ],
 )
-def test_a_bad_file_is_explained_in_one_sentence(
+def test_a_bad_file_is_explained_in_one_message(
     tmp_path: Path, changes: dict[str, object], words: tuple[str, ...]
 ) -> None:
     path = write(tmp_path, **changes)
@@ -187,12 +187,12 @@ def test_swerve_files_that_the_equations_do_not_describe(tmp_path: Path) -> None
     data = yaml.safe_load((source.parent / "swerve-ur10.yaml").read_text())
     path = tmp_path / "r.yaml"
     data["base"]["modules"][1].pop("hinge")
-    data["home"], data["lock"] = {}, {"leg_RF": 0.0}
+    data["home"], data["fixed_joints"] = {}, {"leg_RF": 0.0}
     data["limits"] = {}
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(InputError, match="all modules or none"):
         load_robot(path)
-    data["base"]["modules"][1]["hinge"], data["lock"] = "leg_RF", {}
+    data["base"]["modules"][1]["hinge"], data["fixed_joints"] = "leg_RF", {}
     path.write_text(yaml.safe_dump(data))
     for wanted, old, new in (
         ("under the axis", '<body name="wheel_LF" pos="0 0 -0.2746">', '<body name="wheel_LF" pos="0.03 0 -0.2746">'),
@@ -272,7 +272,7 @@ def ball_robot(folder: Path, **changes: object) -> Path:
         ({"imu": '<body name="imu"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'}, ("'imu'",)),
     ],
 )
-def test_a_ball_robot_that_cannot_balance_is_refused(
+def test_a_ball_robot_that_cannot_balance_is_rejected(
     tmp_path: Path, changes: dict[str, object], words: tuple[str, ...]
 ) -> None:
     with pytest.raises(InputError) as error:

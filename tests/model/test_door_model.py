@@ -101,6 +101,6 @@ def test_jacobian_is_the_derivative() -> None:
         assert found[:, k] == pytest.approx(change, rel=1e-4, abs=1e-4)
 
 
-def test_robot_without_the_force_as_an_input_is_refused() -> None:
+def test_robot_without_the_force_as_an_input_is_rejected() -> None:
     with pytest.raises(InputError, match="force as an input"):
         WithDoor(load_robot("rezero"))

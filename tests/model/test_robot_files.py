@@ -35,7 +35,7 @@ def ball_robot(folder: Path, *replace: tuple[str, str], **keys: object) -> Path:
     return path
 
 
-def refusal(path: Path) -> str:
+def rejection(path: Path) -> str:
     with pytest.raises(InputError) as error:
         load_robot(path)
     assert "\n" not in str(error.value)
@@ -65,7 +65,7 @@ def test_a_ball_that_the_equations_do_not_describe(tmp_path: Path, old: str, new
     replace = [(old, new)]
     if "outer" in new:
         replace.append(('<geom type="cylinder" size="0.1252 0.008" rgba="0.8 0.15 0.1 1"/>', "</body>"))
-    text = refusal(ball_robot(tmp_path, *replace))
+    text = rejection(ball_robot(tmp_path, *replace))
     assert all(w in text for w in (*words, "mine.xml", "body 'ball'")), text
 
 
@@ -77,7 +77,7 @@ def test_a_ball_within_the_tolerance_of_drawings(tmp_path: Path) -> None:
     assert load_robot(near).base.nq == 8
 
 
-def test_the_command_line_says_it_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_says_it_in_a_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = ball_robot(tmp_path, (BALL_JOINT, ""))
     assert main(["run", "rezero-steps", "--set", f"robot={path}", "--out", str(tmp_path / "out")]) == 2
     assert "one joint of type ball" in capsys.readouterr().err
@@ -89,9 +89,11 @@ LIMITS = {"wheel_effort": 4.0}
 
 
 def test_a_forgotten_joint_of_a_ball_robot(tmp_path: Path) -> None:
-    text = refusal(ball_robot(tmp_path, arm=ONE, home={}, limits=LIMITS))
-    assert all(w in text for w in ("mine.yaml", "mine.xml", "'arm_elbow'", "arm.joints", "lock: {arm_elbow: 0}")), text
-    held = load_robot(ball_robot(tmp_path, arm=ONE, home={}, limits=LIMITS, lock={"arm_elbow": 0.3}))
+    text = rejection(ball_robot(tmp_path, arm=ONE, home={}, limits=LIMITS))
+    assert all(
+        w in text for w in ("mine.yaml", "mine.xml", "'arm_elbow'", "arm.joints", "fixed_joints: {arm_elbow: 0}")
+    ), text
+    held = load_robot(ball_robot(tmp_path, arm=ONE, home={}, limits=LIMITS, fixed_joints={"arm_elbow": 0.3}))
     plant = BallPlant(held.description)
     assert plant.model.nv == 6 + 3 + 2  # the base, the ball, two joints of the arm
 
@@ -104,9 +106,9 @@ def test_forgotten_wrist_joints_of_a_swerve_robot(tmp_path: Path) -> None:
         for name in ("wrist_2_joint", "wrist_3_joint"):
             key.pop(name, None)
     path.write_text(yaml.safe_dump({**data, "model": str(DATA / data["model"])}))
-    text = refusal(path)
+    text = rejection(path)
     assert "'wrist_2_joint', 'wrist_3_joint'" in text and "arm.joints or base.modules" in text
-    assert "lock: {wrist_2_joint: 0, wrist_3_joint: 0}" in text
+    assert "fixed_joints: {wrist_2_joint: 0, wrist_3_joint: 0}" in text
 
 
 GRIPPER = """<robot name="r"><link name="base">{mass}</link><link name="arm">{mass}</link>
@@ -130,9 +132,9 @@ def fixed_robot(folder: Path, name: str, text: str, **keys: object) -> Path:
 
 def test_the_fingers_of_a_urdf_are_held_with_their_coupling(tmp_path: Path) -> None:
     """A finger that mimics the other one, held: the hand is where MuJoCo has it with both at these values."""
-    text = refusal(fixed_robot(tmp_path, "r.urdf", GRIPPER))
-    assert "'finger', 'other'" in text and "lock: {finger: 0, other: 0}" in text
-    robot = load_robot(fixed_robot(tmp_path, "r.urdf", GRIPPER, lock={"finger": 0.03, "other": -0.03}))
+    text = rejection(fixed_robot(tmp_path, "r.urdf", GRIPPER))
+    assert "'finger', 'other'" in text and "fixed_joints: {finger: 0, other: 0}" in text
+    robot = load_robot(fixed_robot(tmp_path, "r.urdf", GRIPPER, fixed_joints={"finger": 0.03, "other": -0.03}))
     model = mujoco.MjModel.from_xml_string(
         GRIPPER.replace("<link", '<mujoco><compiler fusestatic="false"/></mujoco><link', 1)
     )
@@ -153,7 +155,7 @@ def test_what_an_mjcf_has_beside_its_mechanics_is_in_nobodys_way(tmp_path: Path)
       <equality><joint joint1="f" joint2="g"/><tendon tendon1="t"/></equality><sensor><jointpos joint="f"/></sensor>
       <actuator><position name="one" joint="one"/><position tendon="t"/></actuator>
       <keyframe><key qpos="0 0 0 1 0 0 0 0 0 0"/></keyframe></mujoco>"""
-    path = fixed_robot(tmp_path, "r.xml", xml, lock={"f": 0.01, "g": 0.02})
+    path = fixed_robot(tmp_path, "r.xml", xml, fixed_joints={"f": 0.01, "g": 0.02})
     model = load_spec(load_description(path)).compile()
     assert (model.nv, model.neq, model.nu, model.ntendon, model.nsensor, model.nkey) == (1, 0, 0, 0, 0, 0)
     np.testing.assert_allclose(load_robot(path).pose([0.0])[0], [0.02, 0.0, 0.2], atol=1e-12)
@@ -164,8 +166,8 @@ def test_joints_without_a_name_and_files_that_do_not_compile(tmp_path: Path) -> 
     write = lambda extra: fixed_robot(
         tmp_path, "r.xml", f"<mujoco><worldbody>{body.format(extra)}</body></worldbody></mujoco>"
     )
-    assert "body 'a' has a joint without a name" in refusal(write('<joint axis="1 0 0"/>'))
-    assert "r.xml: cannot be compiled" in refusal(write('<body name="light"><joint name="one_more"/></body>'))
+    assert "body 'a' has a joint without a name" in rejection(write('<joint axis="1 0 0"/>'))
+    assert "r.xml: cannot be compiled" in rejection(write('<body name="light"><joint name="one_more"/></body>'))
 
 
 def test_a_base_that_floats_in_its_own_file(tmp_path: Path) -> None:
@@ -182,16 +184,16 @@ def test_a_base_that_floats_in_its_own_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("joint", ["lift", "m0_steer", "m0_leg"])
 def test_a_joint_that_does_not_count_from_its_drawing(joint: str, tmp_path: Path) -> None:
     """MuJoCo takes ``ref`` off every value: with the lift's 0.5 its hand was 17 cm from the planner's."""
-    text = refusal(ring(tmp_path, (f'name="{joint}"', f'name="{joint}" ref="0.5"')))
+    text = rejection(ring(tmp_path, (f'name="{joint}"', f'name="{joint}" ref="0.5"')))
     assert all(w in text for w in (f"base.xml: joint '{joint}'", "'ref' of 0.5")), text
 
 
 def test_a_held_joint_that_does_not_count_from_its_drawing(tmp_path: Path) -> None:
     path = ring(tmp_path, ('name="lift"', 'name="lift" ref="0.5"'))
     data = yaml.safe_load(path.read_text())
-    data.update(arm={"joints": ["pan"], "tool": "hand"}, lock={"lift": 0.1})
+    data.update(arm={"joints": ["pan"], "tool": "hand"}, fixed_joints={"lift": 0.1})
     path.write_text(yaml.safe_dump(data))
-    assert "joint 'lift' has a 'ref' of 0.5" in refusal(path)
+    assert "joint 'lift' has a 'ref' of 0.5" in rejection(path)
 
 
 # ---------------------------------------------------------------------- swerve bases
@@ -213,9 +215,9 @@ def ring(folder: Path, *replace: tuple[str, str], hinged: bool = True, **limits:
 
 def test_a_wheel_that_stops_at_the_end_of_a_range(tmp_path: Path) -> None:
     """Beyond it, it would be dragged."""
-    text = refusal(ring(tmp_path, (WHEEL, f'{WHEEL} range="-3 3"')))
+    text = rejection(ring(tmp_path, (WHEEL, f'{WHEEL} range="-3 3"')))
     assert all(w in text for w in ("base.xml: joint 'm0_wheel'", "-3 to 3 rad", "type continuous")), text
-    text = refusal(ring(tmp_path, position={"m0_wheel": [-3.0, 3.0]}))
+    text = rejection(ring(tmp_path, position={"m0_wheel": [-3.0, 3.0]}))
     assert "ring.yaml: key 'limits.position.m0_wheel'" in text
     assert load_robot(ring(tmp_path, (WHEEL, f'{WHEEL} range="-3 3" limited="false"'))).base.geometry.modules == 3
 
@@ -223,16 +225,16 @@ def test_a_wheel_that_stops_at_the_end_of_a_range(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("joint", "axis"), [("wheel", "0 1 0"), ("steer", "0 0 1"), ("leg", "0 0 1")])
 def test_a_module_of_sliding_joints(joint: str, axis: str, tmp_path: Path) -> None:
     turns = f'<joint name="m1_{joint}"'
-    text = refusal(ring(tmp_path, (f'{turns} axis="{axis}"', f'{turns} type="slide" axis="{axis}"')))
+    text = rejection(ring(tmp_path, (f'{turns} axis="{axis}"', f'{turns} type="slide" axis="{axis}"')))
     assert all(w in text for w in (f"base.xml: joint 'm1_{joint}' slides", "ring.yaml")), text
 
 
 def test_wheels_of_different_heights(tmp_path: Path) -> None:
     """A robot of four wheels stands on two or three of them then."""
     disc = '<body name="m1_disc" pos="0 0 {:g}">'
-    text = refusal(ring(tmp_path, (disc.format(-0.12), disc.format(-0.118))))
+    text = rejection(ring(tmp_path, (disc.format(-0.12), disc.format(-0.118))))
     assert all(w in text for w in ("ring.yaml", "'m1_wheel' is 2 mm too high")), text
-    text = refusal(ring(tmp_path, (disc.format(-0.12), disc.format(-0.129))))
+    text = rejection(ring(tmp_path, (disc.format(-0.12), disc.format(-0.129))))
     assert "'m1_wheel' is 9 mm too low" in text
     load_robot(ring(tmp_path, (disc.format(-0.12), disc.format(-0.1195))))
 
@@ -240,7 +242,7 @@ def test_wheels_of_different_heights(tmp_path: Path) -> None:
 @pytest.mark.parametrize("reach", [0.0, 0.004])
 def test_a_hinge_on_the_steering_axis(reach: float, tmp_path: Path) -> None:
     fork = '<body name="m0_fork" pos="{:g} 0 -0.1">'
-    text = refusal(ring(tmp_path, (fork.format(0.3), fork.format(reach))))
+    text = rejection(ring(tmp_path, (fork.format(0.3), fork.format(reach))))
     assert all(w in text for w in ("ring.yaml", "'m0_steer'", "'m0_leg'", f"{1e3 * reach:.3g} mm")), text
     load_robot(ring(tmp_path, (fork.format(0.3), fork.format(0.01))))
     load_robot(ring(tmp_path, (fork.format(0.3), fork.format(0.0)), hinged=False))  # it swings nothing there

@@ -1,4 +1,4 @@
-"""What a robot's file says to the simulator alone is left out or refused. Truth: the same base from a file without it; statics."""
+"""What a robot's file says to the simulator alone is left out or rejected. Truth: the same base from a file without it; statics."""
 
 from __future__ import annotations
 
@@ -91,13 +91,13 @@ def test_what_only_the_simulator_would_see_is_left_out(
     assert [n for n, v in clean.items() if not np.array_equal(found[n], v, equal_nan=True)] == []
 
 
-def test_what_looks_at_the_scene_goes_with_it_and_a_missing_mesh_is_told(tmp_path: Path) -> None:
+def test_what_looks_at_the_scene_goes_with_it_and_a_missing_mesh_is_reported(tmp_path: Path) -> None:
     eye = '<camera name="eye" mode="targetbody" target="box"/>'
     start = START + '<body name="box" pos="2 0 1"><geom size="0.2"/></body>'
     spec = load_spec(load_robot(ring(tmp_path, (START, start), (HULL, eye + HULL))).description)
     assert not spec.cameras and spec.body("box") is None
     mesh = COMPILER + ' inertiafromgeom="true"/><asset><mesh name="m" file="no.stl"/></asset><compiler'
-    assert "cannot be compiled" in refusal(ring(tmp_path, (COMPILER, mesh)))
+    assert "cannot be compiled" in rejection(ring(tmp_path, (COMPILER, mesh)))
 
 
 def test_a_robot_stands_on_the_tyres_of_the_plant(tmp_path: Path) -> None:
@@ -154,8 +154,8 @@ def test_a_door_opens_as_wide_before_a_robot_drawn_in_degrees(tmp_path: Path) ->
     np.testing.assert_allclose(plant.model.joint("door").range, [0.0, 2.2])
 
 
-# ---------------------------------------------------------------------- refused
-def refusal(path: Path) -> str:
+# ---------------------------------------------------------------------- rejected
+def rejection(path: Path) -> str:
     with pytest.raises(InputError) as error:
         load_robot(path)
     assert "\n" not in str(error.value)
@@ -183,7 +183,7 @@ def refusal(path: Path) -> str:
 def test_springs_and_couplings_of_joints_that_are_used(
     old: str, new: str, words: tuple[str, ...], tmp_path: Path
 ) -> None:
-    text = refusal(ring(tmp_path, (old, new)))
+    text = rejection(ring(tmp_path, (old, new)))
     assert all(w in text for w in ("base.xml", *words)), text
 
 
@@ -195,7 +195,7 @@ def test_a_ball_that_does_not_turn_freely(more: str, word: str, tmp_path: Path) 
     (tmp_path / "r.xml").write_text((DATA / "rezero.xml").read_text().replace(joint, f"{joint} {more}"))
     data = yaml.safe_load((DATA / "rezero.yaml").read_text())
     (tmp_path / "r.yaml").write_text(yaml.safe_dump({**data, "model": "r.xml"}))
-    text = refusal(tmp_path / "r.yaml")
+    text = rejection(tmp_path / "r.yaml")
     assert word in text and "r.xml" in text, text
 
 
@@ -222,9 +222,9 @@ def urdf(folder: Path, coupling: str, used: list[str], **keys: Any) -> Path:
 def test_a_joint_of_a_urdf_that_mimics_another(tmp_path: Path) -> None:
     """One that is used cannot follow one that is held either: MuJoCo would hold it."""
     mimic = '<mimic joint="one"/>'
-    text = refusal(urdf(tmp_path, mimic, ["one", "two"]))
+    text = rejection(urdf(tmp_path, mimic, ["one", "two"]))
     assert all(w in text for w in ("r.urdf", "'mimic'", "'one'", "'two'")), text
-    assert "acts on joint 'one', of" in refusal(urdf(tmp_path, mimic, ["one"], lock={"two": 0.2}))
+    assert "acts on joint 'one', of" in rejection(urdf(tmp_path, mimic, ["one"], fixed_joints={"two": 0.2}))
 
 
 def test_a_gripper_with_springs_and_loops_that_is_held(tmp_path: Path) -> None:
@@ -244,6 +244,6 @@ def test_a_gripper_with_springs_and_loops_that_is_held(tmp_path: Path) -> None:
         "base": {"type": "fixed", "body": "base"},
         "arm": {"joints": ["a"], "tool": "g"},
     }
-    (tmp_path / "r.yaml").write_text(yaml.safe_dump({**data, "lock": {"f": 0.1, "g": 0.2}}))
+    (tmp_path / "r.yaml").write_text(yaml.safe_dump({**data, "fixed_joints": {"f": 0.1, "g": 0.2}}))
     model = load_spec(load_description(tmp_path / "r.yaml")).compile()
     assert (model.nv, model.neq, model.ntendon) == (1, 0, 0)

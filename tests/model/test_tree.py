@@ -121,12 +121,12 @@ def test_locked_joints_stay_where_the_free_ones_would_be() -> None:
     free, locked = load_description("swerve-ur10"), load_description("swerve-fixed-ur10")
     a, b = load_spec(free).compile(), load_spec(locked).compile()
     da, db = mujoco.MjData(a), mujoco.MjData(b)
-    for name, angle in locked.lock.items():
+    for name, angle in locked.fixed_joints.items():
         da.qpos[a.joint(name).qposadr[0]] = angle
     mujoco.mj_forward(a, da)
     mujoco.mj_forward(b, db)
     assert [b.joint(j).name for j in range(b.njnt)] == [
-        a.joint(j).name for j in range(a.njnt) if a.joint(j).name not in locked.lock
+        a.joint(j).name for j in range(a.njnt) if a.joint(j).name not in locked.fixed_joints
     ]
     np.testing.assert_allclose(db.xpos, da.xpos, atol=1e-12)
     np.testing.assert_allclose(db.xmat, da.xmat, atol=1e-12)
@@ -144,7 +144,7 @@ def test_lock_of_skew_joints_in_rotated_bodies(tmp_path, joint: str, body: str) 
       </body></worldbody></mujoco>"""
     (tmp_path / "r.xml").write_text(xml)
     (tmp_path / "r.yaml").write_text(
-        "name: r\nmodel: r.xml\nbase: {type: fixed, body: base}\narm: {joints: [free], tool: tip}\nlock: {locked: 0.6}\n"
+        "name: r\nmodel: r.xml\nbase: {type: fixed, body: base}\narm: {joints: [free], tool: tip}\nfixed_joints: {locked: 0.6}\n"
     )
     a = mujoco.MjModel.from_xml_string(xml)
     b = load_spec(load_description(tmp_path / "r.yaml")).compile()
@@ -157,7 +157,7 @@ def test_lock_of_skew_joints_in_rotated_bodies(tmp_path, joint: str, body: str) 
     np.testing.assert_allclose(db.xmat, da.xmat, atol=1e-12)
 
 
-def test_a_hinge_off_its_body_origin_is_read_or_refused() -> None:
+def test_a_hinge_off_its_body_origin_is_read_or_rejected() -> None:
     spec = mujoco.MjSpec.from_string(
         """<mujoco><worldbody><body name="root"><geom size="0.1"/><body name="a"><joint name="j" pos="0 0 1"/>
         <geom size="0.1"/></body></body></worldbody></mujoco>"""

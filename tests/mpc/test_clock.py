@@ -41,17 +41,17 @@ def test_the_grid_of_deadlines_does_not_drift() -> None:
 
 
 def test_loops_in_turns() -> None:
-    clock, told = VirtualClock(), []
+    clock, reported = VirtualClock(), []
 
     def loop(name: str, dues: list[float], takes: float = 0.0) -> Iterator[float]:
         for due in dues:
             yield due
-            told.append((name, clock.now()))
+            reported.append((name, clock.now()))
             clock.wait(clock.now() + takes)
 
     interleave(clock, [loop("a", [0.0, 2.0, 4.0, 9.0]), loop("b", [0.0, 1.0, 4.0], takes=1.5)], 5.0)
     # b's second turn is late because its first took 1.5; the last turn of a comes after the end
-    assert told == [("a", 0.0), ("b", 0.0), ("b", 1.5), ("a", 3.0), ("a", 4.0), ("b", 4.0)]
+    assert reported == [("a", 0.0), ("b", 0.0), ("b", 1.5), ("a", 3.0), ("a", 4.0), ("b", 4.0)]
     assert clock.now() == 5.5
 
 

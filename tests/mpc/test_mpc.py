@@ -56,9 +56,9 @@ def test_iterations_of_the_first_plan_are_those_of_all_calls(monkeypatch: pytest
 
     monkeypatch.setattr(mpc.solver, "run", counted)
     mpc.update(Observation(0.0, START))
-    assert counts == [1] * 4 and mpc.figures["iterations"] == 4
+    assert counts == [1] * 4 and mpc.solve_info["iterations"] == 4
     mpc.update(Observation(0.02, START))
-    assert counts == [1] * 5 and mpc.figures["iterations"] == 1
+    assert counts == [1] * 5 and mpc.solve_info["iterations"] == 1
 
 
 @pytest.mark.parametrize("senseless", [0, -3, 2.5, np.nan, "many", True])
@@ -309,7 +309,7 @@ def test_a_plan_that_no_solve_can_go_on_from_is_given_up() -> None:
     assert np.abs(fresh.x).max() < 10.0
 
 
-def refuse(mpc: MPC, monkeypatch: pytest.MonkeyPatch, spoil: Any = lambda: None) -> None:
+def reject(mpc: MPC, monkeypatch: pytest.MonkeyPatch, spoil: Any = lambda: None) -> None:
     """Solves as they are, said to miss a hard limit; ``spoil`` what they leave."""
     honest = mpc.solver.run
 
@@ -321,20 +321,20 @@ def refuse(mpc: MPC, monkeypatch: pytest.MonkeyPatch, spoil: Any = lambda: None)
     monkeypatch.setattr(mpc.solver, "run", missed)
 
 
-def test_refused_again_and_again_the_next_solve_goes_on_from_its_own_iterate(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A robot that leant on a locked door fell: 60 refusals in a row, each from the same plan, with no new feedback."""
+def test_rejected_again_and_again_the_next_solve_goes_on_from_its_own_iterate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that leant on a locked door fell: 60 rejection in a row, each from the same plan, with no new feedback."""
     mpc, left = make(), []
     last = mpc.update(Observation(0.0, START))
     with monkeypatch.context() as m:
-        refuse(mpc, m, lambda: left.append(mpc.solver.trajectory().x))
+        reject(mpc, m, lambda: left.append(mpc.solver.trajectory().x))
         for k in range(1, STUCK + 2):
             assert mpc.update(Observation(0.02 * k, START + 0.3)) is last  # none of them is used
             assert np.abs(left[-1] - last.x).max() > 0.01
             held = left[-1] if k >= STUCK else last.x
-            np.testing.assert_array_equal(mpc.solver.trajectory().x, held, err_msg=f"refusal {k}")
+            np.testing.assert_array_equal(mpc.solver.trajectory().x, held, err_msg=f"rejection {k}")
     fresh = mpc.update(Observation(0.02 * k + 0.02, START + 0.3))
     assert not mpc.fault and fresh is not last and mpc.statistics.failures == STUCK + 1
-    refuse(mpc, monkeypatch)
+    reject(mpc, monkeypatch)
     assert mpc.update(Observation(0.02 * k + 0.04, START)) is fresh  # a row anew
     np.testing.assert_array_equal(mpc.solver.trajectory().x, fresh.x)
 
@@ -344,13 +344,13 @@ def test_what_is_not_finite_is_never_gone_on_from(monkeypatch: pytest.MonkeyPatc
     last = mpc.update(Observation(0.0, START))
     bad = iter([*[False] * STUCK, True])
     spoil = lambda: monkeypatch.setattr(mpc.solver, "non_finite_part", lambda: "planned state" if next(bad) else "")
-    refuse(mpc, monkeypatch, spoil)
+    reject(mpc, monkeypatch, spoil)
     for k in range(1, STUCK + 2):
         assert mpc.update(Observation(0.02 * k, START)) is last
     np.testing.assert_array_equal(mpc.solver.trajectory().x, last.x)
 
 
-def test_a_policy_refuses_what_is_not_finite() -> None:
+def test_a_policy_rejects_what_is_not_finite() -> None:
     policy = make().update(Observation(0.0, START))
     for t, x in ((np.nan, START), (0.0, START * np.nan)):
         with pytest.raises(NotFinite):
@@ -373,7 +373,7 @@ def follower(align: bool = True) -> MPC:
     return mpc
 
 
-def test_a_schedule_that_never_fits_is_refused_and_the_old_one_stays() -> None:
+def test_a_schedule_that_never_fits_is_rejected_and_the_old_one_stays() -> None:
     mpc, fits = follower(), blinking(0.2, 0.5, 0.8, 1.3)
     mpc.set_schedule(fits)
     with pytest.raises(
@@ -387,14 +387,14 @@ def test_a_schedule_that_never_fits_is_refused_and_the_old_one_stays() -> None:
     follower(align=False).set_schedule(blinking(0.1, 0.2, 0.3, 0.4, 0.5))
 
 
-def test_events_without_a_node_do_not_stop_the_mpc_but_are_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_events_without_a_node_do_not_stop_the_mpc_but_are_reported(caplog: pytest.LogCaptureFixture) -> None:
     mpc, events = follower(), (0.1, 0.25, 0.45, 0.6, 0.75, 0.9)
     mpc.solver.set_schedule(blinking(*events))
     counted = []
     with caplog.at_level(logging.WARNING, "wbmpc"):
         for k in range(10):
             mpc.update(Observation(0.1 * k, np.zeros(1)))
-            counted.append(mpc.figures["events_without_node"])
+            counted.append(mpc.solve_info["events_without_node"])
     # truth: events strictly within (t, t + 1), less 3
     assert counted == [max(sum(e > 0.1 * k + 1e-6 for e in events) - 3, 0) for k in range(10)]
     assert counted[0] == 3 and counted[-1] == 0

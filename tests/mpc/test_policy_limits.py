@@ -145,11 +145,11 @@ def test_the_runner_holds_the_bounds_and_counts(caplog: pytest.LogCaptureFixture
         else:
             robot.frozen = None
 
-    clock, agent = VirtualClock(0.004), Plain()
+    clock, controller = VirtualClock(0.004), Plain()
     mpc = MPC(trolley(), rate=50.0, first_iterations=10)
     mpc.reset(START)
-    report = RealTimeRunner(ToyRobot(clock, knock), agent, mpc, RealTimeSettings(), clock).run(2.0)
-    asked, sent = np.array(agent.asked)[:, 0], np.array(agent.sent)[:, 0]
+    report = RealTimeRunner(ToyRobot(clock, knock), controller, mpc, RealTimeSettings(), clock).run(2.0)
+    asked, sent = np.array(controller.asked)[:, 0], np.array(controller.sent)[:, 0]
     outside = (asked > UPPER + 1e-8) | (asked < LOWER - 1e-8)
     assert sent.min() == LOWER and sent.max() <= UPPER
     assert 0 < report.clamped == outside.sum() < 20
@@ -297,12 +297,12 @@ def test_rows_count_on_the_grid_that_the_solver_refines() -> None:
 @pytest.mark.parametrize(
     "settings", [SQP(), ILQR(), SQP(compute_kkt=False), SQP(interior_point=InteriorPoint("real_time"))]
 )
-def test_settings_under_which_missed_limits_are_not_told_are_refused(settings: SQP) -> None:
+def test_settings_under_which_missed_limits_are_not_reported_are_rejected(settings: SQP) -> None:
     with pytest.raises(InputError, match=r"valid: (SQP|ILQR)\.real_time"):
         MPC(trolley(), settings)
 
 
-def test_terms_that_come_too_late_are_refused_by_name(mpc: MPC) -> None:
+def test_terms_that_come_too_late_are_rejected_by_name(mpc: MPC) -> None:
     solver, late = mpc.solver, Constraint("late", Rows(1, lambda s: s.u[1]), Box(-0.1, 0.1), hard=True)
     solver.ocp.add(late)
     with pytest.raises(InputError, match="term 'late': added, replaced or removed after"):

@@ -62,7 +62,7 @@ def test_latency_is_compensated(computing: float) -> None:
     runner = virtual(computing)
     runner.run(2.0)
     was = {round(t / PERIOD): x for t, x in runner.robot.history}
-    latest = [p for p in runner.agent.predictions if 0.3 < p.t < 1.9]
+    latest = [p for p in runner.controller.predictions if 0.3 < p.t < 1.9]
     used = [p for p in latest if round(p.t / PERIOD) in was]
     ahead = np.ceil((computing + OFFSET + runner.settings.margin) / PERIOD)
     assert runner.latency.ticks == ahead
@@ -131,15 +131,15 @@ def test_parameters_travel_with_the_observation() -> None:
 
 
 def test_clamped_ticks_are_counted() -> None:
-    asked, agent = 0, ToyAgent.command
+    asked, controller = 0, ToyAgent.command
 
     def command(self: ToyAgent, t: float, plans: PolicyQueue) -> Force:
         nonlocal asked
         asked += int(abs(plans.current(t, self.measured.x)[0]) > 0.5)  # type: ignore[misc]
-        return agent(self, t, plans)
+        return controller(self, t, plans)
 
     runner = virtual(limit=0.5)
-    runner.agent.command = command.__get__(runner.agent)  # type: ignore[method-assign]
+    runner.controller.command = command.__get__(runner.controller)  # type: ignore[method-assign]
     assert 0 < runner.run(2.0).clamped == asked < 800
 
 

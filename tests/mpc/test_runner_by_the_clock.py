@@ -130,10 +130,10 @@ def healthy(mode: str) -> MPC | Callable[[], MPC]:
     return make_mpc() if mode == "thread" else make_mpc
 
 
-def check_safe(runner: RealTimeRunner, sentence: str) -> float:
+def check_safe(runner: RealTimeRunner, message: str) -> float:
     """It has stopped with that reason; nothing is written any more, and stop() comes at every tick. Returns when."""
     assert wait_for(lambda: runner.stopped)
-    found = re.fullmatch(STOPPED + sentence, runner.state)
+    found = re.fullmatch(STOPPED + message, runner.state)
     assert found, runner.state
     writes, stops = len(runner.robot.writes), runner.robot.stops
     assert wait_for(lambda: runner.robot.stops > stops + 3)
@@ -166,7 +166,7 @@ def test_a_late_solve_does_not_stop_and_one_that_hangs_does(mode: str) -> None:
 
 @pytest.mark.parametrize("mode", ["thread", "process"])
 @pytest.mark.parametrize(
-    ("fault", "sentence"),
+    ("fault", "message"),
     [
         (freeze, r"the measurement is \d+\.\d+ s old, the limit is 1 s"),
         (lose, r"measurement\.x is not finite"),
@@ -174,13 +174,13 @@ def test_a_late_solve_does_not_stop_and_one_that_hangs_does(mode: str) -> None:
     ids=["stale", "nan"],
 )
 def test_observations_that_are_stale_or_no_numbers_stop(
-    mode: str, fault: Callable[[ToyRobot], None], sentence: str
+    mode: str, fault: Callable[[ToyRobot], None], message: str
 ) -> None:
     runner = real(
         healthy(mode), fault=lambda r: fault(r) if runner.state == "running" else None, max_observation_age=AGE
     )
     with runner:
-        check_safe(runner, sentence)
+        check_safe(runner, message)
     assert runner.robot.writes  # it had been moving
 
 

@@ -42,8 +42,8 @@ def late_write(runner: RealTimeRunner, action: Callable[..., Any]) -> None:
 
 
 def late_command(runner: RealTimeRunner, action: Callable[..., Any]) -> None:
-    command = runner.agent.command
-    runner.agent.command = (  # type: ignore[method-assign]
+    command = runner.controller.command
+    runner.controller.command = (  # type: ignore[method-assign]
         lambda t, p: action() if t >= 0.5 else command(t, p)
     )
 
@@ -54,8 +54,8 @@ def foresee(robot: ToyRobot) -> None:
 
 def predict_nothing(runner: RealTimeRunner) -> None:
     """From 0.5 s on."""
-    predict = runner.agent.predict
-    runner.agent.predict = (  # type: ignore[method-assign]
+    predict = runner.controller.predict
+    runner.controller.predict = (  # type: ignore[method-assign]
         lambda t, until, plans: Observation(until, np.full(2, np.nan)) if t >= 0.5 else predict(t, until, plans)
     )
 
@@ -124,7 +124,7 @@ FAULTS: dict[str, tuple[Callable[[RealTimeRunner], None], str, bool]] = {
     ),
     "no command": (
         lambda r: late_command(r, lambda: None),
-        "0.500 s: the agent gave no command",
+        "0.500 s: the controller gave no command",
         False,
     ),
     "no numbers": (
@@ -132,7 +132,7 @@ FAULTS: dict[str, tuple[Callable[[RealTimeRunner], None], str, bool]] = {
         "0.500 s: command.u is not made of numbers, got 'fast'",
         False,
     ),
-    "the agent ends the interpreter": (
+    "the controller ends the interpreter": (
         lambda r: late_command(r, sys.exit),
         "0.500 s: the controller raised SystemExit: ",
         False,
@@ -145,9 +145,9 @@ FAULTS: dict[str, tuple[Callable[[RealTimeRunner], None], str, bool]] = {
 }
 
 
-def check_stopped(runner: RealTimeRunner, sentence: str, seconds: float = 1.0) -> None:
+def check_stopped(runner: RealTimeRunner, message: str, seconds: float = 1.0) -> None:
     report = runner.run(seconds)
-    assert re.fullmatch(f"stopped at {sentence}", report.state)
+    assert re.fullmatch(f"stopped at {message}", report.state)
     assert runner.stopped
     # stop() at every tick from then on, no command any more, the robot without drive
     when = float(report.state.split()[2])
@@ -158,11 +158,11 @@ def check_stopped(runner: RealTimeRunner, sentence: str, seconds: float = 1.0) -
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_of_robot_or_agent_is_a_safe_stop(name: str) -> None:
-    inject, sentence, raised = FAULTS[name]
+def test_a_fault_of_robot_or_controller_is_a_safe_stop(name: str) -> None:
+    inject, message, raised = FAULTS[name]
     runner = virtual()
     inject(runner)
-    check_stopped(runner, sentence)
+    check_stopped(runner, message)
     assert isinstance(runner.error, RuntimeError) == raised
 
 
@@ -177,7 +177,7 @@ def test_an_mpc_that_ends_the_interpreter_is_a_safe_stop() -> None:
     check_stopped(runner, r"0.182 s: the MPC raised SystemExit: 3")
 
 
-def test_threads_that_die_are_told() -> None:
+def test_threads_that_die_are_reported() -> None:
     """Whatever is raised outside a tick or a solve, here by the clock."""
 
     class Broken(VirtualClock):
@@ -229,13 +229,13 @@ def test_a_tick_in_which_the_process_was_held_up_is_the_last() -> None:
     runner = virtual(control_rate=5.0, watchdog=0.09)
     control = runner._begin()[0]
     next(control)
-    measure = runner.agent.measure
+    measure = runner.controller.measure
 
     def held_up(measurement: Any) -> None:
         measure(measurement)
         runner.clock.wait(runner.clock.now() + 0.1)
 
-    runner.agent.measure = held_up  # type: ignore[method-assign]
+    runner.controller.measure = held_up  # type: ignore[method-assign]
     next(control)
     next(control)
     assert re.fullmatch(r"stopped at 0\.\d+ s: a tick .* took 0\.100 s, the limit is 0\.09 s.*", runner.state), (
@@ -262,7 +262,7 @@ def test_without_a_first_policy_the_robot_never_moves() -> None:
     assert not runner.robot.writes
 
 
-def test_a_stop_that_raises_is_told_once_and_tried_again() -> None:
+def test_a_stop_that_raises_is_reported_once_and_tried_again() -> None:
     runner, calls = virtual(), []
 
     def stop() -> None:

@@ -82,11 +82,11 @@ def test_the_robot_is_stopped_before_the_mpc_has_ended() -> None:
 
 
 def test_a_priority_that_is_not_to_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(thread: int, *ignored: object) -> None:
+    def reject(thread: int, *ignored: object) -> None:
         assert thread == runner._threads[0].native_id
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(os, "sched_setscheduler", reject)
     clock = WallClock()
     runner = RealTimeRunner(ToyRobot(clock), ToyAgent(PERIOD), make_mpc(), replace(PATIENT, priority=50), clock)
     with pytest.raises(InputError, match=r"priority 50 is not to be had \(Operation not permitted\)"):

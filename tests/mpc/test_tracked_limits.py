@@ -10,7 +10,7 @@ import pytest
 import wbmpc as wb
 from wbmpc.runtime.clock import VirtualClock
 from wbmpc.runtime.shared_memory import Board, Mailbox, Sizes, TimedPolicy
-from wbmpc.runtime.worker import NUMBERS, ORDERS, RECORDS, Worker
+from wbmpc.runtime.worker import NUMBERS, RECORDS, WORKER_COMMANDS, Worker
 
 FORCE = 5.0
 UPRIGHT = np.array([0.0, np.pi, 0.0, 0.0])
@@ -138,7 +138,7 @@ def test_moving_bounds_reach_the_control_thread() -> None:
     sizes, clock = Sizes.of(mpc.ocp), VirtualClock()
     observations, answers = Mailbox(sizes.observation()), Mailbox(sizes.policy())
     mpc.reset(START)
-    worker = Worker(mpc, observations, answers, Board(NUMBERS, RECORDS, 8), Board(ORDERS), clock, 0.0)
+    worker = Worker(mpc, observations, answers, Board(NUMBERS, RECORDS, 8), Board(WORKER_COMMANDS), clock, 0.0)
     observations.write(observed=0.0, valid_from=0.0, t=0.0, x=START, parameters=np.zeros(0))
     loop = worker.loop()
     next(loop), next(loop)

@@ -348,7 +348,7 @@ def test_a_weight_changed_is_a_weight_given() -> None:
     assert np.abs(after.u).sum() < 0.8 * np.abs(before.u).sum()
 
 
-def test_a_cost_of_the_input_at_the_end_is_refused() -> None:
+def test_a_cost_of_the_input_at_the_end_is_rejected() -> None:
     dynamics = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0]))
     ocp = OptimalControlProblem(dynamics, 1.0, 5)
     ocp.add(Cost("effort", Rows(1, lambda s: s.u), 1.0, at="terminal"))

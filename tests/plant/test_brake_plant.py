@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from effort import thorough
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE, Brakes
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -44,6 +45,7 @@ def test_a_stuck_brake_does_not_answer_until_it_is_repaired() -> None:
         brakes.fail(0, "rusty")
 
 
+@thorough
 def test_the_experiment_reaches_its_goals() -> None:
     """Fig. 4 of the paper: closed brakes hold the pushed robot, open ones do not, least of all in H."""
     experiment = REGISTRY["swerve-brakes"]

@@ -19,7 +19,7 @@ HAND = ROBOT.pose(HOME)[0]
 
 def plant(gap: float = 0.0, sensor: ForceSensor | None = None, **door) -> DoorPlant:  # type: ignore[no-untyped-def]
     place = Door((HAND[0] + gap + 0.04, HAND[1] + 0.7), **door)
-    ideal = Perturbation.none(drive_lag=0.0)
+    ideal = Perturbation.none(actuator_time_constant=0.0)
     return DoorPlant(ROBOT.description, place, HOME, TORQUE, ideal, sensor=sensor or ForceSensor(0.0, 0.0))
 
 
@@ -63,7 +63,7 @@ def test_leaning_robot_pushes_the_door_and_the_sensor_reads_it() -> None:
     state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
     hand = ROBOT.pose(state)[0]
     door = Door((hand[0] + 0.0395, hand[1] + 0.7), locked=True)
-    ideal = Perturbation.none(drive_lag=0.0)
+    ideal = Perturbation.none(actuator_time_constant=0.0)
     p = DoorPlant(ROBOT.description, door, state, torque, ideal, sensor=ForceSensor(0.0, 0.0))
     p.step(BallCommand(torque), 300)
     force, reading = p.contact_force(), p.truth().tool_rotation @ p.measure().force
@@ -89,7 +89,11 @@ def test_force_on_the_panel_is_that_of_the_last_step_from_the_first_touch_on() -
     state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
     hand = ROBOT.pose(state)[0]
     p = DoorPlant(
-        ROBOT.description, Door((hand[0] + 0.0405, hand[1] + 0.7)), state, torque, Perturbation.none(drive_lag=0.0)
+        ROBOT.description,
+        Door((hand[0] + 0.0405, hand[1] + 0.7)),
+        state,
+        torque,
+        Perturbation.none(actuator_time_constant=0.0),
     )
     assert not p.contact_force().any()
     before, found = mujoco.MjData(p.model), []
@@ -120,6 +124,6 @@ def test_sensor_has_noise_and_bias_of_its_seed() -> None:
 @pytest.mark.parametrize(
     ("wrong", "said"), [({"opening": 0.5}, "opening"), ({"mass": 0.0}, "mass"), ({"grip": -1.0}, "grip")]
 )
-def test_impossible_doors_are_refused(wrong: dict[str, float], said: str) -> None:
+def test_impossible_doors_are_rejected(wrong: dict[str, float], said: str) -> None:
     with pytest.raises(InputError, match=said):
         Door((0.0, 0.0), **wrong)

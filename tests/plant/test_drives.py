@@ -143,7 +143,12 @@ def test_a_wheel_slips_beyond_its_traction() -> None:
 def test_balls_get_no_more_than_the_traction() -> None:
     """Commands that jump from limit to limit: all springs overshoot, but what acts on the ball is held by the wheels' traction."""
     elastic = Perturbation.none(
-        drive_lag=0.0, wheel_spring=40.0, wheel_rotor=0.01, arm_spring=300.0, arm_rotor=0.05, torque_gain=1.0
+        actuator_time_constant=0.0,
+        wheel_spring=40.0,
+        wheel_rotor=0.01,
+        arm_spring=300.0,
+        arm_rotor=0.05,
+        torque_gain=1.0,
     )
     plant, seen = BallPlant(ROBOT.description, HOME, TORQUE, elastic), []
     for k in range(240):
@@ -157,7 +162,12 @@ def test_balls_get_no_more_than_the_traction() -> None:
 def test_a_robot_at_rest_does_not_notice_its_springs() -> None:
     """Statics: at the equilibrium's torques the springs are wound up from the start, and the arm stays."""
     elastic = Perturbation.none(
-        drive_lag=0.0, wheel_spring=40.0, arm_spring=300.0, wheel_rotor=0.01, arm_rotor=0.05, torque_gain=1.0
+        actuator_time_constant=0.0,
+        wheel_spring=40.0,
+        arm_spring=300.0,
+        wheel_rotor=0.01,
+        arm_rotor=0.05,
+        torque_gain=1.0,
     )
     plant = BallPlant(ROBOT.description, HOME, TORQUE, elastic)
     plant.step(BallCommand(TORQUE), 50)
@@ -166,7 +176,7 @@ def test_a_robot_at_rest_does_not_notice_its_springs() -> None:
 
 
 def test_springs_delay_the_wheels_and_leave_a_rigid_arm_alone() -> None:
-    elastic = Perturbation.none(drive_lag=0.0, wheel_spring=40.0, wheel_rotor=0.01, torque_gain=1.0)
+    elastic = Perturbation.none(actuator_time_constant=0.0, wheel_spring=40.0, wheel_rotor=0.01, torque_gain=1.0)
     plant = BallPlant(ROBOT.description, HOME, TORQUE, elastic)
     command = BallCommand(TORQUE + 1.0)
     np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-9)
@@ -179,7 +189,9 @@ def test_springs_delay_the_wheels_and_leave_a_rigid_arm_alone() -> None:
 
 def test_dead_time() -> None:
     """A torque acts after the dead time, not before."""
-    plant = BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(drive_lag=0.0, dead_time=0.003))
+    plant = BallPlant(
+        ROBOT.description, HOME, TORQUE, Perturbation.none(actuator_time_constant=0.0, actuator_dead_time=0.003)
+    )
     plant.step(BallCommand(TORQUE + 1.0), 6)
     np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-12)
     plant.step(BallCommand(TORQUE + 1.0), 1)
@@ -187,11 +199,11 @@ def test_dead_time() -> None:
 
 
 @pytest.mark.parametrize("time", [0.0003, 0.00275])
-def test_a_dead_time_that_is_no_whole_step_is_refused(time: float) -> None:
+def test_a_dead_time_that_is_no_whole_step_is_rejected(time: float) -> None:
     with pytest.raises(
-        InputError, match=r"plant\.dead_time: .* whole number of physics steps of 0\.5 ms; valid: e\.g\. "
+        InputError, match=r"plant\.actuator_dead_time: .* whole number of physics steps of 0\.5 ms; valid: e\.g\. "
     ):
-        BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(dead_time=time))
+        BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(actuator_dead_time=time))
 
 
 def test_bad_drives() -> None:
@@ -200,12 +212,12 @@ def test_bad_drives() -> None:
 
 
 #: What no line of the swerve robot's plant reads, by going through it.
-OF_BALL_ROBOTS = ("dead_time", "wheel_spring", "arm_spring", "spin_friction") + (
+OF_BALL_ROBOTS = ("actuator_dead_time", "wheel_spring", "arm_spring", "torsional_friction") + (
     *("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"),
 )
 
 
 @pytest.mark.parametrize("name", OF_BALL_ROBOTS)
-def test_swerve_robots_refuse_what_their_plant_does_not_read(name: str) -> None:
+def test_swerve_robots_reject_what_their_plant_does_not_read(name: str) -> None:
     with pytest.raises(InputError, match=rf"plant\.{name}: is for ball robots only; .*'plant\."):
         SwervePlant(load_description("swerve-ur10"), perturbation=Perturbation(**{name: 0.1}))

@@ -69,15 +69,17 @@ def test_every_field_can_be_zero_and_none_is_the_model():
     draw = zero.draw(np.random.default_rng(0), BODIES, 4, 6)
     assert set(draw.mass.values()) == {1.0} and not np.any(list(draw.com.values())) and draw.friction == 0.0
     none = Perturbation.none(mass=0.01)
-    assert (none.mass, none.com, none.drive_lag, none.friction) == (0.01, 0.0, 0.02, (0.8, 0.8))
+    assert (none.mass, none.com_offset, none.actuator_time_constant, none.friction) == (0.01, 0.0, 0.02, (0.8, 0.8))
 
 
 def test_friction_may_be_one_number():
     assert Perturbation(friction=0.6).friction == (0.6, 0.6)
 
 
-@pytest.mark.parametrize("bad", [{"masss": 0.1}, {"mass": -0.1}, {"friction": (0.9, 0.6)}, {"drive_lag": np.nan}])
-def test_bad_settings_are_refused(bad):
+@pytest.mark.parametrize(
+    "bad", [{"masss": 0.1}, {"mass": -0.1}, {"friction": (0.9, 0.6)}, {"actuator_time_constant": np.nan}]
+)
+def test_bad_settings_are_rejected(bad):
     with pytest.raises(ValidationError):
         Perturbation(**bad)
 

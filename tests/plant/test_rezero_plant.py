@@ -19,7 +19,7 @@ from wbmpc.simulation.perturbation import Perturbation
 
 ROBOT = load_robot("rezero")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
-IDEAL = Perturbation.none(drive_lag=0.0)
+IDEAL = Perturbation.none(actuator_time_constant=0.0)
 
 
 def plant(perturbation: Perturbation = IDEAL, seed: int = 0, state=HOME, torque=TORQUE, **options) -> BallPlant:
@@ -157,11 +157,11 @@ def test_arm_encoders_are_off_as_drawn():
 
 def test_runs_are_bitwise_repeatable():
     def run(seed: int) -> np.ndarray:
-        p, told = plant(Perturbation(), seed), []
+        p, reported = plant(Perturbation(), seed), []
         for _ in range(50):
-            told.append(p.measure().state)
+            reported.append(p.measure().state)
             p.step(BallCommand(TORQUE), 5)
-        return np.concatenate([*told, p.data.qpos])
+        return np.concatenate([*reported, p.data.qpos])
 
     assert np.array_equal(run(1), run(1)) and not np.array_equal(run(1), run(2))
 
@@ -198,7 +198,7 @@ def test_a_payload_hangs_at_the_tool():
 
 
 @pytest.mark.parametrize("bad", [np.zeros(5), np.full(6, np.inf)])
-def test_bad_torques_are_refused(bad):
+def test_bad_torques_are_rejected(bad):
     with pytest.raises(InputError, match="torque"):
         plant().step(BallCommand(bad))
     with pytest.raises(InputError, match="ball base"):
@@ -255,13 +255,13 @@ def test_wheel_encoders_follow_the_kinematics_of_the_model() -> None:
 
 
 @pytest.mark.parametrize(("fault", "said"), [({"kind": "stall"}, "valid: slip, stalled"), ({"of": "whel"}, "'wheel'")])
-def test_a_fault_that_would_never_act_is_refused(fault: dict[str, str], said: str) -> None:
+def test_a_fault_that_would_never_act_is_rejected(fault: dict[str, str], said: str) -> None:
     with pytest.raises(InputError, match=f"fault of a sensor: unknown .*{said}"):
         SensorFault(**{"kind": "slip", "number": 0, "start": 0.0, "stop": 1.0, **fault})  # type: ignore[arg-type]
 
 
 def test_messages_are_late_and_a_stalled_encoder_stands() -> None:
-    p = plant(Perturbation.none(drive_lag=0.0, state_age=0.005))
+    p = plant(Perturbation.none(actuator_time_constant=0.0, state_age=0.005))
     p.sensors.faults = (SensorFault("stalled", 0, 0.1, 0.2),)
     seen = []
     for _ in range(120):

@@ -157,12 +157,12 @@ def test_measuring_is_of_the_state_before_the_command_and_changes_nothing():
 
 def test_runs_are_bitwise_repeatable_and_differ_by_seed():
     def run(seed: int) -> tuple[np.ndarray, list]:
-        p, told = plant(Perturbation(), seed), []
+        p, reported = plant(Perturbation(), seed), []
         for k in range(60):
             m = p.measure()
-            told.append(np.concatenate([m.leg, m.steer, m.wheel, m.arm, m.gyro, m.accel]))
+            reported.append(np.concatenate([m.leg, m.steer, m.wheel, m.arm, m.gyro, m.accel]))
             p.step(replace(STOP, wheel=np.full(4, 0.02 * k), brake=np.full(4, float(k > 30))), 5)
-        return p.data.qpos.copy(), told
+        return p.data.qpos.copy(), reported
 
     (a, told_a), (b, told_b), (c, _) = run(1), run(1), run(2)
     assert np.array_equal(a, b) and all(np.array_equal(x, y) for x, y in zip(told_a, told_b, strict=True))
@@ -254,7 +254,7 @@ def test_drives_clip_at_their_limits():
     ("part", "values"),
     [("wheel", np.zeros(3)), ("steer", np.array([0, 0, np.nan, 0])), ("arm", np.zeros(7)), ("brake", np.zeros(2))],
 )
-def test_bad_commands_are_refused(part, values):
+def test_bad_commands_are_rejected(part, values):
     p = plant(settle=0.0)
     before = p.data.qpos.copy()
     with pytest.raises(InputError, match=part):
@@ -311,7 +311,7 @@ def test_the_yaw_counts_turns():
     assert 3.3 < p.truth().pose[2] < 3.6
 
 
-def test_unknown_names_are_refused():
+def test_unknown_names_are_rejected():
     with pytest.raises(InputError, match="valid: base, leg, steer, wheel, arm"):
         plant(state={"legs": np.zeros(4)})
     with pytest.raises(InputError, match="unknown body"):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.recording import writer
-from wbmpc.recording.reader import Recording, read
+from wbmpc.recording.reader import Recording, read_recording
 from wbmpc.recording.records import MAGIC
 from wbmpc.recording.writer import McapFile, stamp
 
@@ -48,9 +48,9 @@ def contents(recording: Recording) -> tuple[object, ...]:
 
 
 def read_all(path: Path) -> Recording | None:
-    """The recording with all its numbers decoded; None if it, or a topic of it, is refused with a sentence."""
+    """The recording with all its numbers decoded; None if it, or a topic of it, is rejected with a message."""
     try:
-        found = read(path)
+        found = read_recording(path)
         for topic in found.topics:
             found.table(topic)
     except InputError as error:
@@ -62,7 +62,7 @@ def read_all(path: Path) -> Recording | None:
 @quick
 @given(st.data())
 def test_changed_bytes_never_pass_unnoticed(whole: Path, tmp_path: Path, data: st.DataObject) -> None:
-    """What is read is what was written, or damage or a missing end is told, or the file is refused: never another error."""
+    """What is read is what was written, or damage or a missing end is reported, or the file is rejected: never another error."""
     original = whole.read_bytes()
     changed = bytearray(original)
     for _ in range(data.draw(st.integers(1, 4))):
@@ -71,7 +71,7 @@ def test_changed_bytes_never_pass_unnoticed(whole: Path, tmp_path: Path, data: s
     path.write_bytes(changed)
     found = read_all(path)
     if found is not None and found.complete and not found.damage:
-        assert contents(found) == contents(read(whole))
+        assert contents(found) == contents(read_recording(whole))
 
 
 @quick
@@ -80,7 +80,7 @@ def test_of_a_cut_file_the_beginning_is_read(whole: Path, tmp_path: Path, at: in
     original = whole.read_bytes()
     path = tmp_path / "cut.mcap"
     path.write_bytes(original[: at % len(original)])
-    found, all_of_it = read_all(path), read(whole)
+    found, all_of_it = read_all(path), read_recording(whole)
     if found is not None:
         assert not found.damage and not found.complete
         for name, topic in found.topics.items():
@@ -107,7 +107,7 @@ def test_only_the_damaged_chunk_is_lost(whole: Path, tmp_path: Path, caplog: pyt
     chunk = original.index(b"zstd") + 60
     path = tmp_path / "run.mcap"
     path.write_bytes(original[:chunk] + bytes([original[chunk] ^ 1]) + original[chunk + 1 :])
-    found, all_of_it = read(path), read(whole)
+    found, all_of_it = read_recording(path), read_recording(whole)
     assert found.complete and len(found.damage) == 2  # the chunk's own checksum, and the whole file's
     assert set(found.topics) == set(all_of_it.topics)
     assert len(found["/hand/pose"].data) < len(all_of_it["/hand/pose"].data)
@@ -120,12 +120,12 @@ def test_only_the_damaged_chunk_is_lost(whole: Path, tmp_path: Path, caplog: pyt
 def test_a_changed_attachment_or_setting_is_seen(whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     _damaged(whole, path, b'{"bodies": [0', b'{"bodies": [1')
-    assert "scene" not in read(path).attachments
+    assert "scene" not in read_recording(path).attachments
     _damaged(whole, path, b"then", b"that")
-    assert read(path).damage
+    assert read_recording(path).damage
 
 
-def test_every_command_says_a_sentence(
+def test_every_command_says_a_message(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With a damaged recording, and with files that are none."""

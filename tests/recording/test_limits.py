@@ -12,7 +12,7 @@ import pytest
 from command_line import shell
 from wbmpc.cli.directories import size_of
 from wbmpc.errors import InputError
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.recording.writer import McapFile
 
 RNG = np.random.default_rng(3)
@@ -29,7 +29,7 @@ def test_a_recording_rotates_and_both_parts_stand_by_themselves(tmp_path: Path) 
         layout = {"dim": [], "data_offset": 0}
         file.put("/x", "std_msgs/Float64MultiArray", 0.01 * k, {"layout": layout, "data": row})
     file.close()
-    parts = [read(tmp_path / "run-1.mcap"), read(path)]
+    parts = [read_recording(tmp_path / "run-1.mcap"), read_recording(path)]
     assert {f.name for f in tmp_path.iterdir()} == {"run.mcap", "run-1.mcap"}
     assert 0.5 * limit < sum(f.stat().st_size for f in tmp_path.iterdir()) < 1.4 * limit
     for part in parts:

@@ -12,7 +12,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from wbmpc.cli import main
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.recording.writer import McapFile, stamp
 
 RNG = np.random.default_rng(4)
@@ -75,7 +75,7 @@ def test_csv_has_every_digit(run: Path) -> None:
 
 
 def test_nothing_is_overwritten(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What the program names gets a number; what the user names is refused, unless it is forced. Truth: the files' bytes."""
+    """What the program names gets a number; what the user names is rejected, unless it is forced. Truth: the files' bytes."""
     for k in (1, 2):
         assert main(["log", "plot", "."]) == 0 and main(["log", "export", ".", "/mode"]) == 0, k
     assert sorted(p.name for p in run.iterdir()) == ["export", "export-2", "plots-2.html", "plots.html", "run.mcap"]
@@ -115,7 +115,7 @@ def test_parquet(run: Path) -> None:
     np.testing.assert_array_equal(table["time"].to_numpy(), TIMES)
 
 
-def test_parquet_without_pyarrow_is_one_sentence(
+def test_parquet_without_pyarrow_is_one_message(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
@@ -138,7 +138,7 @@ def test_plots(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_hand_error(run: Path) -> None:
     from wbmpc.recording.plots import hand_error
 
-    times, error = hand_error(read(run))  # type: ignore[misc]
+    times, error = hand_error(read_recording(run))  # type: ignore[misc]
     np.testing.assert_array_equal(times, TIMES)
     np.testing.assert_allclose(error, np.sqrt((POSES[:, :3] ** 2).sum(axis=1)))
 
@@ -152,7 +152,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("arguments", BAD, ids=" ".join)
-def test_bad_input_is_one_sentence(run: Path, arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_message(run: Path, arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(list(arguments)) == 2
     err = capsys.readouterr().err
     assert BAD[arguments] in err and err.count("\n") == 1

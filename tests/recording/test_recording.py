@@ -30,7 +30,7 @@ from wbmpc.cli import main
 from wbmpc.errors import EndedByUser, InputError
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.recording.recorder import PAUSE, Recorder
 from wbmpc.registry import REGISTRY
 from wbmpc.robots import load_description
@@ -40,8 +40,8 @@ from wbmpc.studies.pankert2022 import stability as swerve_stability
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 from wbmpc.view.replay import Film
 
-FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "rest=1", "--set", "calibration=none"]
-BALL = ["--set", "forces=[20]", "--set", "settle=0.5", "--set", "pause=2"]
+FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "settle_time=1", "--set", "calibration=none"]
+BALL = ["--set", "forces=[20]", "--set", "settle_time=0.5", "--set", "pause=2"]
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -217,7 +217,7 @@ def test_what_ran_is_in_the_file(track: Path) -> None:
         qos = {c.topic: c.ext.offered_qos_profiles[0].durability for c in reader.connections}  # type: ignore[union-attr]
     assert qos["/robot_description"] is qos["/tf_static"] is QosDurability.TRANSIENT_LOCAL
     assert qos["/joint_states"] is QosDurability.VOLATILE
-    recording = read(track)
+    recording = read_recording(track)
     assert recording.complete
     saved = json.loads((track / "metrics.json").read_text())
     assert json.loads(recording.metadata["run"]["settings"]) == saved["settings"]
@@ -231,7 +231,7 @@ def test_what_ran_is_in_the_file(track: Path) -> None:
 
 
 def test_recording_changes_nothing(track: Path) -> None:
-    settings = SwerveTrackSettings(periods=1, speed=0.8, rest=1.0, calibration="none")
+    settings = SwerveTrackSettings(periods=1, speed=0.8, settle_time=1.0, calibration="none")
     alone = REGISTRY["swerve-track"].run(settings, 3, None)
     saved = json.loads((track / "metrics.json").read_text())["metrics"]
     assert {n: m.value for n, m in alone.metrics.items()} == {n: m["value"] for n, m in saved.items()}
@@ -245,7 +245,7 @@ def test_a_killed_run_leaves_a_readable_file(tmp_path: Path) -> None:
         "run",
         "swerve-track",
         "--set",
-        "rest=0",
+        "settle_time=0",
         "--set",
         "calibration=none",
         "--out",
@@ -260,7 +260,7 @@ def test_a_killed_run_leaves_a_readable_file(tmp_path: Path) -> None:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    recording = read(path)
+    recording = read_recording(path)
     assert not recording.complete and recording.duration > 0.5
     assert recording.metadata["run"]["experiment"] == "swerve-track" and "result" not in recording.metadata
     # the same by mcap's own reader for streams, payloads by rosbags
@@ -278,7 +278,7 @@ def test_a_killed_run_leaves_a_readable_file(tmp_path: Path) -> None:
 def test_a_file_that_ends_anywhere_is_read_up_to_there(track: Path, tmp_path: Path, share: float) -> None:
     whole = (track / "run.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: int(share * len(whole))])
-    cut, full = read(tmp_path / "cut.mcap"), read(track)
+    cut, full = read_recording(tmp_path / "cut.mcap"), read_recording(track)
     assert not cut.complete
     for name, topic in cut.topics.items():
         assert topic.data == full[name].data[: len(topic.data)]
@@ -291,9 +291,9 @@ def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").write_text("")
     for name in ("text", "empty"):
         with pytest.raises(InputError, match="is not a recording"):
-            read(tmp_path / f"{name}.mcap")
+            read_recording(tmp_path / f"{name}.mcap")
     with pytest.raises(InputError, match="there is no such recording"):
-        read(tmp_path)
+        read_recording(tmp_path)
 
 
 def test_a_second_loop_follows_the_first(tmp_path: Path) -> None:
@@ -306,17 +306,17 @@ def test_a_second_loop_follows_the_first(tmp_path: Path) -> None:
             recorder.tick(i * 0.0025, SwerveCommand.stop(), part.plans)
         recorder.end(Ending())
     recorder.close({"completed": "true"})
-    times = read(tmp_path).table("/joint_states").times
+    times = read_recording(tmp_path).table("/joint_states").times
     np.testing.assert_allclose(times, [0.0, 0.01, 0.02, 0.02 + PAUSE, 0.03 + PAUSE, 0.04 + PAUSE])
 
 
 def test_a_run_without_an_mpc_is_recorded(tmp_path: Path) -> None:
     recorder, part = Recorder(tmp_path / "run.mcap", {}), _Part()
     running = part.running()
-    recorder.begin(Running(running.plant, running.agent, None, running.timing, 1.0))
+    recorder.begin(Running(running.plant, running.controller, None, running.timing, 1.0))
     recorder.tick(0.0, SwerveCommand.stop(), part.plans)
     recorder.close({"completed": "true"})
-    topics = read(tmp_path).topics
+    topics = read_recording(tmp_path).topics
     assert {"/joint_states", "/hand/pose", "/tf"} <= set(topics)
     assert not any(name.startswith(("/mpc", "/plan", "/hand/reference")) for name in topics)
 
@@ -342,7 +342,7 @@ def test_experiments_of_parts_hand_their_watchers_on(name: str) -> None:
 def test_a_run_without_physics_of_its_own_is_recorded_too(tmp_path: Path) -> None:
     """`swerve-stability`: the feet, where the physics finds them, span the area of the paper's Table I."""
     assert main(["run", "swerve-stability", "--out", str(tmp_path), "--quiet"]) == 0
-    recording = read(tmp_path)
+    recording = read_recording(tmp_path)
     said = [m["data"] for _, m in recording["/mode"].messages()]
     assert said == [line for name in "HXA" for line in (f"begins: {name}", "ended: completed")]
     film = Film(recording)
@@ -366,7 +366,7 @@ def test_every_part_is_drawn_in_its_own_world(tmp_path: Path) -> None:
             for k in range(10):
                 tick(0.01 * k, SwerveCommand.stop())
     recorder.close({})
-    film = Film(read(tmp_path))
+    film = Film(read_recording(tmp_path))
     (shape,) = [s for s in film.scene.shapes if s.kind == "box" and s.pose[0] == 1.5]
     place = [b.name for b in film.scene.bodies].index(shape.body)
     at = lambda t: film.snapshot(t)["poses"][place]
@@ -386,11 +386,11 @@ def test_ctrl_c_ends_a_loop_that_an_experiment_runs_itself(tmp_path: Path) -> No
                 os.kill(os.getpid(), signal.SIGINT)
             tick(0.01 * k, SwerveCommand.stop())
     recorder.close({})
-    assert read(tmp_path)["/mode"].last()["data"] == "ended: interrupted at 0.03 s"
+    assert read_recording(tmp_path)["/mode"].last()["data"] == "ended: interrupted at 0.03 s"
 
 
 class _Part:
-    """The least that a recorder looks at: a plant, an agent that has not measured, an MPC that has not solved."""
+    """The least that a recorder looks at: a plant, a controller that has not measured, an MPC that has not solved."""
 
     def __init__(self) -> None:
         self.plans = PolicyQueue()
@@ -399,10 +399,10 @@ class _Part:
             solver=SimpleNamespace(schedule=ModeSchedule((Mode("rest"),))),
         )  # fmt: skip
         self._timing = Timing(0.0025, 5, 8, 4)
-        self._agent = SimpleNamespace()
+        self._controller = SimpleNamespace()
 
     def running(self) -> Running:
-        return Running(SwervePlant(load_description("swerve-ur10")), self._agent, self._mpc, self._timing, 1.0)  # type: ignore[arg-type]
+        return Running(SwervePlant(load_description("swerve-ur10")), self._controller, self._mpc, self._timing, 1.0)  # type: ignore[arg-type]
 
 
 STACK = """

@@ -85,7 +85,7 @@ def test_a_robot_that_is_urdf_stays_as_it_is(tmp_path) -> None:  # type: ignore[
     held = ", ".join(f"{name}: 0" for name in source.joints() if name != "elbow_joint")
     (tmp_path / "own.yaml").write_text(
         "name: own\nmodel: own.urdf\nbase: {type: fixed, body: base_link}\narm: {joints: [elbow_joint], tool: tool0}\n"
-        f"lock: {{{held}}}\n"
+        f"fixed_joints: {{{held}}}\n"
     )
     own = load_description(tmp_path / "own.yaml")
     assert to_urdf(own) == text

@@ -86,7 +86,7 @@ class Simulated:
 
     def ready(self) -> None:
         """Until a goal can be given."""
-        here = lambda: self.control.state == "waiting for a goal" and self.control.pilot.snapshot() is not None
+        here = lambda: self.control.state == "waiting for a goal" and self.control.adapter.snapshot() is not None
         assert self.until(here), self.control.state
 
     def send(self, topic: str, kind: str, values: Mapping[str, Any]) -> None:
@@ -98,10 +98,10 @@ class Simulated:
 
     def hand(self, dx: float = 0.0, dz: float = 0.0) -> None:
         """A goal for the hand, from where it is."""
-        position, turned = self.control.robot.pose(self.control.pilot.snapshot()[1])  # type: ignore[index]
-        position = position + [dx, 0.0, dz + self.control.pilot.planner.lift]
+        position, turned = self.control.robot.pose(self.control.adapter.snapshot()[1])  # type: ignore[index]
+        position = position + [dx, 0.0, dz + self.control.adapter.planner.lift]
         pose = {"position": dict(zip("xyz", position)), "orientation": dict(zip("wxyz", turned))}
-        self.send("/hand_goal", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "odom"}, "pose": pose})
+        self.send("/end_effector_goal", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "odom"}, "pose": pose})
 
     def messages(self, level: int) -> list[str]:
         """What diagnostics of a level said."""

@@ -21,7 +21,7 @@ pytestmark = needs_dds
 if not MISSING:
     from simulated import Localisation, Simulated
 
-    from wbmpc.bases.ball.ros import POSTURES, BallMessage, BallPilot, bodies
+    from wbmpc.bases.ball.ros import POSTURES, BallMessage, BallRosAdapter, bodies
     from wbmpc.bases.ball.ros_settings import BallRosSettings
     from wbmpc.ros2.goals import HandTrack, Planner
     from wbmpc.ros2.settings import Speeds
@@ -79,7 +79,7 @@ def test_a_stream_of_one_speed_is_that_speed(made: Callable[..., Any]) -> None:
     while s.sim.time < begin + 4.5:
         publisher.publish({"linear": {"x": -0.2}})
         s.run(0.05)
-        ways.append((s.sim.time - begin, s.control.pilot.snapshot()[1][0]))
+        ways.append((s.sim.time - begin, s.control.adapter.snapshot()[1][0]))
     times, x = np.array(ways).T
     settled = times > 2.7
     assert np.polyfit(times[settled], x[settled], 1)[0] == pytest.approx(-0.2, rel=0.03)
@@ -98,13 +98,13 @@ def test_it_is_held_until_a_goal_comes_and_then_balances(made: Callable[..., Any
     truth = s.truth()
     home = ROBOT.pose(ROBOT.home)[0]
     np.testing.assert_allclose(truth.tool, home + [0.1, 0.0, 0.0], atol=0.02)
-    e = s.control.pilot.estimate()
+    e = s.control.adapter.estimate()
     np.testing.assert_allclose(e.position, [*truth.pose[:2], 0.125], atol=0.01)
     spread = np.sqrt(np.diag(e.covariance))
     assert np.all(spread > 0.0) and spread[0] < 0.05 and spread[3] < 0.05
     # the position does not get better but for what a better lean takes off it, the lean does not get worse
     s.run(1.0)
-    later = s.control.pilot.estimate().covariance
+    later = s.control.adapter.estimate().covariance
     assert later[0, 0] > 0.9 * e.covariance[0, 0] and later[3, 3] < 1.5 * e.covariance[3, 3]
 
 
@@ -115,7 +115,7 @@ def test_an_mpc_that_dies_leaves_its_last_policy(made: Callable[..., Any], caplo
     def dies(observation: Any) -> bool:
         raise RuntimeError("no memory")
 
-    s.control.pilot.mpc.advance = dies
+    s.control.adapter.mpc.advance = dies
     standing(s)
     assert "running on the last policy" in s.control.state and "no memory" in s.control.state
     assert errors(caplog, "no memory") == 1
@@ -126,12 +126,12 @@ def test_an_mpc_that_gives_no_plan_for_a_while(made: Callable[..., Any], caplog:
     """A policy that is too old is kept, and given up as soon as there is a new one."""
     s = made()
     balancing(s)
-    solve = s.control.pilot.mpc.advance
-    s.control.pilot.mpc.advance = lambda observation: False
+    solve = s.control.adapter.mpc.advance
+    s.control.adapter.mpc.advance = lambda observation: False
     s.run(2.0)
     assert "the policy is 0.5" in s.control.state and errors(caplog, "running on the last policy") == 1
     assert not s.why and s.truth().tilt < 0.25
-    s.control.pilot.mpc.advance = solve
+    s.control.adapter.mpc.advance = solve
     assert s.until(lambda: s.control.state == "running: hand to a goal"), s.control.state
     standing(s)
 
@@ -147,7 +147,7 @@ def test_a_message_that_is_wrong_does_not_count(made: Callable[..., Any], caplog
     assert errors(caplog, "is not finite; it does not count") == 1 and errors(caplog, "jumped by 1 rad") == 1
 
 
-def test_somebody_else_on_the_drives_topic_is_told_and_it_holds_its_place(
+def test_somebody_else_on_the_drives_topic_is_reported_and_it_holds_its_place(
     made: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     s = made()
@@ -156,7 +156,7 @@ def test_somebody_else_on_the_drives_topic_is_told_and_it_holds_its_place(
     assert s.until(lambda: "holds its place: somebody else publishes on /arm" in s.control.state)
     s.hand(dx=0.2)
     standing(s)
-    assert "a goal is refused: somebody else" in s.control.inbox.refused
+    assert "a goal is rejected: somebody else" in s.control.request_queue.rejected
     assert errors(caplog, "somebody else publishes") == 1 and any("somebody" in m for m in s.messages(2))
     s.other._writers.remove(somebody._writer)
     somebody._writer.__del__()
@@ -199,7 +199,7 @@ def test_an_inertial_unit_that_says_nonsense_does_not_count(
     s.run(0.01)
     s.sim._imu = send
     standing(s)
-    assert errors(caplog, "imu") == 1 and not s.control.body.fault
+    assert errors(caplog, "imu") == 1 and not s.control.robot_io.fault
 
 
 def keep_pace(s: Any, hung: threading.Event) -> None:
@@ -223,7 +223,7 @@ def keep_pace(s: Any, hung: threading.Event) -> None:
 def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     """A solve that does not come back, in a thread of its own: balance goes on, and the MPC takes over when it is back."""
     s = made(lockstep=False)
-    solve, hung, back = s.control.pilot.mpc.advance, threading.Event(), threading.Event()
+    solve, hung, back = s.control.adapter.mpc.advance, threading.Event(), threading.Event()
     keep_pace(s, hung)
     balancing(s)
 
@@ -232,7 +232,7 @@ def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], capl
         back.wait(60.0)
         return solve(observation)
 
-    s.control.pilot.mpc.advance = hangs
+    s.control.adapter.mpc.advance = hangs
     assert s.until(hung.is_set)
     try:
         s.run(2.5)
@@ -240,7 +240,7 @@ def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], capl
         assert "the policy is 0.5" in s.control.state and errors(caplog, "running on the last policy") == 1
         assert s.until(lambda: any("the policy is 0.5" in m for m in s.messages(2)))
     finally:
-        s.control.pilot.mpc.advance = solve
+        s.control.adapter.mpc.advance = solve
         back.set()
         hung.clear()
     assert s.until(lambda: s.control.state == "running: hand to a goal"), s.control.state
@@ -252,19 +252,19 @@ def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], capl
 def test_time_that_goes_back_is_another_clocks(simulated: bool) -> None:
     """A simulator that was started anew has the robot at its beginning again, its arm where the encoders say; with a clock that was
     set the robot is where it was. In both cases it is upright, and at the message's time."""
-    pilot = BallPilot(ROBOT, BallRosSettings(use_sim_time=simulated), 1.0 / 400.0)
+    adapter = BallRosAdapter(ROBOT, BallRosSettings(use_sim_time=simulated), 1.0 / 400.0)
     arm, wheel, still = ROBOT.home[ROBOT.state["arm"]], np.zeros(3), (np.zeros(3), np.array([0.0, 0.0, 9.81]))
     x = ROBOT.home.copy()
     x[:3] = 0.5, -0.2, 0.3
-    pilot.begin(x)
+    adapter.begin(x)
     for t in (17.0, 17.0025):
-        pilot.agent.follow(BallMessage(t, t, wheel, arm, *still))
-    pilot.stand(BallMessage(17.005, 17.005, wheel, arm, *still))
-    t, before = pilot.snapshot()
+        adapter.controller.follow(BallMessage(t, t, wheel, arm, *still))
+    adapter.stand(BallMessage(17.005, 17.005, wheel, arm, *still))
+    t, before = adapter.snapshot()
     assert t == pytest.approx(17.005) and before[:3] == pytest.approx(x[:3], abs=1e-3)
     for t in (1.0, 1.0025):
-        pilot.stand(BallMessage(t, t, wheel, arm + 0.1, *still))
-        found = pilot.snapshot()
+        adapter.stand(BallMessage(t, t, wheel, arm + 0.1, *still))
+        found = adapter.snapshot()
         assert found[0] == pytest.approx(t)
         np.testing.assert_allclose(found[1][ROBOT.state["arm"]], arm + 0.1, atol=1e-9)
         np.testing.assert_allclose(found[1][:3], np.zeros(3) if simulated else before[:3], atol=1e-9)
@@ -284,15 +284,15 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
     s.hand(dx=0.2)
     s.run(3.0)
     truth = s.truth()
-    seen = s.control.pilot.snapshot()[1]
+    seen = s.control.adapter.snapshot()[1]
     np.testing.assert_allclose(seen[:2], truth.pose[:2] + offset, atol=3e-3)
     np.testing.assert_allclose(truth.tool, ROBOT.pose(ROBOT.home)[0] + [0.2, 0.0, 0.0], atol=0.02)
-    assert np.sqrt(s.control.pilot.estimate().covariance[0, 0]) < 3e-3
+    assert np.sqrt(s.control.adapter.estimate().covariance[0, 0]) < 3e-3
     source.sending = False
     assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
     s.hand(dx=0.2)
     standing(s)
-    assert "a goal is refused: the pose on /localisation" in s.control.inbox.refused
+    assert "a goal is rejected: the pose on /localisation" in s.control.request_queue.rejected
     assert errors(caplog, "the pose on /localisation") == 1 and any("/localisation" in m for m in s.messages(2))
     source.sending = True
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
@@ -314,7 +314,7 @@ def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
     assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
     s.hand(dx=0.2)
     standing(s)
-    assert "jumped by 1.0" in s.control.state and "a goal is refused: the pose on" in s.control.inbox.refused
+    assert "jumped by 1.0" in s.control.state and "a goal is rejected: the pose on" in s.control.request_queue.rejected
     assert any("jumped by 1.0" in m for m in s.messages(2)) and np.abs(s.truth().pose[:2]).max() < 0.1
     source.offset[0] = 0.0
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
@@ -324,7 +324,7 @@ def test_a_moment_that_is_announced_turns_the_hand_less(made: Callable[..., Any]
     """1.5 N m at the forearm, without the disturbance observer: with the reference the plan counts with the world's answer."""
     moved = []
     for announced in (False, True):
-        s = made(observer=False, topics={"wrench": f"/moment_{announced}"})
+        s = made(estimate_disturbance=False, topics={"wrench": f"/moment_{announced}"})
         balancing(s)
         start = s.truth().tool.copy()
         publisher = s.other.publisher(f"/moment_{announced}", "geometry_msgs/msg/WrenchStamped")
@@ -347,14 +347,14 @@ def test_a_wrench_counts_beside_the_observers_disturbance(made: Callable[..., An
     """What the MPC is given: the world's answer to the wrench, and both end when no more messages come."""
     s = made()
     balancing(s)
-    forces = lambda: ROBOT.parameters.split(s.control.pilot.parameters())["force"]
+    forces = lambda: ROBOT.parameters.split(s.control.adapter.parameters())["force"]
     s.send(
         "/wrench", "geometry_msgs/msg/WrenchStamped", {"header": {"frame_id": "odom"}, "wrench": {"force": {"x": 3.0}}}
     )
     assert s.until(lambda: np.allclose(forces(), [-3.0, 0.0, 0.0])), forces()
     s.run(1.0)
     np.testing.assert_array_equal(forces(), np.zeros(3))
-    assert np.any(ROBOT.parameters.split(s.control.pilot.parameters())["disturbance"] != 0.0)
+    assert np.any(ROBOT.parameters.split(s.control.adapter.parameters())["disturbance"] != 0.0)
 
 
 def test_the_bodys_posture_moves_no_hand() -> None:
@@ -387,7 +387,7 @@ def test_what_it_needs(made: Callable[..., Any]) -> None:
     assert BallRosSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")
 
 
-def test_an_encoder_that_stands_still_is_told_and_one_of_the_arm_ends_it(made: Callable[..., Any]) -> None:
+def test_an_encoder_that_stands_still_is_reported_and_one_of_the_arm_ends_it(made: Callable[..., Any]) -> None:
     s = made(rates={"diagnostics": 50.0})
     balancing(s)
     now = s.sim.plant.time
@@ -395,7 +395,7 @@ def test_an_encoder_that_stands_still_is_told_and_one_of_the_arm_ends_it(made: C
     s.hand(dx=0.1)
     s.run(0.6)
     said = "the encoder of wheel_0 stands still"
-    assert s.control.running and any(said in f for f in s.control.pilot.faults)
+    assert s.control.running and any(said in f for f in s.control.adapter.faults)
     assert any(said in m for m in s.messages(1))
     s.sim.plant.sensors.faults += (SensorFault("stalled", 1, s.sim.plant.time, np.inf, of="arm"),)
     s.hand(dx=-0.1)

@@ -1,4 +1,4 @@
-"""A brake on the bus that does not do as it is told. Truth: legs that the test itself holds, lets go and moves."""
+"""A brake on the bus that does not do as it is reported. Truth: legs that the test itself holds, lets go and moves."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def planned(p: Any) -> np.ndarray:
     return rates
 
 
-def told(p: Any) -> list[str]:
+def reported(p: Any) -> list[str]:
     """What the newest diagnostics say of the brakes, at which level."""
     return [f"{s.level} {s.message}" for s in p.said[-1].status if s.name.endswith(": brakes")] if p.said else []
 
@@ -47,16 +47,16 @@ def test_a_brake_that_does_not_open(pair: Callable[..., Any], caplog: pytest.Log
     goal = float(p.standin.joints["leg"][1]) + 0.5
     p.send("/legs", "sensor_msgs/msg/JointState", {"name": ["leg_RF"], "position": [goal]})
     assert p.until(lambda: p.control.running and planned(p)[1] > 0.1), p.control.state
-    assert not told(p)
+    assert not reported(p)
     stuck = "brake of leg_RF does not open: the leg was to move by"
     assert p.until(lambda: logged(caplog, stuck)), p.control.state
     assert logged(caplog, stuck) == [logging.WARNING]
     assert p.until(lambda: planned(p).max() < 1e-6), planned(p)
-    assert p.until(lambda: told(p)) and told(p)[0].startswith(f"1 {stuck}"), p.said[-1]
-    assert p.control.running and p.control.pilot.brakes.commanded(np.inf)[1] == 1.0
+    assert p.until(lambda: reported(p)) and reported(p)[0].startswith(f"1 {stuck}"), p.said[-1]
+    assert p.control.running and p.control.adapter.brakes.commanded(np.inf)[1] == 1.0
     slide(p, 1, 0.05)
     assert logged(caplog, "brake of leg_RF opens after all: the leg moved by 0.01") == [logging.INFO]
-    assert p.until(lambda: planned(p)[1] > 0.1) and p.until(lambda: not told(p))
+    assert p.until(lambda: planned(p)[1] > 0.1) and p.until(lambda: not reported(p))
 
 
 def test_a_brake_that_does_not_hold(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
@@ -68,12 +68,12 @@ def test_a_brake_that_does_not_hold(pair: Callable[..., Any], caplog: pytest.Log
     slide(p, 2, 0.5)
     slips = "brake of leg_LB does not hold: the leg moved by 0.01"
     assert logged(caplog, slips) == [logging.WARNING]
-    assert p.until(lambda: planned(p)[2] > 0.1) and p.until(lambda: told(p))
-    assert told(p)[0].startswith(f"1 {slips}") and planned(p)[[0, 1, 3]].max() < 1e-6
+    assert p.until(lambda: planned(p)[2] > 0.1) and p.until(lambda: reported(p))
+    assert reported(p)[0].startswith(f"1 {slips}") and planned(p)[[0, 1, 3]].max() < 1e-6
     holds = "brake of leg_LB holds after all: the leg was to move by"
     assert p.until(lambda: logged(caplog, holds)) and logged(caplog, holds) == [logging.INFO]
-    assert p.until(lambda: planned(p).max() < 1e-6) and p.until(lambda: not told(p))
+    assert p.until(lambda: planned(p).max() < 1e-6) and p.until(lambda: not reported(p))
     slide(p, 2, -0.1)  # told again; the next command of the brake is believed
-    assert p.until(lambda: told(p)) and len(logged(caplog, slips.partition("moved")[0])) == 2
+    assert p.until(lambda: reported(p)) and len(logged(caplog, slips.partition("moved")[0])) == 2
     p.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [0.0, 0.0, 1.0, 0.0]})
-    assert p.until(lambda: not told(p))
+    assert p.until(lambda: not reported(p))

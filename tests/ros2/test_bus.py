@@ -18,7 +18,7 @@ from needs import MISSING, everything, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Qos
-from wbmpc.ros2.multi_type_subscriber import Several
+from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.opening import open_node
 
@@ -31,7 +31,7 @@ if not MISSING:
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
-    from wbmpc.ros2.cdr_types import carrier
+    from wbmpc.ros2.cdr_types import message_class
     from wbmpc.ros2.messages import types
 
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "44"})
@@ -123,7 +123,7 @@ def test_what_is_on_the_wire_goes_into_a_bag_and_comes_out_of_it(nodes: tuple[An
     raw: dict[str, list[bytes]] = {kind: [] for kind in sent}
     listening = DomainParticipant(44)
     readers = {
-        kind: DataReader(listening, Topic(listening, f"rt/t{i}", carrier(types("jazzy"), kind)))
+        kind: DataReader(listening, Topic(listening, f"rt/t{i}", message_class(types("jazzy"), kind)))
         for i, kind in enumerate(sent)
     }
     for i, (kind, values) in enumerate(sent.items()):
@@ -148,7 +148,7 @@ def test_what_is_on_the_wire_goes_into_a_bag_and_comes_out_of_it(nodes: tuple[An
 
 
 # ---------------------------------------------------------------------- topics
-def test_all_messages_come_in_order(nodes: tuple[Any, Any]) -> None:
+def test_all_messages_come_in_command(nodes: tuple[Any, Any]) -> None:
     one, other = nodes
     got: list[float] = []
     other.subscribe("/count", "std_msgs/msg/Float64", lambda m: got.append(m.data), Qos(depth=1000))
@@ -263,8 +263,8 @@ def test_a_mismatch_is_said_on_both_sides(nodes: tuple[Any, Any]) -> None:
         "/scan: a subscription asks for more than is offered (reliability); no message will come through"
     ]
     (offered,) = other.publishers("/scan")
-    assert DEFAULT.refuses(offered.qos) == "it offers best effort, reliable is asked for"
-    assert not SENSOR.refuses(offered.qos)
+    assert DEFAULT.incompatible(offered.qos) == "it offers best effort, reliable is asked for"
+    assert not SENSOR.incompatible(offered.qos)
 
 
 def test_another_type_is_named_and_forgotten_when_it_has_gone(
@@ -288,25 +288,25 @@ def test_a_topic_of_two_types_is_heard_in_both_whoever_comes_first(
     one, other = nodes
     got: list[str] = []
     kinds = ("std_msgs/msg/Bool", STRING)
-    topic = Several(other, "/mixed", {k: lambda m, k=k: got.append(k) for k in kinds})
+    topic = MultiTypeSubscriber(other, "/mixed", {k: lambda m, k=k: got.append(k) for k in kinds})
     third = open_node("third", "dds", NETWORK)
     for k, node in zip(kinds, (one, third), strict=True):
         publisher = node.publisher("/mixed", k)
-        assert wait_until(lambda p=publisher: topic.look() or p._writer.get_matched_subscriptions())
+        assert wait_until(lambda p=publisher: topic.update() or p._writer.get_matched_subscriptions())
         publisher.publish({})
         assert wait_until(lambda k=k: k in got)
     time.sleep(0.3)
-    assert (one.faults, other.faults, third.faults) == ([], [], [])  # who sends either type is told of no mismatch
+    assert (one.faults, other.faults, third.faults) == ([], [], [])  # who sends either type is reported of no mismatch
     assert not any("another type" in r.getMessage() for r in caplog.records)
     third.close()
-    assert wait_until(lambda: topic.look() or list(topic._ends) == [kinds[0]])
+    assert wait_until(lambda: topic.update() or list(topic._ends) == [kinds[0]])
     assert wait_until(lambda: [e.type for e in one.subscribers("/mixed")] == [kinds[0]])
 
 
-def test_a_type_that_the_middleware_has_no_room_for_is_told_as_long_as_it_is_there(
+def test_a_type_that_the_middleware_has_no_room_for_is_reported_as_long_as_it_is_there(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Some middlewares have one type for a topic: the second one is refused, said once, and forgotten when it has gone."""
+    """Some middlewares have one type for a topic: the second one is rejected, said once, and forgotten when it has gone."""
     kinds, taken = ["std_msgs/msg/Bool"], []
 
     def subscribe(topic: str, kind: str, *given: Any, **also: Any) -> Any:
@@ -316,18 +316,18 @@ def test_a_type_that_the_middleware_has_no_room_for_is_told_as_long_as_it_is_the
         return taken.clear
 
     known = lambda topic: [SimpleNamespace(type=k) for k in kinds]
-    topic = Several(
+    topic = MultiTypeSubscriber(
         SimpleNamespace(publishers=known, subscribe=subscribe), "/mixed", dict.fromkeys([*kinds, STRING], print)
     )  # type: ignore[arg-type]
-    topic.look()
+    topic.update()
     assert (taken, topic.fault) == (["std_msgs/msg/Bool"], "")
     kinds.append(STRING)
     for _ in range(2):
-        topic.look()
+        topic.update()
     says = f"/mixed: {STRING} is not heard beside std_msgs/msg/Bool: RuntimeError: one type only"
     assert topic.fault == says and caplog.messages == [says]
     kinds.remove("std_msgs/msg/Bool")
-    topic.look()
+    topic.update()
     assert (taken, topic.fault) == ([STRING], "")
 
 
@@ -357,7 +357,7 @@ def test_the_graph_shows_node_types_and_hashes(nodes: tuple[Any, Any]) -> None:
     publisher = one.publisher("/joint_states", JOINTS, SENSOR)
     watcher = DomainParticipant(44)
     kind = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-    topic = Topic(watcher, "ros_discovery_info", carrier(types("jazzy"), kind))
+    topic = Topic(watcher, "ros_discovery_info", message_class(types("jazzy"), kind))
     reader = DataReader(watcher, topic, qos=other._qos(Qos(latched=True, depth=100), kind))
 
     def found() -> bool:
@@ -400,7 +400,7 @@ def test_a_service_answers(nodes: tuple[Any, Any]) -> None:
         other.call("/nobody", "std_srvs/srv/Trigger", {}, timeout=0.1)
 
 
-def test_wrong_use_is_one_sentence(nodes: tuple[Any, Any]) -> None:
+def test_wrong_use_is_one_message(nodes: tuple[Any, Any]) -> None:
     with pytest.raises(InputError, match="a name of letters"):
         open_node("my node", "dds", NETWORK)
     with pytest.raises(InputError, match="valid: auto, rclpy, dds"):

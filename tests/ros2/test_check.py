@@ -177,16 +177,18 @@ def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: An
     robot.subscribe("/arm_controller/commands", COMMANDS, lambda message: None, Qos(latched=True))
     robot.publisher("/steer_controller/commands", COMMANDS)
     robot.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped", SENSOR)
-    robot.publisher("/hand_goal", "geometry_msgs/msg/Pose")
-    robot.publisher("/hand_path", "nav_msgs/msg/Path")
+    robot.publisher("/end_effector_goal", "geometry_msgs/msg/Pose")
+    robot.publisher("/end_effector_path", "nav_msgs/msg/Path")
     assert wait_until(lambda: len(looker.publishers("/joint_states")) == 2)
-    known(looker, (*commands("steer"), "/goal_pose", "/hand_goal", "/hand_path"), commands("arm"))
+    known(looker, (*commands("steer"), "/goal_pose", "/end_effector_goal", "/end_effector_path"), commands("arm"))
     f = {(x.topic, x.text) for x in check(looker, ROBOT, SwerveRosSettings(), 1.0)}
     end.set()
     assert ("/joint_states", "2 publishers: their messages mix") in f
     assert ("/goal_pose", "a publisher does not reach us: it offers best effort, reliable is asked for") in f
-    assert any(t == "/hand_goal" and "its type is geometry_msgs/msg/Pose, geometry_msgs/msg/PoseS" in s for t, s in f)
-    assert not any(t == "/hand_path" for t, _ in f)
+    assert any(
+        t == "/end_effector_goal" and "its type is geometry_msgs/msg/Pose, geometry_msgs/msg/PoseS" in s for t, s in f
+    )
+    assert not any(t == "/end_effector_path" for t, _ in f)
     assert ("/arm_controller/commands", "it offers volatile, transient local is asked for") in f
     assert ("/steer_controller/commands", "somebody else publishes on it ('robot'): the controller will not start") in f
 

@@ -14,7 +14,7 @@ from wbmpc.ros2.goals import LEASH, STEP, HandTrack, Planner, Task, Track, base_
 from wbmpc.ros2.settings import Goals, Speeds
 
 ROBOT, BALL = load_robot("swerve-ur10"), load_robot("rezero")
-SPEEDS = Speeds(base=0.4, turn=0.5, hand=0.2)
+SPEEDS = Speeds(base=0.4, turn=0.5, end_effector=0.2)
 PLANNER = Planner(ROBOT, SPEEDS)
 HAND, TURNED = ROBOT.pose(ROBOT.home)
 
@@ -125,7 +125,7 @@ def test_a_far_hand_takes_the_base_along(way: float, moved: float) -> None:
     assert speed.max() <= 0.2 + 1e-9 and not task.carried
 
 
-def test_too_high_is_refused() -> None:
+def test_too_high_is_rejected() -> None:
     """The UR10 stands on the base: its data sheet's reach of 1.3 m, the wrist and the tool from a shoulder at 0.64 m."""
     assert 0.5 < PLANNER.shoulder < 0.8 and 1.3 < PLANNER.reach < 1.9
     with pytest.raises(InputError, match=r"out of reach: height 2.60 m"):
@@ -133,7 +133,7 @@ def test_too_high_is_refused() -> None:
 
 
 @pytest.mark.parametrize("height", [-0.4, -0.01])
-def test_under_the_floor_is_refused(height: float) -> None:
+def test_under_the_floor_is_rejected(height: float) -> None:
     with pytest.raises(InputError, match=rf"height {height:.2f} m, possible 0.00 to"):
         PLANNER.to_hand(at(), 0.0, np.array([HAND[0], HAND[1], height]), TURNED)
     ball = Planner(BALL, SPEEDS)  # heights of its tasks are above the ball's middle
@@ -143,22 +143,24 @@ def test_under_the_floor_is_refused(height: float) -> None:
 
 
 @pytest.mark.parametrize("far", [1e3, 1e9, 1e200])
-def test_too_far_is_refused_at_once(far: float) -> None:
+def test_too_far_is_rejected_at_once(far: float) -> None:
     pose = np.array([far, 0.0, 0.0])
     with pytest.raises(InputError, match=r"the base's goal is .* m away, valid: 0 to 100 m \(key 'goals.base'\)"):
         PLANNER.to_base(at(), 0.0, pose)
     with pytest.raises(InputError, match=r"the base's goal is"):
         PLANNER.along_base(at(), 0.0, Track(np.array([0.0, 1.0]), np.stack([np.zeros(3), pose])), None)
-    with pytest.raises(InputError, match=r"the hand's goal is .* m away, valid: 0 to 100 m \(key 'goals.hand'\)"):
+    with pytest.raises(
+        InputError, match=r"the end effector's goal is .* m away, valid: 0 to 100 m \(key 'goals.end_effector'\)"
+    ):
         PLANNER.to_hand(at(), 0.0, HAND + pose, TURNED)
     path = HandTrack(np.array([0.0, 1.0]), np.stack([HAND, HAND + pose]), np.tile(TURNED, (2, 1)))
-    with pytest.raises(InputError, match=r"the hand's goal is"):
+    with pytest.raises(InputError, match=r"the end effector's goal is"):
         PLANNER.along_hand(at(), 0.0, path, None)
 
 
 def test_a_long_way_has_few_samples() -> None:
     """As far as the settings may ever allow: two hours and more by the same speeds."""
-    planner = Planner(ROBOT, SPEEDS, Goals(base=1e4, hand=1e4))
+    planner = Planner(ROBOT, SPEEDS, Goals(base=1e4, end_effector=1e4))
     base = planner.to_base(at(), 3.0, np.array([9e3, 0.0, 0.0])).base
     assert base.times.size < 3000 and base.times[0] == 3.0
     assert base.times[-1] == pytest.approx(3.0 + 0.5 * np.pi * 9e3 / 0.4)

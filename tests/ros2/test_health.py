@@ -27,9 +27,9 @@ def controller(**changes: Any) -> Any:
         plans=SimpleNamespace(current=object()), own={"ticks": 0, "misses": 0}, kept="", stopped=False,
         punctuality=SimpleNamespace(late=0), state="running",
     )  # fmt: skip
-    pilot = SimpleNamespace(keeps=False, faults=[], snapshot=lambda: None)
-    given = {"clock": WallClock(), "runner": runner, "running": True, "period": 0.0025, "pilot": pilot}
-    return SimpleNamespace(**{**given, "body": SimpleNamespace(fault=""), **changes})
+    adapter = SimpleNamespace(must_keep_running=False, faults=[], snapshot=lambda: None)
+    given = {"clock": WallClock(), "runner": runner, "running": True, "period": 0.0025, "adapter": adapter}
+    return SimpleNamespace(**{**given, "robot_io": SimpleNamespace(fault=""), **changes})
 
 
 def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
@@ -39,16 +39,16 @@ def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, ca
     monkeypatch.setattr(module.time, "perf_counter", lambda: now[0])
     c = controller()
     h, own = Health(c), c.runner.own
-    h.look()
-    assert h.figures() == {}
+    h.update()
+    assert h.diagnostics() == {}
 
     def passes(ticks: int, skipped: int, late: int) -> dict[str, str]:
         now[0] += 2.0
         own["ticks"] += ticks
         own["misses"] += skipped
         c.runner.punctuality.late += late
-        h.look()
-        return h.figures()
+        h.update()
+        return h.diagnostics()
 
     assert passes(800, 0, 3) == {"real-time factor": "1.000", "late ticks": "3"}
     slow = passes(400, 400, 0)
@@ -58,7 +58,7 @@ def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, ca
     assert "80 of 800 ticks were late" in passes(800, 0, 80)["late"]
     assert "late" not in passes(800, 0, 0)
     c.running = False
-    h.look()
+    h.update()
     assert not h.late
 
 
@@ -76,17 +76,17 @@ def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, ca
 def test_the_cause_of_a_fall(changes: dict[str, Any], because: str) -> None:
     c = controller()
     vars(c.runner).update(changes)
-    c.pilot.keeps, c.pilot.faults = True, ["a wheel slips"]
+    c.adapter.must_keep_running, c.adapter.faults = True, ["a wheel slips"]
     leans = [0.3]
-    c.pilot.snapshot = lambda: (0.0, np.array([1.0, 2.0, 0.5, 0.0, leans[0]]))
+    c.adapter.snapshot = lambda: (0.0, np.array([1.0, 2.0, 0.5, 0.0, leans[0]]))
     h = Health(c)
-    h.look()
+    h.update()
     assert not h.fell
     leans[0] = 0.8
-    h.look()
+    h.update()
     assert h.fell == f"the robot fell, it leans by 46 degrees, {because}"
     leans[0] = 0.1  # put up again
-    h.look()
+    h.update()
     assert not h.fell
 
 

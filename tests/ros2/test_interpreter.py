@@ -30,7 +30,7 @@ def test_a_tick_keeps_the_interpreter(pair: Callable[..., Any], monkeypatch: pyt
     ticks = [0]
     tick = RealTimeRunner._tick
 
-    def told(self: RealTimeRunner, due: float) -> None:
+    def reported(self: RealTimeRunner, due: float) -> None:
         ticking.append(threading.get_ident())
         try:
             tick(self, due)
@@ -66,7 +66,7 @@ def test_a_tick_keeps_the_interpreter(pair: Callable[..., Any], monkeypatch: pyt
         assert ticks[0] > 150
         return sum(where.values()) / ticks[0]
 
-    monkeypatch.setattr(RealTimeRunner, "_tick", told)
+    monkeypatch.setattr(RealTimeRunner, "_tick", reported)
     # a message that comes while a tick begins may have asked for its turn before; where the machine has other things to do a tick
     # is taken off its core where it has let go: that is not the tick's doing, and does not happen every time
     assert any(share() < 0.05 for _ in range(4)), where.most_common(5)

@@ -27,7 +27,7 @@ if not MISSING:
     from simulated import Simulated
 
     from wbmpc.bases.swerve.ros_legs import SET_LEGS
-    from wbmpc.ros2.cdr_types import carrier
+    from wbmpc.ros2.cdr_types import message_class
     from wbmpc.ros2.messages import request, response, types
 
 ROBOT = load_robot("swerve-ur10")
@@ -92,7 +92,7 @@ def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCap
     brakes = BrakeControl(ROBOT)
     legs._put(nowhere, free)
     assert not legs.apply(brakes, 1.0, np.zeros(4)) and not brakes.commanded(2.0).any()
-    assert "an order to the legs is refused: brakes: with these legs" in caplog.text
+    assert "a command for the legs is rejected: brakes: with these legs" in caplog.text
     legs._put(leg_angles(ROBOT, "X"), free)
     assert legs.apply(brakes, 1.0, np.zeros(4)) and brakes.commanded(2.0).all()
     legs.stop()
@@ -112,10 +112,12 @@ def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
     np.testing.assert_array_equal(legs.moving, [False, True, False, False])
     assert legs.angles[0] == 0.771 and legs.angles[1] == 0.4
     says = "leg_LF stopped at 0.771 rad on its way to 0.785 rad: no nearer for 4 s, brakes closed"
-    assert robot.control.refused()["legs stopped short"] == says
+    assert robot.control.rejected()["legs stopped short"] == says
     robot.said.clear()
-    told = lambda: [v.value for m in robot.said for s in m.status for v in s.values if v.key == "legs stopped short"]
-    assert robot.until(lambda: says in told())
+    reported = lambda: [
+        v.value for m in robot.said for s in m.status for v in s.values if v.key == "legs stopped short"
+    ]
+    assert robot.until(lambda: says in reported())
     legs._put(np.array([0.8, np.nan, np.nan, np.nan]), np.full(4, np.nan))
     legs.apply(brakes, 8.0, at(8.0))
     assert not legs.short
@@ -133,12 +135,12 @@ def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
         ({"configuration": "X", "leg": ["leg_LF"]}, "not both"),
     ],
 )
-def test_a_bad_order_is_answered_with_a_sentence(robot: Any, values: dict[str, Any], says: str) -> None:
+def test_a_bad_command_is_answered_with_a_message(robot: Any, values: dict[str, Any], says: str) -> None:
     answer = ask(robot, values)
     assert not answer.success and says in answer.message
 
 
-def test_an_order_that_would_leave_the_base_without_hold_is_answered_so(
+def test_an_command_that_would_leave_the_base_without_hold_is_answered_so(
     robot: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Legs parallel (H) and all brakes open: the answer is no, not a yes and a line in the log."""
@@ -154,20 +156,28 @@ def test_an_order_that_would_leave_the_base_without_hold_is_answered_so(
         and "on the way" in answer.message
     )
     robot.said.clear()
-    told = lambda: [s.message for m in robot.said for s in m.status]
-    assert robot.until(lambda: any("nothing would hold the base" in text for text in told()))
+    reported = lambda: [s.message for m in robot.said for s in m.status]
+    assert robot.until(lambda: any("nothing would hold the base" in text for text in reported()))
     assert ask(robot, {"leg": list(LEGS), "brake_open": [False] * 4}).success
 
 
-def test_a_bad_topic_is_told(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_bad_topic_is_reported(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
     robot.send("/leg_configuration", "std_msgs/msg/String", {"data": "Z"})
-    assert robot.until(lambda: "unknown configuration 'Z'" in robot.control.legs.refused)
+    assert robot.until(lambda: "unknown configuration 'Z'" in robot.control.legs.rejected)
     robot.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [2.0]})
-    assert robot.until(lambda: "4 numbers, 0 (closed) or 1 (open)" in robot.control.legs.refused)
+    assert robot.until(lambda: "4 numbers, 0 (closed) or 1 (open)" in robot.control.legs.rejected)
     assert caplog.text.count("unknown configuration 'Z'") == 1
     robot.said.clear()
-    told = lambda: [v.value for m in robot.said for s in m.status for v in s.values if "legs" in v.key]
-    assert robot.until(lambda: any("4 numbers" in text for text in told()))
+    reported = lambda: [v.value for m in robot.said for s in m.status for v in s.values if "legs" in v.key]
+    assert robot.until(lambda: any("4 numbers" in text for text in reported()))
+
+
+def test_a_flood_of_bad_orders_is_a_few_lines(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """Each with another name, so that none is a repetition."""
+    for k in range(200):
+        robot.control.legs._from_topic("/flood", lambda m: robot.control.legs._wanted("", [m], (), ()), f"leg{k}")
+    assert "unknown leg 'leg199'" in robot.control.legs.refused
+    assert 1 <= sum("/flood: " in r.getMessage() for r in caplog.records) <= 5
 
 
 def test_the_services_bytes_are_those_of_rmw_cyclonedds(robot: Any) -> None:
@@ -175,7 +185,7 @@ def test_the_services_bytes_are_those_of_rmw_cyclonedds(robot: Any) -> None:
     s, t = robot, types("jazzy")
     listening = DomainParticipant(DOMAIN)
     head: dict[str, Any] = {"client": idl_types.uint64, "number": idl_types.int64}
-    kinds = {side: carrier(t, side(SET_LEGS), head) for side in (request, response)}
+    kinds = {side: message_class(t, side(SET_LEGS), head) for side in (request, response)}
     asks = Topic(listening, "rq/set_legsRequest", kinds[request])
     answers = Topic(listening, "rr/set_legsReply", kinds[response])
     assert kinds[request].__idl_typename__ == "wbmpc_msgs.srv.dds_.SetLegs_Request_"  # type: ignore[attr-defined]
@@ -210,6 +220,6 @@ def test_an_angle_that_is_no_number_starts_nobody(
     p = pair()
     p.ready()
     p.send(topic, kind, message)
-    assert p.until(lambda: "finite" in p.control.legs.refused), p.control.legs.refused
+    assert p.until(lambda: "finite" in p.control.legs.rejected), p.control.legs.rejected
     p.run(0.05)
     assert p.control.runner is None

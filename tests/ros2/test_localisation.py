@@ -16,12 +16,12 @@ if not MISSING:
     from simulated import Localisation, Simulated
     from standin import NETWORK, PERIOD, ROBOT, check_stopped
 
-    from wbmpc.bases.swerve.ros import SwervePilot
+    from wbmpc.bases.swerve.ros import SwerveRosAdapter
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
-    from wbmpc.ros2.localisation import Gate
+    from wbmpc.ros2.localisation import PoseGate
 
 
-def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(
+def test_a_pose_in_a_wrong_frame_is_reported_once_until_it_is_right(
     pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     p = pair(topics={"pose": "/amcl_pose"})
@@ -34,7 +34,7 @@ def test_a_pose_in_a_wrong_frame_is_told_once_until_it_is_right(
             publisher.publish({"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": 1.0}}}})
             time.sleep(0.02)
 
-    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused pose"]
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "rejected pose"]
     for k in (1, 2):
         tell("map", 5)
         assert p.until(lambda: p.control.state == f"waiting: {says}"), p.control.state
@@ -58,7 +58,7 @@ def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCap
 
     p.standin.change = change
     p.ready()
-    np.testing.assert_allclose(p.control.pilot.snapshot()[1][:3], [3.0, -1.0, 0.0])
+    np.testing.assert_allclose(p.control.adapter.snapshot()[1][:3], [3.0, -1.0, 0.0])
     p.go(3.5, -1.0)
     assert p.until(lambda: p.control.runner is not None and "running" in p.control.state)
     sending.clear()
@@ -77,8 +77,8 @@ def test_a_pose_with_a_covariance_is_weighed(pair: Callable[..., Any]) -> None:
         publisher.publish({"header": {"frame_id": "odom"}, "pose": message})
         time.sleep(0.05)
         p.run(0.05)
-    assert p.control.pilot.snapshot()[1][0] == pytest.approx(3.005, abs=1e-4)
-    e = p.control.pilot.estimate()
+    assert p.control.adapter.snapshot()[1][0] == pytest.approx(3.005, abs=1e-4)
+    e = p.control.adapter.estimate()
     assert e.covariance[0, 0] == pytest.approx(0.5e-4, rel=0.05) and e.covariance[2, 2] == 1e6
 
 
@@ -118,7 +118,7 @@ def test_a_pose_that_jumps_stops_and_a_goal_goes_on_from_the_new_place(
     assert s.until(lambda: any(says in m for m in s.messages(2)))
     assert s.until(lambda: np.abs(s.sim._groups["wheel"]).max() == 0.0)
     assert sum(says in r.getMessage() for r in caplog.records) == 1
-    at = lambda: s.control.pilot.snapshot()[1][0]
+    at = lambda: s.control.adapter.snapshot()[1][0]
     assert s.until(lambda: abs(at() - s.truth().pose[0] - 1.05) < 0.03 and not s.control.source.fault), at()
     go(at() + 1.0)
     assert s.control.state == "running: base to a goal"
@@ -126,7 +126,7 @@ def test_a_pose_that_jumps_stops_and_a_goal_goes_on_from_the_new_place(
 
 def test_the_gate_allows_what_motion_and_spread_explain() -> None:
     """By hand: a robot at 1 m/s and a pose that is 0.1 s old; 0.1 m, and three standard deviations of both, are allowed."""
-    gate, exact = Gate("/p", 0.1), np.zeros((3, 3))
+    gate, exact = PoseGate("/p", 0.1), np.zeros((3, 3))
     for t in np.arange(0.0, 1.0, 0.01):
         gate.note(float(t), np.array([t, 0.0, np.pi - 1e-3]))
     pose = lambda x, y=0.0, yaw=np.pi: np.array([x, y, yaw])
@@ -138,14 +138,14 @@ def test_the_gate_allows_what_motion_and_spread_explain() -> None:
     assert "0.25 m are allowed" in gate.jumped(0.9, pose(0.9, 0.26), spread, np.diag([0.04, 0.04, 0.0]) ** 2)
     assert gate.jumped(0.9, pose(0.9, yaw=-np.pi), exact, exact) == ""  # the same direction
     assert "jumped by 0.20 rad" in gate.jumped(0.9, pose(0.9, yaw=np.pi - 0.201), exact, exact)
-    gate.forget()
+    gate.reset()
     assert gate.jumped(0.9, pose(99.0), exact, exact) == ""
 
 
 def test_the_gate_follows_a_clock_that_is_started_anew() -> None:
     """A run begins at 0 s; the estimate from before it is of the old clock, at 2 s. By hand: the robot turns at 1 rad/s, so that an
     exact pose of 0.5 s says 0.5 rad."""
-    gate, exact = Gate("/p", 0.1), np.zeros((3, 3))
+    gate, exact = PoseGate("/p", 0.1), np.zeros((3, 3))
     gate.note(2.0, np.zeros(3))
     for t in np.arange(0.0, 0.6, 0.01):
         gate.note(float(t), np.array([0.0, 0.0, t]))
@@ -154,13 +154,13 @@ def test_the_gate_follows_a_clock_that_is_started_anew() -> None:
 
 
 def test_after_a_jump_the_next_pose_counts_whatever_was_known() -> None:
-    """The filter refuses a pose that is 100 standard deviations off, and takes the same one as the robot's place then."""
-    pilot, covariance = SwervePilot(ROBOT, SwerveRosSettings(), PERIOD), 1e-4 * np.eye(3)
-    agent, first, far = pilot.agent.estimator, np.array([1.0, 0.0, 0.0]), np.array([2.0, 0.5, 0.1])
-    agent.correct(0.0, first, covariance)
-    np.testing.assert_array_equal(agent.odometry.pose, first)
-    agent.correct(0.0, far, covariance)
-    np.testing.assert_array_equal(agent.odometry.pose, first)
-    pilot.relocate()
-    agent.correct(0.0, far, covariance)
-    np.testing.assert_allclose(agent.odometry.pose, far, atol=1e-12)
+    """The filter rejects a pose that is 100 standard deviations off, and takes the same one as the robot's place then."""
+    adapter, covariance = SwerveRosAdapter(ROBOT, SwerveRosSettings(), PERIOD), 1e-4 * np.eye(3)
+    controller, first, far = adapter.controller.estimator, np.array([1.0, 0.0, 0.0]), np.array([2.0, 0.5, 0.1])
+    controller.correct(0.0, first, covariance)
+    np.testing.assert_array_equal(controller.odometry.pose, first)
+    controller.correct(0.0, far, covariance)
+    np.testing.assert_array_equal(controller.odometry.pose, first)
+    adapter.relocate()
+    controller.correct(0.0, far, covariance)
+    np.testing.assert_allclose(controller.odometry.pose, far, atol=1e-12)

@@ -84,8 +84,8 @@ def test_the_true_odometrys_twist_is_the_derivative_of_its_pose(robot: Any) -> N
     """Of a swerve base that drives and of a ball robot that falls: differences of what the same messages say."""
     node = open_node("robot", "dds", NETWORK)
     sim = SimNode(node, robot, settings_of(robot)(), 3)
-    told: list[Any] = []
-    sim._odom = SimpleNamespace(publish=told.append)  # type: ignore[assignment]
+    reported: list[Any] = []
+    sim._odom = SimpleNamespace(publish=reported.append)  # type: ignore[assignment]
     groups = sim.side.rest()
     groups["wheel"][:] = [-8.0, 8.0, -8.0, 8.0] if robot is ROBOT else [0.5, -0.25, -0.3]
     for _ in range(60):
@@ -95,18 +95,18 @@ def test_the_true_odometrys_twist_is_the_derivative_of_its_pose(robot: Any) -> N
     array = lambda v, names: np.array([v[n] for n in names])
     rotation = lambda m: lie.quaternion_to_rotation(array(m["pose"]["pose"]["orientation"], lie.PARTS))
     place = lambda m: array(m["pose"]["pose"]["position"], "xyz")
-    before, now, after = told[-3:]
+    before, now, after = reported[-3:]
     turned = rotation(before).T @ rotation(after)
     rate = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]) / 2.0
     h, twist = 2.0 * sim.period, now["twist"]["twist"]
     speed = (place(after) - place(before)) / h
-    # what is told of the height is that of a flat floor: not its derivative
+    # what is reported of the height is that of a flat floor: not its derivative
     np.testing.assert_allclose((rotation(now) @ array(twist["linear"], "xyz"))[:2], speed[:2], atol=0.01)
     np.testing.assert_allclose(array(twist["angular"], "xyz")[2], rate[2] / h, atol=0.02)
     assert np.abs(speed).max() > 0.02
 
 
-def test_the_arm_by_trajectories_and_what_is_told(made: Callable[..., Any], watcher: Any) -> None:
+def test_the_arm_by_trajectories_and_what_is_reported(made: Callable[..., Any], watcher: Any) -> None:
     """The hand reaches its goal over a joint_trajectory_controller; footprint, odometry, description and sensors' frames."""
     controllers = {g: {"topic": f"/{g}/commands", "joints": ROBOT.input.groups[g]} for g in ("wheel", "steer")} | {
         "arm": {"topic": "/arm/joint_trajectory", "joints": ARM, "takes": "trajectory"}
@@ -154,7 +154,7 @@ def test_a_wrench_that_is_announced_moves_the_hand_less(made: Callable[..., Any]
     """6 N at the tool, without the disturbance observer: with the reference the plan counts with the world's answer."""
     moved = []
     for announced in (False, True):
-        s = made(BALL, observer=False, topics={"wrench": f"/wrench_{announced}"})
+        s = made(BALL, estimate_disturbance=False, topics={"wrench": f"/wrench_{announced}"})
         s.ready()
         s.hand()
         assert s.until(lambda s=s: s.control.state.startswith("running:"))
@@ -177,7 +177,7 @@ def test_a_wrench_that_is_announced_moves_the_hand_less(made: Callable[..., Any]
     assert moved[1] < 0.5 * moved[0], moved
 
 
-def test_a_wrench_in_a_wrong_frame_or_without_numbers_is_refused(made: Callable[..., Any]) -> None:
+def test_a_wrench_in_a_wrong_frame_or_without_numbers_is_rejected(made: Callable[..., Any]) -> None:
     s = made(BALL)
     for head, wrench, says in (
         ("hand", {}, "the wrench is in the frame 'hand'; valid: odom"),
@@ -187,4 +187,4 @@ def test_a_wrench_in_a_wrong_frame_or_without_numbers_is_refused(made: Callable[
         ("odom", {"torque": {"z": -3.0}}, "a moment of 3 N m is too much; valid: 0 to 2 (key 'wrench.moment')"),
     ):
         s.send("/wrench", "geometry_msgs/msg/WrenchStamped", {"header": {"frame_id": head}, "wrench": wrench})
-        assert s.until(lambda t=says: t in s.control.inbox.refused), s.control.inbox.refused
+        assert s.until(lambda t=says: t in s.control.request_queue.rejected), s.control.request_queue.rejected

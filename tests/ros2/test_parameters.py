@@ -24,7 +24,7 @@ if not MISSING:
     from wbmpc.ros2.settings import RosSettings
 
 
-HAND = "cost.hand.weight"
+HAND = "cost.end_effector.weight"
 
 
 def ask(p: Pair, service: str, kind: str, **values: Any) -> Any:
@@ -53,13 +53,13 @@ def test_the_node_lists_gets_and_describes_its_parameters(pair: Callable[..., An
     assert (weight.floating_point_range[0].from_value, len(rate.floating_point_range)) == (0.0, 0)
 
 
-def test_a_weight_is_in_force_from_the_next_solve_on_and_is_told(pair: Callable[..., Any]) -> None:
+def test_a_weight_is_in_force_from_the_next_solve_on_and_is_reported(pair: Callable[..., Any]) -> None:
     p = pair()
-    told: list[Any] = []
+    reported: list[Any] = []
     kind = "rcl_interfaces/msg/ParameterEvent"
-    p.standin.node.subscribe("/parameter_events", kind, told.append, Qos(depth=100))
+    p.standin.node.subscribe("/parameter_events", kind, reported.append, Qos(depth=100))
     drive(p)
-    solver = p.control.pilot.mpc.solver
+    solver = p.control.adapter.mpc.solver
     before = solver.constants.copy()
     results = ask(
         p, "set_parameters", "SetParameters", parameters=[number(HAND, 500.0), number("cost.state.yaw", 7.0)]
@@ -69,7 +69,7 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_told(pair: Callable[
     wanted = SwerveCost()
     wanted = wanted.model_copy(
         update={
-            "hand": wanted.hand.model_copy(update={"weight": 500.0}),
+            "end_effector": wanted.end_effector.model_copy(update={"weight": 500.0}),
             "state": wanted.state.model_copy(update={"yaw": 7.0}),
         }
     )
@@ -82,7 +82,7 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_told(pair: Callable[
                 np.testing.assert_allclose(part, cost.expand(weight), rtol=1e-15)
     assert ask(p, "get_parameters", "GetParameters", names=[HAND]).values[0].double_value == 500.0
     assert wait_until(
-        lambda: any(c.name == HAND and c.value.double_value == 500.0 for m in told for c in m.changed_parameters)
+        lambda: any(c.name == HAND and c.value.double_value == 500.0 for m in reported for c in m.changed_parameters)
     )
     assert p.control.running
 
@@ -91,7 +91,7 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_told(pair: Callable[
     ("given", "says"),
     [
         (number("rates.odom", 10.0), "read-only"),
-        (number("cost.hand.wait", 10.0), "did you mean 'cost.hand.weight'"),
+        (number("cost.end_effector.wait", 10.0), "did you mean 'cost.end_effector.weight'"),
         (number(HAND, -1.0), "valid: 0 to"),
         (number(HAND, np.nan), "a finite number is needed"),
         ({"name": HAND, "value": {"type": 4, "string_value": "much"}}, "float is needed, got str"),
@@ -169,7 +169,7 @@ def test_every_input_is_an_endpoint_before_there_is_a_robot(pair: Callable[..., 
     """Who publishes speeds with a node of its own finds a subscription at once."""
     p = pair()
     topics = p.settings.topics
-    inputs = [getattr(topics, n) for n in ("joint_states", "imu", "goal_pose", "hand_goal", "base_path", "hand_path",
+    inputs = [getattr(topics, n) for n in ("joint_states", "imu", "goal_pose", "end_effector_goal", "base_path", "end_effector_path",
               "cmd_vel", "wrench", "legs", "brakes", "leg_configuration")]  # fmt: skip
     there = lambda t: [e.type for e in p.standin.node.subscribers(t) if not e.own]
     assert wait_until(lambda: all(there(t) for t in inputs))

@@ -27,7 +27,7 @@ if not MISSING:
 
 SEED, REST = 3, 1.0
 #: A short and fast sine, so that the test is; on the bus nobody has calibrated the wheels.
-SETTINGS = SwerveTrackSettings(periods=1, speed=0.8, rest=REST, calibration="none")
+SETTINGS = SwerveTrackSettings(periods=1, speed=0.8, settle_time=REST, calibration="none")
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_what_ends_ends_well(bus: Bus) -> None:
 def test_the_ball_robot_takes_a_step_and_outlives_its_simulator_but_not_its_controller() -> None:
     """Goals of the experiment (Minniti et al. 2019) for the first step. Without states nothing says how it leans: torques ramp to
     zero, then nobody is commanded; a new simulator and a goal, and it balances again. MuJoCo's robot after the last kill."""
-    settings = RezeroStepsSettings(hold=4.0, settle=1.3, rest=0.0)
+    settings = RezeroStepsSettings(hold_time=4.0, settle_time=1.3, final_hold_time=0.0)
     with open_bus(73, SEED, factor=10.0, robot="rezero", settings={"safety": {"clock": 5.0}}) as bus:
         found = steps(bus, settings, 1)
         assert found.rise < 1.0 and found.steady < 0.005 and found.tilt < np.deg2rad(17.0)
@@ -102,7 +102,7 @@ def test_the_ball_robot_takes_a_step_and_outlives_its_simulator_but_not_its_cont
         seen = Recorder(bus.node)
         bus.wait_for(lambda: len(seen.poses["hand"]) > 10, 60.0)
         assert "stopped" in bus.said  # it does not begin by itself
-        goal = bus.node.publisher("/hand_goal", "geometry_msgs/msg/PoseStamped")
+        goal = bus.node.publisher("/end_effector_goal", "geometry_msgs/msg/PoseStamped")
         bus.wait_for(lambda: goal._writer.get_matched_subscriptions(), 60.0)
         position, turned = np.array(seen.poses["hand"][-1][1:4]), np.array(seen.poses["hand"][-1][4:8])
         goal.publish({"header": header(0.0, "odom"), "pose": pose(position, turned)})

@@ -112,8 +112,8 @@ def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
     numbers = "std_msgs/msg/Float64MultiArray"
     for topic, kind in {
         "/wheel_controller/commands": numbers, "/brake_controller/commands": numbers, "/odom": "nav_msgs/msg/Odometry",
-        "/tf": "tf2_msgs/msg/TFMessage", "/plan": "nav_msgs/msg/Path", "/hand_plan": "nav_msgs/msg/Path",
-        "/hand_pose": "geometry_msgs/msg/PoseStamped", "/footprint": "visualization_msgs/msg/MarkerArray",
+        "/tf": "tf2_msgs/msg/TFMessage", "/plan": "nav_msgs/msg/Path", "/end_effector_plan": "nav_msgs/msg/Path",
+        "/end_effector_pose": "geometry_msgs/msg/PoseStamped", "/footprint": "visualization_msgs/msg/MarkerArray",
         "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     }.items():  # fmt: skip
         other.subscribe(topic, kind, got.setdefault(topic, []).append)
@@ -166,17 +166,20 @@ def test_parameters_are_those_of_the_rclpy_node(made: list[Any]) -> None:
     from wbmpc.ros2.parameters import Parameter, Parameters
 
     node, new = open_node("wbmpc"), []
-    given = [Parameter("rates.odom", 50.0), Parameter("cost.hand.weight", 1.0, read_only=False, range=(0.0, 9.0))]
+    given = [
+        Parameter("rates.odom", 50.0),
+        Parameter("cost.end_effector.weight", 1.0, read_only=False, range=(0.0, 9.0)),
+    ]
     node.offer(Parameters([*given, Parameter("use_sim_time", False)], new.append))
     (fake,) = made
     assert {name: value for name, (value, _) in fake.parameters.items()} == {
         "rates.odom": 50.0,
-        "cost.hand.weight": 1.0,
+        "cost.end_effector.weight": 1.0,
     }
     (rate, weight) = (fake.parameters[p.name][1] for p in given)
     assert (rate.read_only, weight.read_only, weight.floating_point_range[0].to_value) == (True, False, 9.0)
-    change = lambda value: fake.on_set([SimpleNamespace(name="cost.hand.weight", value=value)])
-    assert change(2.0).successful and new == [{"cost.hand.weight": 2.0}]
+    change = lambda value: fake.on_set([SimpleNamespace(name="cost.end_effector.weight", value=value)])
+    assert change(2.0).successful and new == [{"cost.end_effector.weight": 2.0}]
     bad = change(10.0)
     assert not bad.successful and "valid: 0 to 9" in bad.reason and len(new) == 1
     node.close()

@@ -29,20 +29,20 @@ if not MISSING:
         ("/goal_pose", "odom", {"x": float("nan")}, "a number is not finite"),
         ("/goal_pose", "odom", {"x": 1.0, "z": 5.0}, "has z = 5.00 m in 'odom'; valid: -0.50 to "),
         ("/goal_pose", "base_link", {"x": 1.0, "z": -2.0}, "has z = -2.00 m in 'base_link'; valid: -"),
-        ("/hand_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
-        ("/hand_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
+        ("/end_effector_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
+        ("/end_effector_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
     ],
 )
 def test_a_bad_goal_changes_nothing(
     pair: Callable[..., Any], topic: str, frame: str, position: dict[str, float], says: str
 ) -> None:
-    p = pair(rates={"diagnostics": 0.01})  # what is new is told at once
+    p = pair(rates={"diagnostics": 0.01})  # what is new is reported at once
     drive(p)
     task = p.control._task
     p.send(topic, "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": frame}, "pose": {"position": position}})
-    assert p.until(lambda: says in p.control.inbox.refused)
+    assert p.until(lambda: says in p.control.request_queue.rejected)
     assert p.control._task is task and p.control.running
-    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused"]
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "rejected"]
     assert p.until(lambda: any(says in text for text in said()))
 
 
@@ -56,7 +56,7 @@ def test_whatever_a_goal_does_what_runs_goes_on(
     task = p.control._task
     for _ in range(2):
         p.go(1e9)
-        assert p.until(lambda: "the base's goal is 1e+09 m away" in p.control.inbox.refused)
+        assert p.until(lambda: "the base's goal is 1e+09 m away" in p.control.request_queue.rejected)
     assert p.control._task is task
     assert sum("1e+09 m away" in r.getMessage() for r in caplog.records) == 1
 
@@ -64,18 +64,18 @@ def test_whatever_a_goal_does_what_runs_goes_on(
         raise MemoryError("no room")
 
     with monkeypatch.context() as patch:
-        patch.setattr(p.control.pilot.planner, "to_base", fails)
-        says = "a goal is refused: MemoryError: no room"
+        patch.setattr(p.control.adapter.planner, "to_base", fails)
+        says = "a goal is rejected: MemoryError: no room"
         for _ in range(2):
             p.go(1.5)
-            assert p.until(lambda: p.control.inbox.refused == says)
+            assert p.until(lambda: p.control.request_queue.rejected == says)
     assert p.control._task is task and p.control.running and p.standin.speed > 0.5
     assert sum(says in r.getMessage() for r in caplog.records) == 1
-    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "refused"]
+    said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "rejected"]
     assert p.until(lambda: says in said())
     p.go(1.5)
     assert p.until(lambda: p.control._task is not task)
-    assert p.control.inbox.refused == ""
+    assert p.control.request_queue.rejected == ""
 
 
 def test_the_documentations_lines_send_a_goal(pair: Callable[..., Any]) -> None:
@@ -86,7 +86,7 @@ def test_the_documentations_lines_send_a_goal(pair: Callable[..., Any]) -> None:
     given = {**os.environ, **ENVIRONMENT}
     operator = subprocess.Popen([sys.executable, "-u", "-c", block], env=given, stdout=subprocess.PIPE, text=True)
     try:
-        assert p.until(lambda: p.control.state == "running: base to a goal"), p.control.inbox.refused
+        assert p.until(lambda: p.control.state == "running: base to a goal"), p.control.request_queue.rejected
         assert p.until(lambda: operator.poll() is not None)
         assert "running: base to a goal" in operator.communicate()[0] and operator.returncode == 0
     finally:
@@ -100,21 +100,21 @@ def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(
     p = pair(rates={"diagnostics": 20.0})
     drive(p)
     task, begun, go_on = p.control._task, threading.Event(), threading.Event()
-    plan = p.control.pilot.planner.to_base
+    plan = p.control.adapter.planner.to_base
 
     def slow(*given: Any) -> Any:
         begun.set()
         assert go_on.wait(60.0)
         return plan(*given)
 
-    monkeypatch.setattr(p.control.pilot.planner, "to_base", slow)
+    monkeypatch.setattr(p.control.adapter.planner, "to_base", slow)
     p.go(1.5)
     assert p.until(begun.is_set)
     p.said.clear()
     assert p.until(lambda: len(p.said) > 2) and p.control.state == "running: base to a goal"
     assert p.control._task is task and p.standin.speed > 0.5
     go_on.set()
-    assert p.until(lambda: p.control._task is not task) and p.control.inbox.refused == ""
+    assert p.until(lambda: p.control._task is not task) and p.control.request_queue.rejected == ""
     begun.clear()
     go_on.clear()
     p.go(2.5)
@@ -123,7 +123,7 @@ def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(
     p.standin.change = lambda m: next(broken, lambda same: same)(m)
     assert p.until(lambda: p.control.runner.stopped and p.standin.speed == 0.0)
     go_on.set()
-    assert p.until(lambda: p.control.inbox.refused == "a goal is refused: the robot has stopped meanwhile")
+    assert p.until(lambda: p.control.request_queue.rejected == "a goal is rejected: the robot has stopped meanwhile")
     p.run(0.2)
     assert p.control.runner.stopped and p.standin.speed == 0.0
 
@@ -139,7 +139,7 @@ def test_speeds_of_either_type_drive_the_base_and_run_out(pair: Callable[..., An
     for _ in range(12):
         publisher.publish({"twist": twist} if stamped else twist)
         p.run(0.1)
-    assert p.control.pilot.snapshot()[1][0] > 0.1
+    assert p.control.adapter.snapshot()[1][0] > 0.1
     np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 4.0, rtol=0.1)  # 0.4 m/s on wheels of 0.1 m
     assert p.until(lambda: np.abs(p.standin.commands["wheel"]).max() < 0.2)  # 20 mm/s
     assert p.control.state == "running: base to rest"
@@ -147,7 +147,7 @@ def test_speeds_of_either_type_drive_the_base_and_run_out(pair: Callable[..., An
 
 
 def test_stamped_speeds_drive_the_base_beside_somebody_who_could_send_plain_ones(pair: Callable[..., Any]) -> None:
-    """A teleoperator who is silent, then a navigator: both types of one topic, and no mismatch is told."""
+    """A teleoperator who is silent, then a navigator: both types of one topic, and no mismatch is reported."""
     p = pair()
     p.ready()
     silent = p.standin.node.publisher("/cmd_vel", "geometry_msgs/msg/Twist")
@@ -181,7 +181,7 @@ class Speeds:
             twist = {"linear": linear}
             self._publisher.publish(twist if self.kind == "Twist" else {"header": {"frame_id": frame}, "twist": twist})
             self.pair.run(0.05)
-            poses.append(self.pair.control.pilot.snapshot()[1][:3])
+            poses.append(self.pair.control.adapter.snapshot()[1][:3])
         return np.array(poses)
 
 
@@ -190,14 +190,14 @@ def said(p: Any, key: str) -> list[str]:
     return [v.value for m in p.said for s in m.status for v in s.values if v.key == key]
 
 
-def test_speeds_of_another_frame_are_refused(pair: Callable[..., Any]) -> None:
+def test_speeds_of_another_frame_are_rejected(pair: Callable[..., Any]) -> None:
     p = pair()
     speeds = Speeds(p, "TwistStamped")
     speeds.send(0.2, "map", x=0.4)
-    assert p.control.inbox.refused == "/cmd_vel: the speed is in the frame 'map'; valid: base_link, or none"
-    assert p.control.runner is None and p.until(lambda: p.control.inbox.refused in said(p, "refused"))
+    assert p.control.request_queue.rejected == "/cmd_vel: the speed is in the frame 'map'; valid: base_link, or none"
+    assert p.control.runner is None and p.until(lambda: p.control.request_queue.rejected in said(p, "rejected"))
     speeds.send(0.2, "base_link", x=0.4)
-    assert p.until(lambda: p.control.state == "running: base at a speed") and p.control.inbox.refused == ""
+    assert p.until(lambda: p.control.state == "running: base at a speed") and p.control.request_queue.rejected == ""
 
 
 def test_a_speed_beyond_the_limits_is_scaled_and_that_is_said(
@@ -211,10 +211,10 @@ def test_a_speed_beyond_the_limits_is_scaled_and_that_is_said(
     assert sum(r.getMessage() == says for r in caplog.records) == 1
     np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 3.0, rtol=0.1)  # 0.3 m/s on wheels of 0.1 m
     speeds.send(0.1, x=0.2)
-    assert p.control.inbox.limited == "" and p.control.refused() == {}
+    assert p.control.request_queue.limited == "" and p.control.rejected() == {}
 
 
-def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_refused(pair: Callable[..., Any]) -> None:
+def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_rejected(pair: Callable[..., Any]) -> None:
     p = pair()
     drive(p)
     task = p.control._task
@@ -227,5 +227,5 @@ def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_refused(pair:
         ([pose(0, "odom"), pose(0, "map")], "pose 1 of the path is in the frame 'map', the path in 'odom'"),
     ):
         p.send("/base_path", "nav_msgs/msg/Path", {"header": {"frame_id": "odom"}, "poses": poses})
-        assert p.until(lambda t=says: t in p.control.inbox.refused), p.control.inbox.refused
+        assert p.until(lambda t=says: t in p.control.request_queue.rejected), p.control.request_queue.rejected
         assert p.control._task is task and p.control.running

@@ -1,4 +1,4 @@
-"""What a broken bus does to the robot. Truth: what the stand-in was told and when, limits of the settings."""
+"""What a broken bus does to the robot. Truth: what the stand-in was reported and when, limits of the settings."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def test_nothing_is_sent_before_a_state_and_a_goal(pair: Callable[..., Any]) -> 
     p = pair()
     assert p.control.state == "waiting: no time on /clock yet"
     p.go()
-    assert wait_until(lambda: p.control.step() or "no time on /clock" in p.control.inbox.refused)
+    assert wait_until(lambda: p.control.step() or "no time on /clock" in p.control.request_queue.rejected)
     p.standin.change = lambda message: None
     assert p.until(lambda: "no joint states" in p.control.state)
     p.go()
-    says = "a goal is refused: waiting: no joint states on /joint_states yet"
-    assert wait_until(lambda: p.control.step() or says in p.control.inbox.refused)
+    says = "a goal is rejected: waiting: no joint states on /joint_states yet"
+    assert wait_until(lambda: p.control.step() or says in p.control.request_queue.rejected)
     p.standin.change = lambda message: message
     p.ready()
     p.run(0.5)
@@ -53,7 +53,7 @@ def test_joint_states_that_are_not_the_robots(pair: Callable[..., Any], change: 
     p.standin.change = change
     assert p.until(lambda: says in p.control.state), p.control.state
     p.go()
-    assert p.until(lambda: says in p.control.inbox.refused)
+    assert p.until(lambda: says in p.control.request_queue.rejected)
     assert p.control.runner is None
     p.standin.change = lambda message: message
     p.ready()
@@ -71,7 +71,7 @@ def test_joints_are_matched_by_name_and_mapped(pair: Callable[..., Any]) -> None
 
     p.standin.change = change
     p.ready()
-    x = p.control.pilot.snapshot()[1]
+    x = p.control.adapter.snapshot()[1]
     np.testing.assert_array_equal(x, ROBOT.home)
 
 
@@ -131,11 +131,11 @@ def test_another_controller_stops_ours(pair: Callable[..., Any], caplog: pytest.
     p.standin.node.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
     check_stopped(p, "somebody else publishes on /arm_controller/commands", caplog)
     p.go(0.0)
-    assert p.until(lambda: "a goal is refused: waiting: somebody else publishes" in p.control.inbox.refused)
+    assert p.until(lambda: "a goal is rejected: waiting: somebody else publishes" in p.control.request_queue.rejected)
 
 
 def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
-    """A simulator that was killed: who asks is told, and what still listens is ramped down though no time passes."""
+    """A simulator that was killed: who asks is reported, and what still listens is ramped down though no time passes."""
     p = pair(safety={"clock": 2.0})
     drive(p)
     assert wait_until(lambda: p.control.step() or p.control.runner.stopped)
@@ -170,7 +170,7 @@ def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogC
     p.run(0.2)
     p.standin.answers = 5.0
     p.go(2.0)
-    assert p.until(lambda: "running" in p.control.state), (p.control.state, p.control.inbox.refused)
+    assert p.until(lambda: "running" in p.control.state), (p.control.state, p.control.request_queue.rejected)
 
 
 @pytest.mark.parametrize(
@@ -189,23 +189,23 @@ def test_an_inertial_unit_that_stops_or_says_nonsense(
 
     p.standin.change = change
     drive(p)
-    assert p.control.body.has_imu
+    assert p.control.robot_io.has_imu
     rate[0] = broken  # type: ignore[call-overload]
     p.run(0.15)
     check_stopped(p, says, caplog)
 
 
-def test_an_order_to_the_legs_at_the_moment_of_a_stop_starts_nothing(pair: Callable[..., Any]) -> None:
-    """One that waited when the robot stopped is refused; and looking after the legs at that moment starts nobody. Later ones do."""
+def test_an_command_to_the_legs_at_the_moment_of_a_stop_starts_nothing(pair: Callable[..., Any]) -> None:
+    """One that waited when the robot stopped is rejected; and looking after the legs at that moment starts nobody. Later ones do."""
     p = pair()
     drive(p)
     runner, legs = p.control.runner, p.control.legs
     p.standin.change = lambda m: {**m, "position": m["position"] * np.nan}
     assert wait_until(lambda: p.standin.tick(wait=False) or runner.stopped)  # the node has not looked yet
-    p.control._order(legs, p.control.pilot.snapshot()[1])
+    p.control._order(legs, p.control.adapter.snapshot()[1])
     legs._put(np.array([0.7, np.nan, np.nan, np.nan]), np.full(4, np.nan))
     p.standin.change = lambda m: m
-    assert p.until(lambda: "the robot has stopped meanwhile" in legs.refused)
+    assert p.until(lambda: "the robot has stopped meanwhile" in legs.rejected)
     assert p.until(lambda: p.standin.speed == 0.0)
     assert p.control.runner is runner
     legs._put(np.array([0.7, np.nan, np.nan, np.nan]), np.full(4, np.nan))
@@ -271,7 +271,7 @@ def test_a_new_goal_waits_for_the_end_of_the_ramp(pair: Callable[..., Any]) -> N
     p.standin.change = lambda m: next(broken, lambda same: same)(m)
     runner = p.control.runner
     assert p.until(lambda: runner.stopped)
-    began = p.control.body._stopping  # by the same clock
+    began = p.control.robot_io._stopping  # by the same clock
     p.control.step()
     p.go(3.0)
     assert p.until(lambda: p.control.runner is not runner, 20.0)

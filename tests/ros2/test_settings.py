@@ -1,4 +1,4 @@
-"""The bus's YAML. Truth: what the files say; sentences that name file, key and valid choices."""
+"""The bus's YAML. Truth: what the files say; messages that name file, key and valid choices."""
 
 from __future__ import annotations
 
@@ -71,7 +71,10 @@ controllers:
             "topics: {joint_states: /clock}",
             "key 'topics.joint_states': '/clock' always carries rosgraph_msgs/msg/Clock",
         ),
-        ("topics: {hand_pose: tf_static}", "key 'topics.hand_pose': 'tf_static' always carries tf2_msgs/msg/TFMessage"),
+        (
+            "topics: {end_effector_pose: tf_static}",
+            "key 'topics.end_effector_pose': 'tf_static' always carries tf2_msgs/msg/TFMessage",
+        ),
         ("topics: {odom: /robot_description}", "'/robot_description' always carries std_msgs/msg/String"),
         ("topics: {plan: /rosout}", "key 'topics.plan': '/rosout' always carries"),
         ("ignore: [gripper, wheel_LF]", "key 'ignore': 'wheel_LF' is a joint of this robot, which is needed"),
@@ -101,18 +104,18 @@ controllers:
         ("controllers: {w: {topic: /4/w, joints: [wheel_LF]}}", "controllers.w.topic='/4/w': a topic's name is"),
     ],
 )
-def test_faults_are_one_sentence_with_the_file(tmp_path: Path, text: str, says: str) -> None:
+def test_faults_are_one_message_with_the_file(tmp_path: Path, text: str, says: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(InputError, match=f"{re.escape(str(path))}: .*{re.escape(says)}"):
         load_settings(path, ROBOT)
 
 
 def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt(tmp_path: Path) -> None:
-    path, ball = write(tmp_path, "{observer: false, pushed_speed: 1}"), load_robot("rezero")
-    with pytest.raises(InputError, match="pushed_speed: with observer=false nothing uses it"):
+    path, ball = write(tmp_path, "{estimate_disturbance: false, max_pushed_speed: 1}"), load_robot("rezero")
+    with pytest.raises(InputError, match="max_pushed_speed: with estimate_disturbance=false nothing uses it"):
         load_settings(path, ball)
-    settings = load_settings(write(tmp_path, "{observer: true, pushed_speed: 1}"), ball)
-    assert settings.pushed_speed == 1.0  # type: ignore[attr-defined]
+    settings = load_settings(write(tmp_path, "{estimate_disturbance: true, max_pushed_speed: 1}"), ball)
+    assert settings.max_pushed_speed == 1.0  # type: ignore[attr-defined]
 
 
 def test_a_file_without_a_key_is_the_defaults(tmp_path: Path) -> None:
@@ -157,7 +160,7 @@ def test_the_documentations_controllers_are_the_robots() -> None:
     assert len(sensor.findall("state_interface")) == 10  # orientation, angular velocity, linear acceleration
 
 
-def test_commands_refuse_other_robots_and_missing_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_reject_other_robots_and_missing_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A robot that stands on a fixed base: one link, one hinge."""
     (tmp_path / "r.xml").write_text(
         '<mujoco><worldbody><body name="base"><geom size="0.1"/><body name="tip" pos="0 0 1"><joint name="turn" range="-1 1"/>'
@@ -182,7 +185,7 @@ def test_commands_refuse_other_robots_and_missing_files(tmp_path: Path, capsys: 
 
 def test_a_ball_robots_settings_are_its_own(tmp_path: Path) -> None:
     ball = load_robot("rezero")
-    settings = load_settings(write(tmp_path, "joints: {wheel_0: omni_front}\ncost: {hand: {roll: 1.0}}"), ball)
+    settings = load_settings(write(tmp_path, "joints: {wheel_0: omni_front}\ncost: {end_effector: {roll: 1.0}}"), ball)
     assert settings.mpc.horizon == 1.3 and settings.bus_name("wheel_0") == "omni_front"
     assert set(settings.command_topics(ball)) == {"wheel_controller", "arm_controller"}
     with pytest.raises(InputError, match=r"unknown key 'cost.state'"):

@@ -33,7 +33,7 @@ def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_mo
     pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two machines' clocks may differ by hours; a driver that hangs repeats itself. The wall's clock is the test's."""
-    body, t, now = pair(use_sim_time=False).control.body, types("jazzy"), [7.0]
+    body, t, now = pair(use_sim_time=False).control.robot_io, types("jazzy"), [7.0]
     monkeypatch.setattr("wbmpc.ros2.robot.time", SimpleNamespace(perf_counter=lambda: now[0]))
     names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
     kind = "sensor_msgs/msg/JointState"
@@ -42,17 +42,17 @@ def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_mo
     for at in (5.0, 5.1):
         now[0] += 0.1
         body._take_joints(message(at))
-        assert body.age() == 0.0 and body.waits_for() == ""
+        assert body.age() == 0.0 and body.waiting_reason() == ""
     for _ in range(5):
         now[0] += 0.032
         body._take_joints(message(5.1))
-    assert body.age() == pytest.approx(0.16) and "have stopped for more than 0.1 s" in body.waits_for()
+    assert body.age() == pytest.approx(0.16) and "have stopped for more than 0.1 s" in body.waiting_reason()
 
 
 def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callable[..., Any]) -> None:
     """Means by hand: what is stamped up to the joint states counts for these, what is later for the next ones; stamps of
     another clock say nothing, so all that came counts."""
-    body, t = pair(use_sim_time=False).control.body, types("jazzy")
+    body, t = pair(use_sim_time=False).control.robot_io, types("jazzy")
     names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
 
     def joints(at: float) -> None:
@@ -80,7 +80,7 @@ def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callab
     assert read() == 4.0
     for at, rate in ((200.0, 7.0), (1.0, 2.0), (1.001, 4.0)):  # the simulator was started anew
         imu(at, rate)
-    joints(1.0)  # its time went back: refused once
+    joints(1.0)  # its time went back: rejected once
     joints(1.001)
     assert read() == 3.0
 
@@ -114,12 +114,12 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
             clock.publish({"clock": {"sec": 1 + at // 10**9, "nanosec": at % 10**9}})
             stamp = 1.0 + 1e-9 * at
             arrived = lambda s=stamp: (  # type: ignore[misc]
-                p.control.body._joints is not None and abs(p.control.body._joints[0].stamp - s) < 1e-6
+                p.control.robot_io._joints is not None and abs(p.control.robot_io._joints[0].stamp - s) < 1e-6
                 and abs(p.control.clock.stamp() - s) < 1e-6
             )  # fmt: skip
             assert wait_until(arrived)
             p.control.step()
-    pose = p.control.pilot.snapshot()[1][:3]
+    pose = p.control.adapter.snapshot()[1][:3]
     np.testing.assert_allclose(pose, [2 * np.pi * 0.1, 0.0, 0.0], atol=1e-9)
     assert p.control.state == "waiting for a goal" and set(p.standin.counts.values()) == {0}
 

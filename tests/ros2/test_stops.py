@@ -47,7 +47,7 @@ class Turned:
     def turn(self) -> None:
         """Until the base turns at 0.6 rad/s."""
         p, self.other = self.p, False
-        assert p.until(lambda: self._speeds._writer.get_matched_subscriptions() and not p.control._rival)
+        assert p.until(lambda: self._speeds._writer.get_matched_subscriptions() and not p.control._other_publisher)
         self._speeds.publish({})
         p.run(0.3)
 
@@ -55,7 +55,7 @@ class Turned:
             self._speeds.publish({"angular": {"z": 0.6}})
             return bool(self.truth.increment[2] > 0.55 * PERIOD)
 
-        assert p.until(turns), (p.control.state, p.control.inbox.refused)
+        assert p.until(turns), (p.control.state, p.control.request_queue.rejected)
 
     def stopped(self, seconds: float) -> None:
         """The controller stops, and another one turns the base for some time."""
@@ -78,10 +78,10 @@ class Turned:
     def error(self) -> np.ndarray:
         """Of the odometry: x, y, yaw."""
         p = self.p
-        state = lambda: p.control.pilot.snapshot()[1][ROBOT.state["wheel"]]
+        state = lambda: p.control.adapter.snapshot()[1][ROBOT.state["wheel"]]
         now = lambda: np.abs(state() - p.standin.joints["wheel"]).max() < 1e-6
         assert wait_until(lambda: p.run(PERIOD) or now(), 20.0), p.control.state
-        return np.abs(p.control.pilot.agent.estimator.odometry.pose - self.truth.pose)
+        return np.abs(p.control.adapter.controller.estimator.odometry.pose - self.truth.pose)
 
 
 def second_publisher(t: Turned) -> Callable[[], None]:

@@ -152,7 +152,7 @@ def test_inputs_without_any_term_are_named() -> None:
 
 
 def test_a_first_solve_of_an_mpc_that_fails_says_why() -> None:
-    for terms, x0, sentence in (
+    for terms, x0, message in (
         ((UP, DOWN), START, r"cannot all be met.*\(largest violation: (up|down)"),
         (
             (Cost("root", Rows(1, lambda s: ca.sqrt(s.x[0] - 1.5)), 1.0),),
@@ -160,11 +160,11 @@ def test_a_first_solve_of_an_mpc_that_fails_says_why() -> None:
             r"not finite \(term 'root' at node 0\)",
         ),
     ):
-        with pytest.raises(RunAborted, match=f"the first solve failed: .*{sentence}"):
+        with pytest.raises(RunAborted, match=f"the first solve failed: .*{message}"):
             MPC(cart(*terms)).update(Observation(0.0, x0))
 
 
-def test_a_guess_beyond_all_numbers_is_told_and_the_next_one_solves() -> None:
+def test_a_guess_beyond_all_numbers_is_reported_and_the_next_one_solves() -> None:
     solver = Solver(cart(), SQP())
     solver.warm_start(np.full((21, 2), 1e300))
     assert solver.solve(START).status is Status.NOT_FINITE

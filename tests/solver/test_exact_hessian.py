@@ -7,6 +7,7 @@ import ipopt
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import Rows, ToyDynamics, hardened_pendulum, pendulum, rezero_solver, robot
 from wbmpc.errors import InputError
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
@@ -116,6 +117,7 @@ def test_convergence_is_quadratic_where_gauss_newtons_is_linear() -> None:
     assert slow[2] > 1e-2 * slow[1]
 
 
+@thorough
 @pytest.mark.parametrize("algorithm", [SQP, ILQR])
 def test_robot_and_hard_rows(algorithm: type[SQP]) -> None:
     a, b = (hardened_pendulum(algorithm(iterations=300, hessian=h)).solve(START) for h in ("gauss_newton", "exact"))
@@ -148,7 +150,7 @@ def double_well() -> OptimalControlProblem:
     return ocp
 
 
-def test_a_saddle_is_told() -> None:
+def test_a_saddle_is_reported() -> None:
     """Truth: the cost of a motion into a well, which is lower."""
     solver = Solver(double_well(), SQP(hessian="exact"))
     solver.warm_start(np.zeros(1))

@@ -87,7 +87,7 @@ def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what:
         "advance": lambda: mpc.advance(wb.Observation(0.0, lq.x0)),
         "reset": lambda: mpc.reset(lq.x0),
     }
-    refused: list[SolverBusy] = []
+    rejected: list[SolverBusy] = []
 
     def from_another_thread(t: float, x0: np.ndarray, trajectory: Trajectory) -> None:
         mpc.solver.warm_start(x0)  # its own thread may
@@ -95,14 +95,14 @@ def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what:
         def enter() -> None:
             with pytest.raises(SolverBusy) as caught:
                 ways[what]()
-            refused.append(caught.value)
+            rejected.append(caught.value)
 
         together(enter)
 
     mpc.guess = from_another_thread
     mpc.reset(lq.x0)
     policy = mpc.update(wb.Observation(0.0, lq.x0))
-    assert len(refused) == 1 and np.isfinite(policy.u).all()
+    assert len(rejected) == 1 and np.isfinite(policy.u).all()
     mpc.guess = None
     together(lambda: ways[what]() is None)  # free again, for any thread
 
@@ -123,12 +123,12 @@ def test_nobody_changes_the_data_of_another_threads_solve() -> None:
     }
     for what, way in ways.items():
 
-        def refused(way: Callable[[], object] = way) -> None:
+        def rejected(way: Callable[[], object] = way) -> None:
             with pytest.raises(SolverBusy, match="in use by another thread"):
                 way()
 
         with solver.exclusive:
-            together(refused)
+            together(rejected)
             way()  # its own thread may
         together(way)
         assert solver.solve(problem.x0).status is not Status.NOT_FINITE, what

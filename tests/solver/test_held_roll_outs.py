@@ -94,7 +94,7 @@ def test_same_plans_as_the_twin(algorithm: type[SQP]) -> None:
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-def test_limits_that_contradict_each_other_are_told(backend: str) -> None:
+def test_limits_that_contradict_each_other_are_reported(backend: str) -> None:
     found = Solver(swing_up(motor(), at_least("more", lambda s: s.u[0] - 5.0)), ILQR.real_time(backend=backend)).solve(
         np.zeros(2)
     )

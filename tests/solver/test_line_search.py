@@ -1,6 +1,6 @@
 """Line searches on problems of one number, made so that a search that accepts too much never arrives. Truth: by hand.
 
-Newton's steps of these problems overshoot, cycle, or creep; each says in its docstring what the search must refuse.
+Newton's steps of these problems overshoot, cycle, or creep; each says in its docstring what the search must reject.
 """
 
 from __future__ import annotations

@@ -405,7 +405,7 @@ def test_a_contradiction_of_a_later_mode_names_its_node(algorithm: str) -> None:
 
 
 @pytest.mark.parametrize("integrator", ["rk2", "rk4"])
-def test_an_interval_too_long_for_the_dynamics_is_told(integrator: str) -> None:
+def test_an_interval_too_long_for_the_dynamics_is_reported(integrator: str) -> None:
     """ẏ = 60 (u − y) at 0.05 s: z = −3 grows 2.5 times (midpoint rule) and 1.375 times (classic rule) a step."""
     fast = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(-60 * x[0] + 60 * u[0], -x[1]))
     ocp = OptimalControlProblem(fast, 1.0, 20, integrator=integrator)  # type: ignore[arg-type]
@@ -440,6 +440,6 @@ def test_what_decays_slowly_or_grows_by_itself_is_not_blamed(stable: float) -> N
     ],
     ids=["box", "reference", "slq", "no input"],
 )
-def test_what_cannot_be_meant_is_refused(make: Callable[[], object], message: str) -> None:
+def test_what_cannot_be_meant_is_rejected(make: Callable[[], object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         make()

@@ -129,7 +129,7 @@ def test_a_plan_that_starts_outside_goes_to_the_nearest_inputs() -> None:
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-def test_inputs_that_no_plan_can_hold_are_told_by_name(backend: str) -> None:
+def test_inputs_that_no_plan_can_hold_are_reported_by_name(backend: str) -> None:
     """Two discs that do not meet."""
     ocp = masses(1, 0.1)
     ocp.add(hard("right", lambda s: 1.0 - (s.u[0] - 3.0) ** 2))

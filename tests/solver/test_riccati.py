@@ -12,6 +12,7 @@ from scipy import sparse
 from scipy.linalg import solve_discrete_are
 from scipy.sparse.linalg import spsolve
 
+from effort import draws, some
 from toys import LinearQuadratic
 from wbmpc.solver import SQP, Solver
 
@@ -49,7 +50,7 @@ def check_against_kkt(lq: LinearQuadratic, step: Step, tolerance: float = 1e-7) 
 
 
 # the same examples every time: how exact the softness lets it be depends on the numbers drawn
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=draws(12, 25), deadline=None, derandomize=True)
 @given(st.integers(1, 9), st.integers(1, 9), st.data())
 def test_against_dense_kkt(nx: int, nu: int, data: st.DataObject) -> None:
     ng = data.draw(st.integers(0, min(nu, 8)))
@@ -80,7 +81,7 @@ def sparse_kkt(lq: LinearQuadratic) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack([nodes[:, :nx], z[n * nz : n * nz + nx]]), nodes[:, nx:]
 
 
-@settings(max_examples=9, deadline=None, derandomize=True)
+@settings(max_examples=draws(5, 9), deadline=None, derandomize=True)
 @given(st.sampled_from([1, 2, 400]), st.integers(1, 5), st.integers(1, 5), st.data())
 def test_short_and_long_horizons(n: int, nx: int, nu: int, data: st.DataObject) -> None:
     """No constraints, and more rows than needed: each up to three times, together more than there are inputs."""
@@ -99,7 +100,8 @@ def test_short_and_long_horizons(n: int, nx: int, nu: int, data: st.DataObject) 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 @pytest.mark.parametrize(
-    ("nx", "nu", "ng"), [(3, 2, 0), (3, 2, 1), (7, 8, 5), (8, 7, 7), (15, 9, 8), (17, 9, 9), (9, 16, 9)]
+    ("nx", "nu", "ng"),
+    some([(3, 2, 0), (3, 2, 1), (7, 8, 5), (8, 7, 7), (15, 9, 8), (17, 9, 9), (9, 16, 9)], range(5)),
 )
 def test_sizes_around_the_vector_length(backend: str, nx: int, nu: int, ng: int) -> None:
     lq = LinearQuadratic(nx, nu, ng, n=3, seed=4)

@@ -32,7 +32,7 @@ def planes(seed: int) -> tuple[OptimalControlProblem, np.ndarray]:
 
 def test_plans_that_are_used_are_within_rows_that_jump() -> None:
     """Every solve finds the planes elsewhere, and the state knocked."""
-    refused, solves = 0, 0
+    rejected, solves = 0, 0
     for seed in range(8):
         ocp, slopes = planes(seed)
         mpc, r = MPC(ocp, rate=20.0), np.random.default_rng(100 + seed)
@@ -44,14 +44,14 @@ def test_plans_that_are_used_are_within_rows_that_jump() -> None:
             usable, solves = mpc.advance(Observation(0.05 * k, r.normal(size=4))), solves + 1
             outside = (mpc.solver.ws.u @ slopes.T - bound).max()
             assert outside <= SHARE or not usable, (seed, k, outside)
-            refused += not usable
+            rejected += not usable
             if not usable:
                 mpc.reset(np.zeros(4))
-    assert refused < 0.1 * solves
+    assert rejected < 0.1 * solves
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-def test_rows_that_no_input_meets_are_told_by_name(backend: str) -> None:
+def test_rows_that_no_input_meets_are_reported_by_name(backend: str) -> None:
     """u0 + u1 ≥ 1 and u0 + u1 ≤ 0.4."""
     ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 1.0, 6)
     ocp.add(Cost("all", Rows(4, lambda s: ca.vertcat(s.x, s.u)), 1.0))

@@ -181,7 +181,7 @@ def test_events_in_the_last_interval_get_nodes_too() -> None:
     assert np.all(np.diff(grid) > 1e-3)
 
 
-def test_more_events_than_nodes_are_refused() -> None:
+def test_more_events_than_nodes_are_rejected() -> None:
     solver = ball(n=3)
     solver.set_schedule(ModeSchedule((DOWN, UP, DOWN, UP), (0.2, 0.4, 0.6)))
     with pytest.raises(InputError, match="3 events within the horizon, but 2 inner nodes"):
@@ -189,7 +189,7 @@ def test_more_events_than_nodes_are_refused() -> None:
 
 
 def test_events_of_a_state_that_jumps_need_intervals_of_their_own() -> None:
-    """An interval of a fixed grid applies one jump: two events within it are refused, counted in flight, and named."""
+    """An interval of a fixed grid applies one jump: two events within it are rejected, counted in flight, and named."""
     solver = ball(False)
     close = ModeSchedule((DOWN, UP, DOWN, UP), (0.31, 0.32, 0.55))
     solver.set_schedule(close)
@@ -208,4 +208,4 @@ def test_events_of_a_state_that_jumps_need_intervals_of_their_own() -> None:
         mpc.set_schedule(close)
     mpc.solver.set_schedule(close)
     mpc.update(Observation(0.0, np.array([1.0, 0.0])))
-    assert mpc.figures["events_without_node"] == 1
+    assert mpc.solve_info["events_without_node"] == 1

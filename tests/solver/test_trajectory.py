@@ -12,8 +12,8 @@ from toys import pendulum
 from wbmpc.solver import Solver
 
 ROOT = Path(__file__).parents[2]
-#: A test that needs what solves leave in the solver's state, which has no public name; a benchmark of single functions of the driver.
-LEFT = {"tests/mpc/test_realtime.py", "benchmarks/translator_vs_numba.py"}
+#: A benchmark of single functions of the driver.
+LEFT = {"benchmarks/translator_vs_numba.py"}
 
 
 def solved() -> Solver:

@@ -38,8 +38,12 @@ def test_a_lookup_table_is_interpreted_and_said_once(where: str, caplog: pytest.
     solver._tell.cache_clear()  # another test may have had the same problem
     with caplog.at_level(logging.WARNING, "wbmpc"):
         found = [Solver(cart(**given)).solve(START) for _ in range(2)][-1]  # type: ignore[arg-type]
-    told = [r.getMessage() for r in caplog.records]
-    assert len(told) == 1 and told[0].startswith(f"{where}: the SX operation OP_CALL") and "interpreter" in told[0]
+    reported = [r.getMessage() for r in caplog.records]
+    assert (
+        len(reported) == 1
+        and reported[0].startswith(f"{where}: the SX operation OP_CALL")
+        and "interpreter" in reported[0]
+    )
     want = Solver(cart()).solve(START)
     assert found.status is want.status is Status.CONVERGED
     np.testing.assert_allclose(found.x, want.x, atol=1e-7)
@@ -61,7 +65,7 @@ def test_an_mpc_runs_on_the_twin() -> None:
         (SQP(), {"align_events": True}, "grid that follows events"),
     ],
 )
-def test_what_the_twin_lacks_is_refused(settings: SQP, grid: dict[str, bool], missing: str) -> None:
+def test_what_the_twin_lacks_is_rejected(settings: SQP, grid: dict[str, bool], missing: str) -> None:
     with pytest.raises(
         UnsupportedOperation, match=f"^the dynamics: .*OP_CALL.*, and the interpreted twin has no {missing}$"
     ):

@@ -1,4 +1,4 @@
-"""`wbmpc stability`: what it prints, draws and refuses. Truth: Table I of Pankert et al. 2022, statics of a push."""
+"""`wbmpc stability`: what it prints, draws and rejects. Truth: Table I of Pankert et al. 2022, statics of a push."""
 
 from __future__ import annotations
 
@@ -17,39 +17,39 @@ from wbmpc.stability import assess, slope_gravity
 SWERVE = robot("swerve-ur10")
 
 
-def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
+def reported(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
     assert main(["stability", *arguments, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
 def test_json_has_the_papers_areas(capsys: pytest.CaptureFixture[str]) -> None:
     for name, areas in {"H": (1.16, 0.29), "X": (1.81, 0.45), "a": (1.17, 0.76)}.items():
-        data = told(capsys, "swerve-ur10", "--configuration", name)
+        data = reported(capsys, "swerve-ur10", "--configuration", name)
         assert (round(data["support_polygon_area"], 2), round(data["double_support_area"], 2)) == areas
         assert data["stays_upright"] and len(data["triangle_margins"]) == 4 and len(data["regions"]) == 4
         assert data["zero_moment_point"] == pytest.approx(data["centre_of_mass"][:2])
 
 
 def test_a_push_and_a_slope_move_the_zero_moment_point_by_their_moments(capsys: pytest.CaptureFixture[str]) -> None:
-    rest = told(capsys, "swerve-ur10")
-    pushed = told(capsys, "swerve-ur10", "--wrench", "50,0,0")
+    rest = reported(capsys, "swerve-ur10")
+    pushed = reported(capsys, "swerve-ur10", "--wrench", "50,0,0")
     moved = pushed["zero_moment_point"][0] - rest["zero_moment_point"][0]
     assert moved == pytest.approx(50.0 * 0.80 / (9.81 * rest["mass"]), rel=0.01)  # the hand is 0.80 m high
-    sloped = told(capsys, "swerve-ur10", "--slope", "0.1")
+    sloped = reported(capsys, "swerve-ur10", "--slope", "0.1")
     moved = sloped["zero_moment_point"][0] - rest["zero_moment_point"][0]
     assert moved == pytest.approx(-0.10033 * rest["centre_of_mass"][2], rel=1e-3)  # tan 0.1, downhill
-    assert not told(capsys, "swerve-ur10", "--wrench", "0,2000,0")["stays_upright"]
-    assert told(capsys, "swerve-ur10", "--wrench", "0,0,2000")["zero_moment_point"] is None
+    assert not reported(capsys, "swerve-ur10", "--wrench", "0,2000,0")["stays_upright"]
+    assert reported(capsys, "swerve-ur10", "--wrench", "0,0,2000")["zero_moment_point"] is None
 
 
 def test_how_rough_the_ground_has_to_be(capsys: pytest.CaptureFixture[str]) -> None:
     """On a slope its tangent; a push at the hand also turns the robot. It may slide and not tip over."""
-    steep = assess(SWERVE, "X", gravity=slope_gravity(0.9)).figures()
+    steep = assess(SWERVE, "X", gravity=slope_gravity(0.9)).summary()
     assert steep["stays_upright"] and steep["friction_needed"] == pytest.approx(math.tan(0.9))
-    pushed = assess(SWERVE, "X", wrench=(400.0, 0.0, 0.0, 0.0, 0.0, 0.0)).figures()
+    pushed = assess(SWERVE, "X", wrench=(400.0, 0.0, 0.0, 0.0, 0.0, 0.0)).summary()
     assert pushed["friction_needed"] > 1.2 * 400.0 / (9.81 * pushed["mass"])
     for none in ((0.0, 0.0, 2000.0), (0.0, 2000.0, 0.0)):
-        assert assess(SWERVE, wrench=(*none, 0.0, 0.0, 0.0)).figures()["friction_needed"] is None
+        assert assess(SWERVE, wrench=(*none, 0.0, 0.0, 0.0)).summary()["friction_needed"] is None
     assert main(["stability", "swerve-ur10", "--slope", "0.9"]) == 0
     assert "friction needed not to slide 1.26" in capsys.readouterr().out
     assert main(["stability", "swerve-ur10", "--wrench", "0,2000,0"]) == 0
@@ -84,7 +84,7 @@ def test_text_and_drawing(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
         (["swerve-fixed-ur10", "--configuration", "H"], "fixed"),
     ],
 )
-def test_bad_input_is_one_sentence(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_message(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stability", *arguments]) == 2
     err = capsys.readouterr().err
     assert words in err and err.count("\n") == 1

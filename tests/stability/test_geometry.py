@@ -132,6 +132,6 @@ def test_two_feet_in_one_place_count_once() -> None:
 @pytest.mark.parametrize(
     "feet", [[[0, 0], [1, 1]], [[0, 0], [1, 1], [2, 2]], [[0, 0], [1, 0], [np.nan, 1]], [0.0, 1.0, 2.0]]
 )
-def test_feet_without_a_polygon_are_refused(feet: list) -> None:
+def test_feet_without_a_polygon_are_rejected(feet: list) -> None:
     with pytest.raises(InputError, match="feet"):
         stability.support_polygon(feet)

@@ -172,13 +172,13 @@ def _normal_forces(m: mujoco.MjModel, d: mujoco.MjData) -> np.ndarray:
         ([], np.zeros((0, 2)), "times"),
     ],
 )
-def test_senseless_motions_are_refused(times: list, points: list, words: str) -> None:
+def test_senseless_motions_are_rejected(times: list, points: list, words: str) -> None:
     with pytest.raises(InputError, match=words):
         stability.crossings(times, points, [[1, 1], [1, -1], [-1, 1], [-1, -1]])
 
 
 @pytest.mark.parametrize("slope", [np.nan, 1.6, -2.0, np.inf])
-def test_slopes_on_which_nothing_stands_are_refused(slope: float) -> None:
+def test_slopes_on_which_nothing_stands_are_rejected(slope: float) -> None:
     with pytest.raises(InputError, match=r"slope: less than 1\.57 rad"):
         stability.slope_gravity(slope)
 
@@ -192,7 +192,7 @@ def test_slopes_on_which_nothing_stands_are_refused(slope: float) -> None:
         ([[0.1, 0.0]] * 3, [9.0], "forces"),
     ],
 )
-def test_stances_that_make_no_sense_are_refused(points: list, forces: list, words: str) -> None:
+def test_stances_that_make_no_sense_are_rejected(points: list, forces: list, words: str) -> None:
     stance = lambda up, face: (SQUARE, np.array(points), np.array(forces))
     with pytest.raises(InputError, match=words):
         stability.support_switches([0.0, 1.0, 2.0], SQUARE, [0.01, 0.0, 0.0, 0.0], stance)

@@ -26,13 +26,13 @@ BALL = [n for n in REGISTRY if n.startswith("rezero-")]
     ("name", "given"),
     [
         ("rezero-door", "controller=lqr"), ("rezero-door", "tracking.kind=actuators"),
-        ("rezero-door", "pushed_speed=1"),
-        ("rezero-frequency", "controller=separate"), ("rezero-frequency", "drive_dead_time=0.02"),
-        ("rezero-frequency", "brace=0.1"), ("rezero-door", "brace=0.1"),
-        ("rezero-taskspace", "controller=lqr"), ("rezero-taskspace", "brace=0.1"), ("rezero-steps", "cost.torque.force=2"),
+        ("rezero-door", "max_pushed_speed=1"),
+        ("rezero-frequency", "controller=separate"), ("rezero-frequency", "actuator_dead_time=0.02"),
+        ("rezero-frequency", "expected_push_time=0.1"), ("rezero-door", "expected_push_time=0.1"),
+        ("rezero-taskspace", "controller=lqr"), ("rezero-taskspace", "expected_push_time=0.1"), ("rezero-steps", "cost.torque.force=2"),
     ],
 )  # fmt: skip
-def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> None:
+def test_what_an_experiment_does_not_use_is_rejected(name: str, given: str) -> None:
     with pytest.raises(
         InputError, match=rf"{name}: --set {given.split('=')[0].removesuffix('.kind')}: this experiment does not use it"
     ):
@@ -42,27 +42,27 @@ def test_what_an_experiment_does_not_use_is_refused(name: str, given: str) -> No
 @pytest.mark.parametrize(
     ("given", "name"),
     [
-        ("controller=lqr brace=0.5", "brace"),
-        ("controller=lqr pushed_speed=1", "pushed_speed"),
-        ("controller=lqr weigh=false", "weigh"),
+        ("controller=lqr expected_push_time=0.5", "expected_push_time"),
+        ("controller=lqr max_pushed_speed=1", "max_pushed_speed"),
+        ("controller=lqr estimate_payload=false", "estimate_payload"),
         ("controller=lqr tracking.kind=actuators", "tracking.kind"),
-        ("controller=lqr rival.scheduled_lqr.torque=3", "rival.scheduled_lqr"),
-        ("controller=separate drive_dead_time=0.005", "drive_dead_time"),
-        ("tracking.kind=actuators drive_dead_time=0.005", "drive_dead_time"),
+        ("controller=lqr baseline.scheduled_lqr.torque=3", "baseline.scheduled_lqr"),
+        ("controller=separate actuator_dead_time=0.005", "actuator_dead_time"),
+        ("tracking.kind=actuators actuator_dead_time=0.005", "actuator_dead_time"),
         ("tracking.gains.wheel_damping=0.1", "tracking.gains"),
-        ("rival.lqr.torque=3", "rival.lqr"),
+        ("baseline.lqr.torque=3", "baseline.lqr"),
         ("controller=lqr mpc.horizon=2", "mpc.horizon"),
         ("controller=scheduled-lqr mpc.limits=soft", "mpc.limits"),
         ("controller=taskspace mpc.iterations=2", "mpc.iterations"),
-        ("controller=taskspace cost.hand.weight=10", "cost.hand.weight"),
+        ("controller=taskspace cost.end_effector.weight=10", "cost.end_effector.weight"),
         ("controller=separate cost.body.ball=5", "cost.body.ball"),
-        ("controller=separate-aware cost.hand.twist=5", "cost.hand.twist"),
+        ("controller=separate-aware cost.end_effector.twist=5", "cost.end_effector.twist"),
         ("controller=separate mpc.first_interval=0.01", "mpc.first_interval"),
-        ("controller=separate observer=false", "observer"),
+        ("controller=separate estimate_disturbance=false", "estimate_disturbance"),
     ],
 )
-def test_what_the_controller_does_not_use_is_refused(given: str, name: str) -> None:
-    """What :func:`make_controller` does not hand to the agent that is named."""
+def test_what_the_controller_does_not_use_is_rejected(given: str, name: str) -> None:
+    """What :func:`make_controller` does not hand to the controller that is named."""
     with pytest.raises(InputError, match=rf"rezero-push-hand: --set {name}: with controller=.* nothing uses it"):
         configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
 
@@ -75,18 +75,28 @@ def test_what_the_controller_does_not_use_is_refused(given: str, name: str) -> N
         ("rezero-steps", "plant.position_noise=0.1", "plant.position_noise", "estimator=filter"),
         ("rezero-frequency", "plant.rate_noise=0.1", "plant.rate_noise", "estimator=filter"),
         ("rezero-steps", "mpc.limits=soft cost.speed_slack=3", "cost.speed_slack", "mpc.limits=soft"),
-        ("rezero-steps", "observer=false weigh=false", "weigh", "observer=false"),
-        ("rezero-door", "observer=false weigh=false", "weigh", "observer=false"),
+        (
+            "rezero-steps",
+            "estimate_disturbance=false estimate_payload=false",
+            "estimate_payload",
+            "estimate_disturbance=false",
+        ),
+        (
+            "rezero-door",
+            "estimate_disturbance=false estimate_payload=false",
+            "estimate_payload",
+            "estimate_disturbance=false",
+        ),
         ("rezero-door", "scheme.row=false scheme.door_rate=0.1", "scheme.door_rate", "scheme.row=false"),
         ("rezero-door", "scheme.row=false scheme.baumgarte=3", "scheme.baumgarte", "scheme.row=false"),
         ("rezero-door", "scheme.cone=false scheme.friction=0.9", "scheme.friction", "scheme.cone=false"),
         ("rezero-door", "scheme.cone=false scheme.least=2", "scheme.least", "scheme.cone=false"),
-        ("rezero-door", "cost.lean=0 hold=0.9", "hold", "cost.lean=0"),
+        ("rezero-door", "cost.lean=0 lean_share=0.9", "lean_share", "cost.lean=0"),
         ("rezero-frequency", "variants=['plain'] filters.arm_zero=30", "filters.arm_zero", r"variants=\[plain\]"),
         ("rezero-circle", "yaw=free cost.body.yaw=3", "cost.body.yaw", "yaw=free"),
     ],
 )
-def test_what_another_setting_makes_idle_is_refused(name: str, given: str, unread: str, other: str) -> None:
+def test_what_another_setting_makes_idle_is_rejected(name: str, given: str, unread: str, other: str) -> None:
     """Each of the two alone is taken."""
     kind, (*first, last) = REGISTRY[name].config_type, given.split()
     with pytest.raises(InputError, match=f"{name}: --set {unread}: with {other} nothing uses it"):
@@ -129,28 +139,33 @@ def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
 
 @pytest.mark.parametrize("without", ["estimator=truth", "cost.lean=0"])
 def test_room_for_pushes_needs_a_limit_and_an_estimate(without: str) -> None:
-    with pytest.raises(InputError, match=f"brace: with {without} nothing uses it"):
-        configure(RezeroPushHandSettings, ["brace=0.5", without], "rezero-push-hand")
-    configure(RezeroPushHandSettings, ["brace=0", without], "rezero-push-hand")
+    with pytest.raises(InputError, match=f"expected_push_time: with {without} nothing uses it"):
+        configure(RezeroPushHandSettings, ["expected_push_time=0.5", without], "rezero-push-hand")
+    configure(RezeroPushHandSettings, ["expected_push_time=0", without], "rezero-push-hand")
     configure(RezeroPushHandSettings, [without], "rezero-push-hand")
 
 
 def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt() -> None:
-    with pytest.raises(InputError, match="rezero-push-hand: --set pushed_speed: with observer=false nothing uses it"):
-        configure(RezeroPushHandSettings, ["observer=false", "pushed_speed=1"], "rezero-push-hand")
-    configure(RezeroPushHandSettings, ["observer=true", "pushed_speed=1"], "rezero-push-hand")
+    with pytest.raises(
+        InputError, match="rezero-push-hand: --set max_pushed_speed: with estimate_disturbance=false nothing uses it"
+    ):
+        configure(RezeroPushHandSettings, ["estimate_disturbance=false", "max_pushed_speed=1"], "rezero-push-hand")
+    configure(RezeroPushHandSettings, ["estimate_disturbance=true", "max_pushed_speed=1"], "rezero-push-hand")
 
 
 @pytest.mark.parametrize(
     ("name", "given"),
     [
-        ("rezero-push-hand", "controller=scheduled-lqr rival.scheduled_lqr.torque=3 drive_dead_time=0.005"),
+        ("rezero-push-hand", "controller=scheduled-lqr baseline.scheduled_lqr.torque=3 actuator_dead_time=0.005"),
         ("rezero-push-hand", "tracking.kind=actuators tracking.gains.wheel_damping=0.1"),
-        ("rezero-push-hand", "brace=0.5 weigh=false drive_dead_time=0.005"),
-        ("rezero-taskspace", "rival.taskspace.hand=4 drive_dead_time=0.005"),
-        ("rezero-taskspace", "mpc.horizon=2 cost.hand.weight=10"),
-        ("rezero-push-hand", "controller=separate-integral mpc.horizon=1 mpc.limits=soft cost.lean=0.5 observer=false"),
-        ("rezero-push-hand", "controller=separate cost.hand.weight=10 cost.body.arm=2 cost.body.yaw=3"),
+        ("rezero-push-hand", "expected_push_time=0.5 estimate_payload=false actuator_dead_time=0.005"),
+        ("rezero-taskspace", "baseline.taskspace.hand=4 actuator_dead_time=0.005"),
+        ("rezero-taskspace", "mpc.horizon=2 cost.end_effector.weight=10"),
+        (
+            "rezero-push-hand",
+            "controller=separate-integral mpc.horizon=1 mpc.limits=soft cost.lean=0.5 estimate_disturbance=false",
+        ),
+        ("rezero-push-hand", "controller=separate cost.end_effector.weight=10 cost.body.arm=2 cost.body.yaw=3"),
         ("rezero-push-hand", "controller=lqr control.rate=200 mpc.rate=50"),
         ("rezero-steps", "controller=lqr mpc.horizon=1"),
     ],
@@ -164,26 +179,26 @@ def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
     [
         ("rezero-push-hand", ["forces=[]"], "forces"),
         ("rezero-push-ball", ["forces=[-50]"], "forces"),
-        ("rezero-push-hand", ["length=5", "pause=2"], "at least 5.5 s are needed"),
-        ("rezero-push-hand", ["length=0.003"], "valid: e.g. 0.0025 or 0.005 s"),
-        ("rezero-push-ball", ["length=0.0025", "control.rate=200"], "of 5 ms; valid: e.g. 0.005 s"),
+        ("rezero-push-hand", ["push_duration=5", "pause=2"], "at least 5.5 s are needed"),
+        ("rezero-push-hand", ["push_duration=0.003"], "valid: e.g. 0.0025 or 0.005 s"),
+        ("rezero-push-ball", ["push_duration=0.0025", "control.rate=200"], "of 5 ms; valid: e.g. 0.005 s"),
         ("rezero-door", ["forces=[0]"], "forces"),
         ("rezero-door", ["forces=[-8]"], "forces"),
         ("rezero-frequency", ["plant.wheel_spring=0", "plant.wheel_rotor=0.1"], "wheel_rotor: nothing uses it without"),
         ("rezero-frequency", ["variants=['plain', 'plain']"], "each once"),
         ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),
-        ("rezero-frequency", ["settle=1"], "seen 1.3 s ahead"),
-        ("rezero-frequency", ["settle=0.5", "mpc.horizon=1"], "preview=false"),
+        ("rezero-frequency", ["settle_time=1"], "seen 1.3 s ahead"),
+        ("rezero-frequency", ["settle_time=0.5", "mpc.horizon=1"], "preview=false"),
     ],
 )
-def test_what_cannot_be_judged_is_refused(name: str, given: list[str], words: str) -> None:
+def test_what_cannot_be_judged_is_rejected(name: str, given: list[str], words: str) -> None:
     """No pushes, pushes into each other, no step, a step that begins before the run."""
     with pytest.raises(InputError) as error:
         configure(REGISTRY[name].config_type, given, name)
     assert words in str(error.value) and "\n" not in str(error.value)
 
 
-def test_a_bad_entry_is_told_once() -> None:
+def test_a_bad_entry_is_reported_once() -> None:
     """Not that a tuple without its only entry is too short as well."""
     for name, force in (("rezero-push-hand", -10), ("rezero-door", 0)):
         with pytest.raises(InputError) as error:
@@ -197,7 +212,9 @@ def test_a_bad_entry_is_told_once() -> None:
 def test_defaults_and_what_is_used_are_taken(name: str) -> None:
     kind = REGISTRY[name].config_type
     configure(kind, [], name)
-    usual = configure(kind, ["observer=false", "cost.torque.wheel=0.3", "plant.dead_time=0.008"], name)
+    usual = configure(
+        kind, ["estimate_disturbance=false", "cost.torque.wheel=0.3", "plant.actuator_dead_time=0.008"], name
+    )
     assert usual.cost.torque.wheel == 0.3
     if name not in ("rezero-door", "rezero-frequency", "rezero-taskspace"):
         assert configure(kind, ["controller=lqr", "cost.body.ball_speed=0.5"], name).controller == "lqr"
@@ -221,14 +238,14 @@ def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:
 
 
 @pytest.mark.parametrize("name", ["rezero-wholebody", "rezero-circle"])
-def test_regulators_are_told_where_the_hand_goes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_regulators_are_reported_where_the_hand_goes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """They follow the body alone: their states must carry the hand along its path (forward kinematics say where it is)."""
     given: list[Task] = []
     module = {"rezero-wholebody": rezero_wholebody, "rezero-circle": rezero_circle}[name]
     monkeypatch.setattr(module, "task_scenario", lambda settings, seed, task, *more: given.append(task))
     short = {
-        "rezero-wholebody": ["settle=0.5", "move=0.5", "hold=1"],
-        "rezero-circle": ["settle=0.5", "lap=1", "rounds=1"],
+        "rezero-wholebody": ["settle_time=0.5", "move_time=0.5", "hold_time=1"],
+        "rezero-circle": ["settle_time=0.5", "lap_time=1", "rounds=1"],
     }
     settings = configure(REGISTRY[name].config_type, ["controller=lqr", *short[name]], name)
     module.build(settings, 0)

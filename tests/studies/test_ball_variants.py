@@ -61,8 +61,8 @@ def test_it_balances_under_a_push(tmp_path: Path, wheels: int, zenith: float, wr
     set_home_references(mpc, robot, torque, home)
     mpc.reference["hand"] = Reference.poses([0.0], *robot.pose(home))
     plant = BallPlant(robot.description, home, torque, Perturbation(), seed=1)
-    timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.delay)
-    agent = BallController(
+    timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.computation_delay)
+    controller = BallController(
         robot,
         mpc,
         torque,
@@ -81,7 +81,7 @@ def test_it_balances_under_a_push(tmp_path: Path, wheels: int, zenith: float, wr
         away = float(np.linalg.norm(truth.tool - robot.pose(home)[0]))
         seen.append((t, truth.tilt, away, float(np.linalg.norm(plant.state()[:2]))))
 
-    ending = run_lockstep(plant, agent, mpc, timing, 3.5, record)
+    ending = run_lockstep(plant, controller, mpc, timing, 3.5, record)
     assert not ending.reason
     t, tilt, away, travel = np.array(seen).T
     # 57 N for 0.1 s give 0.2 m/s for 25 kg

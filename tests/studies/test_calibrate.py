@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from effort import thorough
 from toys import robot
 from wbmpc.bases.swerve.calibration_log import steer_joints
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -22,7 +23,7 @@ from wbmpc.studies.pankert2022.reference_drive import OPENING, SwerveCalibrateSe
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 ROBOT, SEED = robot("swerve-ur10"), 5
-SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, rest=2.0)
+SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, settle_time=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_what_the_odometry_needs_is_found(calibration: Path) -> None:
     found = WheelCalibration.load(calibration, ROBOT.base.geometry, steer_joints(ROBOT))
     plant = SwervePlant(ROBOT.description, ROBOT.state.split(ROBOT.home), SETTINGS.plant, SEED)
     # the wheel's heading has the sum of both encoders' zeros
-    error = found.steer_zero - plant.offsets["steer"] - plant.offsets["leg"]
+    error = found.steer_offset - plant.offsets["steer"] - plant.offsets["leg"]
     for signs in ([1, 1, 1, 1], [1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]):
         assert abs(np.dot(signs, error)) / 4.0 < 0.6e-3, signs
     # tyres sink in: the radius that counts is up to 0.1 % less than that of the wheel
@@ -83,18 +84,20 @@ def test_brakes_take_turns_and_bases_without_them_drive_as_they_did() -> None:
         )
 
 
+@thorough
 def test_the_file_improves_the_odometry_of_a_run(calibration: Path) -> None:
     drift = {}
     for how in ("none", str(calibration)):
-        settings = SwerveTrackSettings(periods=1, rest=2.0, calibration=how)
+        settings = SwerveTrackSettings(periods=1, settle_time=2.0, calibration=how)
         result = REGISTRY["swerve-track"].run(settings, SEED, None)
         assert result.completed
         drift[how] = result.metrics["odometry_drift_ratio_wheels"].value
     assert drift[str(calibration)] < 0.6 * drift["none"]
 
 
+@thorough
 def test_a_run_with_global_poses_stays_where_it_should(calibration: Path) -> None:
-    settings = SwerveTrackSettings(periods=1, rest=2.0, calibration=str(calibration), global_poses=True)
+    settings = SwerveTrackSettings(periods=1, settle_time=2.0, calibration=str(calibration), global_poses=True)
     result = REGISTRY["swerve-track"].run(settings, SEED, None)
     assert result.metrics["base_error_rms_world"].value < 0.005
     assert result.metrics["hand_error_mean_world"].value < 0.010
@@ -126,7 +129,7 @@ def test_command_prints_and_writes(folder: Path, tmp_path: Path, capsys: pytest.
         (["{log}", "--robot", "swerve-ur10"], "no channel 'steer'"),
     ],
 )
-def test_bad_input_is_one_sentence(
+def test_bad_input_is_one_message(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "text").write_text("no archive")
@@ -140,7 +143,7 @@ def test_bad_input_is_one_sentence(
 @pytest.mark.parametrize(
     ("name", "message"), [("swerve-fixed-ur10", "this was 'swerve-ur10', whose base"), ("own", "steer")]
 )
-def test_a_robot_with_another_base_than_that_of_the_run_is_refused(
+def test_a_robot_with_another_base_than_that_of_the_run_is_rejected(
     name: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A file of one's own with the same base is taken: the next thing that is wrong is the log."""

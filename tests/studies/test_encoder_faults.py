@@ -28,7 +28,7 @@ def pushed(monkeypatch: pytest.MonkeyPatch, *faults: SensorFault) -> RunResult:
             self.sensors.faults = faults
 
     monkeypatch.setattr(rezero_task, "BallPlant", Faulty)
-    return HAND_EXPERIMENT.run(RezeroPushHandSettings(forces=(60.0,), settle=0.5, length=0.1, pause=2.0), 0)
+    return HAND_EXPERIMENT.run(RezeroPushHandSettings(forces=(60.0,), settle_time=0.5, push_duration=0.1, pause=2.0), 0)
 
 
 def stalled(number: int, of: Any = "wheel", start: float = START) -> SensorFault:
@@ -67,7 +67,7 @@ def changed(monkeypatch: pytest.MonkeyPatch, fault: Callable[[BallMeasurement], 
             return fault(m) if m.time > 0.1 - 1e-9 else m
 
     monkeypatch.setattr(rezero_task, "BallPlant", Faulty)
-    return HAND_EXPERIMENT.run(RezeroPushHandSettings(forces=(60.0,), settle=0.5, length=0.1, pause=2.0), 0)
+    return HAND_EXPERIMENT.run(RezeroPushHandSettings(forces=(60.0,), settle_time=0.5, push_duration=0.1, pause=2.0), 0)
 
 
 @pytest.mark.parametrize("field", ["gyro", "wheel", "arm"])

@@ -86,7 +86,7 @@ def test_a_wrong_heading_turns_the_hand_in_the_world_not_in_the_estimated_frame(
     assert m["steady_orientation_error_world_max"] == pytest.approx(0.03)
 
 
-def test_the_roll_about_the_forearm_is_told_apart() -> None:
+def test_the_roll_about_the_forearm_is_distinguished() -> None:
     """The hand's z axis is the forearm; at home, where the first pose is, it points where the arm's chain puts it."""
     poses = len(STEPS) + 3
     settings = RezeroStepsSettings()

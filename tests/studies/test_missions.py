@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
@@ -83,7 +84,7 @@ def test_clearance_at_the_door() -> None:
 
 
 # ---------------------------------------------------------------------- runs
-QUIET = SwerveDriveSettings(rest=1.0, plant=Perturbation.none(encoder_counts=2**14))
+QUIET = SwerveDriveSettings(settle_time=1.0, plant=Perturbation.none(encoder_counts=2**14))
 
 
 def run_straight(name: str, is_open: bool, knock: float | None = None):  # type: ignore[no-untyped-def]
@@ -108,7 +109,7 @@ def test_a_knocked_leg_comes_back() -> None:
     assert 0.1 < recovery(log.times("way.leg"), error, hit.done) < 2.0
 
 
-def test_the_rival_drives_and_reconfigures() -> None:
+def test_the_baseline_drives_and_reconfigures() -> None:
     bench = swerve_drive._Run(QUIET, SWERVE, 0, Log())
     legs = drive_missions.leg_angles(SWERVE, "X")
     out = legs + 0.2 * np.sign(legs)
@@ -118,10 +119,11 @@ def test_the_rival_drives_and_reconfigures() -> None:
     assert bench.log.array("rival.leg")[-1] == pytest.approx(out, abs=0.02)
 
 
+@thorough
 @pytest.mark.parametrize("legs", ["targets", "support"])
 def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
     experiment = REGISTRY["swerve-unified"]
-    result = experiment.run(experiment.config_type(rest=2.0, legs=legs), 1, None)
+    result = experiment.run(experiment.config_type(settle_time=2.0, legs=legs), 1, None)
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert result.completed, result.reason
     assert 1e-4 < m["hand_error_rms"] < 0.005
@@ -142,7 +144,7 @@ def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
 @pytest.mark.parametrize(
     ("legs", "given"), [("support", "leg_goal=X"), ("targets", "support=0.1"), ("targets", "reserve=0.1")]
 )
-def test_what_the_way_of_the_legs_does_not_read_is_refused(legs: str, given: str) -> None:
+def test_what_the_way_of_the_legs_does_not_read_is_rejected(legs: str, given: str) -> None:
     settings, other = REGISTRY["swerve-unified"].config_type, {"support": "targets", "targets": "support"}[legs]
     with pytest.raises(InputError, match=rf"{given.partition('=')[0]}: nothing uses it without legs={other}"):
         configure(settings, [f"legs={legs}", given], "swerve-unified")
@@ -170,11 +172,15 @@ FILE = "calibration=wheels.yaml"
             [FILE, "sensors=false", "localisation.rate=5"],
             "localisation: nothing uses it without sensors=true or calibration=drive",
         ),
-        ("swerve-fixed", ["motions=[]", "random=0"], "motions: none is left, and random is 0"),
-        ("swerve-fixed", ["random=10", "motions=[forward,turning,forward]"], "motions: 'forward' stands there twice"),
+        ("swerve-fixed", ["motions=[]", "random_time=0"], "motions: none is left, and random_time is 0"),
+        (
+            "swerve-fixed",
+            ["random_time=10", "motions=[forward,turning,forward]"],
+            "motions: 'forward' stands there twice",
+        ),
     ],
 )
-def test_what_nothing_reads_or_nobody_can_follow_is_refused(experiment: str, given: list[str], words: str) -> None:
+def test_what_nothing_reads_or_nobody_can_follow_is_rejected(experiment: str, given: list[str], words: str) -> None:
     settings = REGISTRY[experiment].config_type
     with pytest.raises(InputError, match=words):
         configure(settings, given, experiment)
@@ -194,7 +200,7 @@ def test_a_localisation_that_the_run_or_its_reference_drive_has_is_taken(experim
     configure(REGISTRY[experiment].config_type, given, experiment)
 
 
-def test_fixed_legs_are_refused() -> None:
+def test_fixed_legs_are_rejected() -> None:
     for name in ("swerve-unified", "swerve-drive"):
         experiment = REGISTRY[name]
         with pytest.raises(InputError, match="fixed legs"):

@@ -37,7 +37,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
 
 
 @pytest.mark.parametrize("name", BALL)
-def test_every_experiment_takes_a_robot_and_refuses_one_without_a_ball(
+def test_every_experiment_takes_a_robot_and_rejects_one_without_a_ball(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert REGISTRY[name].config_type().robot == "rezero"
@@ -92,24 +92,24 @@ def recorded(own: RobotModel, *names: str) -> Log:
     return log
 
 
-def test_wheels_are_told_from_the_arm(own: RobotModel) -> None:
+def test_wheels_are_reported_from_the_arm(own: RobotModel) -> None:
     """Five wheels with 1 to 5 N m, six joints with 6 to 11 N m: root mean squares by hand."""
     log = recorded(own)
     (plot,) = (p for p in common_plots(log, np.zeros(3), np.zeros(2)) if p.title == "Wheel torques")
     assert [s.y[0] for s in plot.series] == [1.0, 2.0, 3.0, 4.0, 5.0]
-    settings = RezeroFrequencySettings(settle=1.3, hold=1.0)
+    settings = RezeroFrequencySettings(settle_time=1.3, hold_time=1.0)
     found = rezero_frequency.metrics(settings, recorded(own, "plain"), {"plain": Ending()})
     assert found["torque_error_rms_plain"].value == pytest.approx(np.sqrt(11.0))
     assert found["arm_torque_error_rms_plain"].value == pytest.approx(np.sqrt(451.0 / 6.0))
 
 
-def test_the_task_space_rival_balances_on_all_wheels(own: RobotModel) -> None:
+def test_the_task_space_baseline_balances_on_all_wheels(own: RobotModel) -> None:
     """Its regulator's poles, of the robot on five wheels."""
     home, torque = own.base.numeric.equilibrium(own.home[own.state["arm"]])
-    agent = TaskSpaceController.__new__(TaskSpaceController)
-    agent.robot, agent.gains, agent.home, agent._rest = own, TaskGains(), home, torque
-    agent._model = _functions(own)
-    gain = agent._lqr()
+    controller = TaskSpaceController.__new__(TaskSpaceController)
+    controller.robot, controller.gains, controller.home, controller._rest = own, TaskGains(), home, torque
+    controller._model = _functions(own)
+    gain = controller._lqr()
     assert gain.shape == (5, 10)
     poles = np.linalg.eigvals(np.block([[np.zeros((5, 5)), np.eye(5)], [-gain]]))
     assert poles.real.max() < 0.0

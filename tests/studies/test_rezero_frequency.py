@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from effort import thorough
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 
-SHORT = {"settle": 1.5, "hold": 2.0}
+SHORT = {"settle_time": 1.5, "hold_time": 2.0}
 
 
 @pytest.fixture(scope="module")
@@ -18,6 +19,7 @@ def both():  # type: ignore[no-untyped-def]
     return REGISTRY["rezero-frequency"].run(RezeroFrequencySettings(**SHORT), 0, None)
 
 
+@thorough
 def test_filters_halve_the_torque_error(both) -> None:  # type: ignore[no-untyped-def]
     assert both.completed, both.reason
     m = {name: metric.value for name, metric in both.metrics.items()}
@@ -33,8 +35,10 @@ def test_filters_halve_the_torque_error(both) -> None:  # type: ignore[no-untype
 
 
 def test_rigid_drives_do_what_they_are_asked_for() -> None:
-    rigid = {"wheel_spring": 0.0, "arm_spring": 0.0, "drive_lag": 0.0}
-    settings = RezeroFrequencySettings(**{**SHORT, "settle": 1.3, "hold": 1.0}, variants=("shaped",), plant=rigid)
+    rigid = {"wheel_spring": 0.0, "arm_spring": 0.0, "actuator_time_constant": 0.0}
+    settings = RezeroFrequencySettings(
+        **{**SHORT, "settle_time": 1.3, "hold_time": 1.0}, variants=("shaped",), plant=rigid
+    )
     result = REGISTRY["rezero-frequency"].run(settings, 0, None)
     assert result.completed, result.reason
     assert result.metrics["torque_error_rms_shaped"].value < 1e-9

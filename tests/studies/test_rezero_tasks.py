@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
@@ -24,9 +25,11 @@ def values(result) -> dict[str, float]:  # type: ignore[no-untyped-def]
     return {name: m.value for name, m in result.metrics.items()}
 
 
-@pytest.mark.parametrize(("held", "settle", "pause"), [("ball", 1.5, 6.0), ("hand", 0.5, 4.5)])
+@pytest.mark.parametrize(
+    ("held", "settle", "pause"), [pytest.param("ball", 1.5, 6.0, marks=thorough), ("hand", 0.5, 4.5)]
+)
 def test_a_push_moves_the_robot_and_it_comes_back(held: str, settle: float, pause: float) -> None:
-    short = {"forces": (60.0,), "settle": settle, "pause": pause}
+    short = {"forces": (60.0,), "settle_time": settle, "pause": pause}
     kind = {"ball": RezeroPushBallSettings, "hand": RezeroPushHandSettings}[held]
     result = REGISTRY[f"rezero-push-{held}"].run(kind(**short), 0, None)
     m, log = values(result), result.log
@@ -48,9 +51,9 @@ def test_a_push_moves_the_robot_and_it_comes_back(held: str, settle: float, paus
     assert [np.trapezoid(s.y, s.x) for s in shown.series] == pytest.approx([12.0, 12.0], rel=0.01)
 
 
-@pytest.mark.parametrize("controller", ["lqr", "scheduled-lqr"])
+@pytest.mark.parametrize("controller", ["lqr", pytest.param("scheduled-lqr", marks=thorough)])
 def test_regulators_stand_a_small_push_without_a_plan(controller: str) -> None:
-    settings = RezeroPushBallSettings(forces=(40.0,), settle=0.5, pause=4.0, controller=controller)
+    settings = RezeroPushBallSettings(forces=(40.0,), settle_time=0.5, pause=4.0, controller=controller)
     result = REGISTRY["rezero-push-ball"].run(settings, 0, None)
     m, log = values(result), result.log
     assert result.mpc is not None and result.mpc.solves == 0
@@ -64,18 +67,20 @@ def test_regulators_stand_a_small_push_without_a_plan(controller: str) -> None:
 
 def test_a_fall_is_foreseen_and_ends_with_motors_off() -> None:
     """180 N s, without room for a push that is felt: the robot falls, and the run ends before it has."""
-    result = REGISTRY["rezero-push-hand"].run(RezeroPushHandSettings(forces=(900.0,), settle=0.5, brace=0.0), 0, None)
+    result = REGISTRY["rezero-push-hand"].run(
+        RezeroPushHandSettings(forces=(900.0,), settle_time=0.5, expected_push_time=0.0), 0, None
+    )
     assert not result.completed and "will fall" in result.reason and "motors off" in result.reason
     assert result.metrics["fell"].value == 1.0
     tilt = result.log.array("tilt")
     assert 0.1 < tilt[-1] < 0.85 and len(tilt) > 0.5 * 400
 
 
-def test_a_force_beyond_all_leans_is_learnt_told_and_ends_the_run() -> None:
+def test_a_force_beyond_all_leans_is_learnt_reported_and_ends_the_run() -> None:
     """90 N for good: 1.3 times what the wheels can hold (90 N x 0.125 m against 8.6 N m at the ball)."""
-    settings = RezeroPushHandSettings(forces=(90.0,), length=5.0, settle=0.5)
+    settings = RezeroPushHandSettings(forces=(90.0,), push_duration=5.0, settle_time=0.5)
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
-    assert not result.completed and "faster than 2 m/s (pushed_speed); motors off" in result.reason
+    assert not result.completed and "faster than 2 m/s (max_pushed_speed); motors off" in result.reason
     assert result.metrics["fell"].value == 0.0 and "pushes the robot away" in result.faults[0]
     log = result.log
     force, start = log.array("disturbance")[:, 0], BALL.state["base_velocity"].start
@@ -84,7 +89,7 @@ def test_a_force_beyond_all_leans_is_learnt_told_and_ends_the_run() -> None:
 
 
 def test_circle_path_is_a_circle_from_rest_to_rest() -> None:
-    s = RezeroCircleSettings(radius=0.2, lap=4.0, rounds=2, settle=1.0)
+    s = RezeroCircleSettings(radius=0.2, lap_time=4.0, rounds=2, settle_time=1.0)
     t = np.arange(0.0, 14.0, 0.001)
     path = rezero_circle.ball_path(s, t)
     centred = path - [0.0, 0.2]
@@ -108,7 +113,7 @@ def test_hand_stays_inside_its_reach_on_the_circle() -> None:
 
 
 def test_hand_stays_while_the_ball_drives_round() -> None:
-    result = REGISTRY["rezero-circle"].run(RezeroCircleSettings(rounds=1, settle=2.0), 0, None)
+    result = REGISTRY["rezero-circle"].run(RezeroCircleSettings(rounds=1, settle_time=2.0), 0, None)
     m, log = values(result), result.log
     use = log.times("state") >= 2.0
     hand = BALL.pose(BALL.base.numeric.equilibrium(BENT_ARM)[0])[0]
@@ -119,8 +124,9 @@ def test_hand_stays_while_the_ball_drives_round() -> None:
     assert m["ball_error_rms"] < 0.06
 
 
+@thorough
 def test_unknown_load_leaves_no_offset() -> None:
-    result = REGISTRY["rezero-wholebody"].run(RezeroWholebodySettings(settle=6.0, hold=2.0), 0, None)
+    result = REGISTRY["rezero-wholebody"].run(RezeroWholebodySettings(settle_time=6.0, hold_time=2.0), 0, None)
     m, log = values(result), result.log
     ball = log.array("estimate")[log.times("state") >= 6.0, :2]
     assert m["ball_error_rms_wholebody"] == pytest.approx(np.sqrt(np.mean(np.sum(ball**2, axis=1))))

@@ -1,4 +1,4 @@
-"""The task-space rival and its comparison. Truth: accelerations of the planner's dynamics, figures computed once more."""
+"""The task-space baseline and its comparison. Truth: accelerations of the planner's dynamics, figures computed once more."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc import lie
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
@@ -39,7 +40,9 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
     place, quaternion = ROBOT.pose(HOME)
     goal, gains = place + [0.03, -0.02, 0.02], replace(TaskGains(), balance=1e-9, torque=1e-12)
     mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
-    agent = TaskSpaceController(ROBOT, mpc, lambda t: (goal, quaternion), gains, HOME, TORQUE, 0.0025, DriveSettings())
+    controller = TaskSpaceController(
+        ROBOT, mpc, lambda t: (goal, quaternion), gains, HOME, TORQUE, 0.0025, DriveSettings()
+    )
     x = HOME.copy()
     x[13:16] = [1.0, -1.5, 1.2]
     after, turned = ROBOT.pose(x + np.r_[1e-6 * x[8:], np.zeros(8)])
@@ -47,27 +50,28 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
     velocity = np.concatenate([(after - place) / 1e-6, spin])
     wanted = np.concatenate([gains.hand**2 * (goal - place), np.zeros(3)]) - 2.0 * gains.hand * velocity
     miss = lambda torque: float(np.sum((hand_acceleration(x, torque) - wanted) ** 2))
-    torque, rng = agent._solve(0.0, x), np.random.default_rng(0)
-    assert np.all(np.abs(torque) < agent.limit - 1e-3) or miss(torque) < miss(TORQUE)
-    inside = lambda u: np.clip(u, -agent.limit, agent.limit)
+    torque, rng = controller._solve(0.0, x), np.random.default_rng(0)
+    assert np.all(np.abs(torque) < controller.limit - 1e-3) or miss(torque) < miss(TORQUE)
+    inside = lambda u: np.clip(u, -controller.limit, controller.limit)
     others = [miss(inside(torque + size * rng.normal(size=6))) for size in (0.03, 0.3) for _ in range(20)]
     assert miss(torque) <= min(others) + 1e-3
     assert miss(torque) < 0.5 * miss(TORQUE)
 
 
-def test_torques_of_the_rival_respect_the_limits() -> None:
+def test_torques_of_the_baseline_respect_the_limits() -> None:
     mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
     far = (ROBOT.pose(HOME)[0] + [2.0, 0.0, 0.0], ROBOT.pose(HOME)[1])
-    agent = TaskSpaceController(
+    controller = TaskSpaceController(
         ROBOT, mpc, lambda t: far, replace(TaskGains(), hand=40.0), HOME, TORQUE, 0.0025, DriveSettings()
     )
-    torque = agent._solve(0.0, HOME)
-    assert np.all(np.abs(torque) <= agent.limit + 1e-9)
-    assert np.any(np.abs(torque) > 0.99 * agent.limit)
+    torque = controller._solve(0.0, HOME)
+    assert np.all(np.abs(torque) <= controller.limit + 1e-9)
+    assert np.any(np.abs(torque) > 0.99 * controller.limit)
 
 
+@thorough
 def test_both_controllers_take_the_steps() -> None:
-    settings = RezeroTaskspaceSettings(settle=1.0, hold=1.0)
+    settings = RezeroTaskspaceSettings(settle_time=1.0, hold_time=1.0)
     result = rezero_taskspace.EXPERIMENT.run(settings, 1, None)
     assert result.completed, result.reason
     m, log = {n: v.value for n, v in result.metrics.items()}, result.log
@@ -82,14 +86,14 @@ def test_both_controllers_take_the_steps() -> None:
     np.testing.assert_array_equal(log.array("wanted_mpc"), log.array("wanted_taskspace"))
 
 
-def test_ctrl_c_in_the_second_part_is_told() -> None:
+def test_ctrl_c_in_the_second_part_is_reported() -> None:
     def pressed(fraction: float, note: str) -> None:
         if note.startswith("taskspace") and fraction > 0.2:
             signal.raise_signal(signal.SIGINT)
 
     # the first part is only there to be over
     slow = RezeroTaskspaceSettings().mpc.model_copy(update={"rate": 40.0})
-    settings = RezeroTaskspaceSettings(settle=0.5, hold=1.0, mpc=slow, control=ControlSettings(rate=200.0))
+    settings = RezeroTaskspaceSettings(settle_time=0.5, hold_time=1.0, mpc=slow, control=ControlSettings(rate=200.0))
     result = rezero_taskspace.EXPERIMENT.run(settings, 1, pressed)
     assert result.interrupted and not result.completed and "interrupted" in result.reason
     # what was not run does not count as an error

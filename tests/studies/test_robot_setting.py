@@ -1,4 +1,4 @@
-"""A robot of one's own on the command line: each fault is one sentence that names file and key, exit status 2."""
+"""A robot of one's own on the command line: each fault is one message that names file and key, exit status 2."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def own_robot(folder: Path, **changes: object) -> Path:
     return path
 
 
-def refused(path: str, capsys: pytest.CaptureFixture[str]) -> str:
+def rejected(path: str, capsys: pytest.CaptureFixture[str]) -> str:
     assert main(["run", "swerve-track", "--set", f"robot={path}"]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
@@ -30,14 +30,14 @@ def refused(path: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_missing_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    text = refused(str(own_robot(tmp_path, model="nowhere.urdf")), capsys)
+    text = rejected(str(own_robot(tmp_path, model="nowhere.urdf")), capsys)
     assert "mine.yaml" in text and "model" in text and "nowhere.urdf" in text
 
 
 def test_unknown_joint(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     arm = {"joints": ["shoulder_pan_join"], "tool": "tool0"}
-    text = refused(str(own_robot(tmp_path, arm=arm)), capsys)
+    text = rejected(str(own_robot(tmp_path, arm=arm)), capsys)
     assert "mine.yaml" in text and "did you mean 'shoulder_pan_joint'" in text
 
 
@@ -45,9 +45,9 @@ def test_robot_without_swerve_base(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "valid: swerve" in refused("rezero", capsys)
+    assert "valid: swerve" in rejected("rezero", capsys)
 
 
 def test_unknown_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "did you mean 'swerve-ur10'" in refused("swerve-ur1", capsys)
+    assert "did you mean 'swerve-ur10'" in rejected("swerve-ur1", capsys)

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from archives import check_steps, check_track
+from effort import thorough
 from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
-TRACK = SwerveTrackSettings(periods=1, rest=2.0, calibration="none")
-STEPS = RezeroStepsSettings(hold=3.5, settle=1.5, rest=0.0)
-SHORT = RezeroStepsSettings(hold=1.5, settle=0.5, rest=0.0, preview=False)
+TRACK = SwerveTrackSettings(periods=1, settle_time=2.0, calibration="none")
+STEPS = RezeroStepsSettings(hold_time=3.5, settle_time=1.5, final_hold_time=0.0)
+SHORT = RezeroStepsSettings(hold_time=1.5, settle_time=0.5, final_hold_time=0.0, preview=False)
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +62,7 @@ def test_swerve_follows_its_path(track, tmp_path: Path) -> None:  # type: ignore
     assert track.mpc.rate_hz == 50.0
 
 
+@thorough
 def test_rezero_takes_its_steps(steps, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     check_statistics(steps)
     check_steps(steps, tmp_path)
@@ -74,7 +76,7 @@ def test_rezero_takes_its_steps(steps, tmp_path: Path) -> None:  # type: ignore[
     assert 0.1 < m["unreachable_rotation_error"] < np.pi / 6 + 0.1
     (turns,) = (p for p in steps.plots if "orientation against home" in p.title)
     before_it_leaves = (
-        STEPS.settle + 7 * STEPS.hold - STEPS.mpc.horizon - 0.2
+        STEPS.settle_time + 7 * STEPS.hold_time - STEPS.mpc.horizon - 0.2
     )  # the seventh step is 30 degrees about the vertical
     at = {s.name: float(np.interp(before_it_leaves, s.x, s.y)) for s in turns.series}
     assert at["about z asked"] == pytest.approx(30.0) and at["about x asked"] == pytest.approx(0.0, abs=1e-9)
@@ -101,6 +103,7 @@ def test_same_seed_same_bits(track) -> None:  # type: ignore[no-untyped-def]
     repeats(track, TRACK, 0.5)
 
 
+@thorough
 def test_another_seed_another_run(track) -> None:  # type: ignore[no-untyped-def]
     other = REGISTRY["swerve-track"].run(TRACK, 1, None)
     assert other.completed
@@ -109,6 +112,7 @@ def test_another_seed_another_run(track) -> None:  # type: ignore[no-untyped-def
     assert value(other) < 0.008
 
 
+@thorough
 def test_rezero_without_preview_repeats() -> None:
     first = REGISTRY["rezero-steps"].run(SHORT, 0, None)
     check_statistics(first)

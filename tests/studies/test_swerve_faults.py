@@ -45,10 +45,10 @@ def no_mpc(*_: Any, **__: Any) -> Any:
 
 
 @pytest.mark.parametrize("module", [swerve_track, swerve_plaster, swerve_unified])
-def test_what_the_agent_found_is_in_the_result(module: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    def found(plant: Any, agent: Any, *_: Any) -> Ending:
-        assert agent.supervision.report is not None  # the plan is to count with it
-        agent.supervision.monitor.real.append(FAULT)
+def test_what_the_controller_found_is_in_the_result(module: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def found(plant: Any, controller: Any, *_: Any) -> Ending:
+        assert controller.supervision.report is not None  # the plan is to count with it
+        controller.supervision.monitor.real.append(FAULT)
         return EARLY
 
     monkeypatch.setattr(experiment, "run_lockstep", found)
@@ -58,7 +58,7 @@ def test_what_the_agent_found_is_in_the_result(module: Any, monkeypatch: pytest.
     found_by = REGISTRY[module.NAME]
     more: dict[Any, dict[str, Any]] = {swerve_unified: {}, swerve_plaster: {"calibration": "none", "passes": 1}}
     sure = more.get(module, {"calibration": "none"})
-    result = found_by.run(found_by.config_type(rest=0.0, **sure), 0, None)
+    result = found_by.run(found_by.config_type(settle_time=0.0, **sure), 0, None)
     assert result.faults == [str(FAULT)]
 
 
@@ -70,11 +70,11 @@ def test_what_parts_found_is_in_the_result_with_their_names(monkeypatch: pytest.
     assert swerve_drive.EXPERIMENT.run(SwerveDriveSettings(), 0).faults == [f"tour: {FAULT}"]
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
     monkeypatch.setattr(swerve_fixed, "drive", lambda name, *_: Outcome(faults=[str(FAULT)] if name == "ik" else []))
-    settings = SwerveFixedSettings(motions=("forward",), random=0.0)
+    settings = SwerveFixedSettings(motions=("forward",), random_time=0.0)
     assert swerve_fixed.EXPERIMENT.run(settings, 0).faults == [f"ik: {FAULT}"]
 
 
-def test_what_the_rival_found_is_in_the_result_but_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_baseline_found_is_in_the_result_but_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """The goal is for the monitor beside the MPC."""
     counted: list[int] = []
 
@@ -85,18 +85,20 @@ def test_what_the_rival_found_is_in_the_result_but_does_not_count(monkeypatch: p
     monkeypatch.setattr(swerve_drive._Run, "planned", planned)
     monkeypatch.setattr(swerve_drive, "metrics", lambda log, robot, faults, *_: counted.append(len(faults)) or {})
     monkeypatch.setattr(swerve_drive, "plots", lambda *_: [])
-    lockstep = lambda plant, agent, *_: agent.supervision.monitor.real.append(FAULT) or Ending()
+    lockstep = lambda plant, controller, *_: controller.supervision.monitor.real.append(FAULT) or Ending()
     monkeypatch.setattr(experiment, "run_lockstep", lockstep)
-    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(rest=0.0), 0)
+    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(settle_time=0.0), 0)
     assert result.faults == [f"rival: {FAULT}"] and counted == [0]
 
 
 @pytest.mark.parametrize("name", ["ik", "four_wheel"])
-def test_what_the_rivals_of_hinged_legs_found_is_handed_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_baselines_of_hinged_legs_found_is_handed_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        experiment, "run_lockstep", lambda plant, agent, *_: agent.supervision.monitor.real.append(FAULT) or EARLY
+        experiment,
+        "run_lockstep",
+        lambda plant, controller, *_: controller.supervision.monitor.real.append(FAULT) or EARLY,
     )
-    settings = SwerveFixedSettings(motions=("forward",), random=0.0, rest=0.0)
+    settings = SwerveFixedSettings(motions=("forward",), random_time=0.0, settle_time=0.0)
     motion = Motion.of(settings, 0)
     outcome = swerve_fixed.drive(name, settings, 0, SWERVE, motion, None, Log())
     assert (outcome.ending, [str(fault) for fault in outcome.faults]) == (EARLY, [str(FAULT)])
@@ -137,7 +139,7 @@ def test_a_ball_robot_has_no_brakes() -> None:
 
 
 @pytest.mark.parametrize("name", ["brake_fault_leg=2", "brake_fault_time=5"])
-def test_a_fault_that_no_brake_has_is_refused(name: str) -> None:
+def test_a_fault_that_no_brake_has_is_rejected(name: str) -> None:
     """Nothing would come of it."""
     settings = swerve_track.SwerveTrackSettings
     with pytest.raises(InputError, match=rf"plant: {name[:-2]}: nothing uses it without brake_fault=open"):

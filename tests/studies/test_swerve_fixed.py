@@ -17,7 +17,7 @@ from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings
 
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
-    return fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("sideways",), random=0.0, rest=1.0), 3)
+    return fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("sideways",), random_time=0.0, settle_time=1.0), 3)
 
 
 def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
@@ -43,7 +43,7 @@ def test_the_bases_really_move(result) -> None:  # type: ignore[no-untyped-def]
 
 @pytest.mark.parametrize("stopped", [0.0, 1.5])
 def test_standstill_is_seen(stopped: float) -> None:
-    motion = Motion.of(SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+    motion = Motion.of(SwerveFixedSettings(motions=("forward",), random_time=0.0), 0)
     log, pose = Log(), np.zeros(3)
     for t in np.arange(0.0, 8.0, 0.01):
         moves = not 3.0 <= t < 3.0 + stopped
@@ -55,16 +55,16 @@ def test_standstill_is_seen(stopped: float) -> None:
 
 @pytest.mark.parametrize("name", ["ik", "four_wheel"])
 def test_hinged_legs_stay_where_they_are(name: str) -> None:
-    """Of a robot whose legs could swing: the rivals leave them closed. Truth: rolling straight ahead, legs at home."""
-    settings = SwerveFixedSettings(motions=("forward",), random=0.0)
+    """Of a robot whose legs could swing: the baselines leave them closed. Truth: rolling straight ahead, legs at home."""
+    settings = SwerveFixedSettings(motions=("forward",), random_time=0.0)
     motion, robot = Motion.of(settings, 0), load_robot("swerve-ur10")
-    agent = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
+    controller = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
     home = robot.state.split(robot.home)
-    agent.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
-    command = agent.command(3.0, PolicyQueue())  # in the midst of the motion
+    controller.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
+    command = controller.command(3.0, PolicyQueue())  # in the midst of the motion
     assert not command.brake.any() and np.isfinite(command.wheel).all() and np.isfinite(command.steer).all()
 
 
-def test_another_base_is_refused() -> None:
+def test_another_base_is_rejected() -> None:
     with pytest.raises(InputError, match="type 'ball'"):
         fixed.EXPERIMENT.run(SwerveFixedSettings(robot="rezero"), 0)

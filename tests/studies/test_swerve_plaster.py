@@ -70,7 +70,7 @@ def test_a_short_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wall, "LENGTH", 0.6)
     monkeypatch.setattr(wall, "ENDS", 0.2)
     monkeypatch.setattr(wall, "LINES", 3)
-    settings = SwervePlasterSettings(passes=2, rest=0.5, calibration="none", terrain=False)
+    settings = SwervePlasterSettings(passes=2, settle_time=0.5, calibration="none", terrain=False)
     result = EXPERIMENT.run(settings, 0)
     assert result.completed, result.reason
     m = {k: v.value for k, v in result.metrics.items()}
@@ -82,7 +82,7 @@ def test_a_short_wall(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_switch_stops_the_hand_before_the_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wall, "NEAREST", 0.2)
     monkeypatch.setattr(wall, "LENGTH", 0.6)
-    settings = SwervePlasterSettings(passes=1, rest=0.0, calibration="none", sensors=False, terrain=False)
+    settings = SwervePlasterSettings(passes=1, settle_time=0.0, calibration="none", sensors=False, terrain=False)
     result = EXPERIMENT.run(settings, 0)
     assert not result.completed and "switch stopped it" in result.reason
 

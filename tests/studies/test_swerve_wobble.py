@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from effort import thorough
 from wbmpc.estimation.mass_offset import MassOffset, estimate_mass_offset
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
@@ -20,13 +21,14 @@ from wbmpc.studies.pankert2022.wobble_figures import time_error, unloaded
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
     """A plant like the model but for its centres of mass and its gyro, after one turn that shows them."""
-    plant = Perturbation.none(com=0.01, gyro_noise=2e-4, gyro_bias=0.01)
+    plant = Perturbation.none(com_offset=0.01, gyro_noise=2e-4, gyro_bias=0.01)
     settings = SwerveWobbleSettings(
         heights=(0.02,), turn=20.0, plant=plant, calibration=(("H", "LF"),), calibration_turn=20.0
     )
     return swerve_wobble.EXPERIMENT.run(settings, 2)
 
 
+@thorough
 def test_only_the_a_configuration_does_not_wobble(result) -> None:  # type: ignore[no-untyped-def]
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert min(m["roll_pitch_rate_max_H"], m["roll_pitch_rate_max_X"]) > 0.03
@@ -36,6 +38,7 @@ def test_only_the_a_configuration_does_not_wobble(result) -> None:  # type: igno
         assert m[f"imu_rate_max_{name}"] == pytest.approx(m[f"roll_pitch_rate_max_{name}"], rel=0.5)
 
 
+@thorough
 def test_predicted_switches_are_those_of_the_physics(result) -> None:  # type: ignore[no-untyped-def]
     assert result.metrics["support_switches"].value == 4.0  # two in H, two in X, none in A
     assert result.metrics["support_switch_time_error_max"].value < 0.06
@@ -47,6 +50,7 @@ def test_predicted_switches_are_those_of_the_physics(result) -> None:  # type: i
         assert force[:, [0, 3]].min() > 50.0 or name != "A"
 
 
+@thorough
 def test_a_turn_before_tells_of_the_masses(result) -> None:  # type: ignore[no-untyped-def]
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert m["calibration_tippings"] == 2.0

@@ -14,9 +14,9 @@ from wbmpc.view.session import system_of
 def record(folder: Path, *watchers: Any) -> Any:
     """Writes ``folder/run.mcap``, with other watchers before the recorder; returns the MPC."""
     recorder = Recorder(folder / "run.mcap", {"run": {"experiment": "toy", "seed": 1}})
-    plant, agent, mpc, timing = system_of(load_robot("swerve-ur10"), 1).parts
+    plant, controller, mpc, timing = system_of(load_robot("swerve-ur10"), 1).parts
     watch = Watch(None, (*watchers, recorder))
-    ending = run_lockstep(plant, agent, mpc, timing, 1.0, lambda *_: None, watch)
+    ending = run_lockstep(plant, controller, mpc, timing, 1.0, lambda *_: None, watch)
     assert ending.reason == ""
     recorder.close({"completed": "true"})
     return mpc

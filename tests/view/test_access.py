@@ -32,8 +32,8 @@ def headers(*pairs: tuple[str, str]) -> Headers:
     return found
 
 
-def refused(access: Access, *pairs: tuple[str, str], path: str = "/") -> bool:
-    return access.refusal(path, headers(*pairs), 8080) != ""
+def rejected(access: Access, *pairs: tuple[str, str], path: str = "/") -> bool:
+    return access.rejection(path, headers(*pairs), 8080) != ""
 
 
 @pytest.fixture(scope="module")
@@ -115,22 +115,22 @@ def test_only_the_page_with_the_token_gets_in(served: tuple[Any, str]) -> None:
     _, err = process.communicate(timeout=60)
     assert process.returncode == 143 and "Traceback" not in err and "a" * 100 not in err
     assert (
-        len([line for line in err.splitlines() if "refused" in line]) <= 5 + 2
+        len([line for line in err.splitlines() if "rejected" in line]) <= 5 + 2
     )  # one of each cause, not one of each request
 
 
-def test_requests_of_other_sites_are_refused() -> None:
+def test_requests_of_other_sites_are_rejected() -> None:
     access = Access("127.0.0.1", "")
-    assert not refused(access, ("Host", "127.0.0.1:8080")) and not refused(access, ("Host", "LOCALHOST:8080"))
-    assert not refused(access, ("Host", "[::1]:8080"), ("Origin", "http://[::1]:8080"))
-    assert refused(access) and refused(access, ("Host", "127.0.0.1:8080"), ("Host", "evil.example:8080"))
+    assert not rejected(access, ("Host", "127.0.0.1:8080")) and not rejected(access, ("Host", "LOCALHOST:8080"))
+    assert not rejected(access, ("Host", "[::1]:8080"), ("Origin", "http://[::1]:8080"))
+    assert rejected(access) and rejected(access, ("Host", "127.0.0.1:8080"), ("Host", "evil.example:8080"))
     same = ("Host", "localhost:8080")
-    assert not refused(access, same, ("Origin", "http://localhost:8080"))
+    assert not rejected(access, same, ("Origin", "http://localhost:8080"))
     for origin in ("http://127.0.0.1:8080", "http://localhost:8081", "http://localhost", "null", "", "file://"):
-        assert refused(access, same, ("Origin", origin)), origin
-    assert refused(access, same, ("Origin", "http://localhost:8080"), ("Origin", "http://evil.example"))
-    assert not refused(Access("127.0.0.1", ""), ("Host", "localhost:8080"), path="/?token=any")
-    assert Access("127.0.0.1", "").refusal("/", headers(("Host", "localhost")), 80) == ""
+        assert rejected(access, same, ("Origin", origin)), origin
+    assert rejected(access, same, ("Origin", "http://localhost:8080"), ("Origin", "http://evil.example"))
+    assert not rejected(Access("127.0.0.1", ""), ("Host", "localhost:8080"), path="/?token=any")
+    assert Access("127.0.0.1", "").rejection("/", headers(("Host", "localhost")), 80) == ""
 
 
 def test_a_view_for_the_network_is_reached_by_numbers_and_its_own_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,7 +142,7 @@ def test_a_view_for_the_network_is_reached_by_numbers_and_its_own_name(monkeypat
         ("evil.example", True, True), ("192.168.1.7.evil.example", True, True), ("localhost", False, False),
     ):  # fmt: skip
         host = ("Host", f"{name}:8080")
-        assert (refused(everywhere, host), refused(one, host)) == (at_everywhere, at_one), name
+        assert (rejected(everywhere, host), rejected(one, host)) == (at_everywhere, at_one), name
 
 
 def test_tokens_are_random_and_needed_beyond_this_machine(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

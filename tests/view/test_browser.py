@@ -18,7 +18,7 @@ from test_live import free_port
 from fake_experiment import REGISTRY, FakeSettings
 from wbmpc import lie
 from wbmpc.recording.plots import positions
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.report import plots_page, write_run
 from wbmpc.reproduce import Job, write_site
 from wbmpc.result import Plot
@@ -47,7 +47,7 @@ def start(*arguments: str) -> tuple[subprocess.Popen[str], str]:
 
 def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     """The hand's goal is dragged in the middle of a run; a push is asked for; the run is ended from the browser."""
-    run = ("run", "rezero-steps", "--set", "settle=120", "--out", str(tmp_path), "--json", "--view")
+    run = ("run", "rezero-steps", "--set", "settle_time=120", "--out", str(tmp_path), "--json", "--view")
     process, url = start(*run)
     try:
         with browser() as page:
@@ -74,7 +74,7 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
         assert process.returncode == 130 and "ended in the view" in out
     finally:
         process.kill()
-    recording = read(tmp_path)
+    recording = read_recording(tmp_path)
     _, goal_path = positions(recording, "/hand/reference")  # type: ignore[misc]
     _, hand_path = positions(recording, "/hand/pose")  # type: ignore[misc]
     # pushed: the hand left its place before the goal was touched
@@ -119,12 +119,12 @@ def test_the_base_is_dragged_and_legs_are_moved(tmp_path: Path) -> None:
 
 def _last(folder: Path, topic: str, column: str) -> float:
     """The newest number of a recording that is still being written."""
-    return float(read(folder).table(topic).columns[column][-1])
+    return float(read_recording(folder).table(topic).columns[column][-1])
 
 
 def _paths(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """What is recorded so far: the hand's reference (n, 3) and the hand (n, 3)."""
-    recording = read(folder)
+    recording = read_recording(folder)
     found = [positions(recording, topic) for topic in ("/hand/reference", "/hand/pose")]
     goal, hand = (np.zeros((0, 3)) if f is None else f[1] for f in found)
     rows = min(len(goal), len(hand))
@@ -151,7 +151,7 @@ def _partly(folder: Path):  # type: ignore[no-untyped-def]
     """The recording of a run that is still going on."""
     deadline = time.monotonic() + 180.0
     while time.monotonic() < deadline:
-        if (folder / "run.mcap").exists() and "/hand/pose" in (found := read(folder)).topics:
+        if (folder / "run.mcap").exists() and "/hand/pose" in (found := read_recording(folder)).topics:
             return found
         time.sleep(0.2)
     raise AssertionError("nothing was recorded")

@@ -23,19 +23,19 @@ from wbmpc.cli import STEERED, main
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.robots import load_description
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep, watched
 from wbmpc.simulation.scene import SceneReader
 from wbmpc.view.session import run_session, system_of
-from wbmpc.view.steering import ORDERS, no_orders
+from wbmpc.view.steering import REQUESTS, no_requests
 
 pytest.importorskip("viser")
 live = pytest.importorskip("wbmpc.view.live")
 
 
-SHORT = [text for key in ("forces=[10]", "settle=0.5", "pause=2.0") for text in ("--set", key)]
+SHORT = [text for key in ("forces=[10]", "settle_time=0.5", "pause=2.0") for text in ("--set", key)]
 
 
 def free_port() -> int:
@@ -46,7 +46,7 @@ def free_port() -> int:
 
 def panel_of(view: Any) -> Mailbox:
     """The panel's end of the orders, as a writer that goes on where the panel has stopped."""
-    writer = Mailbox(ORDERS, view.orders.memory, view.orders.checked)
+    writer = Mailbox(REQUESTS, view.requests.memory, view.requests.checked)
     writer._written = int(writer._latest[0])
     return writer
 
@@ -59,23 +59,23 @@ class Hand:
 
     def begin(self, running: Running) -> None:
         self.writer = panel_of(self.view)
-        self.orders = no_orders()
+        self.requests = no_requests()
 
     def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         self.seen.append((t, time.perf_counter()))
         while self.plan and t >= self.plan[0][0]:
             self.give(self.plan.pop(0)[1])
 
-    def give(self, orders: dict[str, Any]) -> None:
-        for name, value in orders.items():
-            self.orders[name][...] = value
-        self.writer.write(**self.orders)
+    def give(self, requests: dict[str, Any]) -> None:
+        for name, value in requests.items():
+            self.requests[name][...] = value
+        self.writer.write(**self.requests)
 
     def end(self, ending: Ending) -> None: ...
 
 
 def run(view: Any, seconds: float, *others: Any, seed: int = 1) -> tuple[Ending, Running]:
-    plant, agent, mpc, timing = system_of(load_robot("swerve-ur10"), seed).parts
+    plant, controller, mpc, timing = system_of(load_robot("swerve-ur10"), seed).parts
     kept: list[Running] = []
 
     class Keep:
@@ -86,7 +86,7 @@ def run(view: Any, seconds: float, *others: Any, seed: int = 1) -> tuple[Ending,
         def end(self, ending: Ending) -> None: ...
 
     watchers = (Keep(), *([view] if view else []), *others)
-    return run_lockstep(plant, agent, mpc, timing, seconds, lambda *_: None, Watch(None, watchers)), kept[0]
+    return run_lockstep(plant, controller, mpc, timing, seconds, lambda *_: None, Watch(None, watchers)), kept[0]
 
 
 @pytest.mark.wallclock
@@ -219,9 +219,9 @@ def test_a_run_begins_anew_from_its_start_on_reset(tmp_path: Path, capsys: pytes
         make(view, running)
         begun.append(running)
         if len(begun) == 1:
-            orders, writer = no_orders(), panel_of(view)
-            orders["resets"][...] = 1
-            threading.Timer(0.3, lambda: writer.write(**orders)).start()
+            requests, writer = no_requests(), panel_of(view)
+            requests["resets"][...] = 1
+            threading.Timer(0.3, lambda: writer.write(**requests)).start()
 
     arguments = ["run", "rezero-push-ball", *SHORT, "--json", "--out"]
     with pytest.MonkeyPatch.context() as patch:
@@ -231,12 +231,12 @@ def test_a_run_begins_anew_from_its_start_on_reset(tmp_path: Path, capsys: pytes
     captured = capsys.readouterr()
     result = json.loads(captured.out)
     assert len(begun) == 2 and f"begun anew; the run until then is in {tmp_path / 'seen'}\n" in captured.err
-    first, second = read(tmp_path / "seen"), read(tmp_path / "seen-2")
+    first, second = read_recording(tmp_path / "seen"), read_recording(tmp_path / "seen-2")
     assert first.metadata["result"]["reason"].endswith("begun anew in the view")
     assert 0.0 < first.duration < second.duration and second.metadata["result"]["completed"] == "true"
     assert main([*arguments, str(tmp_path / "alone")]) == 0
     assert json.loads(capsys.readouterr().out)["metrics"] == result["metrics"]
-    np.testing.assert_array_equal(*(read(tmp_path / n)["/hand/pose"].data for n in ("seen-2", "alone")))
+    np.testing.assert_array_equal(*(read_recording(tmp_path / n)["/hand/pose"].data for n in ("seen-2", "alone")))
 
 
 def test_a_steered_run_says_so(tmp_path: Path) -> None:
@@ -244,11 +244,11 @@ def test_a_steered_run_says_so(tmp_path: Path) -> None:
 
     def begin(view: Any, running: Running) -> None:
         make(view, running)
-        orders, writer = no_orders(), panel_of(view)
-        orders["pushes"][...], orders["push"][...], orders["push_time"][...] = 1, [1.0, 0.0, 0.0], 0.1
-        writer.write(**orders)
-        orders["ends"][...] = 1
-        threading.Timer(0.5, lambda: writer.write(**orders)).start()
+        requests, writer = no_requests(), panel_of(view)
+        requests["pushes"][...], requests["push"][...], requests["push_time"][...] = 1, [1.0, 0.0, 0.0], 0.1
+        writer.write(**requests)
+        requests["ends"][...] = 1
+        threading.Timer(0.5, lambda: writer.write(**requests)).start()
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(live.View, "begin", begin)
@@ -288,10 +288,10 @@ def test_a_session_begins_anew_on_reset() -> None:
     def begin(running: Running) -> None:
         original(running)
         begun.append(time.perf_counter())
-        writer, orders = panel_of(view), no_orders()
-        orders["resets" if len(begun) == 1 else "ends"][...] = len(begun)
-        orders["resets"][...] = 1
-        threading.Timer(0.5, lambda: writer.write(**orders)).start()
+        writer, requests = panel_of(view), no_requests()
+        requests["resets" if len(begun) == 1 else "ends"][...] = len(begun)
+        requests["resets"][...] = 1
+        threading.Timer(0.5, lambda: writer.write(**requests)).start()
 
     view.begin = begin  # type: ignore[method-assign]
     try:
@@ -357,8 +357,8 @@ def test_the_page_says_why_the_robot_fell() -> None:
 
     try:
         for seconds in (3.0, 0.01):
-            plant, agent, mpc, timing = system_of(load_robot("rezero"), 1).parts
-            run_lockstep(plant, agent, mpc, timing, seconds, lambda *_: None, Watch(None, (view, Shove())))
+            plant, controller, mpc, timing = system_of(load_robot("rezero"), 1).parts
+            run_lockstep(plant, controller, mpc, timing, seconds, lambda *_: None, Watch(None, (view, Shove())))
     finally:
         view.close()
     why = r"the robot fell at \d\.\d\d s because its base leaned by (\d+) deg, the limit is 52 deg.*"
@@ -371,11 +371,11 @@ def test_the_page_says_why_the_robot_fell() -> None:
 def test_speeds_that_are_none_are_left_out() -> None:
     """Whatever writes the orders: a speed of 0 or NaN would end the run."""
     view, rejected = live.View("test", port=free_port()), []  # type: ignore[var-annotated]
-    view.orders, view.reject = Mailbox(ORDERS), rejected.append  # type: ignore[method-assign]
+    view.requests, view.reject = Mailbox(REQUESTS), rejected.append  # type: ignore[method-assign]
     view._ends = view._resets = 0
     for speed, kept in ((0.5, 0.5), (0.0, 0.5), (np.nan, 0.5), (np.inf, 0.5), (1.0, 1.0)):
-        view.orders.write(**{**no_orders(), "speed": np.array(speed)})
-        view._take_orders()
+        view.requests.write(**{**no_requests(), "speed": np.array(speed)})
+        view._take_requests()
         view._anchor(0.0)
         assert view._speed == kept
     assert len(rejected) == 3 and all("speed: must be 0.05 to 1" in reason for reason in rejected)

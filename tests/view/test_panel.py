@@ -1,4 +1,4 @@
-"""The controls beside the picture. Truth: the orders that reach the run, and the brakes that the run's agent asks for."""
+"""The controls beside the picture. Truth: the orders that reach the run, and the brakes that the run's controller asks for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from test_live import free_port
 
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.view.snapshot import NUMBERS
-from wbmpc.view.steering import ORDERS, Controls, Steering
+from wbmpc.view.steering import REQUESTS, Controls, Steering
 
 viser = pytest.importorskip("viser")
 panels = pytest.importorskip("wbmpc.view.panel")
@@ -21,7 +21,7 @@ panels = pytest.importorskip("wbmpc.view.panel")
 @pytest.fixture
 def panel() -> Any:
     server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
-    yield panels.Panel(server, Mailbox(ORDERS), Controls("test", ("hand",), legs=True, base=True))
+    yield panels.Panel(server, Mailbox(REQUESTS), Controls("test", ("hand",), legs=True, base=True))
     server.stop()
 
 
@@ -50,7 +50,7 @@ def test_the_box_shows_how_the_brakes_are(panel: Any, monkeypatch: pytest.Monkey
     assert (panel._values["brake_clicks"], panel._values["brakes_open"]) == (1, 1.0)
     show(panel, 0.0)
     assert panel._brakes.value is True
-    clock[0] += 1.1  # the run has refused
+    clock[0] += 1.1  # the run has rejected
     show(panel, 0.0)
     assert panel._brakes.value is False and panel._values["brake_clicks"] == 1
     show(panel, np.nan)
@@ -60,9 +60,9 @@ def test_the_box_shows_how_the_brakes_are(panel: Any, monkeypatch: pytest.Monkey
 def test_open_are_brakes_of_which_all_are() -> None:
     steering = Steering.__new__(Steering)
     steering.has_legs = True
-    for brakes, told in (([1, 1, 1, 1], 1.0), ([0, 0, 0, 0], 0.0), ([1, 0, 1, 1], 0.0)):
-        steering.running = SimpleNamespace(agent=SimpleNamespace(brakes=lambda t, b=brakes: np.array(b)))  # type: ignore[assignment]
-        assert steering.brakes_open(0.0) == told
+    for brakes, reported in (([1, 1, 1, 1], 1.0), ([0, 0, 0, 0], 0.0), ([1, 0, 1, 1], 0.0)):
+        steering.running = SimpleNamespace(controller=SimpleNamespace(brakes=lambda t, b=brakes: np.array(b)))  # type: ignore[assignment]
+        assert steering.brakes_open(0.0) == reported
     steering.has_legs = False
     assert np.isnan(steering.brakes_open(0.0))
 

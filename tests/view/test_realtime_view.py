@@ -17,7 +17,7 @@ from wbmpc.cli import main
 from wbmpc.model.robot import load_robot
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE
-from wbmpc.view.steering import no_orders
+from wbmpc.view.steering import no_requests
 
 pytest.importorskip("viser")
 realtime = pytest.importorskip("wbmpc.view.realtime")
@@ -87,7 +87,7 @@ def test_the_runner_is_watched_and_steered() -> None:
     """Goals, weights, a push and the legs' brakes change a run of three processes that goes on meanwhile; a reset begins it
     anew, and the end ends it."""
     view = realtime.RealtimeView("test", "swerve-ur10", "127.0.0.1", free_port())
-    orders, runs, seen = no_orders(), [], {}  # type: ignore[var-annotated]
+    requests, runs, seen = no_requests(), [], {}  # type: ignore[var-annotated]
     make = session.runner_of
 
     def kept(*arguments: Any) -> Any:
@@ -98,8 +98,8 @@ def test_the_runner_is_watched_and_steered() -> None:
 
     def give(**values: Any) -> None:
         for name, value in values.items():
-            orders[name][...] = value
-        panel_of(view).write(**orders)
+            requests[name][...] = value
+        panel_of(view).write(**requests)
 
     def until(true: Callable[[], bool], seconds: float = 120.0) -> bool:
         deadline = time.monotonic() + seconds
@@ -111,12 +111,12 @@ def test_the_runner_is_watched_and_steered() -> None:
         runner, world = runs[0]
         hand = lambda: np.array([world.board.samples(n)[-1] for n in "xyz"])
         seen["running"] = until(lambda: runner.state == "running" and world.board["time"] > 50)
-        home, weights, memory = hand(), np.ones_like(orders["weights"]), runner.mpc.solver.constants
-        goal = np.array([*(home + [0.0, 0.2, 0.1]), *load_robot("swerve-ur10").pose(runner.agent.robot.home)[1]])
+        home, weights, memory = hand(), np.ones_like(requests["weights"]), runner.mpc.solver.constants
+        goal = np.array([*(home + [0.0, 0.2, 0.1]), *load_robot("swerve-ur10").pose(runner.controller.robot.home)[1]])
         give(goals=1, goal=goal)
         seen["hand"] = until(lambda: float(np.linalg.norm(hand() - goal[:3])) < 0.02)
         give(base_goals=1, base_goal=np.array([0.25, 0.2, 0.0]))
-        seen["base"] = until(lambda: bool(runner.agent.state()[0] > 0.1))
+        seen["base"] = until(lambda: bool(runner.controller.state()[0] > 0.1))
         weights[0] = 10.0
         before = memory.copy()
         give(weights=weights)
@@ -125,7 +125,7 @@ def test_the_runner_is_watched_and_steered() -> None:
         give(pushes=1, push=np.array([900.0, 0.0, 0.0]), push_time=1.0)
         seen["push"] = until(lambda: float(np.linalg.norm(hand() - at)) > 5e-4)
         give(brake_clicks=1, brakes_open=1.0)
-        seen["brakes"] = until(lambda: bool(runner.agent.brakes(0.0).all()))
+        seen["brakes"] = until(lambda: bool(runner.controller.brakes(0.0).all()))
         give(resets=1)
         seen["reset"] = until(lambda: len(runs) == 2 and runs[1][0].state == "running")
         give(ends=1)
@@ -141,10 +141,10 @@ def test_the_runner_is_watched_and_steered() -> None:
     assert not runs[0][1].process.is_alive() and not runs[1][1].process.is_alive()
 
 
-def test_a_stop_by_safety_is_told_once_and_in_the_page(
+def test_a_stop_by_safety_is_reported_once_and_in_the_page(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Status 1; the sentence on standard error and on the page's board."""
+    """Status 1; the message on standard error and on the page's board."""
     pages: list[str] = []
     make, close = session.runner_of, realtime.RealtimeView.close
 

@@ -20,7 +20,7 @@ from wbmpc import lie, reproduce
 from wbmpc.cli import main
 from wbmpc.errors import InputError, WbmpcError
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.recording.reader import read
+from wbmpc.recording.reader import read_recording
 from wbmpc.recording.writer import McapFile
 from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.view import render
@@ -38,9 +38,9 @@ class Truth:
         self.poses: dict[float, np.ndarray] = {}
 
     def begin(self, running: Running) -> None:
-        self.plant, self.agent = running.plant, running.agent
+        self.plant, self.controller = running.plant, running.controller
         # the controller believes that it is elsewhere: what is shown must not
-        running.agent.estimator.odometry._state.mean[:3] += [0.3, -0.1, 0.2]
+        running.controller.estimator.odometry._state.mean[:3] += [0.3, -0.1, 0.2]
 
     def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         self.plant.truth()
@@ -54,7 +54,9 @@ class Truth:
 def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     folder, truth = tmp_path_factory.mktemp("run"), Truth()
     mpc = record(folder, truth)
-    return SimpleNamespace(folder=folder, truth=truth, film=Film(read(folder)), goal=mpc.reference["hand"].at(0.0))
+    return SimpleNamespace(
+        folder=folder, truth=truth, film=Film(read_recording(folder)), goal=mpc.reference["hand"].at(0.0)
+    )
 
 
 def test_bodies_are_where_they_were(run: SimpleNamespace) -> None:
@@ -88,12 +90,12 @@ def test_numbers_and_forces(run: SimpleNamespace) -> None:
     assert numbers["t"] == 0.1 and 0.0 < numbers["solve"] < 1.0 and numbers["deadline"] == 0.02
 
 
-def test_recordings_without_pictures_are_refused(tmp_path: Path) -> None:
+def test_recordings_without_pictures_are_rejected(tmp_path: Path) -> None:
     file = McapFile(tmp_path / "run.mcap")
     file.put("/mode", "std_msgs/String", 0.0, {"data": "H"})
     file.close()
     with pytest.raises(InputError, match=r"holds no frames \(/tf\) or no scene"):
-        Film(read(tmp_path))
+        Film(read_recording(tmp_path))
 
 
 # ---------------------------------------------------------------------- pages
@@ -201,7 +203,7 @@ def test_bad_input(run: SimpleNamespace, arguments: tuple[str, ...], capsys: pyt
     assert BAD[arguments] in err and err.count("\n") == 1
 
 
-def test_without_graphics_there_is_one_sentence_that_names_packages(
+def test_without_graphics_there_is_one_message_that_names_packages(
     run: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     def nothing(*_: object) -> None:

@@ -1,4 +1,4 @@
-"""Orders of a user, applied to robots in physics. Truth: where MuJoCo says hand, legs and base are afterwards."""
+"""Requests of a user, applied to robots in physics. Truth: where MuJoCo says hand, legs and base are afterwards."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep
 from wbmpc.view.session import system_of
-from wbmpc.view.steering import MOST_WEIGHTS, Steering, no_orders
+from wbmpc.view.steering import MOST_WEIGHTS, Steering, no_requests
 
 NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 
 
-class Orders:
+class Requests:
     """A watcher that gives orders at times: ``(t, {name: value})``."""
 
     def __init__(self, plan: list[tuple[float, dict[str, Any]]], look: Callable[[float, Running], None]) -> None:
-        self.plan, self.look, self.orders = plan, look, no_orders()
+        self.plan, self.look, self.requests = plan, look, no_requests()
 
     def begin(self, running: Running) -> None:
         self.running = running
@@ -34,8 +34,8 @@ class Orders:
     def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         while self.plan and t >= self.plan[0][0]:
             for name, value in self.plan.pop(0)[1].items():
-                self.orders[name][...] = value
-        self.steering.apply(t, self.orders, NOWHERE)
+                self.requests[name][...] = value
+        self.steering.apply(t, self.requests, NOWHERE)
         self.look(t, self.running)
 
     def end(self, ending: Ending) -> None:
@@ -48,9 +48,9 @@ def made(robot: Any, seed: int) -> tuple[Any, ...]:
 
 def drive(make: Any, name: str, seconds: float, plan: list[tuple[float, dict[str, Any]]], look: Any = None) -> Running:
     robot = load_robot(name)
-    plant, agent, mpc, timing = make(robot, 1)
-    watcher = Orders(plan, look or (lambda t, running: None))
-    ending = run_lockstep(plant, agent, mpc, timing, seconds, lambda *_: None, Watch(None, (watcher,)))
+    plant, controller, mpc, timing = make(robot, 1)
+    watcher = Requests(plan, look or (lambda t, running: None))
+    ending = run_lockstep(plant, controller, mpc, timing, seconds, lambda *_: None, Watch(None, (watcher,)))
     assert ending.reason == ""
     return watcher.running
 
@@ -69,10 +69,10 @@ def test_a_goal_is_given_in_the_world() -> None:
     """With a drift the goal that the MPC gets is the one that the user sees, in the estimate's frame."""
     running = drive(made, "swerve-ur10", 0.01, [])
     drift = np.array([0.5, -0.2, 0.0, *lie.quaternion_about((0, 0, 1), 0.3)])
-    steering, orders = Steering(running, np.zeros(3)), no_orders()
+    steering, requests = Steering(running, np.zeros(3)), no_requests()
     seen = np.array([1.0, 0.5, 0.8, *lie.quaternion_about((0, 1, 0), 0.2)])
-    orders["goals"][...], orders["goal"][...] = 1, seen
-    steering.apply(0.0, orders, drift)
+    requests["goals"][...], requests["goal"][...] = 1, seen
+    steering.apply(0.0, requests, drift)
     given = running.mpc.reference["hand"].at(0.0)
     np.testing.assert_allclose(lie.pose_compose(drift, given), seen, atol=1e-12)
 
@@ -104,7 +104,7 @@ def test_legs_move_and_are_braked_again(name: str) -> None:
     legs = [running.plant.truth().joints[f"leg_{leg}"] for leg in ("LF", "RF", "LB", "RB")]
     np.testing.assert_allclose(legs, CONFIGURATIONS[name], atol=0.02)
     assert list(dict.fromkeys(modes)) == ["default", "legs free", "legs braked"]
-    np.testing.assert_array_equal(running.agent.brakes(0.0), 0.0)
+    np.testing.assert_array_equal(running.controller.brakes(0.0), 0.0)
 
 
 SPEED, STARTS = 0.15, 0.5
@@ -112,7 +112,7 @@ SPEED, STARTS = 0.15, 0.5
 
 def on_its_way(robot: Any, seed: int) -> tuple[Any, ...]:
     """A run whose base goes ahead, while it turns a little, with its hand beside it: references that move."""
-    plant, agent, mpc, timing = made(robot, seed)
+    plant, controller, mpc, timing = made(robot, seed)
     t = np.arange(0.0, 12.0, 0.02)
     gone, moving = SPEED * np.maximum(t - STARTS, 0.0), t >= STARTS
     states, inputs = np.tile(robot.home, (t.size, 1)), np.zeros((t.size, robot.input.size))
@@ -121,7 +121,7 @@ def on_its_way(robot: Any, seed: int) -> tuple[Any, ...]:
     position, orientation = robot.pose(robot.home)
     mpc.reference["hand"] = Reference.poses(t, position + gone[:, None] * [1.0, 0.0, 0.0], orientation)
     mpc.reference["state"], mpc.reference["input"] = Reference(t, states), Reference(t, inputs)
-    return plant, agent, mpc, timing
+    return plant, controller, mpc, timing
 
 
 def test_a_driving_base_goes_on_while_its_legs_move() -> None:
@@ -140,23 +140,23 @@ def test_a_driving_base_goes_on_while_its_legs_move() -> None:
 def test_orders_take_the_reference_of_their_moment() -> None:
     """Legs and yaw of a reference that has moved on are kept when the base's goal is dragged, the base's path when legs are."""
     robot = load_robot("swerve-ur10")
-    plant, agent, mpc, _ = on_its_way(robot, 1)
-    agent.measure(plant.measure())
+    plant, controller, mpc, _ = on_its_way(robot, 1)
+    controller.measure(plant.measure())
     base, leg = robot.state["base"], robot.state["leg"]
     before = mpc.reference["state"]
     before.values[:, base.start + 2] = 0.1 * before.times
     before.values[:, leg] += 0.05 * before.times[:, None]
-    running: Any = Running(plant, agent, mpc, None, np.inf)  # type: ignore[arg-type]
-    steering, orders = Steering(running, np.zeros(3)), no_orders()
+    running: Any = Running(plant, controller, mpc, None, np.inf)  # type: ignore[arg-type]
+    steering, requests = Steering(running, np.zeros(3)), no_requests()
     position, orientation = robot.pose(robot.home)
-    orders["goals"][...], orders["goal"][...] = 1, [*position, *orientation]
-    steering.apply(4.0, orders, NOWHERE)
+    requests["goals"][...], requests["goal"][...] = 1, [*position, *orientation]
+    steering.apply(4.0, requests, NOWHERE)
     held = mpc.reference["state"].at(4.0)
     assert held[base.start + 2] == pytest.approx(0.4)
     np.testing.assert_allclose(held[leg], robot.home[leg] + 0.2)
     mpc.reference["state"] = before
-    orders["configurations"][...], orders["configuration"][...] = 1, list(CONFIGURATIONS).index("H")
-    steering.apply(4.0, orders, NOWHERE)
+    requests["configurations"][...], requests["configuration"][...] = 1, list(CONFIGURATIONS).index("H")
+    steering.apply(4.0, requests, NOWHERE)
     for t in (4.0, 7.0):
         np.testing.assert_allclose(mpc.reference["state"].at(t)[base], before.at(t)[base])
         np.testing.assert_allclose(mpc.reference["state"].at(t)[leg], 0.0)
@@ -164,7 +164,7 @@ def test_orders_take_the_reference_of_their_moment() -> None:
 
 def test_brakes_open_at_once() -> None:
     running = drive(made, "swerve-ur10", 0.5, [(0.1, {"brake_clicks": 1, "brakes_open": 1})])
-    np.testing.assert_array_equal(running.agent.brakes(0.0), 1.0)
+    np.testing.assert_array_equal(running.controller.brakes(0.0), 1.0)
 
 
 def test_brakes_of_legs_that_hold_nothing_stay_closed(
@@ -172,17 +172,17 @@ def test_brakes_of_legs_that_hold_nothing_stay_closed(
 ) -> None:
     """In H open legs would let the base go sideways (all four are parallel); the same click in X opens them."""
     running = drive(made, "swerve-ur10", 0.01, [])
-    x, agent = running.agent.state(), running.agent
-    monkeypatch.setattr(agent, "state", lambda: x)
-    orders, drift = no_orders(), np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    orders["brake_clicks"][...], orders["brakes_open"][...] = 1, 1
-    inside, x[agent.robot.state["leg"]] = x[agent.robot.state["leg"]].copy(), 0.0
-    Steering(running, np.zeros(3)).apply(0.0, orders, drift)
-    np.testing.assert_array_equal(agent.brakes(0.0), 0.0)
+    x, controller = running.controller.state(), running.controller
+    monkeypatch.setattr(controller, "state", lambda: x)
+    requests, drift = no_requests(), np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    requests["brake_clicks"][...], requests["brakes_open"][...] = 1, 1
+    inside, x[controller.robot.state["leg"]] = x[controller.robot.state["leg"]].copy(), 0.0
+    Steering(running, np.zeros(3)).apply(0.0, requests, drift)
+    np.testing.assert_array_equal(controller.brakes(0.0), 0.0)
     assert "nothing would hold the base against sideways" in caplog.text
-    x[agent.robot.state["leg"]] = inside
-    Steering(running, np.zeros(3)).apply(0.0, orders, drift)
-    np.testing.assert_array_equal(agent.brakes(0.0), 1.0)
+    x[controller.robot.state["leg"]] = inside
+    Steering(running, np.zeros(3)).apply(0.0, requests, drift)
+    np.testing.assert_array_equal(controller.brakes(0.0), 1.0)
 
 
 def test_a_push_ends_by_itself() -> None:
@@ -221,17 +221,17 @@ def test_weights_act_without_compiling() -> None:
     again = soft.mpc.solver.constants.copy()
     steering = Steering(soft, np.zeros(3))
     steering._weights = steering._seen_weights = factors
-    steering.apply(0.0, no_orders(), NOWHERE)
+    steering.apply(0.0, no_requests(), NOWHERE)
     assert not np.array_equal(soft.mpc.solver.constants, again)
     np.testing.assert_array_equal(soft.mpc.solver.constants, firm.mpc.solver.constants)
 
 
 def test_orders_before_a_run_are_not_for_it() -> None:
     running = drive(made, "rezero", 0.01, [])
-    steering, orders = Steering(running, np.zeros(3)), no_orders()
-    orders["pushes"][...], orders["push"][...], orders["push_time"][...] = 3, [9, 0, 0], 1.0
-    steering.skip(orders)
-    steering.apply(0.0, orders, NOWHERE)
+    steering, requests = Steering(running, np.zeros(3)), no_requests()
+    requests["pushes"][...], requests["push"][...], requests["push_time"][...] = 3, [9, 0, 0], 1.0
+    steering.skip(requests)
+    steering.apply(0.0, requests, NOWHERE)
     assert not running.plant.data.xfrc_applied.any()
     assert not steering.has_legs
 
@@ -242,7 +242,7 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
     running = drive(made, name, 0.01, [])
     rejected: list[str] = []
     steering = Steering(running, np.zeros(3), rejected.append)
-    position, turn = running.agent.robot.pose(running.agent.robot.home)
+    position, turn = running.controller.robot.pose(running.controller.robot.home)
     before = running.mpc.reference["hand"]
     bad: list[dict[str, Any]] = [
         {"goals": 1, "goal": [np.nan, *position[1:], *turn]}, {"goals": 2, "goal": [*position, 0.0, 0, 0, 0]},
@@ -252,13 +252,13 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
     ]  # fmt: skip
     if steering.has_legs:
         bad += [{"configurations": 1, "configuration": 99.0}, {"brake_clicks": 1, "brakes_open": np.nan}]
-    orders = no_orders()
+    requests = no_requests()
     weights = running.mpc.solver.constants.copy()
     for k, wrong in enumerate(bad):
         for key, value in wrong.items():
-            orders[key][...] = value
-        steering.apply(0.1 * k, orders, NOWHERE)
-        steering.apply(0.1 * k + 0.05, orders, NOWHERE)  # said once, not at every tick
+            requests[key][...] = value
+        steering.apply(0.1 * k, requests, NOWHERE)
+        steering.apply(0.1 * k + 0.05, requests, NOWHERE)  # said once, not at every tick
         assert len(rejected) == k + 1, wrong
     assert running.mpc.reference["hand"] is before
     np.testing.assert_array_equal(running.mpc.solver.constants, weights)

@@ -12,7 +12,7 @@ from typing import Any
 
 def _child(queue: Any, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     silence = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):  # some peers print whatever they are told
+    for stream in (1, 2):  # some peers print whatever they are reported
         os.dup2(silence, stream)
     try:
         queue.put(function(*arguments))
@@ -22,7 +22,7 @@ def _child(queue: Any, function: Callable[..., Any], arguments: tuple[Any, ...])
 
 
 def within(seconds: float, function: Callable[..., Any], *arguments: Any) -> Any:
-    """``function(*arguments)`` in a child process; a sentence (str) when it fails, dies or takes too long."""
+    """``function(*arguments)`` in a child process; a message (str) when it fails, dies or takes too long."""
     context = multiprocessing.get_context("fork")
     queue = context.Queue()
     child = context.Process(target=_child, args=(queue, function, arguments), daemon=True)

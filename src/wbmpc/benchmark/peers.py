@@ -113,7 +113,7 @@ def solve_with(
     }  # fmt: skip
 
 
-def peer_figures(name: str, prepared: Prepared, problem: Problem, measure: Measure | None = None) -> dict[str, Any]:
+def peer_statistics(name: str, prepared: Prepared, problem: Problem, measure: Measure | None = None) -> dict[str, Any]:
     """Figures from the common guess: the start, held, with the guess's first input. With ``measure``: by it, too."""
     n = prepared.program.n
     start = (np.tile(problem.x0, (n + 1, 1)), np.tile(problem.u0, (n, 1)))
@@ -123,11 +123,11 @@ def peer_figures(name: str, prepared: Prepared, problem: Problem, measure: Measu
     x, u, figures = found
     if measure is None:
         return dict(figures)
-    equal = within(EQUAL_SECONDS, equal_figures, name, prepared, problem.x0, start, figures, measure)
+    equal = within(EQUAL_SECONDS, equal_statistics, name, prepared, problem.x0, start, figures, measure)
     return {**figures, "residual": measure(x, u, problem.x0).figure, **({} if isinstance(equal, str) else equal)}
 
 
-def equal_figures(
+def equal_statistics(
     name: str,
     prepared: Prepared,
     x0: np.ndarray,
@@ -149,7 +149,7 @@ def peer(
     name: str, prepared: Prepared, problem: Problem, x: np.ndarray, u: np.ndarray, measure: Measure
 ) -> dict[str, Any]:
     """Figures from the common guess; and from our solution with 1e-3 of noise, for the difference of the solutions."""
-    figures = peer_figures(name, prepared, problem, measure)
+    figures = peer_statistics(name, prepared, problem, measure)
     if "error" in figures:
         return {**figures, "difference": None}
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""The library's two robots as benchmark problems, and those of the zoo in the same form."""
+"""The library's two robots as benchmark problems, and those of the test problems in the same form."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def rezero_bench(
     return Problem(f"ball robot with arm, {limits} limits, N = {intervals}", solver, home, u0)
 
 
-def zoo_bench(problem: SampleProblem, settings: SQP | None = None) -> Problem:
-    """A problem of the zoo; its guess is the start, held, with the guess's first input."""
+def suite_bench(problem: SampleProblem, settings: SQP | None = None) -> Problem:
+    """A test problem; its guess is the start, held, with the guess's first input."""
     solver = problem.solver(settings or SQP(iterations=300))
     return Problem(problem.name, solver, problem.x0, np.atleast_2d(problem.u)[0])

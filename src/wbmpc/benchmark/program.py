@@ -314,7 +314,7 @@ def compiler() -> str | None:
 
 
 def compiled_library(functions: dict[str, ca.Function], seconds: float = 600.0) -> Path | str:
-    """A shared library of the functions, kept beside the kernels' cache; a sentence when it cannot be made."""
+    """A shared library of the functions, kept beside the kernels' cache; a message when it cannot be made."""
     found = compiler()
     if found is None:
         return "no C compiler (cc, gcc) was found"

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from wbmpc.benchmark.ours import ours
-from wbmpc.benchmark.problems import zoo_bench
+from wbmpc.benchmark.problems import suite_bench
 from wbmpc.benchmark.test_problems import MAKERS
 
 #: Milliseconds of one SQP iteration of OCS2 (C++, one thread, quiet, on an AMD Zen 5) on problems of the same sizes, not
@@ -24,7 +24,7 @@ def size_race(repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
     rows = []
     for name, (milliseconds, goal) in OCS2.items():
         note(name)
-        problem = zoo_bench(MAKERS[name]())
+        problem = suite_bench(MAKERS[name]())
         t, figures = problem.solver.problem, ours(problem, repeat)[2]
         best = figures["iteration_ms"]
         rows.append(

@@ -64,8 +64,8 @@ def _sizes(rows: list[dict[str, Any]]) -> Table:
 
 
 def _goals(rows: list[dict[str, Any]]) -> Table:
-    verdict = {True: "reached", False: "missed", None: "not measured"}
-    cells = [[r["what"], r["value"], r["goal"], verdict[r["met"]]] for r in rows]
+    outcome = {True: "reached", False: "missed", None: "not measured"}
+    cells = [[r["what"], r["value"], r["goal"], outcome[r["met"]]] for r in rows]
     return table_of("Goals", ("what", "value", "goal", ""), cells, 1)
 
 

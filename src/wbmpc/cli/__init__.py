@@ -158,7 +158,7 @@ def _execute(
             result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view, limit)
             if view is None or not view.wants_reset:
                 return result, files
-            view.anew()
+            view.restart()
             typer.echo(f"begun anew; the run until then is in {Path(files['report']).parent}", err=True)
     finally:
         if view is not None:
@@ -226,8 +226,8 @@ def _table(results: list[RunResult]) -> None:
     for result in results:
         for k, (name, m) in enumerate(result.metrics.items()):
             figures = [figure_text(result, name), "" if m.paper is None else number(m.paper), goal_text(m)]
-            verdict = {True: "reached", False: "missed", None: ""}[result.reached(name)]
-            table.add_row(result.experiment if k == 0 else "", name, m.unit, *figures, verdict)
+            outcome = {True: "reached", False: "missed", None: ""}[result.reached(name)]
+            table.add_row(result.experiment if k == 0 else "", name, m.unit, *figures, outcome)
         mpc = result.mpc
         if mpc is not None:
             table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}", "", "", "")
@@ -352,10 +352,10 @@ def bench(
     from wbmpc.benchmark import run_benchmark
     from wbmpc.benchmark.table import text, write
 
-    tell = not (as_json or context.obj.quiet)
+    verbose = not (as_json or context.obj.quiet)
     with nullcontext() if out is None else run_directory(out, "bench", 0) as directory:
-        with progress_bar("bench", tell) as bar:
-            show = bar or (lambda _, note: typer.echo(note, err=True) if tell else None)
+        with progress_bar("bench", verbose) as bar:
+            show = bar or (lambda _, note: typer.echo(note, err=True) if verbose else None)
             figures = run_benchmark(repeat, show)
         if directory is not None:
             figures["files"] = write(figures, directory, text(figures))
@@ -385,7 +385,7 @@ for _info in (*app.registered_commands, *log.registered_commands, *ros2.register
 
 
 def _complain(error: Exception, debug: bool) -> None:
-    """One sentence on standard error, whatever the message looked like; the traceback only on request."""
+    """One message on standard error, whatever the message looked like; the traceback only on request."""
     if debug:
         traceback.print_exception(error)
     if isinstance(error, OSError) and error.strerror:
@@ -398,7 +398,7 @@ def _complain(error: Exception, debug: bool) -> None:
 
 
 def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] | None = None) -> int:
-    """Entry point; returns the exit status. Bad input is one sentence and status 2.
+    """Entry point; returns the exit status. Bad input is one message and status 2.
 
     ``registry``: experiments to use in place of the library's.
     """

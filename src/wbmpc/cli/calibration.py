@@ -50,21 +50,21 @@ def _calibrator_of(file: Path, given: str | None) -> Calibrator:
 
     metrics = file.with_name("metrics.json")
     try:
-        said = str(read_metrics(metrics)["settings"]["robot"])
+        message = str(read_metrics(metrics)["settings"]["robot"])
     except (InputError, KeyError) as error:
         if given is None:
             raise InputError(f"--robot: is needed, {metrics} does not say which robot this was") from error
         return _calibrator(given)
-    if given is None or given == said:
-        return _calibrator(said)
+    if given is None or given == message:
+        return _calibrator(message)
     found = _calibrator(given)
     try:
-        there = _calibrator(said)
+        there = _calibrator(message)
     except InputError:  # a file that is not there any more
         return found
     if not _same_base(found.geometry, there.geometry):
         raise InputError(
-            f"--robot: {metrics} says that this was '{said}', whose base is another than that of '{given}'; leave --robot out, or "
+            f"--robot: {metrics} says that this was '{message}', whose base is another than that of '{given}'; leave --robot out, or "
             "give the log.npz without the metrics.json beside it"
         )
     return found
@@ -134,7 +134,7 @@ def _print_json(fit: WheelFit, names: list[str], hidden: list[str], target: Path
     found, std = fit.calibration, fit.calibration.std
     rows = {
         name: {
-            "steer_zero": float(found.steer_zero[i]),
+            "steer_zero": float(found.steer_offset[i]),
             "wheel_radius": float(found.wheel_radius[i]),
             "steer_zero_std": float(std[0][i]),
             "wheel_radius_std": float(std[1][i]),
@@ -149,11 +149,11 @@ def _print(fit: WheelFit, names: list[str], hidden: list[str], target: Path, pri
     found, std = fit.calibration, fit.calibration.std
     for i, name in enumerate(names):
         typer.echo(
-            f"{name}: steer zero {1e3 * found.steer_zero[i]:.2f} mrad (std {1e3 * std[0][i]:.2f}), "
+            f"{name}: steer zero {1e3 * found.steer_offset[i]:.2f} mrad (std {1e3 * std[0][i]:.2f}), "
             f"radius {1e3 * found.wheel_radius[i]:.3f} mm (std {1e3 * found.wheel_radius[i] * std[1][i]:.3f})"
         )
     mean = found.covariance[: found.modules, : found.modules].mean() ** 0.5
-    typer.echo(f"mean of the steer zeros {1e3 * found.steer_zero.mean():.2f} mrad (std {1e3 * mean:.2f})")
+    typer.echo(f"mean of the steer zeros {1e3 * found.steer_offset.mean():.2f} mrad (std {1e3 * mean:.2f})")
     for text in hidden:
         typer.echo(f"not shown by this drive: {text}")
     if (fit.before.covariance != prior.covariance).any():

@@ -1,7 +1,7 @@
 """Where files go, so that nothing is overwritten: the one place that decides.
 
 A name that the program chooses gets the next free number (``runs/NAME-seed200-2``, ``plots-2.html``), and so does the directory of
-a run. A file that the user names is refused when it is there, unless ``--force`` is given.
+a run. A file that the user names is rejected when it is there, unless ``--force`` is given.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def new_file(option: str, given: Path | None, default: Path, force: bool) -> Pat
     Raises :class:`InputError` if the named one is there and ``force`` is not given, or cannot be written.
     """
     if given is not None:
-        refuse_existing(option, [given], force)
+        reject_existing(option, [given], force)
         if not given.parent.is_dir():
             raise InputError(f"{option}: '{given}': there is no directory '{given.parent}'")
     path = given or (default if force else _free(default))
@@ -83,13 +83,13 @@ def writable_directory(option: str, path: Path) -> None:
 
 
 def new_directory(option: str, given: Path | None, default: Path, force: bool) -> Path:
-    """A directory for files that :func:`refuse_existing` then looks at; a chosen one is not there yet."""
+    """A directory for files that :func:`reject_existing` then looks at; a chosen one is not there yet."""
     if given is not None and given.exists() and not given.is_dir():
         raise InputError(f"{option}: '{given}' is a file; give a directory")
     return given or (default if force else _free(default))
 
 
-def refuse_existing(option: str, paths: Iterable[Path], force: bool) -> None:
+def reject_existing(option: str, paths: Iterable[Path], force: bool) -> None:
     """Raise :class:`InputError` naming the first file that is there, unless ``force`` is given."""
     for path in paths:
         if path.is_dir():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wbmpc.cli.directories import Force, new_directory, new_file, refuse_existing, writable_directory
+from wbmpc.cli.directories import Force, new_directory, new_file, reject_existing, writable_directory
 
 if TYPE_CHECKING:
     from wbmpc.recording.reader import Recording
@@ -43,15 +43,15 @@ def _summary(recording: Recording) -> dict[str, Any]:
 @log.command()
 def info(file: File, as_json: AsJson = False) -> None:
     """What a recording holds."""
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
 
-    recording = read(file)
+    recording = read_recording(file)
     summary = _summary(recording)
     if as_json:
         typer.echo(json.dumps(summary))
         return
     run, result = recording.metadata.get("run", {}), recording.metadata.get("result", {})
-    # of a damaged one a warning has told
+    # a damaged one has been reported by a warning
     end = "" if recording.complete or recording.damage else "; it ends in the middle: the run was killed"
     typer.echo(f"{recording.title}, {recording.duration:.2f} s, started {run.get('started', 'unknown')}{end}")
     if result.get("reason"):
@@ -73,10 +73,10 @@ def plot(
 ) -> None:
     """Draw topics, or an overview, into one HTML page."""
     from wbmpc.recording.plots import of_topics, overview
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
     from wbmpc.report import plots_page
 
-    recording = read(file)
+    recording = read_recording(file)
     path = new_file("--out", out, recording.path.with_name("plots.html"), force)
     plots = of_topics(recording, topics) if topics else overview(recording)
     path.write_text(plots_page(recording.title, str(recording.path), plots))
@@ -94,13 +94,13 @@ def export(
 ) -> None:
     """Write topics as tables for other tools."""
     from wbmpc.recording.export import export as write
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
 
-    recording = read(file)
+    recording = read_recording(file)
     directory = new_directory("--out", out, recording.path.with_name("export"), force)
 
     def check(files: list[Path]) -> None:
-        refuse_existing("--out", files, force)
+        reject_existing("--out", files, force)
         writable_directory("--out", directory)
 
     paths = write(recording, to, directory, topics or (), check)
@@ -140,18 +140,18 @@ def compare(
     plots = overlay(runs, names, wheels(figures[0]))
     out.write_text(plots_page(f"{names[0]} and {names[1]}", about, plots))
     if as_json:
-        said = {"runs": [str(first), str(second)], "metrics": rows, "settings": changed, "notes": notes}
-        typer.echo(json.dumps({**said, "page": str(out)}))
+        output = {"runs": [str(first), str(second)], "metrics": rows, "settings": changed, "notes": notes}
+        typer.echo(json.dumps({**output, "page": str(out)}))
         return
     if rows:
         _compare_table(rows, names)
-    _tell_differences(figures, changed)
+    _print_differences(figures, changed)
     for note in notes:
         typer.echo(note)
     typer.echo(f"the signals are in {out}" if plots else f"the runs share no signals; {out} is without plots")
 
 
-def _tell_differences(figures: list[dict[str, Any]], changed: dict[str, list[Any]]) -> None:
+def _print_differences(figures: list[dict[str, Any]], changed: dict[str, list[Any]]) -> None:
     """The settings that differ; those of different experiments by their number, and not more than fit on a screen."""
     from wbmpc.compare import experiments
 

@@ -36,10 +36,10 @@ def reproduce(
     names = [context.obj.find(name).name for name in only] if only else list(context.obj.registry)
     jobs = plan(names, parse_seeds(seeds), out)
     writable_directory("--out", out)
-    tell = not (as_json or context.obj.quiet)
-    with progress_bar("reproduce", tell) as bar:
+    verbose = not (as_json or context.obj.quiet)
+    with progress_bar("reproduce", verbose) as bar:
         # hours go by: in a pipe every finished run is a line
-        progress = bar or (lambda _, note: typer.echo(note, err=True) if tell else None)
+        progress = bar or (lambda _, note: typer.echo(note, err=True) if verbose else None)
         try:
             failed = run_all(jobs, workers or len(os.sched_getaffinity(0)), progress)
         except KeyboardInterrupt:

@@ -46,7 +46,7 @@ def _on_bus(
     lockstep: bool = False,
     priority: int = 0,
 ) -> tuple[Any, RobotModel, RosSettings]:
-    """A node for a command that runs until it is interrupted or told to end, and what the file and the options say."""
+    """A node for a command that runs until it is interrupted or commanded to end, and what the file and the options say."""
     import logging
 
     if priority:
@@ -57,7 +57,7 @@ def _on_bus(
     from wbmpc.ros2.settings import load_settings
 
     log = logging.getLogger("wbmpc")
-    verbose = log.isEnabledFor(logging.INFO)  # a node tells what it does, unless it is to be quiet; with --verbose more
+    verbose = log.isEnabledFor(logging.INFO)  # a node logs what it does, unless it is to be quiet; with --verbose more
     log.setLevel(logging.ERROR if context.obj.quiet else logging.DEBUG if verbose else logging.INFO)
     model = load_robot(robot)
     settings = load_settings(config, model)
@@ -70,18 +70,18 @@ def _on_bus(
 
 
 @contextmanager
-def _until_told() -> Iterator[Callable[[], bool]]:
+def _until_signal() -> Iterator[Callable[[], bool]]:
     """Gives a function that says whether Ctrl-C or the signal to end has come; a second one acts at once."""
-    told: list[int] = []
+    signals: list[int] = []
 
     def note(number: int, frame: Any) -> None:
-        if told:
+        if signals:
             raise KeyboardInterrupt
-        told.append(number)
+        signals.append(number)
 
     before = {n: signal.signal(n, note) for n in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: bool(told)
+        yield lambda: bool(signals)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -114,16 +114,16 @@ def ros2_control(
     """Run the controller as a node; it waits for joint states and a goal."""
     node, model, settings = _on_bus(context, robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
     from wbmpc.ros2.control import ControlNode
-    from wbmpc.ros2.statistics import figures
+    from wbmpc.ros2.statistics import collect_statistics
 
     try:
-        with _until_told() as ended:
+        with _until_signal() as ended:
             control = ControlNode(node, model, settings)
             control.spin(ended)
     finally:
         node.close()
     if as_json:
-        typer.echo(json.dumps({"state": control.state, "figures": figures(control)}))
+        typer.echo(json.dumps({"state": control.state, "figures": collect_statistics(control)}))
 
 
 @ros2.command("sim")
@@ -141,19 +141,19 @@ def ros2_sim(
     as_json: AsJson = False,
 ) -> None:
     """Simulate the robot as a node: joint states, inertial unit, clock; takes the controllers' commands."""
-    tell = not context.obj.quiet
+    verbose = not context.obj.quiet
     node, model, settings = _on_bus(context, robot, config, backend, "_sim", use_sim_time, lockstep, 5 * fifo)
     from wbmpc.ros2.sim import SimNode
 
     try:
-        with _until_told() as ended:
+        with _until_signal() as ended:
             sim = SimNode(node, model, settings, seed, factor=factor)
-            if tell:
+            if verbose:
                 typer.echo(f"the simulated robot is on the bus ({node.backend})", err=True)
             why = sim.spin(ended, seconds)
     finally:
         node.close()
-    if tell:
+    if verbose:
         typer.echo(f"{why}; too slow {sim.behind} times", err=True)
     if as_json:
         typer.echo(json.dumps({"ended": why, "seconds": round(sim.time, 6), "behind": sim.behind, "seed": seed}))

@@ -52,7 +52,7 @@ def stability(
         plot.write_text(draw(result))
         files["plot"] = str(plot)
     if as_json:
-        typer.echo(json.dumps({**result.figures(), "files": files}, allow_nan=False))
+        typer.echo(json.dumps({**result.summary(), "files": files}, allow_nan=False))
     else:
         typer.echo(result.text())
         if files:

@@ -20,7 +20,7 @@ COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
 
 class Termination:
-    """SIGTERM is Ctrl-C from another process: a handler that remembers it, so that the exit status can tell."""
+    """SIGTERM is Ctrl-C from another process: a handler that remembers it, so that the exit status shows it."""
 
     def __init__(self) -> None:
         self.came = False

@@ -41,8 +41,8 @@ def warn(host: str) -> None:
         )
 
 
-def say_where(url: str, as_json: bool = False, what: str = "view") -> None:
-    """Where a browser finds it: a sentence on standard error, or the object on standard output."""
+def print_address(url: str, as_json: bool = False, what: str = "view") -> None:
+    """Where a browser finds it: a message on standard error, or the object on standard output."""
     typer.echo(json.dumps({"url": url}) if as_json else f"the {what} is at {url}", err=not as_json)
 
 
@@ -50,7 +50,7 @@ def open_view(title: str, host: str, port: int, no_token: bool = False, *, as_js
     """A view that says where it is when it can be opened."""
     from wbmpc.view.live import View
 
-    shown = View(title, host, port, opened=partial(say_where, as_json=as_json), with_token=not no_token)
+    shown = View(title, host, port, opened=partial(print_address, as_json=as_json), with_token=not no_token)
     warn(host)
     return shown
 
@@ -102,7 +102,7 @@ def _view_realtime(robot: str, seed: int, host: str, port: int, no_token: bool, 
     from wbmpc.view.realtime import RealtimeView
     from wbmpc.view.session import run_realtime
 
-    opened = partial(say_where, as_json=as_json)
+    opened = partial(print_address, as_json=as_json)
     shown = RealtimeView(f"{robot}, real time", robot, host, port, opened=opened, with_token=not no_token)
     warn(host)
     reason = "interrupted"
@@ -136,7 +136,7 @@ def replay(
     """Show a recording in a browser, with a time bar; or write it as one page."""
     from importlib.util import find_spec
 
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
     from wbmpc.view.replay import Film, Player, write_page
 
     if find_spec("viser") is None:
@@ -146,7 +146,7 @@ def replay(
     access = Access.of(host, not no_token)
     if html is not None:
         new_file("--html", html, html, force)
-    film = Film(read(file))
+    film = Film(read_recording(file))
     with redirect_stdout(io.StringIO()):  # the server's banner
         if html is not None:
             write_page(film, html, port)
@@ -156,7 +156,7 @@ def replay(
     if html is not None:
         typer.echo(json.dumps({"page": str(html)}) if as_json else f"the replay is in {html}")
         return
-    say_where(player.url, as_json, "replay")
+    print_address(player.url, as_json, "replay")
     with suppress(KeyboardInterrupt):
         player.run()
     with redirect_stdout(io.StringIO()):  # the server says that it stops
@@ -178,7 +178,7 @@ def render(
     as_json: AsJson = False,
 ) -> None:
     """Draw a recording into a film, a GIF or a picture, without a display."""
-    from wbmpc.recording.reader import read
+    from wbmpc.recording.reader import read_recording
     from wbmpc.view.render import render as draw
     from wbmpc.view.replay import Film
 
@@ -191,7 +191,7 @@ def render(
         new_file(f"--{kind[1:]}", path, path, force)
     if not start >= 0.0:
         raise InputError(f"--start: must not be negative, got {start:g}")
-    film = Film(read(file))
+    film = Film(read_recording(file))
     drawn = {str(path): draw(film, path, (start, end), (width, height), speed) for path, _ in wanted}
     if as_json:
         typer.echo(json.dumps({"pictures": drawn}))

@@ -1,7 +1,7 @@
 """What drives that follow speeds make of commands, and what encoders that are read a little before their message show of it.
 
 A first-order lag delays a command; dry friction takes a constant speed off it (a servo that gives gain times the missing speed
-turns slower than told by friction over gain), in whichever direction it turns.
+turns slower than commanded by friction over gain), in whichever direction it turns.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ LEARNED_IN, MOST, TURNS, SLOW = 1.0, 0.1, 0.05, 0.02
 class DryFriction:
     """Of n drives, learned from what they turn and given back to their commands.
 
-    ``period`` [s] of the commands, ``lag`` [s] of the drives. ``droop`` (n) [rad/s]: by what each turns slower than told.
+    ``period`` [s] of the commands, ``lag`` [s] of the drives. ``droop`` (n) [rad/s]: by what each turns slower than commanded.
     """
 
     def __init__(self, count: int, period: float, lag: float) -> None:
         positive("dry friction", period=period)
         not_negative("dry friction", lag=lag)
         self.droop: Array = np.zeros(count)
-        self._told, self._rate, self._mean = np.zeros((3, count))
+        self._command, self._rate, self._mean = np.zeros((3, count))
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._late = self._blend * lag / period
 
@@ -41,13 +41,17 @@ class DryFriction:
         self.droop = np.where(np.abs(self._mean) > TURNS, now, self.droop)
 
     def command(self, wanted: Array, most: Array | float, step: Array | float) -> Array:
-        """What to tell the drives (n) [rad/s] so that they turn as ``wanted`` (n), within ± ``most`` and by no more than ``step``
+        """Commands for the drives (n) [rad/s] so that they turn as ``wanted`` (n), within ± ``most`` and by no more than ``step``
         beside the command before. Slow ones get a share, or they would chatter about a standstill."""
-        told = wanted + self.droop * np.clip(wanted / SLOW, -1.0, 1.0)
-        told = np.clip(np.clip(told, -most, most), self._told - step, self._told + step)
-        behind = self._rate - told
-        self._told, self._mean, self._rate = told, told + behind * self._late, told + behind * (1.0 - self._blend)
-        return told
+        command = wanted + self.droop * np.clip(wanted / SLOW, -1.0, 1.0)
+        command = np.clip(np.clip(command, -most, most), self._command - step, self._command + step)
+        behind = self._rate - command
+        self._command, self._mean, self._rate = (
+            command,
+            command + behind * self._late,
+            command + behind * (1.0 - self._blend),
+        )
+        return command
 
 
 class Smoothing:

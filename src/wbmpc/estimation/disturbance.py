@@ -8,9 +8,9 @@ that has gone: d̂ then learns at full gain, whatever the gate says, until ``set
 on like that. A plan that does not know of such a force, or believes in one that has gone, leans wrongly for as long. (To go on
 learning at every sign of motion makes a robot with an unknown 1 kg in its hand swing against its own observer.)
 
-Nor is the inertia of a load that nobody told of: while the robot accelerates, its force comes and goes with the motion. An observer
+Nor is the inertia of a load that is not modeled: while the robot accelerates, its force comes and goes with the motion. An observer
 that follows it, nearly as fast as the controller acts on it, makes the two swing against each other (1 kg in the hand, a step of
-0.4 m: 45 mm beyond the goal and a swing of 1.2 Hz that has not died out four seconds later). So d̂ learns slowly while the
+0.4 m: 45 mm beyond the goal and a swing of 1.2 Hz that has not decayed four seconds later). So d̂ learns slowly while the
 model says that the robot accelerates or turns: L2 / (1 + (|v̇| / ``calm``)² + …), first for the ball's acceleration, then for the
 tilt rate.
 """
@@ -25,7 +25,7 @@ import numpy as np
 from wbmpc.checks import finite, not_negative, numbers, positive_time, scales
 from wbmpc.errors import InputError
 
-#: The share of the gate from which on a steady innovation counts: no push needs to be told from it, only noise.
+#: The share of the gate from which on a steady innovation counts: no push needs to be distinguished from it, only noise.
 STEADY = 0.35
 
 

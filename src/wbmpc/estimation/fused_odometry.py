@@ -31,9 +31,9 @@ from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 
-#: A global pose whose normalised error squared is above this is refused: 99.99 % of chi-square with 3 degrees of freedom.
+#: A global pose whose normalised error squared is above this is rejected: 99.99 % of chi-square with 3 degrees of freedom.
 GATE = 21.1
-#: So many refusals in a row mean that the estimate is wrong and not the source: its next pose is taken as it is.
+#: So many rejections in a row mean that the estimate is wrong and not the source: its next pose is taken as it is.
 PATIENCE = 10
 #: A pose so little [s] ahead of the last message counts as of then (another clock, a message on its way); others do not count.
 AHEAD = 0.1
@@ -55,7 +55,7 @@ class FusedOdometry:
 
     ``calibration``: what is known of the wheels (:meth:`WheelCalibration.unknown` when left out); ``pose_std`` (x, y, yaw)
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
-    ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``taken``, ``refused``: how
+    ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``taken``, ``rejected``: how
     many global poses did and did not fit; ``misfit``: mean of the normalised squared errors of those that did (3 is expected);
     ``contradiction``: by how much of their way the wheels contradicted each other. ``backend``: machine code, or its source as
     ordinary Python. Raises :class:`InputError` for a calibration of
@@ -79,7 +79,7 @@ class FusedOdometry:
         known = self._prior
         if known.modules != n:
             raise InputError(f"odometry: 'calibration' is of {known.modules} modules, the base has {n}")
-        self._reader = WheelOdometry(geometry, leg_zero=known.leg_zero, steer_zero=known.steer_zero)
+        self._reader = WheelOdometry(geometry, leg_offset=known.leg_offset, steer_offset=known.steer_offset)
         p = np.zeros((WHEELS + 2 * n, WHEELS + 2 * n))
         p[:3, :3] = np.diag(np.square(_not_negative("pose_std", numbers("odometry", "pose_std", pose_std, 3))))
         p[BIAS, BIAS] = self.noise.gyro_bias**2
@@ -93,7 +93,7 @@ class FusedOdometry:
         self._started, self._closed = False, np.zeros(n, dtype=bool)
         self._open: Mask = self._closed
         self.twist: Array = np.zeros(3)
-        self.taken = self.refused = self._refusals = 0
+        self.taken = self.rejected = self._rejections = 0
         self._misfits = 0.0
 
     # ------------------------------------------------------------------ results
@@ -146,7 +146,7 @@ class FusedOdometry:
         n, prior, state = self._n, self._prior, self._state
         c = state.mean[WHEELS:]
         radius = prior.wheel_radius * (1.0 + c[n:])
-        return WheelCalibration(prior.steer_zero + c[:n], prior.leg_zero, radius, state.p[WHEELS:, WHEELS:].copy())
+        return WheelCalibration(prior.steer_offset + c[:n], prior.leg_offset, radius, state.p[WHEELS:, WHEELS:].copy())
 
     # ------------------------------------------------------------------ from outside
     def place(self, pose: ArrayLike, covariance: ArrayLike | None = None) -> None:
@@ -313,7 +313,7 @@ class FusedOdometry:
         The filter goes back to that time, corrects, and comes forward again. False when the pose is older than the
         history, of a future that no message has come from (see ``AHEAD``), or does not fit (see ``GATE`` and ``PATIENCE``).
         Raises :class:`InputError` for what is not finite, for a covariance that is none, and where pose and filter are both
-        certain: which one is right cannot be told. Nothing is lost then.
+        certain: which one is right cannot be decided. Nothing is lost then.
         """
         z, r = numbers("global pose", "pose", pose, 3), checked_covariance("global pose", covariance)
         if not np.isfinite(t):
@@ -330,7 +330,7 @@ class FusedOdometry:
             step = self._past[-back].record[memory.state_end :]
             rates = step[Interval.SIZE : Interval.SIZE + 3] / step[Interval.H]
         corrected = self._corrected(state, rates, t, z, r)
-        self.refused += corrected is None
+        self.rejected += corrected is None
         self.taken += corrected is not None
         if corrected is not None:
             self._replay(corrected, back)
@@ -353,13 +353,13 @@ class FusedOdometry:
         error = fused_filter.apart(state, rates, t, z)
         misfit = fused_filter.misfit(state, error, r)
         if misfit > GATE:
-            self._refusals += 1
-            if self._refusals <= PATIENCE:
+            self._rejections += 1
+            if self._rejections <= PATIENCE:
                 return None
             # the filter is lost: carried away, or by wheels that are worse than believed. Its pose is the source's
-            self._refusals = 0
+            self._rejections = 0
             return fused_filter.replaced(state, error, r)
-        self._refusals = 0
+        self._rejections = 0
         self._misfits += misfit
         return fused_filter.corrected(state, error, r)
 

@@ -54,10 +54,10 @@ class InertialGate:
         """A message (2, 3) counts."""
         self.last, self._counted, self._jumped = message, True, False
 
-    def refuse(self) -> None:
+    def reject(self) -> None:
         """A message that jumps does not count."""
         self._jumped = True
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """After a gap the next message may be any: it is no jump."""
         self._given, self._counted, self._jumped = None, False, False

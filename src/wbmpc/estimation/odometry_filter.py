@@ -104,7 +104,7 @@ def misfit(state: State, error: Array, r: Array) -> float:
     """Normalised squared error of a pose that is off by ``error`` (3), with its covariance ``r`` (3, 3). Raises
     :class:`InputError` where pose and state are both certain."""
     s = state.p[:3, :3] + r
-    _refuse_certain(s)
+    _reject_certain(s)
     return float(error @ np.linalg.solve(s, error))
 
 
@@ -125,7 +125,7 @@ def replaced(state: State, error: Array, r: Array) -> State:
     return State(state.t, np.concatenate([state.mean[:3] + error, state.mean[3:]]), p)
 
 
-def _refuse_certain(covariance: Array) -> None:
+def _reject_certain(covariance: Array) -> None:
     """Raise :class:`InputError` for the covariance (3, 3) of a difference that is certain in some direction. Units do not count:
     a yaw that is not known at all (1e9 rad²) is none."""
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 class OffsetObserver:
     """Estimates the parameters ``group`` of ``dynamics`` from the measured entries of the state (all when left out).
 
-    ``x``, ``u`` (nx, nu): where the filter starts, and where it is checked that the parameters can be told apart; ``mode``: the
+    ``x``, ``u`` (nx, nu): where the filter starts, and where it is checked that the parameters can be distinguished; ``mode``: the
     model's mode values. Standard deviations: ``noise`` of a measurement; ``process`` by which a state, and ``walk`` by which a
     parameter, leaves the model in a second; ``spread`` of both at the start. One number or one per entry each, in their units.
     ``known``: the values of the model's other parameters by group, needed if there are any, for the model is only right with
@@ -55,7 +55,7 @@ class OffsetObserver:
         self.mean = np.concatenate([numbers("offset observer", "x", x, nx), np.zeros(nd)])
         self.covariance = np.diag(_positive("spread", spread, nx + nd) ** 2)
         self._step, self._rates = self._functions()
-        self._refuse_what_cannot_be_told(numbers("offset observer", "u", u, dynamics.input.size))
+        self._reject_unobservable(numbers("offset observer", "u", u, dynamics.input.size))
 
     @property
     def offset(self) -> Array:
@@ -136,7 +136,7 @@ class OffsetObserver:
         step = ca.Function("step", [z, u, m, h, known], [after, ca.densify(ca.jacobian(after, z))])
         return step, ca.Function("rates", [z, u, m, known], [ca.densify(ca.jacobian(rate(z[:nx]), z))])
 
-    def _refuse_what_cannot_be_told(self, u: Array) -> None:
+    def _reject_unobservable(self, u: Array) -> None:
         """The largest subspace of [x; d] that the measurements never see must not have a part in d."""
         nx, size = self.dynamics.state.size, self.mean.size
         flow = np.vstack([np.array(self._rates(self.mean, u, self.mode, self._known)), np.zeros((size - nx, size))])
@@ -155,7 +155,7 @@ class OffsetObserver:
         direction = unseen @ unseen[nx + i]  # the unseen motion that has most of this parameter
         others = [*self.dynamics.state.names, *self.names]
         like = [f"'{others[k]}'" for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > 1e-3 and k != nx + i]
-        how = f"cannot be told apart from {', '.join(like[:3])}" if like else "leaves no trace"
+        how = f"cannot be distinguished from {', '.join(like[:3])}" if like else "leaves no trace"
         raise InputError(f"offset observer: '{self.names[i]}' {how} by measuring {', '.join(self.labels)}")
 
 

@@ -3,7 +3,7 @@
 Past the edge a rigid body falls away as an inverted pendulum. A load whose zero-moment point crosses the edge at a constant
 speed v makes it turn at ω(τ) = v / h · (cosh kτ − 1) a time τ after the crossing, with the height h of the centre of mass over the
 edge and k² = m g h / I about it. So its rate is zero with zero slope where it begins: a threshold sees it late, by some tenths of a
-second, and the curve tells the beginning. ``v / h`` is fitted along with it; k is taken as known, for it hardly matters.
+second, and the curve gives the beginning. ``v / h`` is fitted along with it; k is taken as known, for it hardly matters.
 """
 
 from __future__ import annotations

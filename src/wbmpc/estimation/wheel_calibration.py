@@ -26,20 +26,20 @@ ZERO_STD, RADIUS_STD, COMMON_RADIUS_STD = 2e-3, 1e-3, 2e-3
 class WheelCalibration:
     """Corrections of n steered wheels: true angle = measured − zero.
 
-    ``steer_zero``, ``leg_zero`` (n) [rad]; ``wheel_radius`` (n) [m]; ``covariance`` (2n, 2n) of what is left of the steer
+    ``steer_offset``, ``leg_offset`` (n) [rad]; ``wheel_radius`` (n) [m]; ``covariance`` (2n, 2n) of what is left of the steer
     zeros [rad] and of the radii (relative), in this order. The heading of a wheel shows only the sum of both zeros:
-    a calibration from driving leaves the legs' as they are and has the sum in ``steer_zero``. Raises :class:`InputError` for
+    a calibration from driving leaves the legs' as they are and has the sum in ``steer_offset``. Raises :class:`InputError` for
     numbers that are not finite, of another length, radii that are not positive, and a covariance that is none.
     """
 
-    steer_zero: Array
-    leg_zero: Array
+    steer_offset: Array
+    leg_offset: Array
     wheel_radius: Array
     covariance: Array
 
     def __post_init__(self) -> None:
-        n = np.size(self.steer_zero)
-        for name in ("steer_zero", "leg_zero", "wheel_radius"):
+        n = np.size(self.steer_offset)
+        for name in ("steer_offset", "leg_offset", "wheel_radius"):
             object.__setattr__(self, name, numbers("wheel calibration", name, getattr(self, name), n))
         if (self.wheel_radius <= 0.0).any():
             raise InputError(f"wheel calibration: 'wheel_radius' must be positive, got {self.wheel_radius}")
@@ -72,7 +72,7 @@ class WheelCalibration:
     @property
     def modules(self) -> int:
         """Number of modules n."""
-        return len(self.steer_zero)
+        return len(self.steer_offset)
 
     def rise(self, geometry: ModuleGeometry) -> float:
         """By how much [m] the base stands higher than described: radii that roll farther carry it higher. (Of a soft tyre's sink
@@ -90,10 +90,10 @@ class WheelCalibration:
         std = self.std
         rows = {
             name: {
-                "steer_zero": float(self.steer_zero[i]),
-                "leg_zero": float(self.leg_zero[i]),
+                "steer_offset": float(self.steer_offset[i]),
+                "leg_offset": float(self.leg_offset[i]),
                 "wheel_radius": float(self.wheel_radius[i]),
-                "steer_zero_std": float(std[0][i]),
+                "steer_offset_std": float(std[0][i]),
                 "wheel_radius_std": float(std[1][i]),
             }
             for i, name in enumerate(modules)
@@ -114,15 +114,15 @@ class WheelCalibration:
         Raises :class:`InputError` naming the key."""
         rows, given = _read(Path(path), modules)
         value = lambda key, default: np.array([_number(path, n, key, rows[n].get(key, default)) for n in modules])
-        std = np.concatenate([value("steer_zero_std", 0.0), value("wheel_radius_std", 0.0)])
+        std = np.concatenate([value("steer_offset_std", 0.0), value("wheel_radius_std", 0.0)])
         radius = value("wheel_radius", geometry.wheel_radius)
         if (radius <= 0.0).any() or (std < 0.0).any():
             raise InputError(f"{path}: radii must be positive, standard deviations must not be negative")
         covariance = np.outer(std, std) * _correlation(path, given, list(rows), modules)
-        return cls(value("steer_zero", 0.0), value("leg_zero", 0.0), radius, covariance)
+        return cls(value("steer_offset", 0.0), value("leg_offset", 0.0), radius, covariance)
 
 
-_KEYS = ("steer_zero", "leg_zero", "wheel_radius", "steer_zero_std", "wheel_radius_std")
+_KEYS = ("steer_offset", "leg_offset", "wheel_radius", "steer_offset_std", "wheel_radius_std")
 
 
 def _correlation(path: Path | str, given: object, order: list[str], modules: list[str]) -> Array:

@@ -50,7 +50,7 @@ class Increment:
         residual, slope = m["residual"].reshape(n, 2), m["slope"].reshape(3, n, 2)
         return cls(m["twist"].copy(), residual.copy(), m["rolled"].copy(), m["heading"].copy(), slope.copy())
 
-    def by_steer_zero(self) -> Array:
+    def by_steer_offset(self) -> Array:
         """Derivative (3, n) of the twist by the zeros of the steering: the true angle is the measured one less the zero."""
         across = self.fit[:, :, 1] * np.cos(self.heading) - self.fit[:, :, 0] * np.sin(self.heading)
         return np.asarray(-across * self.rolled)
@@ -117,7 +117,7 @@ class WheelOdometry:
 
     ``pose`` (x, y, yaw) starts at ``pose0``, yaw not wrapped; ``increment`` (dx, dy, dyaw): integral of the body twist
     over the last update; ``residual`` (n, 2) [m]: by what each wheel's displacement differs from it. Calibration:
-    ``wheel_radius`` [m], one or one per wheel (the geometry's when left out); ``leg_zero``, ``steer_zero`` (n, or one for all)
+    ``wheel_radius`` [m], one or one per wheel (the geometry's when left out); ``leg_offset``, ``steer_offset`` (n, or one for all)
     [rad]: true angle = measured − zero. Raises :class:`InputError` for what is not finite, of another length, or no radius.
     """
 
@@ -127,16 +127,16 @@ class WheelOdometry:
         pose0: ArrayLike = (0.0, 0.0, 0.0),
         *,
         wheel_radius: ArrayLike | None = None,
-        leg_zero: ArrayLike = 0.0,
-        steer_zero: ArrayLike = 0.0,
+        leg_offset: ArrayLike = 0.0,
+        steer_offset: ArrayLike = 0.0,
     ) -> None:
         n = self._n = geometry.modules
         self.geometry, self.pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
         radius = geometry.wheel_radius if wheel_radius is None else wheel_radius
         self.radius = each("odometry", "wheel_radius", radius, n)
         positive("odometry", wheel_radius=float(self.radius.min()))
-        self._leg_zero = each("odometry", "leg_zero", leg_zero, n)
-        self._steer_zero = each("odometry", "steer_zero", steer_zero, n)
+        self._leg_offset = each("odometry", "leg_offset", leg_offset, n)
+        self._steer_offset = each("odometry", "steer_offset", steer_offset, n)
         self._fit, self._started, self._pose = WheelFit(geometry, self.radius), False, self.pose.copy()
         self._run = self._fit.with_pose(self._pose)
         self.increment: Array = np.zeros(3)
@@ -165,10 +165,10 @@ class WheelOdometry:
     def checked(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Sample:
         """True angles (leg, steer) and wheel angles (n each) of a message, or :class:`InputError`."""
         n = self._n
-        steered = numbers("odometry", "steer", steer, n) - self._steer_zero
+        steered = numbers("odometry", "steer", steer, n) - self._steer_offset
         rolled = numbers("odometry", "wheel", wheel, n).copy()
         # fixed legs have no angle; their heading is part of the geometry
-        angle = numbers("odometry", "leg", leg, n) - self._leg_zero if self.geometry.has_hinge else np.zeros(n)
+        angle = numbers("odometry", "leg", leg, n) - self._leg_offset if self.geometry.has_hinge else np.zeros(n)
         return angle, steered, rolled
 
 

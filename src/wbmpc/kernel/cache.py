@@ -158,7 +158,7 @@ def save(key: str, code: bytes, description: dict) -> None:
     except UntrustedCache as error:
         _warn(str(error))
     except OSError as error:
-        _tell(str(cache_directory()), str(error))
+        _report_unwritable(str(cache_directory()), str(error))
 
 
 def _replace(folder: int, name: str, content: bytes) -> None:
@@ -182,6 +182,6 @@ def _warn(why: str) -> None:
 
 
 @cache
-def _tell(directory: str, why: str) -> None:
+def _report_unwritable(directory: str, why: str) -> None:
     """Once for each reason: every start will compile anew."""
     _LOG.warning("compiled code cannot be kept in %s, every start will build it again: %s", directory, why)

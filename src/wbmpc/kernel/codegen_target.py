@@ -80,10 +80,10 @@ machine.emit_object(llvm.parse_assembly("define double @f(double %x) { ret doubl
 def _check(name: str, features: str) -> None:
     """Raise :class:`InputError` for a processor or a feature that LLVM does not know."""
     done = subprocess.run([sys.executable, "-c", _TRY, name, features], capture_output=True, text=True)
-    said = next((line for line in done.stderr.splitlines() if "not a recognized" in line), "")
-    if done.returncode or said:
+    message = next((line for line in done.stderr.splitlines() if "not a recognized" in line), "")
+    if done.returncode or message:
         raise InputError(
-            f"WBMPC_TARGET: '{name}:{features}' is no target of this machine ({said or 'LLVM refuses it'}); valid: a processor such"
+            f"WBMPC_TARGET: '{name}:{features}' is no target of this machine ({message or 'LLVM rejects it'}); valid: a processor such"
             " as x86-64-v3 or cortex-a76, and after a colon features such as +avx2,+fma"
         )
 
@@ -102,7 +102,7 @@ def compile_module(ir: str, optimise: int = 0) -> bytes:
     try:
         module = llvm.parse_assembly(ir)
     except RuntimeError as error:
-        raise KernelError(f"the generated code was refused: {str(error)[:400]}") from error
+        raise KernelError(f"the generated code was rejected: {str(error)[:400]}") from error
     if optimise:
         options = llvm.create_pipeline_tuning_options(speed_level=optimise)
         options.loop_vectorization = True

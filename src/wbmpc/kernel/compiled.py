@@ -311,7 +311,7 @@ def _emit_blocks(
 
 
 def unsupported(transcription: Transcription) -> str:
-    """Which term, or the dynamics, has an operation that cannot be compiled, in a sentence; empty if none has."""
+    """Which term, or the dynamics, has an operation that cannot be compiled, in a message; empty if none has."""
     stages = (("path", "term"), ("terminal", "terminal term"))
     pieces = {"the dynamics": transcription.rates, "the jump": transcription.jump}
     for stage, kind in stages:

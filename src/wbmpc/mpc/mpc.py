@@ -20,8 +20,8 @@ from wbmpc.solver.solver import one_jump
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
-#: Refused plans in a row from which on the next solve goes on from the refused one. Rows that move fast refuse up to three, and
-#: then the plan before is where to start from; after more it is so old that the same refusal comes back.
+#: Rejected plans in a row from which on the next solve goes on from the rejected one. Rows that move fast reject up to three, and
+#: then the plan before is where to start from; after more it is so old that the same rejection comes back.
 STUCK = 4
 
 
@@ -142,7 +142,7 @@ class MPC:
         self.fault = ""
         #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
         self.events_without_node = 0
-        self._told = False
+        self._reported = False
         terms = {t.name: t.residual for t in ocp.terms.values()}
         self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
 
@@ -266,7 +266,7 @@ class MPC:
         return self._outcome[2]
 
     @property
-    def figures(self) -> dict[str, float]:
+    def solve_info(self) -> dict[str, float]:
         """Of the last plan: iterations in all, cost, constraint violation, optimality, solve time [s]; where the grid follows
         events or the state jumps at them, how many found no node."""
         count = self._outcome[1]
@@ -303,7 +303,7 @@ class MPC:
         self._count_events(observation.t)
         broken = self._not_finite_part()
         self._broken = self._broken + 1 if broken else 0
-        before, self.fault = self.fault, broken or self._refused()
+        before, self.fault = self.fault, broken or self._rejection()
         self._faults = self._faults + 1 if self.fault else 0
         if self.fault and not before:  # the first of a row of them
             _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
@@ -320,14 +320,16 @@ class MPC:
             _LOG.warning("MPC at %.3f s: the initial guess is not used: %s", t, error)
 
     def _count_events(self, t: float) -> None:
-        """A robot in motion is not stopped for events that find no node, but it is said, once, and shown in ``figures``."""
+        """A robot in motion is not stopped for events that find no node, but it is said, once, and shown in ``solve_info``."""
         self.events_without_node = self.solver.events_without_node(t)
-        if self.events_without_node and not self._told:
-            self._told = True
-            told = "events more than inner nodes: plans see the last modes late or not at all"
+        if self.events_without_node and not self._reported:
+            self._reported = True
+            consequence = "events more than inner nodes: plans see the last modes late or not at all"
             if not self.ocp.align_events:
-                told = "jumps lost, of events within one interval: the grid has to follow them (align_events=True)"
-            _LOG.warning("mode schedule: from %.3f s on, %d %s", t, self.events_without_node, told)
+                consequence = (
+                    "jumps lost, of events within one interval: the grid has to follow them (align_events=True)"
+                )
+            _LOG.warning("mode schedule: from %.3f s on, %d %s", t, self.events_without_node, consequence)
 
     def _go_on_from(self, t: float, delta: float) -> None:
         """The input that is in force at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
@@ -362,7 +364,7 @@ class MPC:
             self.resume(x, u, t)
 
     def _goes_on(self) -> bool:
-        """Whether a finite iterate that was refused is what the next pass starts from."""
+        """Whether a finite iterate that was rejected is what the next pass starts from."""
         status = self.solver.status(self._outcome[0])
         return status is Status.EQUALITY_INFEASIBLE or (status is Status.INPUT_INFEASIBLE and self._faults >= STUCK)
 
@@ -374,11 +376,11 @@ class MPC:
         bad = self.solver.non_finite_part()
         return f"failed: the {bad} is not finite" if bad else ""
 
-    def _refused(self) -> str:
+    def _rejection(self) -> str:
         """Which limit or equality the last plan misses so that it is not used; empty if none."""
         status = self.solver.status(self._outcome[0])
-        refused = status in (Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
-        return f"{status.value} ({self.solver.missed(status)})" if refused else ""
+        rejected = status in (Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
+        return f"{status.value} ({self.solver.missed(status)})" if rejected else ""
 
     def _check(self, observation: Observation) -> None:
         if not np.isfinite(observation.t):

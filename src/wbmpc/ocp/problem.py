@@ -112,7 +112,7 @@ class OptimalControlProblem:
         return other
 
     def add(self, term: Term) -> None:
-        """Add a term; its name must be new. Solvers that were made before refuse to go on."""
+        """Add a term; its name must be new. Solvers that were made before reject to go on."""
         if term.name in self.terms:
             raise InputError(f"term '{term.name}' is already there; valid: a new name")
         self.terms[term.name] = term

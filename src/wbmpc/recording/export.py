@@ -24,7 +24,7 @@ def export(
 ) -> list[Path]:
     """Write ``topics`` (all when left out) as ``form``: csv or parquet, a file each; npz, one archive. Returns the files.
 
-    ``check`` is told the files before any is written, and may refuse.
+    ``check`` is reported the files before any is written, and may reject.
     """
     if form not in FORMS:
         raise unknown_name("format", form, FORMS)

@@ -120,32 +120,32 @@ def schema(kind: str) -> str:
 
 # ---------------------------------------------------------------------- to bytes
 def encode(
-    kind: str, message: Message, look: Lookup = fields, missing: Mapping[str, Mapping[str, Any]] | None = None
+    kind: str, message: Message, lookup: Lookup = fields, missing: Mapping[str, Mapping[str, Any]] | None = None
 ) -> bytes:
     """CDR bytes of a message. Raises :class:`InputError` naming a field that is missing, unknown or has the wrong length.
 
     ``look``: fields of types by name. ``missing``: fields may be left out; they are zero or empty, or what this says by type.
     """
     out = bytearray()
-    _Writer(out, look, missing).write(kind, message, kind)
+    _Writer(out, lookup, missing).write(kind, message, kind)
     return _HEADER + bytes(out)
 
 
 class _Writer:
     """Appends to ``out``."""
 
-    def __init__(self, out: bytearray, look: Lookup, missing: Mapping[str, Mapping[str, Any]] | None) -> None:
-        self.out, self.look, self.missing = out, look, missing
+    def __init__(self, out: bytearray, lookup: Lookup, missing: Mapping[str, Mapping[str, Any]] | None) -> None:
+        self.out, self.lookup, self.missing = out, lookup, missing
 
     def write(self, kind: str, message: Any, where: str) -> None:
         if not isinstance(message, Mapping):
-            count = len(numbers(kind)) if self.look is fields else 0
+            count = len(numbers(kind)) if self.lookup is fields else 0
             if not count:
                 raise InputError(f"message: {where} is missing")
             self._numbers(message, count, where)
             return
         left = len(message)
-        for field in self.look(kind):
+        for field in self.lookup(kind):
             place = f"{where}.{field.name}"
             if field.name in message:
                 left -= 1
@@ -155,7 +155,7 @@ class _Writer:
             else:
                 self._field(field, self.missing.get(kind, {}).get(field.name), place)
         if left:
-            known = [f.name for f in self.look(kind)]
+            known = [f.name for f in self.lookup(kind)]
             raise unknown_name(f"field of {kind}", next(k for k in message if k not in known), known)
 
     def _field(self, field: Field, value: Any, place: str) -> None:

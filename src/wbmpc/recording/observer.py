@@ -51,11 +51,11 @@ class Observer:
 
     def see(self) -> Moment:
         """The present moment."""
-        plant, agent = self.running.plant, self.running.agent
+        plant, controller = self.running.plant, self.running.controller
         frames = plant.world.frames(height=0.0)  # brings positions up to date
         bodies = self.reader.poses(plant.data)
         base = bodies[self.scene.index]
-        belief = getattr(agent, "base_pose", None)
+        belief = getattr(controller, "base_pose", None)
         estimated = base if belief is None else belief()
         hand = np.concatenate([frames["tool"], lie.rotation_to_quaternion(frames["tool_rotation"])])
         return Moment(bodies, base, hand, estimated, lie.pose_compose(base, lie.pose_inverse(estimated)))
@@ -72,7 +72,7 @@ class Observer:
         if plans.current is None or self.running.mpc is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
         layout = self.running.mpc.ocp.dynamics.state
-        return predicted(self.running.agent.robot, layout, thinned(plans.current.x), self.lift)
+        return predicted(self.running.controller.robot, layout, thinned(plans.current.x), self.lift)
 
 
 def hand_goal(mpc: MPC | None, t: float, lift: Array) -> Array | None:

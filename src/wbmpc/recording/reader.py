@@ -139,7 +139,7 @@ def _flat_field(prefix: str, kind: str, name: str, value: Any) -> Iterator[tuple
         yield from _flat(prefix, inner.kind, value)
 
 
-def read(path: Path) -> Recording:
+def read_recording(path: Path) -> Recording:
     """Read a recording; of a file that ends in the middle everything before that, of a damaged one all that is whole.
 
     Damage is noted in the recording and logged as a warning. Raises :class:`InputError` when there is no such file, it is not

@@ -124,7 +124,7 @@ class Recorder:
         if "states" in due:
             self._states(moment)
             self._numbers("/command", command)
-            self._numbers("/measured", getattr(self.running.agent, "measured", None))
+            self._numbers("/measured", getattr(self.running.controller, "measured", None))
         if "links" in due:
             self._links(moment)
         if "plans" in due:
@@ -255,7 +255,7 @@ class Recorder:
         if mpc is None or mpc.statistics.solves == self._solves:
             return
         self._solves = mpc.statistics.solves
-        for name, value in mpc.figures.items():
+        for name, value in mpc.solve_info.items():
             self._number(f"/mpc/{name}", value)
         for name in ("failures", "no_step"):
             self._number(f"/mpc/{name}", float(getattr(mpc.statistics, name)))

@@ -64,7 +64,7 @@ def records(data: bytes, damage: list[str]) -> Iterator[McapRecord]:
             elif found is not None:
                 yield found
         except _DAMAGED as error:
-            damage.append(f"the record at byte {at} ({_name(kind)}): {_said(error)}")
+            damage.append(f"the record at byte {at} ({_name(kind)}): {_describe(error)}")
         at = end
     if data[len(MAGIC) :].endswith(MAGIC) and not closed:  # it was closed once: what is missing is not its end
         damage.append(f"its records cannot be followed from byte {at} of {len(data)} on")
@@ -96,7 +96,7 @@ def _name(kind: int) -> str:
     return Opcode(kind).name.lower().replace("_", " ") if kind in list(Opcode) else "of no known kind"
 
 
-def _said(error: Exception) -> str:
+def _describe(error: Exception) -> str:
     return _CHECKSUM if isinstance(error, CRCValidationError) else str(error) or type(error).__name__
 
 

@@ -48,7 +48,7 @@ def check_joints(description: RobotDescription, model: mujoco.MjModel) -> None:
         name = model.joint(joint).name
         if not name:
             raise InputError(f"{description.model}: body '{model.body(body).name}' has a joint without a name")
-        refuse_reference(description.model, name, model.qpos0[model.jnt_qposadr[joint]])
+        reject_reference(description.model, name, model.qpos0[model.jnt_qposadr[joint]])
         if name not in listed:
             left.append(name)
     if left:
@@ -56,7 +56,7 @@ def check_joints(description: RobotDescription, model: mujoco.MjModel) -> None:
         which, them = (f"joint {names} of", "it") if len(left) == 1 else (f"joints {names} of", "them")
         raise InputError(
             f"{description.source}: {which} {description.model} can move, but no key names {them}: "
-            f"name {them} in {description.joint_keys(' or ')}, or hold {them} with 'lock: {{{hold}}}' [rad or m]"
+            f"name {them} in {description.joint_keys(' or ')}, or hold {them} with 'fixed_joints: {{{hold}}}' [rad or m]"
         )
 
 
@@ -77,7 +77,7 @@ def check_tool(description: RobotDescription, model: mujoco.MjModel) -> None:
         )
 
 
-def refuse_reference(path: object, joint: str, reference: float) -> None:
+def reject_reference(path: object, joint: str, reference: float) -> None:
     """A joint's value where its body is drawn (``ref`` of an MJCF) must be 0: planner, locks and calibrations count from there."""
     if reference:
         raise InputError(

@@ -25,14 +25,14 @@ from wbmpc.bases.base import BaseDescription, Section
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots.checks import check_joints, check_tool, compiled
 from wbmpc.robots.file_limits import check_size
-from wbmpc.robots.fixed_joints import lock
-from wbmpc.robots.model_import import keep_mechanics, refuse_couplings, widen
+from wbmpc.robots.fixed_joints import fix_joint
+from wbmpc.robots.model_import import keep_mechanics, reject_couplings, widen
 from wbmpc.robots.wheel_geometry import check_radii
 from wbmpc.yaml_file import load_yaml
 
 DATA = Path(__file__).parent / "data"
 #: Keys of ``limits`` that are of joints, whatever the base.
-JOINT_LIMITS = ("velocity", "drive_velocity", "acceleration", "effort", "position")
+JOINT_LIMITS = ("velocity", "actuator_velocity", "acceleration", "effort", "position")
 
 
 def _moves(value: float) -> float:
@@ -56,13 +56,13 @@ class ArmDescription(Section):
 class LimitsDescription(Section):
     """Limits by joint: velocity [rad/s], acceleration [rad/s²], effort [N m], position [rad] (overrides the file's range).
 
-    ``drive_velocity`` [rad/s]: what a steering drive may do beyond ``velocity``, which is the planner's, to catch up with the plan.
+    ``actuator_velocity`` [rad/s]: what a steering drive may do beyond ``velocity``, which is the planner's, to catch up with the plan.
     ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels (needed);
     ``spin_effort`` [N m]: what they may do about the vertical before the robot spins on the floor.
     """
 
     velocity: dict[str, _Limit] = Field(default={})
-    drive_velocity: dict[str, _Limit] = Field(default={})
+    actuator_velocity: dict[str, _Limit] = Field(default={})
     acceleration: dict[str, _Limit] = Field(default={})
     effort: dict[str, _Limit] = Field(default={})
     position: dict[str, tuple[_Place, _Place]] = Field(default={})
@@ -73,9 +73,9 @@ class LimitsDescription(Section):
 
     @model_validator(mode="after")
     def _reserve(self) -> Self:
-        for name, rate in self.drive_velocity.items():
+        for name, rate in self.actuator_velocity.items():
             if rate < self.velocity.get(name, np.inf):
-                raise ValueError(f"drive_velocity: '{name}' needs a velocity, and no less than that")
+                raise ValueError(f"actuator_velocity: '{name}' needs a velocity, and no less than that")
         return self
 
     @field_validator("position")
@@ -100,7 +100,7 @@ def _base_section(value: Any) -> Any:
 class RobotDescription(Section):
     """A robot: where its file is, what moves it, its arm, home and limits. Units SI and radians.
 
-    ``lock``: joints that are held, and where [rad or m]. Every joint of the file below the base's body is either named by
+    ``fixed_joints``: joints that are held, and where [rad or m]. Every joint of the file below the base's body is either named by
     ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters.
     """
 
@@ -108,7 +108,7 @@ class RobotDescription(Section):
     model: Path
     base: Annotated[SerializeAsAny[BaseDescription], BeforeValidator(_base_section)]
     arm: ArmDescription
-    lock: dict[str, float] = Field(default={})
+    fixed_joints: dict[str, float] = Field(default={})
     home: dict[str, float] = Field(default={})
     limits: LimitsDescription = LimitsDescription()
     source: str = Field(default="", exclude=True)
@@ -260,7 +260,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
         f"base.{description.base.joint_key}": description.base.joints(),
         "home": list(description.home),
         "limits.velocity": list(limits.velocity),
-        "limits.drive_velocity": list(limits.drive_velocity),
+        "limits.actuator_velocity": list(limits.actuator_velocity),
         "limits.acceleration": list(limits.acceleration),
         "limits.effort": list(limits.effort),
         "limits.position": list(limits.position),
@@ -275,9 +275,11 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
         if name not in frames:
             raise unknown_name(f"frame (key '{key}')", name, frames, where=description.source)
     steering = description.base.joint_groups().get("steer", [])
-    for name in limits.drive_velocity:
+    for name in limits.actuator_velocity:
         if name not in steering:
-            raise unknown_name("steering joint (key 'limits.drive_velocity')", name, steering, where=description.source)
+            raise unknown_name(
+                "steering joint (key 'limits.actuator_velocity')", name, steering, where=description.source
+            )
     bodies = [b.name for b in spec.bodies]
     for key, body in {"body": description.base.body, **description.base.parts()}.items():
         if body not in bodies:
@@ -295,10 +297,10 @@ def load_spec(description: RobotDescription) -> mujoco.MjSpec:
     except (ValueError, ElementTree.ParseError) as error:
         raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
     keep_mechanics(spec, description.base.body, path)
-    refuse_couplings(spec, description)
+    reject_couplings(spec, description)
     widen(spec, description.limits.position, path)
-    for name, angle in description.lock.items():
-        lock(spec, name, angle, description.source)
+    for name, angle in description.fixed_joints.items():
+        fix_joint(spec, name, angle, description.source)
     return spec
 
 

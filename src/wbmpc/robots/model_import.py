@@ -1,7 +1,7 @@
 """What of a robot's file planner and simulator both use: bodies, masses, joints with their ranges, frames, shapes for the eye.
 
 The rest acts in the simulator alone. What plants have of their own is left out here (floor, tyres, drives, friction of joints,
-gravity), what is part of the machine and missing in the planner's equations (springs, couplings) is refused.
+gravity), what is part of the machine and missing in the planner's equations (springs, couplings) is rejected.
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ def widen(spec: mujoco.MjSpec, position: dict[str, tuple[float, float]], path: o
 
 
 # ---------------------------------------------------------------------- springs and couplings
-def refuse_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None:
-    """Refuse springs, couplings and plugins that act on joints which are used, and delete those that do not.
+def reject_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None:
+    """Reject springs, couplings and plugins that act on joints which are used, and delete those that do not.
 
     Before joints are locked: a coupling of fingers that are all held does nothing. Raises :class:`InputError` with file and joint.
     """
@@ -143,7 +143,9 @@ def refuse_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None
         spec.delete(element)
 
 
-_UNKNOWN = "of which the planner's equations know nothing: take it out of the file, or hold its joints with 'lock'"
+_UNKNOWN = (
+    "of which the planner's equations know nothing: take it out of the file, or hold its joints with 'fixed_joints'"
+)
 
 
 def _body_of(model: mujoco.MjModel, joint: int) -> str:

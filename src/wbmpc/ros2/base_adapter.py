@@ -1,4 +1,4 @@
-"""What depends on the kind of base: problem, estimator, agent, references, commands. The node does the rest for all."""
+"""What depends on the kind of base: problem, estimator, controller, references, commands. The node does the rest for all."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class Brakes(Protocol):
         """Brakes (n, 1 = open) as commanded at time t [s]."""
 
 
-class LegOrders(Protocol):
-    """Orders to legs and brakes from the bus. ``angles`` (n) [rad]: where legs are to go, None before anybody has said so;
-    ``refused``: why the last order was not taken; ``short``: which legs have ended on their way."""
+class LegCommands(Protocol):
+    """Commands for legs and brakes from the bus. ``angles`` (n) [rad]: where legs are to go, None before anybody has said so;
+    ``rejected``: why the last order was not taken; ``short``: which legs have ended on their way."""
 
     angles: Array | None
-    refused: str
+    rejected: str
     short: str
 
     @property
@@ -59,19 +59,19 @@ class LegOrders(Protocol):
     def apply(self, brakes: Any, t: float, leg: Array) -> bool: ...
     def watch(self, brakes: Any, t: float, leg: Array) -> bool: ...
     def drop(self) -> None: ...
-    def refuse(self, sentence: str) -> None: ...
+    def reject(self, message: str) -> None: ...
     def stop(self) -> None: ...
 
 
 class BaseAdapter(Protocol):
     """``brakes`` of a run (:class:`Brakes`) and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
-    ``keeps``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
+    ``must_keep_running``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
-    ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as sentences; ``inspect``, called in the
+    ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as messages; ``inspect``, called in the
     node's own thread now and then, looks for those that would take too long in a tick.
     ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localisation's pose at every tick;
-    after ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes agent and MPC anew for a run
-    from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``leg_orders``: what takes orders to
+    after ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes controller and MPC anew for a run
+    from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``leg_commands``: what takes orders to
     the legs from the bus, None without hinges: ``ready()`` says why none can be taken, ``now()`` how brakes and legs are.
     ``references`` of a task that begins at x may take long, and are made in another thread.
     """
@@ -81,8 +81,8 @@ class BaseAdapter(Protocol):
     planner: Planner
     mpc: MPC
     pending: Pending
-    agent: Any
-    keeps: bool
+    controller: Any
+    must_keep_running: bool
     watches: str
     brakes: Any
     legs: Array | None
@@ -94,9 +94,9 @@ class BaseAdapter(Protocol):
     def faults(self) -> list[str]: ...
     def inspect(self) -> None: ...
     def problem(self, cost: Any) -> OptimalControlProblem: ...
-    def leg_orders(
+    def leg_commands(
         self, node: Node, ready: Callable[[], str], now: Callable[[], tuple[Array, Array] | None]
-    ) -> LegOrders | None: ...
+    ) -> LegCommands | None: ...
     def rest(self) -> Groups: ...
     def groups(self, command: Any) -> Groups: ...
     def measurement(

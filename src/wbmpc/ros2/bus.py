@@ -20,7 +20,7 @@ class Qos:
     latched: bool = False
     depth: int = 10
 
-    def refuses(self, offered: Qos) -> str:
+    def incompatible(self, offered: Qos) -> str:
         """Why a subscription with this does not match a publisher that offers that; empty if it does."""
         parts = []
         if self.reliable and not offered.reliable:
@@ -32,6 +32,9 @@ class Qos:
 
 #: Reliable for commands and goals. For sensors best effort is asked for, which matches every publisher.
 DEFAULT, SENSOR, LATCHED = Qos(), Qos(reliable=False, depth=5), Qos(latched=True, depth=1)
+
+#: Bytes of a message at most: of any subscription, of one that somebody made no larger, and of a path of all points that it may have.
+LARGEST, SMALL, LONG = 2**26, 2**16, 2**22
 
 
 @dataclass(frozen=True)
@@ -58,10 +61,11 @@ class Publisher(Protocol):
 class Node(Protocol):
     """A node. Callbacks come from a thread of the back end, one at a time, so they must be short; those of ``deferred``
     subscriptions from :meth:`work`. Messages have attributes as in ROS. :meth:`subscribe` gives a function that ends the
-    subscription; ``others``: types in which the node can take the same topic, if the back end can have both at once.
+    subscription; ``others``: types in which the node can take the same topic, if the back end can have both at once; messages
+    of more than ``largest`` bytes are dropped with a log line before they are decoded (rclpy decodes them itself).
     :meth:`offer` makes parameters those of the node; once.
 
-    ``owner`` of an endpoint: its node's name, empty if that is not known. ``faults``: sentences about endpoints that do not
+    ``owner`` of an endpoint: its node's name, empty if that is not known. ``faults``: messages about endpoints that do not
     match, as long as these are there; ``backend``: its name.
     """
 
@@ -72,7 +76,7 @@ class Node(Protocol):
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> Publisher: ...
     def subscribe(
         self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
-        others: tuple[str, ...] = (),
+        others: tuple[str, ...] = (), largest: int = LARGEST,
     ) -> Callable[[], None]: ...  # fmt: skip
     def work(self) -> None: ...
     def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None: ...

@@ -22,17 +22,17 @@ _BASE |= dict.fromkeys(("octet", "byte", "char"), idl_types.uint8)
 
 
 @cache
-def shared_carrier(distribution: str, kind: str, header: tuple[tuple[str, Any], ...]) -> type:
+def shared_message_class(distribution: str, kind: str, header: tuple[tuple[str, Any], ...]) -> type:
     """One class for all topics of a type in the process: DDS takes every class for a type of its own with the same hash, and its
     table of types, which holds 32 of those, would grow for ever."""
-    return carrier(types(distribution), kind, dict(header))
+    return message_class(types(distribution), kind, dict(header))
 
 
-def carrier(known: Types, kind: str, header: Mapping[str, Any] | None = None) -> type:
+def message_class(known: Types, kind: str, header: Mapping[str, Any] | None = None) -> type:
     """A DDS type with the fields of a message whose samples are CDR that is there already."""
     base = _idl(known, kind, dict(header or {}), {})
 
-    class Carrier(base):  # type: ignore[valid-type, misc]
+    class SerializedMessage(base):  # type: ignore[valid-type, misc]
         def __init__(self, data: bytes = b"") -> None:
             object.__setattr__(self, "data", data)
 
@@ -43,11 +43,11 @@ def carrier(known: Types, kind: str, header: Mapping[str, Any] | None = None) ->
             return self.data  # type: ignore[no-any-return, attr-defined]
 
         @classmethod
-        def deserialize(cls, data: bytes, **ignored: Any) -> Carrier:
+        def deserialize(cls, data: bytes, **ignored: Any) -> SerializedMessage:
             return cls(bytes(data))
 
-    Carrier.__idl_typename__, Carrier.__idl__ = base.__idl_typename__, base.__idl__  # type: ignore[attr-defined]
-    return Carrier
+    SerializedMessage.__idl_typename__, SerializedMessage.__idl__ = base.__idl_typename__, base.__idl__  # type: ignore[attr-defined]
+    return SerializedMessage
 
 
 def _idl(known: Types, kind: str, extra: dict[str, Any], made: dict[str, type]) -> type:

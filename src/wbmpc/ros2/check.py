@@ -15,7 +15,7 @@ from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
 from wbmpc.ros2.localisation import POSE_AGE, PoseSource
-from wbmpc.ros2.settings import ORDERS, Controller, RosSettings
+from wbmpc.ros2.settings import REQUEST_TYPES, Controller, RosSettings
 
 OK, WARNING, ERROR = "ok", "warning", "error"
 #: Joint states slower than this [Hz] make a poor estimate; a watchdog needs this many messages within its time.
@@ -28,7 +28,7 @@ _DISCOVERY = 1.0
 
 @dataclass(frozen=True)
 class Finding:
-    """``level``: ok, warning or error; ``topic``; a sentence."""
+    """``level``: ok, warning or error; ``topic``; a message."""
 
     level: str
     topic: str
@@ -85,7 +85,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     silent, begin = 0.0, time.monotonic()
     while time.monotonic() - begin < max(listen, _DISCOVERY):
         if poses is not None:
-            poses.look()
+            poses.update()
             silent = max(silent, time.monotonic() - max(poses.at, begin))
         time.sleep(0.02 if poses is not None else max(listen, _DISCOVERY))
     found: list[Finding] = []
@@ -104,7 +104,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     found += _brakes(robot, controllers)
     found += _other_odometry(node, topics.odom, settings.node)
     found += _several_types(node, topics.cmd_vel, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), False)
-    for key, kind in ORDERS.items():
+    for key, kind in REQUEST_TYPES.items():
         found += _order(node, getattr(topics, key), kind)
     if poses is not None:
         found += _localisation(node, poses, topics.pose, silent)
@@ -174,11 +174,11 @@ def _other_odometry(node: Node, topic: str, ours: str) -> list[Finding]:
 
 
 def _needless_clock(node: Node, ear: _Ear) -> list[Finding]:
-    """Of a clock that nobody was told to use."""
+    """Of a clock that nobody asked for."""
     if not node.publishers("/clock"):
         return []
-    said = [Finding(WARNING, "/clock", "somebody publishes it, but time is the wall's: use --use-sim-time")]
-    return said + ([Finding(WARNING, "/clock", _stands(ear))] if ear.stands else [])
+    findings = [Finding(WARNING, "/clock", "somebody publishes it, but time is the wall's: use --use-sim-time")]
+    return findings + ([Finding(WARNING, "/clock", _stands(ear))] if ear.stands else [])
 
 
 def _stands(ear: _Ear) -> str:
@@ -232,9 +232,9 @@ def _sink(node: Node, controller: Controller, ours: str, needed: bool) -> list[F
     topic = controller.topic
     subscribers = [e for e in node.subscribers(topic) if not e.own]
     who = [node.owner(e) for e in node.publishers(topic) if not e.own]
-    rivals = [name for name in who if name != ours]
-    if rivals:
-        named = f" ('{rivals[0]}')" if rivals[0] else ""
+    others = [name for name in who if name != ours]
+    if others:
+        named = f" ('{others[0]}')" if others[0] else ""
         return [Finding(ERROR, topic, f"somebody else publishes on it{named}: the controller will not start")]
     if len(who) > 1:
         return [Finding(ERROR, topic, f"{len(who)} nodes called '{ours}' publish on it: they stop each other")]
@@ -243,7 +243,7 @@ def _sink(node: Node, controller: Controller, ours: str, needed: bool) -> list[F
     wrong = _wrong_types(topic, subscribers, (controller.type,))
     if wrong:
         return wrong
-    faults = [Finding(ERROR, topic, e.qos.refuses(DEFAULT)) for e in subscribers if e.qos.refuses(DEFAULT)]
+    faults = [Finding(ERROR, topic, e.qos.incompatible(DEFAULT)) for e in subscribers if e.qos.incompatible(DEFAULT)]
     there = f"; the controller '{ours}' is there" if who else ""
     return faults or [Finding(OK, topic, f"{len(subscribers)} listening{there}")]
 
@@ -252,7 +252,7 @@ def _order(node: Node, topic: str, kind: str) -> list[Finding]:
     """Of who sends goals or orders; nobody has to."""
     publishers = [e for e in node.publishers(topic) if not e.own] if topic else []
     found = _wrong_types(topic, publishers, (kind,))
-    offers = [DEFAULT.refuses(e.qos) for e in publishers if e.type == kind]
+    offers = [DEFAULT.incompatible(e.qos) for e in publishers if e.type == kind]
     return found + [Finding(ERROR, topic, f"a publisher does not reach us: {why}") for why in offers if why]
 
 

@@ -1,4 +1,4 @@
-"""The controller as a node: waits for states and a goal, runs the real-time runner, tells what it does."""
+"""The controller as a node: waits for states and a goal, runs the real-time runner, publishes what it does."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import numpy as np
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.base_adapter import BaseAdapter, LegOrders
+from wbmpc.ros2.base_adapter import BaseAdapter, LegCommands
 from wbmpc.ros2.bus import SENSOR, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.convert import seconds, sentence_of
+from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.health import Health
-from wbmpc.ros2.inbox import Inbox
 from wbmpc.ros2.interpreter import TURNS, control_priority, kept_for_ticks
-from wbmpc.ros2.localisation import POSE_AGE, Gate, PoseSource
+from wbmpc.ros2.localisation import POSE_AGE, PoseGate, PoseSource
 from wbmpc.ros2.planning import Planned, Planning, References
-from wbmpc.ros2.publishers import Teller
+from wbmpc.ros2.publishers import Publishers
+from wbmpc.ros2.request_queue import RequestQueue
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.rosout import Rosout
 from wbmpc.ros2.settings import RosSettings
@@ -35,8 +35,8 @@ from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
 #: How often [s] goals are taken up, and the graph is looked at.
-LOOK, LOOK_AT_GRAPH = 0.02, 0.5
-#: Brakes are told this long before they are to act [s]: the control thread is never between two entries.
+POLL_PERIOD, GRAPH_POLL_PERIOD = 0.02, 0.5
+#: Brakes are reported this long before they are to act [s]: the control thread is never between two entries.
 AHEAD = 0.02
 #: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
 OFFSET, GAP = 0.5, (0.4, 0.75)
@@ -45,7 +45,7 @@ _RECORDS = 4000
 
 
 class ControlNode:
-    """``state``: what it does, as a sentence. A goal starts it, also anew after a stop; nothing moves before.
+    """``state``: what it does, as a message. A goal starts it, also anew after a stop; nothing moves before.
 
     Clocks: the wall's, or with ``use_sim_time`` the bus's.
     """
@@ -55,11 +55,11 @@ class ControlNode:
         self.period = 1.0 / settings.rates.control
         self.clock: WallClock | BusClock = WallClock(turns=TURNS)
         if settings.lockstep:  # the MPC begins a period after its observation
-            self.clock = BusClock(max(settings.mpc.delay - self.period, 0.0))
+            self.clock = BusClock(max(settings.mpc.computation_delay - self.period, 0.0))
         elif settings.use_sim_time:
             self.clock = BusClock()
         self.runner: RealTimeRunner | None = None
-        self.rosout = Rosout(node, settings.node, self.now, self.breathe)
+        self.rosout = Rosout(node, settings.node, self.now, self.yield_to_controller)
         try:
             self._open()
         except BaseException:
@@ -69,19 +69,19 @@ class ControlNode:
     def _open(self) -> None:
         """What the node is made of, and its endpoints."""
         node, robot, settings = self.node, self.robot, self.settings
-        self.pilot: BaseAdapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
+        self.adapter: BaseAdapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
         steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady, self.now)
-        self.gate = Gate(settings.topics.pose, settings.safety.jump)
+        self.pose_gate = PoseGate(settings.topics.pose, settings.safety.jump)
         if settings.topics.pose:
-            self.pilot.fix = self._fix
-        self.body = BusRobot(node, self.pilot, settings, self.clock)
-        self.legs = self.pilot.leg_orders(node, self._not_for_legs, self._legs_now)
-        self.inbox = Inbox(node, self.pilot.planner, settings, self._origin, steady)
-        self.planning = Planning(self.pilot.references)
-        self._rival, self._said, self._held = "", "", ""
+            self.adapter.fix = self._fix
+        self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
+        self.legs = self.adapter.leg_commands(node, self._not_for_legs, self._legs_now)
+        self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._origin, steady)
+        self.planning = Planning(self.adapter.references)
+        self._other_publisher, self._logged, self._held = "", "", ""
         self._task: Task | None = None
-        self._looked_at_graph = -np.inf
+        self._graph_checked_at = -np.inf
         if isinstance(self.clock, BusClock):
             clock = self.clock
             take = lambda message: clock.set(seconds(message.clock))
@@ -89,8 +89,8 @@ class ControlNode:
         self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
         self.health = Health(self)
-        self.teller = Teller(node, self)
-        node.offer(parameters_of(self.pilot, settings))
+        self.publishers = Publishers(node, self)
+        node.offer(parameters_of(self.adapter, settings))
 
     # ------------------------------------------------------------------ life
     def spin(self, ended: Callable[[], bool]) -> None:
@@ -99,8 +99,8 @@ class ControlNode:
             with kept_for_ticks() as collect:
                 while not ended():
                     self.step()
-                    collect(self.breathe)
-                    time.sleep(LOOK)
+                    collect(self.yield_to_controller)
+                    time.sleep(POLL_PERIOD)
         finally:
             self.close()
 
@@ -111,15 +111,15 @@ class ControlNode:
         if not self.running:
             self._stand()
         self._take_up()
-        self.breathe()
-        self.pilot.inspect()
+        self.yield_to_controller()
+        self.adapter.inspect()
         self._move_legs()
         self._lead()
-        self.health.look()
-        self.teller.tell()
-        if self.state != self._said:
-            self._said = self.state
-            if self.runner is None or not self.runner.stopped:  # a stop is told by the runner
+        self.health.update()
+        self.publishers.publish()
+        if self.state != self._logged:
+            self._logged = self.state
+            if self.runner is None or not self.runner.stopped:  # a stop is reported by the runner
                 _LOG.info("%s", self.state)
         self.rosout.send()
 
@@ -133,17 +133,17 @@ class ControlNode:
         if moved:
             end = time.perf_counter() + self.settings.safety.ramp + 0.05
             while time.perf_counter() < end:
-                self.body.stop()
+                self.robot_io.stop()
                 time.sleep(self.period)
         if self.runner is not None:
-            self.body.rest()
+            self.robot_io.rest()
         self.rosout.close()
 
     def _end_runner(self) -> None:
         runner = self.runner
         if runner is None:
             return
-        runner.orders["end"] = 1.0
+        runner.worker_commands["end"] = 1.0
         if isinstance(self.clock, BusClock):
             self.clock.release()
         runner.shutdown()
@@ -157,31 +157,31 @@ class ControlNode:
     @property
     def _ramping(self) -> bool:
         """Whether a stop is still going on: nothing is started before it is over."""
-        return not self.running and self.body.ramping
+        return not self.running and self.robot_io.ramping
 
     @property
-    def ill(self) -> bool:
+    def degraded(self) -> bool:
         """Whether it runs, but not as it should."""
         kept = self.runner is not None and bool(self.runner.kept)
-        return self.running and (kept or bool(self._held) or bool(self.body.fault))
+        return self.running and (kept or bool(self._held) or bool(self.robot_io.fault))
 
     @property
     def state(self) -> str:
-        """What the node does, as a sentence."""
+        """What the node does, as a message."""
         if self.runner is not None:
-            trouble = self._held or (self.body.fault if self.pilot.keeps else "")
+            trouble = self._held or (self.robot_io.fault if self.adapter.must_keep_running else "")
             if self.running and trouble:
                 return f"{self.runner.state}: {'holds its place: ' if self._held else ''}{trouble}"
             if self.running and self._task is not None:
-                return f"{self.runner.state}: {self._task.said}"
+                return f"{self.runner.state}: {self._task.description}"
             return self.runner.state
-        return self.waits_for() or "waiting for a goal"
+        return self.waiting_reason() or "waiting for a goal"
 
-    def waits_for(self) -> str:
+    def waiting_reason(self) -> str:
         """Why no goal can be taken up; empty if one can."""
         if isinstance(self.clock, BusClock) and self.clock.heard is None:
             return "waiting: no time on /clock yet"
-        why = self._rival or self.body.waits_for()
+        why = self._other_publisher or self.robot_io.waiting_reason()
         if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
             why = self.source.fault or f"no pose on {self.settings.topics.pose}"
         return f"waiting: {why}" if why else ""
@@ -189,13 +189,13 @@ class ControlNode:
     @property
     def task(self) -> str:
         """What the last goal was about, in words; empty before the first."""
-        return self._task.said if self._task is not None else ""
+        return self._task.description if self._task is not None else ""
 
     def now(self) -> float:
         """Stamp [s] of what is published now."""
         return self.clock.stamp() if isinstance(self.clock, BusClock) else time.time()
 
-    def breathe(self) -> None:
+    def yield_to_controller(self) -> None:
         """Wait until a tick of the controller is over and the next one is not near: a short piece of work fits in then."""
         if not self.running or isinstance(self.clock, BusClock):
             return
@@ -215,22 +215,22 @@ class ControlNode:
         """A new pose of the other localisation: its time on the runner's clock, the pose, its covariance. One that jumps while
         the robot moves does not count; a robot that can stop does, and takes its place from the next one."""
         if self.running:
-            seen = self.pilot.snapshot()
+            seen = self.adapter.snapshot()
             if seen is not None:
-                self.gate.note(seen[0], seen[1][self.robot.state["base"]][:3])
-        # who would fall goes on without; see _look_around
-        taken = self.source.newest() if self.pilot.keeps else self.source.take()
+                self.pose_gate.note(seen[0], seen[1][self.robot.state["base"]][:3])
+        # who would fall goes on without; see _check_graph
+        taken = self.source.newest() if self.adapter.must_keep_running else self.source.take()
         if taken is None:
             return None
         fix = self.clock.now() - taken[0], *taken[1:]
-        estimate = self.pilot.estimate()
+        estimate = self.adapter.estimate()
         if not self.running or estimate is None:
             self.source.judge("")
             return fix
-        jumped = self.gate.jumped(*fix, estimate.covariance[np.ix_([0, 1, 5], [0, 1, 5])])
-        self.source.judge(jumped, self.pilot.keeps)
-        if jumped and not self.pilot.keeps:
-            self.pilot.relocate()
+        jumped = self.pose_gate.jumped(*fix, estimate.covariance[np.ix_([0, 1, 5], [0, 1, 5])])
+        self.source.judge(jumped, self.adapter.must_keep_running)
+        if jumped and not self.adapter.must_keep_running:
+            self.adapter.relocate()
             raise SafeStop(jumped)
         return None if jumped else fix
 
@@ -238,20 +238,20 @@ class ControlNode:
     def _stand(self) -> None:
         """Follow the sensors while nobody commands the drives, whatever it waits for, or stopped for."""
         unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
-        if unheard or (self.pilot.needs_imu and not self.body.has_imu):
+        if unheard or (self.adapter.needs_imu and not self.robot_io.has_imu):
             return
-        for measurement in self.body.unread():
+        for measurement in self.robot_io.unread():
             with suppress(SafeStop, InputError):
-                self.pilot.stand(measurement)
+                self.adapter.stand(measurement)
 
     # ------------------------------------------------------------------ goals
     def _take_up(self) -> None:
         """All goals that wait, in the order in which they came; those whose plans take long in a later step."""
-        while self.planning.busy or (not self._ramping and (request := self.inbox.take()) is not None):
+        while self.planning.busy or (not self._ramping and (request := self.request_queue.take()) is not None):
             if not self.planning.busy:
-                seen, why = self.pilot.snapshot(), self._not_now()
+                seen, why = self.adapter.snapshot(), self._not_now()
                 if why or seen is None:
-                    self.inbox.refuse(f"a goal is refused: {why or 'there is no state yet'}")
+                    self.request_queue.reject(f"a goal is rejected: {why or 'there is no state yet'}")
                     continue
                 assert request is not None
                 self.planning.begin(request, seen[1], self.clock.now() if self.running else 0.0, self.running)
@@ -260,18 +260,18 @@ class ControlNode:
             try:
                 self._take_over(self.planning.take())
             except Exception as error:  # whatever a goal does, a robot that moves is not left alone
-                self.inbox.refuse(f"a goal is refused: {sentence_of(error)}")
-                self.inbox.running = self.inbox.running if self.running else None
+                self.request_queue.reject(f"a goal is rejected: {error_message(error)}")
+                self.request_queue.running = self.request_queue.running if self.running else None
             else:
-                self.inbox.refused = ""
+                self.request_queue.rejected = ""
 
     def _not_now(self) -> str:
         """Why no goal can be taken; empty if one can."""
-        return self._held if self.running else self.waits_for()
+        return self._held if self.running else self.waiting_reason()
 
     def _take_over(self, planned: Planned) -> None:
         """Put a planned task into force, if that is still right. Raises :class:`InputError`."""
-        seen, why = self.pilot.snapshot(), self._not_now()
+        seen, why = self.adapter.snapshot(), self._not_now()
         if planned.moving and not self.running:
             why = "the robot has stopped meanwhile"
         if why or seen is None:
@@ -283,55 +283,55 @@ class ControlNode:
 
     def _not_for_legs(self) -> str:
         """Why legs cannot be moved now; empty if they can."""
-        return "" if self.running else self.waits_for()
+        return "" if self.running else self.waiting_reason()
 
     def _legs_now(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Brakes (n, 1 = open) and legs (n) [rad] now; None before the first state."""
-        seen, brakes = self.pilot.snapshot(), self.pilot.brakes
+        seen, brakes = self.adapter.snapshot(), self.adapter.brakes
         if seen is None or brakes is None:
             return None
         t = self.clock.now() + AHEAD if self.running else 0.0
         return brakes.commanded(t), seen[1][self.robot.state["leg"]]
 
     def _move_legs(self) -> None:
-        """Orders to legs and brakes; the first one starts a robot that stands, and it stays where it is."""
-        legs, pilot = self.legs, self.pilot
+        """Commands for legs and brakes; the first one starts a robot that stands, and it stays where it is."""
+        legs, adapter = self.legs, self.adapter
         if legs is None or not (legs.waiting or self.running) or self.planning.busy or self._ramping:
             return
-        seen = pilot.snapshot()
+        seen = adapter.snapshot()
         if seen is None:
             return
         try:
-            self._order(legs, seen[1])
+            self._start_or_apply(legs, seen[1])
         except Exception as error:
             legs.drop()
-            legs.refuse(f"an order to the legs is refused: {sentence_of(error)}")
+            legs.reject(f"a command for the legs is rejected: {error_message(error)}")
 
-    def _order(self, legs: LegOrders, x: np.ndarray) -> None:
-        pilot = self.pilot
+    def _start_or_apply(self, legs: LegCommands, x: np.ndarray) -> None:
+        adapter = self.adapter
         if not self.running:
             if not legs.waiting:  # it has stopped just now
                 return
-            task = pilot.planner.hold(x, 0.0)
-            self._start(x, task, pilot.references(task, x))
-        assert pilot.brakes is not None
+            task = adapter.planner.hold(x, 0.0)
+            self._start(x, task, adapter.references(task, x))
+        assert adapter.brakes is not None
         leg, t = x[self.robot.state["leg"]], self.clock.now() + AHEAD
-        if legs.apply(pilot.brakes, t, leg):
+        if legs.apply(adapter.brakes, t, leg):
             assert legs.angles is not None
-            pilot.swing(legs.angles)
+            adapter.swing(legs.angles)
             assert self._task is not None
-            self._put(self._task, pilot.references(self._task, x))
-        if legs.watch(pilot.brakes, t, leg):
-            pilot.legs = legs.angles
+            self._put(self._task, adapter.references(self._task, x))
+        if legs.watch(adapter.brakes, t, leg):
+            adapter.legs = legs.angles
             assert self._task is not None
-            self._put(self._task, pilot.references(self._task, x))
+            self._put(self._task, adapter.references(self._task, x))
 
     def _lead(self) -> None:
         """Trajectories to those who follow them, and the wrench to who counts with it."""
-        wrench = self.inbox.wrench()
+        wrench = self.request_queue.wrench()
         if np.any(wrench != self.wrench):
             self.wrench = wrench
-            self.pilot.push(wrench)
+            self.adapter.push(wrench)
         runner = self.runner
         policy = runner.plans.current if runner is not None and self.running else None
         if policy is None:
@@ -339,16 +339,16 @@ class ControlNode:
         self.trajectories.send(policy, self.clock.now(), self.now)
 
     def _put(self, task: Task, references: References) -> None:
-        self.pilot.follow(references)
-        self.inbox.running, self._task = task, task
+        self.adapter.follow(references)
+        self.request_queue.running, self._task = task, task
 
     def _start(self, x: np.ndarray, task: Task, references: References) -> None:
         self._end_runner()
-        settings, pilot = self.settings, self.pilot
-        pilot.begin(x)
-        self.gate.forget()
+        settings, adapter = self.settings, self.adapter
+        adapter.begin(x)
+        self.pose_gate.reset()
         self._put(task, references)
-        pilot.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
+        adapter.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         self._stand()  # what the sensors said meanwhile
         watchdog = settings.safety.watchdog
         times = RealTimeSettings(
@@ -357,13 +357,15 @@ class ControlNode:
             max_observation_age=watchdog,
             watchdog=watchdog,
             records=_RECORDS,
-            keep=pilot.keeps,
+            keep=adapter.must_keep_running,
             priority=control_priority(),
             offset=OFFSET * self.period,
         )
-        self.runner = RealTimeRunner(self.body, pilot.agent, pilot.mpc, times, self.clock, parameters=pilot.parameters)
-        self.body.arm()
-        self.trajectories.anew()
+        self.runner = RealTimeRunner(
+            self.robot_io, adapter.controller, adapter.mpc, times, self.clock, parameters=adapter.parameters
+        )
+        self.robot_io.arm()
+        self.trajectories.restart()
         self._held = ""
         self.runner.start()
 
@@ -372,23 +374,23 @@ class ControlNode:
         if self.runner is not None and self.runner.stopped:
             self._after_stop()
         self._watch_clock()
-        if time.monotonic() - self._looked_at_graph > LOOK_AT_GRAPH:
-            self._looked_at_graph = time.monotonic()
-            self.breathe()
-            self.inbox.look_for_speeds()
-            self.source.look()
-            self._look_around()
+        if time.monotonic() - self._graph_checked_at > GRAPH_POLL_PERIOD:
+            self._graph_checked_at = time.monotonic()
+            self.yield_to_controller()
+            self.request_queue.detect_speed_inputs()
+            self.source.update()
+            self._check_graph()
 
     def _after_stop(self) -> None:
         """The runner has stopped the robot: nothing that was asked for before counts any more."""
-        self.body.disarm()
-        if self.inbox.running is not None:
+        self.robot_io.disarm()
+        if self.request_queue.running is not None:
             self._stay()
-            self.inbox.stop()
+            self.request_queue.stop()
             if self.legs is not None and self.legs.waiting:
                 self.legs.drop()
-                self.legs.refuse("an order to the legs is refused: the robot has stopped meanwhile")
-        self.inbox.running = None
+                self.legs.reject("a command for the legs is rejected: the robot has stopped meanwhile")
+        self.request_queue.running = None
         if self.legs is not None:
             self.legs.stop()
 
@@ -400,51 +402,55 @@ class ControlNode:
         if lost and self.running:
             self._halt(lost)
         elif lost and self.runner is not None:
-            self.body.stop()  # the runner's loop waits for a time that does not come
+            self.robot_io.stop()  # the runner's loop waits for a time that does not come
         elif clock.went_back and self.running:
             self._halt("the time on /clock went back: the simulator was started anew")
 
-    def _look_around(self) -> None:
+    def _check_graph(self) -> None:
         """Somebody else on our command topics: two controllers on one drive are worse than none. And a robot that cannot stop
         because it has lost its localisation at least goes nowhere."""
         topics = [c.topic for c in self.settings.command_topics(self.robot).values()]
-        rivals = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
-        self._rival = f"somebody else publishes on {rivals[0]}" if rivals else ""
-        lost = self.source.lost() if self.settings.topics.pose and self.pilot.keeps else ""
-        if (self._rival or lost) and self.running:
-            self._quit(self._rival or lost)
-        elif self._held and not (self._rival or lost):
+        others = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
+        self._other_publisher = f"somebody else publishes on {others[0]}" if others else ""
+        lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""
+        if (self._other_publisher or lost) and self.running:
+            self._quit(self._other_publisher or lost)
+        elif self._held and not (self._other_publisher or lost):
             self._held = ""
 
-    def _quit(self, sentence: str) -> None:
+    def _quit(self, message: str) -> None:
         """No more goals: a stop, or, for a robot that would fall, balance on the spot as long as that lasts."""
-        if not self.pilot.keeps:
-            self._halt(sentence)
+        if not self.adapter.must_keep_running:
+            self._halt(message)
         elif not self._held:
-            self._held = sentence
-            _LOG.error("holds its place: %s", sentence)
-            seen = self.pilot.snapshot()
+            self._held = message
+            _LOG.error("holds its place: %s", message)
+            seen = self.adapter.snapshot()
             assert seen is not None
-            task = self.pilot.planner.hold(seen[1], self.clock.now())
-            self._put(task, self.pilot.references(task, seen[1]))
+            task = self.adapter.planner.hold(seen[1], self.clock.now())
+            self._put(task, self.adapter.references(task, seen[1]))
 
     def _stay(self) -> None:
         """Who follows trajectories stays where the robot is: a stop, once."""
-        seen = self.pilot.snapshot()
-        self.trajectories.anew()
+        seen = self.adapter.snapshot()
+        self.trajectories.restart()
         if seen is not None:
             self.trajectories.hold(seen[1], self.now)
 
-    def _halt(self, sentence: str) -> None:
+    def _halt(self, message: str) -> None:
         """Stop; see :meth:`_watch` for one without a clock."""
         assert self.runner is not None
-        self.runner.halt(sentence)
-        self.body.stop()
+        self.runner.halt(message)
+        self.robot_io.stop()
 
-    def refused(self) -> dict[str, str]:
-        """What was refused, and why: goals, orders to the legs, poses; until one is taken again. And speeds that are limited."""
-        orders = self.legs.refused if self.legs is not None else ""
-        said = {"refused": self.inbox.refused, "refused order to the legs": orders, "refused pose": self.source.fault}
+    def rejected(self) -> dict[str, str]:
+        """What was rejected, and why: goals, commands for the legs, poses; until one is taken again. And speeds that are limited."""
+        worker_commands = self.legs.rejected if self.legs is not None else ""
+        said = {
+            "rejected": self.request_queue.rejected,
+            "rejected command for the legs": worker_commands,
+            "rejected pose": self.source.fault,
+        }
         said["legs stopped short"] = self.legs.short if self.legs is not None else ""
-        said["limited speed"] = self.inbox.limited
+        said["limited speed"] = self.request_queue.limited
         return {key: why for key, why in said.items() if why}

@@ -11,11 +11,18 @@ from wbmpc import lie
 from wbmpc.errors import InputError, NotFinite
 
 Array = np.ndarray
+#: Of a message about something from the bus.
+LONGEST = 300
 
 
-def sentence_of(error: Exception) -> str:
-    """What a goal or a message was refused for: our own sentence, or what went wrong by its kind."""
-    return str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+def error_message(error: Exception) -> str:
+    """What a goal or a message was rejected for: our own message, or what went wrong by its kind; one line of at most
+    :data:`LONGEST` characters, for it may quote what somebody on the bus has sent."""
+    said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+    middle = len(said) - LONGEST
+    if middle > 0:  # the end says what is valid
+        said = f"{said[: LONGEST // 2]} [{middle} characters] {said[-LONGEST // 2 :]}"
+    return "".join(c if c.isprintable() else "?" for c in said)
 
 
 def stamp(seconds: float) -> dict[str, int]:

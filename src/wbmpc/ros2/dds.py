@@ -22,7 +22,7 @@ import numpy as np
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import DDSException, InstanceState, Listener, Policy
 from cyclonedds.core import Qos as DdsQos
-from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -30,8 +30,10 @@ from cyclonedds.util import duration
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, LATCHED, Endpoint, Qos, full_name
-from wbmpc.ros2.cdr_types import idl_types, shared_carrier
+from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, Endpoint, Qos, full_name
+from wbmpc.ros2.cdr_types import idl_types, shared_message_class
+from wbmpc.ros2.convert import error_message
+from wbmpc.ros2.dds_domain import open_domain
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, Ours
@@ -40,8 +42,8 @@ from wbmpc.ros2.parameters import Parameters, ParameterServices
 
 _LOG = logging.getLogger("wbmpc")
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-#: Of more messages that wait for :meth:`DdsNode.work` the oldest are dropped.
-_MOST_DEFERRED = 100
+#: Of more messages, or bytes of them, that wait for :meth:`DdsNode.work` the oldest are dropped.
+_MOST_DEFERRED, _MOST_BYTES = 100, 2**24
 #: What stands before the body of a service's messages: client and number.
 _HEADER = {"client": idl_types.uint64, "number": idl_types.int64}
 _HEADER_SIZE = 16
@@ -50,30 +52,11 @@ _ANNOUNCED = 1.0
 Take = Callable[[DataReader], None]
 #: Numbers of the policies in DDS's notices of a mismatch (DDS 1.4, section 2.2.3; DDS-XTypes 1.3, section 7.6.3).
 _POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability", 23: "data representation", 24: "type"}
-#: A domain is configured once in a process and stays.
-_DOMAINS: dict[int, tuple[Network, Domain]] = {}
-_DOMAINS_LOCK = threading.Lock()
 #: The package reads the QoS of endpoints through buffers that all threads of the process share.
 _GRAPH_LOCK = threading.Lock()
 #: Nodes that nobody has closed. A reader that Python collects lives on in DDS, which then calls a listener that is gone: the
 #: package takes the weak reference, which is dead by then, for a sign that the reader was deleted already.
 _OPEN: set[DdsNode] = set()
-
-
-def _open_domain(network: Network) -> None:
-    with _DOMAINS_LOCK:
-        known = _DOMAINS.get(network.domain)
-        if known is None:
-            try:
-                _DOMAINS[network.domain] = network, Domain(network.domain, network.cyclone())
-            except (DDSException, UnicodeEncodeError) as error:
-                given = " and ".join(
-                    n for n, v in (("ROS_STATIC_PEERS", network.peers), ("CYCLONEDDS_URI", network.extra)) if v
-                )
-                why = f"; look at {given}" if given else ""
-                raise InputError(f"DDS: domain {network.domain} cannot be opened ({error}{why})") from error
-        elif known[0] != network:
-            raise InputError(f"DDS: domain {network.domain} is open in this process with other settings")
 
 
 class DdsNode:
@@ -87,7 +70,7 @@ class DdsNode:
         self.name, self.network, self.types = name, network, types(network.distribution)
         self._mismatches, self._limit = Mismatches(self), RateLimit()
         self._lock = threading.RLock()
-        _open_domain(network)
+        open_domain(network)
         try:
             self._participant = DomainParticipant(network.domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
         except DDSException as error:
@@ -95,7 +78,7 @@ class DdsNode:
         self._key = self._participant.guid
         self._topics: dict[str, dict[str, Any]] = {}  # by name and type
         self._readers: list[DataReader] = []
-        self._forget: dict[
+        self._unregister: dict[
             DataReader, Callable[[], None]
         ] = {}  # of readers that call back, what ends their entry in LOCAL
         self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
@@ -113,8 +96,8 @@ class DdsNode:
     # ------------------------------------------------------------------ topics
     @property
     def faults(self) -> list[str]:
-        """Sentences about endpoints that do not match."""
-        return self._mismatches.sentences()
+        """Messages about endpoints that do not match."""
+        return self._mismatches.messages()
 
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> DdsPublisher:
         """A publisher; messages are complete on the wire when :meth:`DdsPublisher.publish` returns."""
@@ -128,7 +111,7 @@ class DdsNode:
 
     def subscribe(
         self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
-        others: tuple[str, ...] = (),
+        others: tuple[str, ...] = (), largest: int = LARGEST,
     ) -> Callable[[], None]:  # fmt: skip
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
         go on. Returns what ends it."""
@@ -138,13 +121,16 @@ class DdsNode:
             try:
                 callback(self.types.decode(kind, data))
             except Exception as error:
-                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {type(error).__name__}: {error}")
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
                 for data in _taken(reader):
-                    if deferred:
-                        self._deferred.append((call, data))
+                    if len(data) > largest:
+                        why = f"{name}: a message of {len(data)} bytes is dropped; valid: at most {largest}"
+                        self._limit.log(_LOG, logging.ERROR, name, why)
+                    elif deferred:
+                        self._defer(call, data)
                     else:
                         call(data)
 
@@ -152,6 +138,11 @@ class DdsNode:
         place = self._topic(f"rt{name}", kind, others=others)
         reader = self._read(place, self._qos(qos, kind), take, self, lambda policy: self._mismatch(ours, policy))
         return lambda: self._end(reader)
+
+    def _defer(self, call: Callable[[bytes], None], data: bytes) -> None:
+        self._deferred.append((call, data))
+        while len(self._deferred) > 1 and sum(len(d) for _, d in self._deferred) > _MOST_BYTES:
+            self._deferred.popleft()
 
     def work(self) -> None:
         """Decode the messages of deferred subscriptions that have come, and call back, in this thread."""
@@ -174,7 +165,7 @@ class DdsNode:
                     try:
                         values = answer(self.types.decode(asked, body))
                     except Exception as error:
-                        self._limit.log(_LOG, logging.ERROR, name, f"{name}: {type(error).__name__}: {error}")
+                        self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
                         continue
                 reply = self.types.encode(answered, values)
                 writer.write(replies.data_type(reply[:4] + head + reply[4:]))
@@ -264,7 +255,7 @@ class DdsNode:
         return found
 
     def _announce(self) -> None:
-        """Tell the graph which node has which readers and writers: anew whenever there is another one."""
+        """Publish to the graph which node has which readers and writers: anew whenever there is another one."""
         size = 24 if self.network.distribution == "humble" else 16
         gid = lambda e: {"data": np.frombuffer(e.guid.bytes.ljust(size, b"\0"), np.uint8)}
         with self._lock:
@@ -284,8 +275,8 @@ class DdsNode:
         for entity in entities:
             entity.set_listener(None)
         self._participant.__del__()  # deletes all that belongs to it; the package has no other way
-        for reader in list(self._forget):
-            self._forget.pop(reader)()
+        for reader in list(self._unregister):
+            self._unregister.pop(reader)()
         _OPEN.discard(self)
 
     # ------------------------------------------------------------------ inside
@@ -304,9 +295,9 @@ class DdsNode:
                 with LOCAL.callback(where, of):
                     take(reader)
 
-        forget = LOCAL.add(where, of)
+        unregister = LOCAL.add(where, of)
         reader = DataReader(self._participant, topic, qos=qos, listener=_Watch(mismatch, call))
-        self._forget[reader] = forget
+        self._unregister[reader] = unregister
         complete.set()
         self._own(self._readers, reader)
         take(reader)
@@ -319,7 +310,7 @@ class DdsNode:
             self._readers.remove(reader)
         reader.set_listener(None)  # without the lock: it waits for callbacks
         reader.__del__()
-        self._forget.pop(reader, lambda: None)()
+        self._unregister.pop(reader, lambda: None)()
         self._announce()
 
     def _own(self, group: list[Any], entity: Any) -> None:
@@ -337,7 +328,7 @@ class DdsNode:
             raise InputError(f"{name.removeprefix('rt')}: is used with {strange.pop()} and {kind}")
         if kind not in known:
             try:
-                carry = shared_carrier(self.network.distribution, kind, tuple((header or {}).items()))
+                carry = shared_message_class(self.network.distribution, kind, tuple((header or {}).items()))
                 known[kind] = Topic(self._participant, name, carry)
             except DDSException as error:
                 raise InputError(f"{name.removeprefix('rt')}: not a topic of ROS 2 ({error})") from error
@@ -396,7 +387,7 @@ def _identity() -> str:
     return ".".join(f"{b:x}" for b in os.urandom(16))
 
 
-def _wait(end: float, sentence: str) -> None:
+def _wait(end: float, message: str) -> None:
     if time.monotonic() > end:
-        raise RunAborted(sentence)
+        raise RunAborted(message)
     time.sleep(0.002)

@@ -48,13 +48,13 @@ class LocalReaders:
         with self._lock:
             self._nodes.setdefault(where, []).append(node)
 
-        def forget() -> None:
+        def unregister() -> None:
             with self._lock:
                 self._nodes[where].remove(node)
                 if not self._nodes[where]:
                     del self._nodes[where]
 
-        return forget
+        return unregister
 
     def of_others(self, where: Where, node: Any) -> bool:
         """Whether another node of this process reads a topic."""

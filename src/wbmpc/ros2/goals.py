@@ -67,12 +67,12 @@ class HandTrack:
 
 @dataclass(frozen=True)
 class Task:
-    """What base and hand are to do. ``carried``: the hand goes with the base; ``said``: the task as a sentence."""
+    """What base and hand are to do. ``carried``: the hand goes with the base; ``description``: the task as a message."""
 
     base: Track
     hand: HandTrack
     carried: bool
-    said: str
+    description: str
 
 
 class Planner:
@@ -147,7 +147,7 @@ class Planner:
     def _base(self, x: Array) -> Array:
         return np.array(x[self.robot.state["base"]][:3])
 
-    def _change(self, x: Array, t: float, twist: Array, hold: float, going: Task | None, said: str) -> Task:
+    def _change(self, x: Array, t: float, twist: Array, hold: float, going: Task | None, description: str) -> Task:
         """To a body twist (3), which is then held for ``hold`` [s]."""
         (place, now), held = (self._base(x), np.zeros(3)), self._held(x)
         if going is not None:
@@ -161,13 +161,13 @@ class Planner:
         s = np.concatenate([changing, ramp + np.arange(0.1, hold, 0.1)])
         share = np.minimum(0.5 * (s[1:] + s[:-1]) / ramp, 1.0) if ramp > 0.0 else np.ones(s.size - 1)
         poses = _integrated(place, now + share[:, None] * (twist - now), np.diff(s))
-        return self._carry(Track(t + s, poses), held, said)
+        return self._carry(Track(t + s, poses), held, description)
 
     def _held(self, x: Array) -> tuple[Array, Array, Array]:
         """Pose of the base (3), position (3) and quaternion (4) of the hand that belong together."""
         return self._base(x), *self.robot.pose(x)
 
-    def _carry(self, base: Track, held: tuple[Array, Array, Array], said: str) -> Task:
+    def _carry(self, base: Track, held: tuple[Array, Array, Array], description: str) -> Task:
         """The hand keeps its pose in the base."""
         start, position, orientation = held
         turns = base.poses[:, 2] - start[2]
@@ -176,14 +176,14 @@ class Planner:
         moved = np.stack([c * d[0] - s * d[1], s * d[0] + c * d[1]], axis=1) + base.poses[:, :2]
         positions = np.concatenate([moved, np.full((moved.shape[0], 1), position[2])], axis=1)
         quaternions = [lie.quaternion_multiply(lie.quaternion_about((0, 0, 1), a), orientation) for a in turns]
-        return Task(base, HandTrack(base.times, positions, np.array(quaternions)), True, said)
+        return Task(base, HandTrack(base.times, positions, np.array(quaternions)), True, description)
 
     def _approach(self, x: Array, t: float, position: Array, orientation: Array) -> HandTrack:
         start, turned = self.robot.pose(x)
         angle = np.linalg.norm(
             lie.quaternion_log(lie.quaternion_multiply(lie.quaternion_conjugate(turned), orientation))
         )
-        way = float(np.linalg.norm(position - start)) / self.speeds.hand
+        way = float(np.linalg.norm(position - start)) / self.speeds.end_effector
         times, share = _profile(max(way, float(angle) / self.speeds.turn))
         quaternions = np.array([lie.slerp(turned, orientation, s) for s in share])
         return HandTrack(t + times, start + share[:, None] * (position - start), quaternions)
@@ -213,22 +213,22 @@ class Planner:
 
     def _check_hand(self, x: Array, positions: Array) -> None:
         """The base takes the arm there over the floor; the height is what the arm reaches above the floor."""
-        self._check_far("hand", positions[:, :2], self.robot.pose(x)[0][:2])
+        self._check_far("end_effector", positions[:, :2], self.robot.pose(x)[0][:2])
         middle, heights = self.lift + self.shoulder, self.lift + positions[:, 2]
         low, high = max(middle - self.reach, 0.0), middle + self.reach
         over = np.maximum(heights - high, low - heights)
         k = int(np.argmax(over))
         if over[k] > 1e-9:
             raise InputError(
-                f"the hand's goal is out of reach: height {heights[k]:.2f} m, possible {low:.2f} to {high:.2f} m"
+                f"the end effector's goal is out of reach: height {heights[k]:.2f} m, possible {low:.2f} to {high:.2f} m"
             )
 
-    def _check_far(self, who: str, places: Array, here: Array) -> None:
-        """Places (n, 2) on the floor against the settings' ``goals``, from ``here`` (2)."""
-        limit = getattr(self.goals, who)
+    def _check_far(self, key: str, places: Array, here: Array) -> None:
+        """Places (n, 2) on the floor against ``key`` of the settings' ``goals``, from ``here`` (2)."""
+        limit, who = getattr(self.goals, key), key.replace("_", " ")
         farthest = float(np.hypot(*(places - here).T).max())
         if farthest > limit:
-            raise InputError(f"the {who}'s goal is {farthest:.4g} m away, valid: 0 to {limit:g} m (key 'goals.{who}')")
+            raise InputError(f"the {who}'s goal is {farthest:.4g} m away, valid: 0 to {limit:g} m (key 'goals.{key}')")
 
 
 def timed(positions: Array, turns: Array, times: Array | None, t: float, speed: float, turn: float) -> Array:
@@ -252,7 +252,7 @@ def base_track(poses: Array, times: Array | None, t: float, speeds: Speeds) -> T
 def hand_track(positions: Array, orientations: Array, times: Array | None, t: float, speeds: Speeds) -> HandTrack:
     """A path of the hand."""
     turns = np.array([2.0 * np.arccos(min(abs(float(a @ b)), 1.0)) for a, b in pairwise(orientations)])
-    return HandTrack(timed(positions, turns, times, t, speeds.hand, speeds.turn), positions, orientations)
+    return HandTrack(timed(positions, turns, times, t, speeds.end_effector, speeds.turn), positions, orientations)
 
 
 def planar_path(positions: Array, orientations: Array) -> Array:

@@ -24,7 +24,7 @@ FALLEN = 0.7
 
 
 class Health:
-    """Of a controller's node; :meth:`look` is called now and then by its own thread.
+    """Of a controller's node; :meth:`update` is called now and then by its own thread.
 
     ``factor``: real-time factor, by how much the runner's time went on in one second of the wall's (NaN before it is known); with
     simulated time that of the simulator. ``late_ticks``: ticks of the last :data:`WINDOW` that were skipped, or whose command left
@@ -36,12 +36,12 @@ class Health:
         self.factor, self.late_ticks, self.late, self.fell = np.nan, 0, "", ""
         self._began: tuple[Any, float, float, int] | None = None
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Judge anew."""
-        self._look_at_time()
-        self._look_at_lean()
+        self._check_timing()
+        self._check_lean()
 
-    def _look_at_time(self) -> None:
+    def _check_timing(self) -> None:
         c = self.controller
         runner, now = c.runner, time.perf_counter()
         if runner is None or not c.running or runner.plans.current is None:
@@ -66,15 +66,15 @@ class Health:
         if isinstance(self.controller.clock, BusClock) or not behind:
             self.late = ""
             return
-        said = f"{self.late_ticks} of {expected:.0f} ticks were late in the last {passed:.1f} s"
+        message = f"{self.late_ticks} of {expected:.0f} ticks were late in the last {passed:.1f} s"
         if not self.late:
-            _LOG.warning("the controller is late: real-time factor %.2f, %s", self.factor, said)
-        self.late = f"the controller is late: real-time factor {self.factor:.2f}, {said}"
+            _LOG.warning("the controller is late: real-time factor %.2f, %s", self.factor, message)
+        self.late = f"the controller is late: real-time factor {self.factor:.2f}, {message}"
 
-    def _look_at_lean(self) -> None:
+    def _check_lean(self) -> None:
         """Only who balances falls, and only who has been balanced."""
         c = self.controller
-        seen = c.pilot.snapshot() if c.pilot.keeps and c.runner is not None else None
+        seen = c.adapter.snapshot() if c.adapter.must_keep_running and c.runner is not None else None
         if seen is None:
             self.fell = ""
             return
@@ -91,11 +91,11 @@ class Health:
         assert c.runner is not None
         if c.runner.stopped:
             return c.runner.state
-        known = [c.runner.kept, c.body.fault, self.late, *c.pilot.faults]
+        known = [c.runner.kept, c.robot_io.fault, self.late, *c.adapter.faults]
         return "; ".join(filter(None, known)) or "the torques that it has could not catch it: no fault was found"
 
-    def figures(self) -> dict[str, str]:
+    def diagnostics(self) -> dict[str, str]:
         """For diagnostics."""
-        said = {"late": self.late, "fell": self.fell}
+        message = {"late": self.late, "fell": self.fell}
         known = {"real-time factor": f"{self.factor:.3f}", "late ticks": str(self.late_ticks)}
-        return {**(known if np.isfinite(self.factor) else {}), **{k: v for k, v in said.items() if v}}
+        return {**(known if np.isfinite(self.factor) else {}), **{k: v for k, v in message.items() if v}}

@@ -66,7 +66,7 @@ class JointReader:
             start += len(names)
         return JointSample(stamp, groups)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """The next message may be anywhere and at any time."""
         self._last = None
 

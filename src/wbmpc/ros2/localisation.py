@@ -13,8 +13,8 @@ from wbmpc.checks import is_covariance
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import Node
-from wbmpc.ros2.convert import nearest_turn, planar, read_pose, seconds
-from wbmpc.ros2.multi_type_subscriber import Several
+from wbmpc.ros2.convert import error_message, nearest_turn, planar, read_pose, seconds
+from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.runtime.safety import SafeStop
 
@@ -45,16 +45,16 @@ class PoseSource:
         self._limit = RateLimit()
         self._good = -np.inf  # when the last one that counted came
         self._fix: tuple[float, Array, Array] | None = None
-        self._messages = Several(node, settings.topics.pose, dict.fromkeys(_POSES, self._take))
+        self._messages = MultiTypeSubscriber(node, settings.topics.pose, dict.fromkeys(_POSES, self._take))
 
     @property
     def fault(self) -> str:
         """What is wrong with the poses that come."""
         return self._wrong or self.jumped or self._messages.fault
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Subscribe in the type in which somebody publishes it."""
-        self._messages.look()
+        self._messages.update()
 
     def take(self) -> tuple[float, Array, Array] | None:
         """As :meth:`newest`; raises :class:`SafeStop` if nothing has come for :data:`POSE_AGE`."""
@@ -77,7 +77,7 @@ class PoseSource:
         return f"the pose on {topic} is {silent:.2f} s old, the limit is {POSE_AGE:g} s{why}"
 
     def judge(self, jumped: str, goes_on: bool = True) -> None:
-        """What the gate said of the pose that was taken last; empty: it counts. A stop tells it itself."""
+        """What the gate said of the pose that was taken last; empty: it counts. A stop reports it itself."""
         if jumped and goes_on and not self.jumped:
             self._limit.log(_LOG, logging.ERROR, "jumped", f"{jumped}; it does not count")
         self.jumped = jumped
@@ -88,9 +88,10 @@ class PoseSource:
         try:
             self._read(message)
         except InputError as error:
-            if str(error) != self._wrong:
-                self._limit.log(_LOG, logging.ERROR, "wrong", str(error))
-            self._wrong = str(error)
+            said = error_message(error)
+            if said != self._wrong:
+                self._limit.log(_LOG, logging.ERROR, "wrong", said)
+            self._wrong = said
         else:
             self._wrong = ""
 
@@ -110,7 +111,7 @@ class PoseSource:
         self.at = self.now()
 
 
-class Gate:
+class PoseGate:
     """Compares poses with the robot's own motion, which the last poses that counted have corrected: wheels, gyro or inertial unit
     say how far it can have come. ``limit``: how far off [m, rad] a pose may be beyond :data:`_SPREAD` standard deviations."""
 
@@ -118,7 +119,7 @@ class Gate:
         self._topic, self._limit = topic, limit
         self._was: deque[tuple[float, Array]] = deque(maxlen=_REMEMBERED)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """The robot may be anywhere."""
         self._was.clear()
 
@@ -126,7 +127,7 @@ class Gate:
         """The robot's own estimate (x, y, yaw) at t [s]. Times before the last one are of a clock that was started anew: what was
         before it is forgotten."""
         if self._was and t < self._was[-1][0] - _ROUNDING:
-            self.forget()
+            self.reset()
         if not self._was or t > self._was[-1][0]:
             self._was.append((t, np.array(pose)))
 

@@ -23,11 +23,11 @@ GREEN, RED, GREY = (0.1, 0.7, 0.2, 1.0), (0.9, 0.1, 0.1, 1.0), (0.5, 0.5, 0.5, 0
 
 
 class Footprint:
-    """Markers of a robot's states, in the frame ``world``. ``breathe`` is called before each state, which takes a tenth of a
+    """Markers of a robot's states, in the frame ``world``. ``yield_to_controller`` is called before each state, which takes a tenth of a
     millisecond."""
 
-    def __init__(self, robot: RobotModel, world: str, breathe: Callable[[], None] = lambda: None) -> None:
-        self.robot, self.world, self._breathe = robot, world, breathe
+    def __init__(self, robot: RobotModel, world: str, yield_to_controller: Callable[[], None] = lambda: None) -> None:
+        self.robot, self.world, self._yield_to_controller = robot, world, yield_to_controller
         self._stance = None if robot.base.footprint is None else StanceOf(robot)
 
     def markers(
@@ -50,7 +50,7 @@ class Footprint:
 
     def stance(self, x: Array, u: Array | None, wrench: Array) -> tuple[Array, Array]:
         """Corners (n, 2) of the support and the zero-moment point (2) [m] in the world."""
-        self._breathe()
+        self._yield_to_controller()
         place = x[self.robot.state["base"]][:2]
         if self._stance is None:
             angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)

@@ -1,4 +1,4 @@
-"""Endpoints of others that do not match ours: told once, and in the diagnostics for as long as they are there."""
+"""Endpoints of others that do not match ours: reported once, and in the diagnostics for as long as they are there."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class Ours:
 
     def wrong(self, endpoints: list[Endpoint]) -> list[Endpoint]:
         """Which endpoints of the other side do not match this one."""
-        return [e for e in endpoints if self.wrong_type(e) or (e.type == self.type and self._refuses(e))]
+        return [e for e in endpoints if self.wrong_type(e) or (e.type == self.type and self._rejects(e))]
 
     def wrong_type(self, e: Endpoint) -> bool:
         """Whether the node cannot understand an endpoint at all."""
         return e.type != self.type and e.type not in self.others
 
-    def _refuses(self, e: Endpoint) -> bool:
-        return bool(self.qos.refuses(e.qos) if self.side == "subscription" else e.qos.refuses(self.qos))
+    def _rejects(self, e: Endpoint) -> bool:
+        return bool(self.qos.incompatible(e.qos) if self.side == "subscription" else e.qos.incompatible(self.qos))
 
 
 class Mismatches:
@@ -50,20 +50,20 @@ class Mismatches:
     def notice(self, ours: Ours, policy: str) -> None:
         """``policy``: what does not match; ``type`` if that is the type."""
         if policy == "type":
-            later = threading.Timer(_UNSEEN, self._look_at_types, [ours])
+            later = threading.Timer(_UNSEEN, self._check_types, [ours])
             later.daemon = True
             later.start()
             return
         who = _across(ours)
         asks = "offers less than is asked for" if who == "publisher" else "asks for more than is offered"
-        self._tell(f"{ours.topic}: a {who} {asks} ({policy}); no message will come through", ours, policy)
+        self._report(f"{ours.topic}: a {who} {asks} ({policy}); no message will come through", ours, policy)
 
     def close(self) -> None:
         """Nothing is looked at any more."""
         with self._looking:
             self._closed = True
 
-    def _look_at_types(self, ours: Ours) -> None:
+    def _check_types(self, ours: Ours) -> None:
         with self._looking:
             types = [] if self._closed else sorted({e.type for e in self._wrong(ours) if ours.wrong_type(e)})
         if not types:
@@ -71,23 +71,23 @@ class Mismatches:
         who = _across(ours)
         than = "is asked for" if who == "publisher" else "is published"
         why = f"{who} of {ours.topic} has another type ({', '.join(types)}) than {than} ({ours.type})"
-        self._tell(f"a {why}; no message will come through", ours, "type")
+        self._report(f"a {why}; no message will come through", ours, "type")
 
-    def _tell(self, sentence: str, ours: Ours, policy: str) -> None:
+    def _report(self, message: str, ours: Ours, policy: str) -> None:
         with self._lock:
-            new = sentence not in self._found
-            self._found[sentence] = ours, policy, time.monotonic()
+            new = message not in self._found
+            self._found[message] = ours, policy, time.monotonic()
         if new:
-            _LOG.error("%s", sentence)
+            _LOG.error("%s", message)
 
-    def sentences(self) -> list[str]:
+    def messages(self) -> list[str]:
         """Of those that are still there."""
         with self._lock:
             found = dict(self._found)
         gone = [s for s, (ours, policy, at) in found.items() if not self._there(ours, policy, at)]
         with self._lock:
-            for sentence in gone:
-                self._found.pop(sentence, None)
+            for message in gone:
+                self._found.pop(message, None)
         return [s for s in found if s not in gone]
 
     def _there(self, ours: Ours, policy: str, at: float) -> bool:
@@ -101,8 +101,8 @@ class Mismatches:
         return [e for e in ours.wrong(across) if not (ours.wrong_type(e) and e.node in fit)]
 
     def _others(self, ours: Ours) -> list[Endpoint]:
-        look = self._node.publishers if ours.side == "subscription" else self._node.subscribers
-        return look(ours.topic)
+        find = self._node.publishers if ours.side == "subscription" else self._node.subscribers
+        return find(ours.topic)
 
 
 def _across(ours: Ours) -> str:

@@ -6,13 +6,13 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from wbmpc.ros2.bus import SENSOR, Node
-from wbmpc.ros2.convert import sentence_of
+from wbmpc.ros2.bus import SENSOR, SMALL, Node
+from wbmpc.ros2.convert import error_message
 
 _LOG = logging.getLogger("wbmpc")
 
 
-class Several:
+class MultiTypeSubscriber:
     """A topic whose messages come in one of several types, also in another one later; ``takes``: what is called, by type;
     ``fault``: which type is not heard, and why; empty when all are."""
 
@@ -23,7 +23,7 @@ class Several:
         if topic:  # who publishes in the first type finds a subscription at once
             self._take_in([next(iter(takes))])
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Subscribe in the types in which somebody publishes; the others' subscriptions end: a middleware may have room for
         one type only."""
         kinds = {e.type for e in self._node.publishers(self._topic)} & self._takes.keys() if self._topic else set()
@@ -36,10 +36,10 @@ class Several:
         for kind in kinds:
             try:
                 self._ends[kind] = self._node.subscribe(
-                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes)
+                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes), largest=SMALL
                 )
             except Exception as error:
-                fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {sentence_of(error)}"
+                fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {error_message(error)}"
         if fault and fault != self.fault:
             _LOG.error("%s", fault)
         self.fault = fault

@@ -14,7 +14,7 @@ from typing import Any
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.ros2.bus import Node, Qos
-from wbmpc.ros2.convert import sentence_of, stamp
+from wbmpc.ros2.convert import error_message, stamp
 
 Value = bool | int | float | str
 #: Numbers and fields of the types of rcl_interfaces/msg/ParameterType that are used here; 0 is "not set".
@@ -112,7 +112,7 @@ class ParameterServices:
     def __init__(self, node: Node, name: str, parameters: Parameters) -> None:
         self.parameters, self.name = parameters, f"/{name}"
         self._events = node.publisher("/parameter_events", "rcl_interfaces/msg/ParameterEvent", _EVENTS)
-        self._tell("new_parameters", list(parameters.known))
+        self._publish_event("new_parameters", list(parameters.known))
         for service, kind, answer in (
             ("get_parameters", "GetParameters", self._get),
             ("get_parameter_types", "GetParameterTypes", self._types),
@@ -152,10 +152,10 @@ class ParameterServices:
         try:
             self.parameters.set(values)
         except Exception as error:
-            return {"successful": False, "reason": sentence_of(error)}
-        self._tell("changed_parameters", list(values))
+            return {"successful": False, "reason": error_message(error)}
+        self._publish_event("changed_parameters", list(values))
         return {"successful": True}
 
-    def _tell(self, what: str, names: list[str]) -> None:
+    def _publish_event(self, what: str, names: list[str]) -> None:
         changed = [{"name": n, "value": message_of(self._value(n))} for n in names]
         self._events.publish({"stamp": stamp(time.time()), "node": self.name, what: changed})

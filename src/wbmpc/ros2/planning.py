@@ -10,7 +10,7 @@ import numpy as np
 
 from wbmpc.ocp import Reference
 from wbmpc.ros2.goals import Task
-from wbmpc.ros2.inbox import Request
+from wbmpc.ros2.request_queue import Request
 
 Array = np.ndarray
 References = dict[str, Reference]

@@ -1,4 +1,4 @@
-"""What the controller's node tells: odometry and its frame, the hand, the plan as paths, diagnostics."""
+"""What the controller's node publishes: odometry and its frame, the hand, the plan as paths, diagnostics."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from wbmpc.ros2.bus import Node, Publisher, Qos
 from wbmpc.ros2.convert import header, path, pose, quaternion, status, upright, vector
 from wbmpc.ros2.markers import Footprint
 from wbmpc.ros2.settings import RosSettings
-from wbmpc.ros2.statistics import figures
+from wbmpc.ros2.statistics import collect_statistics
 
 if TYPE_CHECKING:
     from wbmpc.ros2.control import ControlNode
 
 WELL, WARNING, ERROR = 0, 1, 2
-#: Of the plan's nodes every so many are told: making messages takes the interpreter from the controller's ticks.
+#: Of the plan's nodes every so many are reported: making messages takes the interpreter from the controller's ticks.
 EVERY = 2
-#: What has changed is told before its turn, but not sooner than this [s] after the last time.
+#: What has changed is reported before its turn, but not sooner than this [s] after the last time.
 SOON = 0.05
 
 
-class Teller:
+class Publishers:
     """Publishes at the rates of the settings by the wall's clock, from the node's own thread: piece by piece, each in the gap
     between two ticks of the controller, which would wait for the interpreter."""
 
@@ -35,14 +35,14 @@ class Teller:
         self.controller = controller
         topics = controller.settings.topics
         kinds = {
-            "odom": "nav_msgs/msg/Odometry", "hand_pose": "geometry_msgs/msg/PoseStamped", "plan": "nav_msgs/msg/Path",
-            "hand_plan": "nav_msgs/msg/Path", "footprint": "visualization_msgs/msg/MarkerArray",
+            "odom": "nav_msgs/msg/Odometry", "end_effector_pose": "geometry_msgs/msg/PoseStamped", "plan": "nav_msgs/msg/Path",
+            "end_effector_plan": "nav_msgs/msg/Path", "footprint": "visualization_msgs/msg/MarkerArray",
             "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
         }  # fmt: skip
         names = {key: getattr(topics, key) for key in kinds}
         self._to: dict[str, Publisher] = {k: node.publisher(n, kinds[k]) for k, n in names.items() if n}
         self._to["tf"] = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=100))
-        self.footprint = Footprint(controller.robot, controller.settings.frames.world, controller.breathe)
+        self.footprint = Footprint(controller.robot, controller.settings.frames.world, controller.yield_to_controller)
         self._parts = _part_frames(controller.robot.description, controller.settings)
         rates = controller.settings.rates
         self._due = {
@@ -50,31 +50,31 @@ class Teller:
             "plan": [0.0, 1.0 / rates.plan],
             "say": [0.0, 1.0 / rates.diagnostics],
         }
-        self._said: tuple[str, ...] = ()
-        self._told = -np.inf
+        self._published: tuple[str, ...] = ()
+        self._published_at = -np.inf
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what is due."""
         now = time.perf_counter()
         c = self.controller
-        said = c.state, *c.refused().values(), *c.pilot.faults, c.health.late, c.health.fell
-        if said != self._said and now - self._told > SOON:
-            self._said, self._due["say"][0] = said, now
+        messages = c.state, *c.rejected().values(), *c.adapter.faults, c.health.late, c.health.fell
+        if messages != self._published and now - self._published_at > SOON:
+            self._published, self._due["say"][0] = messages, now
         for key, do in (("odom", self._odometry), ("plan", self._plans), ("say", self._diagnostics)):
             due = self._due[key]
             if now >= due[0]:
                 due[0] = max(due[0] + due[1], now)
-                self.controller.breathe()
+                self.controller.yield_to_controller()
                 do()
 
     def _send(self, key: str, values: dict[str, Any]) -> None:
         if key in self._to:
-            self.controller.breathe()
+            self.controller.yield_to_controller()
             self._to[key].publish(values)
 
     def _odometry(self) -> None:
         c = self.controller
-        seen, e = c.pilot.snapshot(), c.pilot.estimate()
+        seen, e = c.adapter.snapshot(), c.adapter.estimate()
         if seen is None or e is None:
             return
         (t, x), frames = seen, c.settings.frames
@@ -95,12 +95,12 @@ class Teller:
             upright_again = np.asarray(lie.quaternion_conjugate(e.orientation))
             transforms.append(_transform(now, frames.base, part, np.zeros(3), upright_again))
         self._send("tf", {"transforms": transforms})
-        self._send("hand_pose", {"header": header(now, frames.world), "pose": pose(*self._hand(x))})
+        self._send("end_effector_pose", {"header": header(now, frames.world), "pose": pose(*self._hand(x))})
 
     def _hand(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pose of the hand above the floor."""
         position, turned = self.controller.robot.pose(x)
-        return position + [0.0, 0.0, self.controller.pilot.planner.lift], turned
+        return position + [0.0, 0.0, self.controller.adapter.planner.lift], turned
 
     def _plans(self) -> None:
         c = self.controller
@@ -108,40 +108,44 @@ class Teller:
         self._stand(policy)
         if policy is None:
             return
-        now, world, planner = c.now(), c.settings.frames.world, c.pilot.planner
+        now, world, planner = c.now(), c.settings.frames.world, c.adapter.planner
         nodes = slice(None, None, EVERY)
         times = [c.stamp_of(float(t)) for t in policy.times[nodes]]
         base = [upright(p, planner.base_height) for p in policy.x[nodes, c.robot.state["base"]]]
         hand = []
         for x in policy.x[nodes]:
-            self.controller.breathe()
+            self.controller.yield_to_controller()
             hand.append(self._hand(x))
-        for key, poses in (("plan", base), ("hand_plan", hand)):
+        for key, poses in (("plan", base), ("end_effector_plan", hand)):
             positions, turned = (np.array(part) for part in zip(*poses, strict=True))
             self._send(key, path(now, world, positions, turned, times))
 
     def _stand(self, policy: Policy | None) -> None:
         """How the robot stands, with the inputs of the plan and the world's answer to what the hand exerts."""
         c = self.controller
-        seen = c.pilot.snapshot()
+        seen = c.adapter.snapshot()
         if seen is not None and "footprint" in self._to:
             u = None if policy is None else policy.u[0]
             self._send("footprint", {"markers": self.footprint.markers(c.now(), seen[1], u, -c.wrench, policy)})
 
     def _diagnostics(self) -> None:
         c = self.controller
-        self._told = time.perf_counter()
+        self._published_at = time.perf_counter()
         stopped = c.runner is not None and c.runner.stopped
-        level = ERROR if stopped or c.ill or c.health.fell else WELL if c.running else WARNING
-        if level == WELL and (c.refused() or c.health.late):
+        level = ERROR if stopped or c.degraded or c.health.fell else WELL if c.running else WARNING
+        if level == WELL and (c.rejected() or c.health.late):
             level = WARNING
-        reasons = [why for why in c.refused().values() if why not in c.state]
+        reasons = [why for why in c.rejected().values() if why not in c.state]
         message = "; ".join(filter(None, [c.health.fell, c.state, c.health.late, *reasons]))
-        entries = [status(level, f"{c.settings.node}: controller", message, c.robot.description.name, figures(c))]
-        faults = [*c.node.faults, *filter(None, [c.inbox.unheard])]
+        entries = [
+            status(level, f"{c.settings.node}: controller", message, c.robot.description.name, collect_statistics(c))
+        ]
+        faults = [*c.node.faults, *filter(None, [c.request_queue.unheard])]
         entries += [status(ERROR, f"{c.settings.node}: bus", "; ".join(faults), "", {})] if faults else []
-        found = c.pilot.faults
-        entries += [status(WARNING, f"{c.settings.node}: {c.pilot.watches}", "; ".join(found), "", {})] if found else []
+        found = c.adapter.faults
+        entries += (
+            [status(WARNING, f"{c.settings.node}: {c.adapter.watches}", "; ".join(found), "", {})] if found else []
+        )
         self._send("diagnostics", {"header": header(c.now(), ""), "status": entries})
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.base_adapter import BaseAdapter, Groups
-from wbmpc.ros2.bus import SENSOR, Node
+from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.convert import seconds
+from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.joints import Inertial, JointReader, JointSample, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.trajectory_client import Sender, senders
@@ -42,17 +42,17 @@ _STANDING, _WAITING = 0.01, 4000
 
 class BusRobot:
     """See :class:`wbmpc.runtime.runner.RobotInterface`. What is wrong with a message stops the robot once it is :meth:`arm`-ed; a robot
-    that would fall (``pilot.keeps``) goes on without that message, and ``fault`` says so until the next good one.
+    that would fall (``adapter.must_keep_running``) goes on without that message, and ``fault`` says so until the next good one.
 
     With simulated time a measurement is as old as its stamp. By the wall's clock it is as old as its arrival, if its stamp has
     moved on (clocks of two machines may differ, and a driver that hangs repeats itself); intervals are those of the stamps.
     """
 
-    def __init__(self, node: Node, pilot: BaseAdapter, settings: RosSettings, clock: WallClock | BusClock) -> None:
-        self.pilot, self.settings, self.clock = pilot, settings, clock
+    def __init__(self, node: Node, adapter: BaseAdapter, settings: RosSettings, clock: WallClock | BusClock) -> None:
+        self.adapter, self.settings, self.clock = adapter, settings, clock
         self._limit = RateLimit()
         self._wrong: dict[str, str] = {}  # what is wrong with the newest message, by topic
-        self._reader = JointReader(pilot.robot, settings, pilot.keeps)
+        self._reader = JointReader(adapter.robot, settings, adapter.must_keep_running)
         self._joints: tuple[JointSample, float] | None = None
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
@@ -67,22 +67,24 @@ class BusRobot:
         self.sent = 0  # commands since the last start
         self._armed = False
         self._stopping: float | None = None
-        self._last = pilot.rest()
-        node.subscribe(settings.topics.joint_states, "sensor_msgs/msg/JointState", self._take_joints, SENSOR)
+        self._last = adapter.rest()
+        node.subscribe(
+            settings.topics.joint_states, "sensor_msgs/msg/JointState", self._take_joints, SENSOR, largest=SMALL
+        )
         if settings.topics.imu:
-            node.subscribe(settings.topics.imu, "sensor_msgs/msg/Imu", self._take_imu, SENSOR)
-        elif pilot.needs_imu:
+            node.subscribe(settings.topics.imu, "sensor_msgs/msg/Imu", self._take_imu, SENSOR, largest=SMALL)
+        elif adapter.needs_imu:
             raise InputError("topics.imu: this robot needs an inertial unit")
-        self._senders: list[Sender] = senders(node, pilot.robot, settings)
+        self._senders: list[Sender] = senders(node, adapter.robot, settings)
 
     # ------------------------------------------------------------------ from the bus
     def _take_joints(self, message: Any) -> None:
         try:
             sample = self._reader.read(message)
         except InputError as error:
-            self._note("joints", str(error))
+            self._note("joints", error_message(error))
             if not self._armed:
-                self._reader.forget()
+                self._reader.reset()
             return
         before, arrival = self._joints, time.perf_counter()
         if before is None or sample.stamp != before[0].stamp or sample.stamp == 0.0:
@@ -96,7 +98,7 @@ class BusRobot:
         try:
             taken, at = read_imu(message), seconds(message.header.stamp)
         except InputError as error:
-            self._note("imu", str(error))
+            self._note("imu", error_message(error))
             return
         self._good("imu")
         with self._lock:
@@ -118,13 +120,13 @@ class BusRobot:
         return next(iter(self._wrong.values()), "")
 
     def _note(self, source: str, fault: str) -> None:
-        if self._armed and self.pilot.keeps and source not in self._wrong:
+        if self._armed and self.adapter.must_keep_running and source not in self._wrong:
             self._limit.log(_LOG, logging.ERROR, source, f"{fault}; it does not count, the robot goes on")
         if not (self._armed and source in self._wrong):
             self._wrong[source] = fault
 
     def _good(self, source: str) -> None:
-        if not self._armed or self.pilot.keeps:
+        if not self._armed or self.adapter.must_keep_running:
             self._wrong.pop(source, None)
 
     @property
@@ -132,7 +134,7 @@ class BusRobot:
         """Whether there has been an inertial measurement."""
         return self._inertial is not None
 
-    def waits_for(self) -> str:
+    def waiting_reason(self) -> str:
         """Why the robot cannot be moved yet; empty if it can."""
         if self.fault:
             return self.fault
@@ -142,7 +144,7 @@ class BusRobot:
         if age > self.settings.safety.watchdog:
             limit = self.settings.safety.watchdog
             return f"the joint states on {self.settings.topics.joint_states} have stopped for more than {limit:g} s"
-        if self.pilot.needs_imu and self._inertial is None:
+        if self.adapter.needs_imu and self._inertial is None:
             return f"nothing on {self.settings.topics.imu} yet"
         return ""
 
@@ -157,17 +159,17 @@ class BusRobot:
     def arm(self) -> None:
         """From now on faults count; the robot is at rest."""
         self._wrong, self._stopping, self._armed, self.sent = {}, None, True, 0
-        self._last = self.pilot.rest()
+        self._last = self.adapter.rest()
 
     def disarm(self) -> None:
         """Faults are reported only, and pass with the next good message."""
         self._armed = False
-        self._reader.forget()
+        self._reader.reset()
 
     # ------------------------------------------------------------------ for the runner
     def read(self) -> Any:
         """The newest measurement, its time on the runner's clock."""
-        if self.fault and self._armed and not self.pilot.keeps:
+        if self.fault and self._armed and not self.adapter.must_keep_running:
             raise SafeStop(self.fault)
         joints = self._joints
         if joints is None:
@@ -195,13 +197,13 @@ class BusRobot:
 
     def _measurement(self, sample: JointSample, arrival: float, imu: Inertial | None) -> Any:
         origin = self.clock.origin
-        return self.pilot.measurement(self.clock.now(), self._when(sample, arrival) - origin, sample, imu, origin)
+        return self.adapter.measurement(self.clock.now(), self._when(sample, arrival) - origin, sample, imu, origin)
 
     def _when(self, sample: JointSample, arrival: float) -> float:
         """When joint states were read, on the clock behind the runner's."""
         if isinstance(self.clock, BusClock):
             return sample.stamp
-        if not self.pilot.keeps or sample.stamp == 0.0:
+        if not self.adapter.must_keep_running or sample.stamp == 0.0:
             return arrival
         return sample.stamp + self._behind - self.settings.state_age
 
@@ -244,7 +246,7 @@ class BusRobot:
 
     def write(self, command: Any) -> None:
         """Send a command to all controllers."""
-        self._last, self._stopping = self.pilot.groups(command), None
+        self._last, self._stopping = self.adapter.groups(command), None
         self._send(self._last)
 
     def stop(self) -> None:
@@ -261,7 +263,7 @@ class BusRobot:
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0
         scaled = {g: left * v for g, v in self._last.items()}
         if "brake" in scaled:
-            scaled["brake"] = self._last["brake"] if left > 0.0 else self.pilot.rest()["brake"]
+            scaled["brake"] = self._last["brake"] if left > 0.0 else self.adapter.rest()["brake"]
         self._send(scaled)
 
     @property
@@ -272,7 +274,7 @@ class BusRobot:
 
     def rest(self) -> None:
         """Zero at once."""
-        self._send(self.pilot.rest())
+        self._send(self.adapter.rest())
 
     def _send(self, values: Groups) -> None:
         self.sent += 1

@@ -16,8 +16,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rosidl_runtime_py.utilities import get_message, get_service
 
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, Endpoint, Qos, full_name
-from wbmpc.ros2.convert import sentence_of
+from wbmpc.ros2.bus import DEFAULT, LARGEST, Endpoint, Qos, full_name
+from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.mismatch import Mismatches, Ours
 from wbmpc.ros2.parameters import Parameters, descriptor_of
 
@@ -55,8 +55,8 @@ class RosNode:
 
     @property
     def faults(self) -> list[str]:
-        """Sentences about endpoints that do not match."""
-        return self._mismatches.sentences()
+        """Messages about endpoints that do not match."""
+        return self._mismatches.messages()
 
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> RosPublisher:
         """A publisher."""
@@ -68,7 +68,7 @@ class RosNode:
 
     def subscribe(
         self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
-        others: tuple[str, ...] = (),
+        others: tuple[str, ...] = (), largest: int = LARGEST,
     ) -> Callable[[], None]:  # fmt: skip
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
         go on. Returns what ends it."""
@@ -80,7 +80,7 @@ class RosNode:
             try:
                 callback(message)
             except Exception as error:
-                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {type(error).__name__}: {error}")
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
         later = lambda message: self._deferred.append((call, message))
         taken = later if deferred else call
@@ -117,7 +117,7 @@ class RosNode:
             try:
                 parameters.set({p.name: p.value for p in given})
             except Exception as error:
-                return fill(result(), {"successful": False, "reason": sentence_of(error)})
+                return fill(result(), {"successful": False, "reason": error_message(error)})
             return fill(result(), {"successful": True})
 
         self._node.add_on_set_parameters_callback(change)

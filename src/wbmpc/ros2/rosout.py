@@ -17,15 +17,17 @@ _MOST = 100
 
 
 class Rosout(logging.Handler):
-    """Takes log records in any thread; :meth:`send` publishes them in the node's own, ``breathe()`` before each.
+    """Takes log records in any thread; :meth:`send` publishes them in the node's own, ``yield_to_controller()`` before each.
 
     Levels are those of Python, which are ROS's too (debug 10, info 20, warning 30, error 40, fatal 50).
     """
 
-    def __init__(self, node: Node, name: str, now: Callable[[], float], breathe: Callable[[], None]) -> None:
+    def __init__(
+        self, node: Node, name: str, now: Callable[[], float], yield_to_controller: Callable[[], None]
+    ) -> None:
         super().__init__()
         self._to = node.publisher("/rosout", "rcl_interfaces/msg/Log", _QOS)
-        self._node_name, self._now, self._breathe = name, now, breathe
+        self._node_name, self._now, self._yield_to_controller = name, now, yield_to_controller
         self._waiting: deque[dict[str, Any]] = deque(maxlen=_MOST)
         self._log = logging.getLogger("wbmpc")
         self._log.addHandler(self)
@@ -40,7 +42,7 @@ class Rosout(logging.Handler):
     def send(self) -> None:
         """Publish what has come since."""
         while self._waiting:
-            self._breathe()
+            self._yield_to_controller()
             self._to.publish(self._waiting.popleft())
 
     def close(self) -> None:

@@ -22,9 +22,9 @@ GROUPS = ("wheel", "steer", "arm", "brake")
 #: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
 NUMBERS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
 #: Types of goals and orders, by the keys of their topics.
-ORDERS = {
-    "goal_pose": "geometry_msgs/msg/PoseStamped", "hand_goal": "geometry_msgs/msg/PoseStamped",
-    "base_path": "nav_msgs/msg/Path", "hand_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
+REQUEST_TYPES = {
+    "goal_pose": "geometry_msgs/msg/PoseStamped", "end_effector_goal": "geometry_msgs/msg/PoseStamped",
+    "base_path": "nav_msgs/msg/Path", "end_effector_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
     "legs": "sensor_msgs/msg/JointState", "brakes": NUMBERS, "leg_configuration": "std_msgs/msg/String",
 }  # fmt: skip
 #: How long [s of the wall] simulated time may stand: in lockstep, and if nobody publishes it, or else.
@@ -63,9 +63,9 @@ class Topics(Settings):
     imu: str = "/imu"
     pose: str = ""
     goal_pose: str = "/goal_pose"
-    hand_goal: str = "/hand_goal"
+    end_effector_goal: str = "/end_effector_goal"
     base_path: str = "/base_path"
-    hand_path: str = "/hand_path"
+    end_effector_path: str = "/end_effector_path"
     cmd_vel: str = "/cmd_vel"
     wrench: str = "/wrench"
     legs: str = "/legs"
@@ -73,9 +73,9 @@ class Topics(Settings):
     leg_configuration: str = "/leg_configuration"
     set_legs: str = "/set_legs"
     odom: str = "/odom"
-    hand_pose: str = "/hand_pose"
+    end_effector_pose: str = "/end_effector_pose"
     plan: str = "/plan"
-    hand_plan: str = "/hand_plan"
+    end_effector_plan: str = "/end_effector_plan"
     footprint: str = "/footprint"
     diagnostics: str = "/diagnostics"
 
@@ -121,7 +121,7 @@ class Speeds(Settings):
 
     base: float = Field(0.4, ge=1e-3, le=20)
     turn: float = Field(0.4, ge=1e-3, le=20)
-    hand: float = Field(0.2, ge=1e-3, le=20)
+    end_effector: float = Field(0.2, ge=1e-3, le=20)
 
 
 class Fastest(Settings):
@@ -144,7 +144,7 @@ class Goals(Settings):
     """How far from the robot goals and paths may be [m], over the floor: of the base, and of the hand from where it is."""
 
     base: float = Field(100.0, gt=0, le=10_000)
-    hand: float = Field(100.0, gt=0, le=10_000)
+    end_effector: float = Field(100.0, gt=0, le=10_000)
 
 
 class Safety(Settings):
@@ -191,7 +191,7 @@ class RosSettings(Settings):
 
     ``controllers``: left out, one for each of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go
     out in the order of the legs. ``use_sim_time``: time is what ``/clock`` says. ``lockstep``: so it does, and a solve takes
-    the modelled ``mpc.delay`` of that time, however fast the machine is. ``drive_lag`` [s] of the drives; ``state_age`` [s]:
+    the modelled ``mpc.computation_delay`` of that time, however fast the machine is. ``actuator_time_constant`` [s] of the drives; ``state_age`` [s]:
     by the wall's clock, how old joint states are when they come, and ``wrench`` (robots that balance).
     """
 
@@ -211,7 +211,7 @@ class RosSettings(Settings):
     controllers: dict[str, Controller] = Field({})
     mpc: MpcSettings = MpcSettings()
     cost: Settings = Settings()
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     state_age: float = Field(0.005, ge=0, le=0.05)
 
     @field_validator("node")

@@ -27,7 +27,7 @@ from wbmpc.simulation.scene import SceneReader
 _LOG = logging.getLogger("wbmpc")
 #: Like the watchdog of a drive [s]: without commands for longer the robot stops and its brakes close.
 COMMAND_TIMEOUT = 0.1
-#: In lockstep: how long an answer is waited for once the robot was told to rest (a controller that has stopped it goes silent),
+#: In lockstep: how long an answer is waited for once the robot was reported to rest (a controller that has stopped it goes silent),
 #: and after what time the question is asked again [s of the wall].
 RESTED, AGAIN = 3.0, 0.05
 #: A trajectory answers for so long [s].

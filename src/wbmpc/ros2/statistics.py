@@ -1,4 +1,4 @@
-"""What the controller's node counts, as the diagnostics tell it."""
+"""What the controller's node counts, for its diagnostics."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ if TYPE_CHECKING:
     from wbmpc.ros2.control import ControlNode
 
 
-def figures(controller: ControlNode) -> dict[str, Any]:
+def collect_statistics(controller: ControlNode) -> dict[str, Any]:
     """Values by name (times in ms, unless the name says otherwise), for diagnostics; without a runner what is known before."""
     c = controller
-    values: dict[str, Any] = {"backend": c.node.backend, "age of the joint states [ms]": _ms(c.body.age())}
+    values: dict[str, Any] = {"backend": c.node.backend, "age of the joint states [ms]": _ms(c.robot_io.age())}
     values["watchdog"] = f"{'armed' if c.running else 'not armed'}, {_ms(c.settings.safety.watchdog)} ms"
-    values.update(c.refused())
+    values.update(c.rejected())
     if c.runner is None:
         return values
     r = c.runner.report()
     return {
-        **values, **c.health.figures(),
-        "commands sent": c.body.sent,
+        **values, **c.health.diagnostics(),
+        "commands sent": c.robot_io.sent,
         "began at [s]": f"{c.stamp_of(0.0):.4f}",
         "task": c.task,
         "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
         "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
-        **({} if c.pilot.brakes is None else {"legs held": c.pilot.agent.holds}),
-        "constraint violation": f"{c.pilot.mpc.figures['violation']:.2e}",
+        **({} if c.adapter.brakes is None else {"legs held": c.adapter.controller.holds}),
+        "constraint violation": f"{c.adapter.mpc.solve_info['violation']:.2e}",
         "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
         "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
         "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: median [ms]": _ms(r.tick.median),

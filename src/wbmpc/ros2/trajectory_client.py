@@ -107,7 +107,7 @@ class Trajectories:
         controllers = settings.command_topics(robot).values()
         self._senders = [TrajectorySender(node, robot, settings, c) for c in controllers if c.takes == "trajectory"]
 
-    def anew(self) -> None:
+    def restart(self) -> None:
         """The next trajectories are due at once."""
         for sender in self._senders:
             sender.due = -np.inf

@@ -20,10 +20,10 @@ LARGEST = 1e9
 _OF_WEIGHTS = list(get_args(Weight)[1].metadata)
 
 
-def parameters_of(pilot: BaseAdapter, settings: RosSettings) -> Parameters:
+def parameters_of(adapter: BaseAdapter, settings: RosSettings) -> Parameters:
     """``robot``, ``use_sim_time``, ``rates.*``, ``frames.*`` read-only; the weights ``cost.*`` settable."""
     given = [
-        Parameter("robot", pilot.robot.description.name, "name of the robot's description"),
+        Parameter("robot", adapter.robot.description.name, "name of the robot's description"),
         Parameter("use_sim_time", settings.use_sim_time, "whether time is that of /clock"),
         *(Parameter(f"rates.{n}", float(v), "rate [Hz]") for n, v in settings.rates.model_dump().items()),
         *(Parameter(f"frames.{n}", str(v), "name of a frame") for n, v in settings.frames.model_dump().items()),
@@ -33,7 +33,7 @@ def parameters_of(pilot: BaseAdapter, settings: RosSettings) -> Parameters:
 
     def change(values: dict[str, Value]) -> None:
         cost = changed_cost(state["cost"], values)
-        pilot.pending.reweigh(weights_of(pilot.problem(cost)))
+        adapter.pending.reweigh(weights_of(adapter.problem(cost)))
         state["cost"] = cost
 
     return Parameters(given, change)
@@ -55,7 +55,7 @@ def _weights(prefix: str, cost: Settings) -> list[Parameter]:
 
 
 def changed_cost(cost: Any, values: dict[str, Value]) -> Any:
-    """Settings with other weights, named as in ``cost.hand.weight``. Raises :class:`InputError`."""
+    """Settings with other weights, named as in ``cost.end_effector.weight``. Raises :class:`InputError`."""
     data = cost.model_dump()
     for name, value in values.items():
         *path, last = name.split(".")[1:]

@@ -23,12 +23,12 @@ def start_process(
     observations: Mailbox,
     policies: Mailbox,
     board: Board,
-    orders: Board,
+    worker_commands: Board,
     offset: float,
     setup: Callable[[], None] | None,
 ) -> Any:
     """Begin a process that serves an MPC, see :func:`wbmpc.runtime.worker.serve`."""
-    arguments = (make, observations, policies, board, orders, offset, setup)
+    arguments = (make, observations, policies, board, worker_commands, offset, setup)
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=serve, args=arguments, daemon=True)
     process.start()

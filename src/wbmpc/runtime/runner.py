@@ -3,7 +3,7 @@
 A tick: read the robot, update the estimator, put the policies that are due into force, hand the predicted observation to the
 MPC, command the robot. The observation is predicted over the latency that was measured, so that its policy comes into force
 at the state that it was computed for. Whatever goes wrong ends in a safe stop: ``stop()`` of the robot at every tick until the
-runner is shut down, and a sentence that says why.
+runner is shut down, and a message that says why.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from wbmpc.runtime.safety import (
 )
 from wbmpc.runtime.shared_memory import Board, Mailbox, Sizes, TimedPolicy
 from wbmpc.runtime.statistics import Punctuality, Report
-from wbmpc.runtime.worker import NUMBERS, ORDERS, RECORDS, Worker
+from wbmpc.runtime.worker import NUMBERS, RECORDS, WORKER_COMMANDS, Worker
 
 _LOG = logging.getLogger("wbmpc")
 #: For how long [s] at most a tick may end by itself before a shutdown stops the robot; then for how long each loop may end.
@@ -56,20 +56,20 @@ class RobotInterface(Protocol):
 
 
 class RealTimeRunner:
-    """``robot`` and ``agent`` run in the control thread; ``mpc`` in a thread, or in a process if it is a function that makes
+    """``robot`` and ``controller`` run in the control thread; ``mpc`` in a thread, or in a process if it is a function that makes
     one (importable, for it runs there; then ``sizes`` are needed, ``Sizes.of(ocp)``).
 
-    ``parameters``: model parameters (as of the solver) that the agent estimates, sent with every observation. The agent must not
+    ``parameters``: model parameters (as of the solver) that the controller estimates, sent with every observation. The controller must not
     use the solver's memory of ``mpc``: it gets an MPC of its own. ``setup`` is called in that process first. ``watch(t, late,
     plans)`` is called in the control thread after each command, with the tick's time and by how much it began late [s]; it must
-    not wait, and is dropped when it fails. ``state`` says in a sentence what the runner does, or why it stopped; ``error`` is the
+    not wait, and is dropped when it fails. ``state`` says in a message what the runner does, or why it stopped; ``error`` is the
     exception behind it. In virtual time use :meth:`run`.
     """
 
     def __init__(
         self,
         robot: RobotInterface,
-        agent: Controller,
+        controller: Controller,
         mpc: MPC | Callable[[], MPC],
         settings: RealTimeSettings | None = None,
         clock: Clock | None = None,
@@ -79,7 +79,7 @@ class RealTimeRunner:
         setup: Callable[[], None] | None = None,
         watch: Callable[[float, float, PolicyQueue], None] | None = None,
     ) -> None:
-        self.robot, self.agent, self.mpc, self.parameters, self.watch = robot, agent, mpc, parameters, watch
+        self.robot, self.controller, self.mpc, self.parameters, self.watch = robot, controller, mpc, parameters, watch
         self.settings, self.clock = settings or RealTimeSettings(), clock or WallClock()
         self.remote, self.setup = not hasattr(mpc, "solver"), setup
         if self.remote and (sizes is None or isinstance(self.clock, VirtualClock)):
@@ -87,7 +87,7 @@ class RealTimeRunner:
         size = sizes or Sizes.of(mpc.solver.ocp)  # type: ignore[union-attr]
         mailbox, board = (Mailbox.shared, Board.shared) if self.remote else (Mailbox, Board)
         self.observations, self.policies = mailbox(size.observation()), mailbox(size.policy())
-        self.board, self.orders = board(NUMBERS, RECORDS, self.settings.records), board(ORDERS)
+        self.board, self.worker_commands = board(NUMBERS, RECORDS, self.settings.records), board(WORKER_COMMANDS)
         own = ("latency", "ready", "jitter", "tick", "sent")
         self.own = Board(("ticks", "misses", "skipped", "policies", "late", "clamped"), own, self.settings.records)
         self.punctuality = Punctuality()
@@ -124,7 +124,7 @@ class RealTimeRunner:
         if self.remote:
             offset = self.settings.mpc_offset
             self._process = start_process(
-                self.mpc, self.observations, self.policies, self.board, self.orders, offset, self.setup  # type: ignore[arg-type]
+                self.mpc, self.observations, self.policies, self.board, self.worker_commands, offset, self.setup  # type: ignore[arg-type]
             )  # fmt: skip
             await_ready(self._process, self.board)
         loops = self._begin()
@@ -159,7 +159,7 @@ class RealTimeRunner:
 
     def shutdown(self) -> None:
         """End all loops. The robot is stopped as soon as no tick runs; only then the MPC is waited for, which may hang."""
-        self.orders["end"] = 1.0
+        self.worker_commands["end"] = 1.0
         self._ended.set()
         try:
             for thread in self._threads[:1]:  # the controller's, which also stops the robot when it ends
@@ -197,13 +197,13 @@ class RealTimeRunner:
     def _begin(self) -> list[Loop]:
         self.clock.restart()
         self.state, self._beat = "standing by for the first policy", self.clock.now()
-        self.orders["origin"] = getattr(self.clock, "origin", 0.0)
-        self.orders["begin"] = 1.0
+        self.worker_commands["origin"] = getattr(self.clock, "origin", 0.0)
+        self.worker_commands["begin"] = 1.0
         if self.remote:
             return [self._control()]
         s = self.settings
         self._worker = Worker(
-            self.mpc, self.observations, self.policies, self.board, self.orders, self.clock, s.mpc_offset  # type: ignore[arg-type]
+            self.mpc, self.observations, self.policies, self.board, self.worker_commands, self.clock, s.mpc_offset  # type: ignore[arg-type]
         )  # fmt: skip
         return [self._control(), self._worker.loop()]
 
@@ -226,10 +226,10 @@ class RealTimeRunner:
     def _control(self) -> Loop:
         """The controller's loop: a tick, or the stop, at every deadline."""
         own, clock, usual = self.own, self.clock, sys.getswitchinterval()
-        while not self.orders["end"]:
+        while not self.worker_commands["end"]:
             due = self.ticker.due
             yield due
-            if self.orders["end"]:
+            if self.worker_commands["end"]:
                 break
             start = clock.now()
             own.sample("jitter", start - due)
@@ -240,7 +240,7 @@ class RealTimeRunner:
                     check_held_up(start - due, 0.0, self.settings.watchdog)
                     self._tick(due)
                     check_held_up(0.0, clock.now() - start, self.settings.watchdog)
-                except RunAborted as reason:  # on purpose, by this runner or by the robot: a sentence
+                except RunAborted as reason:  # on purpose, by this runner or by the robot: a message
                     self.halt(str(reason))
                 except (Exception, SystemExit) as error:
                     self._raised(error)
@@ -261,7 +261,7 @@ class RealTimeRunner:
         check_measurement(measurement, self.clock.now(), self.settings.max_observation_age)
         self._check_worker()
         over(now())
-        self.agent.measure(measurement)
+        self.controller.measure(measurement)
         over(now())
         self._collect()
         self._activate(due)
@@ -271,7 +271,7 @@ class RealTimeRunner:
             self._stop_robot()
             return
         before = self._cuts()
-        command = self.agent.command(due, self.plans)
+        command = self.controller.command(due, self.plans)
         self._check_command(command)
         if self._stopped.is_set() or self._ended.is_set():  # from another thread, while this tick hung
             return
@@ -279,8 +279,8 @@ class RealTimeRunner:
         self.robot.write(command)
         over(now())
         self.own.sample("sent", self.punctuality.sent())
-        # agents that cut in their own way say so; else the policy knows
-        self.own.count("clamped", int(getattr(self.agent, "clamped", self._cuts() > before)))
+        # controllers that cut in their own way say so; else the policy knows
+        self.own.count("clamped", int(getattr(self.controller, "clamped", self._cuts() > before)))
         if self.watch is not None:
             self._show(due)
 
@@ -290,7 +290,7 @@ class RealTimeRunner:
         return 0 if policy is None or policy.limits is None else policy.limits.count
 
     def _show(self, due: float) -> None:
-        """Let the watcher see this tick; what goes wrong there is told once, and the robot goes on."""
+        """Let the watcher see this tick; what goes wrong there is reported once, and the robot goes on."""
         assert self.watch is not None
         try:
             self.watch(due, self._beat - due, self.plans)
@@ -343,7 +343,7 @@ class RealTimeRunner:
     def _observe(self, due: float) -> None:
         """Hand over the state predicted for when the policy can be there; that time never goes back."""
         self._until = max(self._until, due + self.latency.ticks * self.settings.period)
-        seen = self.agent.predict(due, self._until, self.plans)
+        seen = self.controller.predict(due, self._until, self.plans)
         parameters = self._no_parameters if self.parameters is None else self.parameters()
         for name, value in (("predicted state", seen.x), ("vector of model parameters", parameters)):
             if not_finite(name, value) is not None:
@@ -390,20 +390,20 @@ class RealTimeRunner:
             if self._stop_error is not None:
                 return
             self._stop_error = error
-            sentence = f"the robot's stop() raised {type(error).__name__}: {error}"
+            message = f"the robot's stop() raised {type(error).__name__}: {error}"
             if self._stopped.is_set():
-                self.state += f"; {sentence}"
-                _LOG.error("%s", sentence, exc_info=error)
+                self.state += f"; {message}"
+                _LOG.error("%s", message, exc_info=error)
             else:
-                self.halt(sentence, error)
+                self.halt(message, error)
 
     def _watch(self) -> None:
         """Stop the robot from here while a tick hangs."""
-        limit, looked, worst, beat = self.settings.watchdog, self.clock.now(), 0.0, self._beat
+        limit, last, worst, beat = self.settings.watchdog, self.clock.now(), 0.0, self._beat
         while not self._ended.wait(0.2 * limit):
             now = self.clock.now()
-            worst = max(worst, now - looked) if self._beat == beat else now - looked
-            silent, beat, looked = now - self._beat, self._beat, now
+            worst = max(worst, now - last) if self._beat == beat else now - last
+            silent, beat, last = now - self._beat, self._beat, now
             if silent > limit:
                 why = ": the machine is too busy, the watchdog was held up too" if worst > 0.5 * limit else ""
                 self.halt(f"a tick of the controller has not ended for {silent:.3f} s, the limit is {limit:g} s{why}")

@@ -32,7 +32,7 @@ class RealTimeSettings:
     observation to finished policy, plus ``margin``, in whole ticks, at most ``max_latency``. ``offset``: by how much the MPC's
     ticks follow the controller's (left out: a fifth of the controller's period). ``records``: samples kept of each figure.
     ``priority`` of the control thread in the kernel's real-time class (0: as the process).
-    ``keep``: an MPC that fails or is late does not stop the robot, for one that balances would fall: its agent goes on with
+    ``keep``: an MPC that fails or is late does not stop the robot, for one that balances would fall: its controller goes on with
     the last policy.
     """
 
@@ -98,7 +98,7 @@ class CommandCheck:
 
     def __call__(self, command: Any) -> None:
         if command is None:
-            raise SafeStop("the agent gave no command")
+            raise SafeStop("the controller gave no command")
         if self._kind is None:
             self._kind = type(command)
         if type(command) is not self._kind:

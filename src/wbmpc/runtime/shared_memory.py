@@ -280,12 +280,12 @@ class Board:
 
     @property
     def text(self) -> str:
-        """A sentence from the writer: what went wrong."""
+        """A message from the writer: what went wrong."""
         return self._read(0)
 
     @text.setter
-    def text(self, sentence: str) -> None:
-        self._write(0, sentence)
+    def text(self, message: str) -> None:
+        self._write(0, message)
 
     @property
     def note(self) -> str:
@@ -293,14 +293,14 @@ class Board:
         return self._read(1)
 
     @note.setter
-    def note(self, sentence: str) -> None:
-        self._write(1, sentence)
+    def note(self, message: str) -> None:
+        self._write(1, message)
 
     def _read(self, i: int) -> str:
         return bytes(self._texts[i]).split(b"\0", 1)[0].decode(errors="replace")
 
-    def _write(self, i: int, sentence: str) -> None:
+    def _write(self, i: int, message: str) -> None:
         room = self._texts[i]
-        data = sentence.encode()[: room.size - 1]
+        data = message.encode()[: room.size - 1]
         room[: len(data)] = np.frombuffer(data, np.uint8)
         room[len(data)] = 0

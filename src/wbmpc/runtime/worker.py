@@ -32,8 +32,8 @@ NUMBERS = (
     "worst_initial_state_mismatch",
 )
 RECORDS = ("solve_time", "update_time")
-#: What the runner tells the worker: when 0 is, whether to begin and to end.
-ORDERS = ("origin", "begin", "end")
+#: What the runner sends to the worker: when 0 is, whether to begin and to end.
+WORKER_COMMANDS = ("origin", "begin", "end")
 
 
 class Worker:
@@ -49,12 +49,12 @@ class Worker:
         observations: Mailbox,
         policies: Mailbox,
         board: Board,
-        orders: Board,
+        worker_commands: Board,
         clock: Clock,
         offset: float,
     ) -> None:
         self.mpc, self.observations, self.policies = mpc, observations, policies
-        self.board, self.orders, self.clock = board, orders, clock
+        self.board, self.worker_commands, self.clock = board, worker_commands, clock
         self.ticker = Ticker(mpc.period, offset)
         self._message: Message | None = None
         self.error: BaseException | None = None
@@ -65,12 +65,12 @@ class Worker:
     def loop(self) -> Loop:
         """Tick until the runner says that it is the end, or something is raised: then the board has the reason."""
         board, clock = self.board, self.clock
-        while not self.orders["end"]:
+        while not self.worker_commands["end"]:
             yield self.ticker.due
-            looked = False
+            polled = False
             try:
-                looked = self._look()
-                if looked:
+                polled = self._poll()
+                if polled:
                     start = clock.now()
                     usable = self._solve()
                     computing = clock.computing()
@@ -85,7 +85,7 @@ class Worker:
                 self.fail(error)
                 return
             skipped = self.ticker.over(clock.now())
-            if looked and skipped and board["updates"] > 1:  # the first solve iterates to convergence
+            if polled and skipped and board["updates"] > 1:  # the first solve iterates to convergence
                 board.count("misses")
                 board.count("skipped", skipped)
 
@@ -94,7 +94,7 @@ class Worker:
         self.error = error
         report(self.board, error)
 
-    def _look(self) -> bool:
+    def _poll(self) -> bool:
         """Take the newest observation; whether there has been one."""
         message = self.observations.read()
         if message is not None:
@@ -150,7 +150,7 @@ class Worker:
         self.policies.commit()
 
     def _count_limit_violations(self) -> None:
-        """PolicyQueue whose states are outside hard limits are used, and told."""
+        """PolicyQueue whose states are outside hard limits are used, and reported."""
         share, board = self.mpc.limit_violation, self.board
         assert self._message is not None
         if share > 0.0:
@@ -174,7 +174,7 @@ def report(board: Board, error: BaseException) -> None:
 
 
 #: How often [s] the MPC's process looks whether its parent is there.
-_LOOK = 0.25
+_POLL_PERIOD = 0.25
 
 
 def end_with_parent() -> None:
@@ -189,9 +189,9 @@ def end_with_parent() -> None:
     number, pipe = parent.pid, parent.sentinel
 
     def watch() -> None:
-        while os.getppid() == number and not wait([pipe], _LOOK):
+        while os.getppid() == number and not wait([pipe], _POLL_PERIOD):
             pass
-        os._exit(1)  # nobody is there to be told
+        os._exit(1)  # nobody is there to report to
 
     threading.Thread(target=watch, daemon=True, name="parent").start()
 
@@ -201,7 +201,7 @@ def serve(
     observations: Mailbox,
     policies: Mailbox,
     board: Board,
-    orders: Board,
+    worker_commands: Board,
     offset: float,
     setup: Callable[[], None] | None,
 ) -> None:
@@ -212,14 +212,14 @@ def serve(
     try:
         if setup is not None:
             setup()
-        worker = Worker(make(), observations, policies, board, orders, clock, offset)
+        worker = Worker(make(), observations, policies, board, worker_commands, clock, offset)
     except (Exception, SystemExit) as error:
         report(board, error)
         raise
     board["ready"] = 1.0
-    while not (orders["begin"] or orders["end"]):
+    while not (worker_commands["begin"] or worker_commands["end"]):
         clock.wait(clock.now() + 1e-3)
-    clock.origin = orders["origin"]
+    clock.origin = worker_commands["origin"]
     # nothing below makes reference cycles: collections would only delay a solve
     gc.collect()
     gc.disable()

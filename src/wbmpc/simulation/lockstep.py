@@ -62,18 +62,18 @@ class Timing:
                 f"plans; valid: the controller's rate or a whole part of it"
             )
         every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
-        return cls(period, steps, every, whole("mpc.delay", delay, period, "controller periods", least=0))
+        return cls(period, steps, every, whole("mpc.computation_delay", delay, period, "controller periods", least=0))
 
 
 @dataclass(frozen=True)
 class Running:
-    """What runs: the loop's parts (``agent``, ``mpc`` None: there is none) and its ``duration`` [s].
+    """What runs: the loop's parts (``controller``, ``mpc`` None: there is none) and its ``duration`` [s].
 
-    ``interrupted`` says whether Ctrl-C was pressed (or the process was asked to end); ``name`` tells loops of one run apart.
+    ``interrupted`` says whether Ctrl-C was pressed (or the process was asked to end); ``name`` distinguishes loops of one run.
     """
 
     plant: Any
-    agent: Any
+    controller: Any
     mpc: Any
     timing: Timing
     duration: float
@@ -108,8 +108,8 @@ def part(progress: Progress | None, k: int, count: int, name: str = "") -> Progr
     """The progress of the ``k``-th of ``count`` parts of a run, its notes after ``name``; watchers come along."""
     if progress is None:
         return None
-    told = lambda share, note: progress((k + share) / count, f"{name}: {note}" if name else note)
-    return Watch(told, progress.watchers, name) if isinstance(progress, Watch) else told
+    report = lambda share, note: progress((k + share) / count, f"{name}: {note}" if name else note)
+    return Watch(report, progress.watchers, name) if isinstance(progress, Watch) else report
 
 
 def _watchers(progress: Progress | None) -> tuple[tuple[Watcher, ...], str]:
@@ -147,7 +147,7 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def watched(
-    plant: Any, period: float, duration: float, progress: Progress | None, agent: Any = None
+    plant: Any, period: float, duration: float, progress: Progress | None, controller: Any = None
 ) -> Iterator[Callable[[float, Any], None]]:
     """For experiments that step a plant themselves: its watchers see this loop as they see :func:`run_lockstep`'s.
 
@@ -159,7 +159,7 @@ def watched(
     with interrupt_noted() as interrupted:
         timing = Timing(period, round(period / plant.timestep), 1, 0)
         for watcher in watchers:
-            watcher.begin(Running(plant, agent, None, timing, duration, interrupted, name))
+            watcher.begin(Running(plant, controller, None, timing, duration, interrupted, name))
 
         def tick(t: float, command: Any) -> None:
             if interrupted():
@@ -182,7 +182,7 @@ def watched(
 
 def run_lockstep(
     plant: Any,
-    agent: Controller,
+    controller: Controller,
     mpc: MPC | None,
     timing: Timing,
     duration: float,
@@ -193,7 +193,7 @@ def run_lockstep(
     robot and is returned, not raised; so is whatever else is raised once the robot has been commanded: it would go on with its
     last command. Before, in the first period, errors (bad settings) are raised.
 
-    ``mpc`` None: for agents that need no plan. ``record(t, command, plans)`` is called at every tick, with the plant as it is
+    ``mpc`` None: for controllers that need no plan. ``record(t, command, plans)`` is called at every tick, with the plant as it is
     before the command acts; then come the watchers of a ``progress`` that is a :class:`Watch`.
     """
     plans, ticks, ending = PolicyQueue(), round(duration / timing.period), Ending()
@@ -201,19 +201,19 @@ def run_lockstep(
     # what is not finite is found by its value; NumPy's warnings would only repeat it
     with interrupt_noted() as interrupted, np.errstate(over="ignore", invalid="ignore"):
         for watcher in watchers:
-            watcher.begin(Running(plant, agent, mpc, timing, duration, interrupted, name))
+            watcher.begin(Running(plant, controller, mpc, timing, duration, interrupted, name))
         for i in range(ticks):
             t = i * timing.period
             if interrupted():
                 ending = Ending(f"interrupted at {t:.2f} s", interrupted=True)
                 break
-            ending = _tick(plant, agent, mpc, timing, i, plans, record, watchers)
+            ending = _tick(plant, controller, mpc, timing, i, plans, record, watchers)
             if ending.reason:
                 break
             if progress is not None and i % 40 == 0:
                 progress((i + 1) / ticks, f"{t:.1f} of {duration:.1f} s")
         if ending.reason and not plant.diverged:
-            plant.step(agent.stop(), round(STOP_TIME / timing.period) * timing.steps)
+            plant.step(controller.stop(), round(STOP_TIME / timing.period) * timing.steps)
         for watcher in watchers:
             watcher.end(ending)
     if progress is not None and not ending.reason:
@@ -223,7 +223,7 @@ def run_lockstep(
 
 def _tick(
     plant: Any,
-    agent: Controller,
+    controller: Controller,
     mpc: MPC | None,
     timing: Timing,
     i: int,
@@ -234,13 +234,13 @@ def _tick(
     """One controller period: measure, plan when it is time, command, step. An ending with a reason if it was the last."""
     t = i * timing.period
     try:
-        agent.measure(plant.measure())
+        controller.measure(plant.measure())
         plans.activate(t)
         if mpc is not None and i % timing.mpc_every == 0:
             until = t + timing.delay * timing.period
-            plans.add(until, mpc.update(agent.predict(t, until, plans)))
+            plans.add(until, mpc.update(controller.predict(t, until, plans)))
             plans.activate(t)
-        command = agent.command(t, plans)
+        command = controller.command(t, plans)
         _check(command)
         record(t, command, plans)
         for watcher in watchers:

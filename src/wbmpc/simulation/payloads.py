@@ -1,4 +1,4 @@
-"""What a robot carries and where it stands: masses at the tool and on the body, a sloping floor, cables on it. Nobody tells the
+"""What a robot carries and where it stands: masses at the tool and on the body, a sloping floor, cables on it. Nobody reports them to the
 planner."""
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from wbmpc.stability import slope_gravity
 
-#: Radius [m] of the ball that is a payload; half sizes [m] of the box that is a load on the body, and its centre above that
+#: Radius [m] of the ball that is a payload; half sizes [m] of the box that is a payload on the body, and its centre above that
 #: of the body.
 PAYLOAD_RADIUS, BOX, BOX_HEIGHT = 0.05, (0.3, 0.25, 0.1), 0.24
 #: Distance [m] between cables on the floor.
 CABLES = 0.2
 _COLOUR = [0.9, 0.6, 0.1, 1.0]
-PAYLOAD, LOAD = "payload", "load"
+PAYLOAD, BODY_PAYLOAD = "payload", "body_payload"
 
 
 def add_payload(spec: mujoco.MjSpec, tool: str, mass: float) -> None:
@@ -28,11 +28,11 @@ def add_payload(spec: mujoco.MjSpec, tool: str, mass: float) -> None:
     _add(parent, PAYLOAD, pos, mass, inertia, mujoco.mjtGeom.mjGEOM_SPHERE, [PAYLOAD_RADIUS, 0, 0])
 
 
-def add_load(spec: mujoco.MjSpec, body: str, mass: float) -> None:
+def add_body_payload(spec: mujoco.MjSpec, body: str, mass: float) -> None:
     """A box of ``mass`` [kg] on a body; it touches nothing."""
     square = np.array(BOX) ** 2
     inertia = mass / 3.0 * (square.sum() - square)
-    _add(spec.body(body), LOAD, [0.0, 0.0, BOX_HEIGHT], mass, inertia, mujoco.mjtGeom.mjGEOM_BOX, BOX)
+    _add(spec.body(body), BODY_PAYLOAD, [0.0, 0.0, BOX_HEIGHT], mass, inertia, mujoco.mjtGeom.mjGEOM_BOX, BOX)
 
 
 def _add(

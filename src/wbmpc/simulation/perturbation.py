@@ -22,43 +22,42 @@ class Perturbation(BaseModel):
 
     Each plant declares which of them it reads (:meth:`check_read`): asking it for another one is an error.
 
-    Bodies: ``mass`` and ``inertia`` relative, ``com`` [m] per axis. Encoders: ``joint_offset`` of hinges and arm [rad],
-    ``steer_zero`` [rad] (measured = true + offset). ``wheel_radius``: one common factor (relative);
-    ``wheel_radius_each``: further factors wheel by wheel. Drives: ``drive_lag`` [s] and its relative spread, drive by
-    drive; ``joint_loss`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``brake_delay`` [s] from
-    open to closed and back. ``friction`` of the floor: a range, or one number; ``spin_friction`` [m], of what rolls on it in one point, about the
-    vertical: a torque over a weight, not drawn. ``encoder_jitter`` [s]: the values of a
-    message are up to this old.
+    Bodies: ``mass`` and ``inertia`` relative, ``com_offset`` [m] per axis. Encoders: ``joint_offset`` of hinges and arm [rad],
+    ``steer_offset`` [rad] (measured = true + offset). ``wheel_radius``: one common factor (relative);
+    ``wheel_radius_each``: further factors wheel by wheel. Drives: ``actuator_time_constant`` [s] and its relative spread, drive by
+    drive; ``dry_friction`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``brake_delay`` [s] from
+    open to closed and back. ``friction`` of the floor: a range, or one number; ``torsional_friction`` [m], of what rolls on it in one
+    point, about the vertical: a torque over a weight, not drawn. ``encoder_jitter`` [s]: the values of a message are up to this old.
     ``encoder_counts`` per turn of wheel, steer and leg; ``arm_counts`` per turn of the arm; 0 = exact.
     ``steer_noise`` [rad]: standard deviation of the steering encoders per message. Inertial unit (densities of the
     order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
     [rad/s/√s, m/s²/√s]. An idealised state sensor: ``state_age`` [s] and noise of the measured state.
 
-    Torque drives, and not spreads: ``dead_time`` [s] of the drives (whole physics steps: anything else is refused); series
+    Torque drives, and not spreads: ``actuator_dead_time`` [s] of the drives (whole physics steps: anything else is rejected); series
     elastic drives (:mod:`wbmpc.simulation.elastic_drives`) where ``wheel_spring`` or ``arm_spring`` [N m/rad] are not 0, with rotors of
     ``wheel_rotor`` and ``arm_rotor`` [kg m²] at the joint, ``spring_damping``, and a torque loop of ``torque_gain`` and
     ``torque_damping``.
     Their figures are assumed: none are published.
 
     Not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,
-    whose weight is not fed forward to the arm's drives; ``load`` [kg] on the body; ``slope`` [rad] of the floor,
+    whose weight is not fed forward to the arm's drives; ``body_payload`` [kg] on the body; ``slope`` [rad] of the floor,
     whose direction is drawn; ``brake_fault``: from ``brake_fault_time`` [s] of the plant on, at the start of which the robot stands
-    for ``rest``, the brake of leg ``brake_fault_leg`` (its place in the description, from 0) stays open or closed.
-    ``cables`` [m]: height of a grid of cables on the floor.
+    for ``settle_time``, the brake of leg ``brake_fault_leg`` (its place in the description, from 0) stays open or closed.
+    ``floor_cables`` [m]: height of a grid of cables on the floor.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     mass: float = Field(default=0.05, ge=0, lt=0.5)
     inertia: float = Field(default=0.10, ge=0, lt=0.5)
-    com: float = Field(default=0.010, ge=0, le=1)
+    com_offset: float = Field(default=0.010, ge=0, le=1)
     joint_offset: float = Field(default=0.002, ge=0, le=3.2)
-    steer_zero: float = Field(default=0.003, ge=0, le=3.2)
+    steer_offset: float = Field(default=0.003, ge=0, le=3.2)
     wheel_radius: float = Field(default=0.002, ge=0, lt=0.2)
     wheel_radius_each: float = Field(default=0.0, ge=0, lt=0.2)
-    drive_lag: float = Field(default=0.020, ge=0, le=10)
-    drive_lag_spread: float = Field(default=0.30, ge=0, lt=1)
-    dead_time: float = Field(default=0.0, ge=0, le=0.5)
+    actuator_time_constant: float = Field(default=0.020, ge=0, le=10)
+    actuator_time_constant_spread: float = Field(default=0.30, ge=0, lt=1)
+    actuator_dead_time: float = Field(default=0.0, ge=0, le=0.5)
     wheel_spring: float = Field(default=0.0, ge=0, le=1e9)
     arm_spring: float = Field(default=0.0, ge=0, le=1e9)
     wheel_rotor: float = Field(default=0.010, ge=0, le=1000)
@@ -66,10 +65,10 @@ class Perturbation(BaseModel):
     spring_damping: float = Field(default=0.02, ge=0, le=2)
     torque_gain: float = Field(default=1.0, ge=0, le=20)
     torque_damping: float = Field(default=0.2, ge=0, le=2)
-    joint_loss: float = Field(default=2.0, ge=0, le=10000)
+    dry_friction: float = Field(default=2.0, ge=0, le=10000)
     brake_delay: float = Field(default=0.10, ge=0, le=100)
     friction: tuple[float, float] = (0.6, 0.9)
-    spin_friction: float = Field(default=0.01, ge=0, le=1)
+    torsional_friction: float = Field(default=0.01, ge=0, le=1)
     encoder_jitter: float = Field(default=0.002, ge=0, le=0.5)
     encoder_counts: int = Field(default=2**14, ge=0, le=2**40)
     arm_counts: int = Field(default=2**17, ge=0, le=2**40)
@@ -86,12 +85,12 @@ class Perturbation(BaseModel):
     speed_noise: float = Field(default=0.01, ge=0, le=100)
     rate_noise: float = Field(default=0.02, ge=0, le=100)
     payload: float = Field(default=0.0, ge=0, le=50)
-    load: float = Field(default=0.0, ge=0, le=500)
+    body_payload: float = Field(default=0.0, ge=0, le=500)
     slope: float = Field(default=0.0, ge=0, le=0.5)
     brake_fault: Literal["none", "open", "closed"] = "none"
     brake_fault_leg: Annotated[int, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0, ge=0)
     brake_fault_time: Annotated[float, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0.0, ge=0)
-    cables: float = Field(default=0.0, ge=0, le=0.02)
+    floor_cables: float = Field(default=0.0, ge=0, le=0.02)
 
     @field_validator("friction", mode="before")
     @classmethod
@@ -136,7 +135,7 @@ class Perturbation(BaseModel):
     @classmethod
     def none(cls, **changes: Any) -> Perturbation:
         """A plant like the model, with perfect sensors; drives keep a lag of 20 ms. ``changes`` replace fields."""
-        kept = {"drive_lag": 0.020, "friction": 0.8, "spin_friction": 0.01, "brake_fault": "none"}
+        kept = {"actuator_time_constant": 0.020, "friction": 0.8, "torsional_friction": 0.01, "brake_fault": "none"}
         return cls(**{**{name: 0 for name in cls.model_fields}, **kept, **changes})
 
     def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> Draw:
@@ -146,16 +145,16 @@ class Perturbation(BaseModel):
             return rng.uniform(-spread, spread, size)
 
         def lag(size: int) -> Array:
-            return self.drive_lag * (1.0 + around(self.drive_lag_spread, size))
+            return self.actuator_time_constant * (1.0 + around(self.actuator_time_constant_spread, size))
 
         return Draw(
             mass={name: 1.0 + float(around(self.mass)) for name in bodies},
             inertia={name: 1.0 + float(around(self.inertia)) for name in bodies},
-            com={name: around(self.com, 3) for name in bodies},
+            com={name: around(self.com_offset, 3) for name in bodies},
             friction=float(rng.uniform(*self.friction)),
             radius=(1.0 + around(self.wheel_radius)) * (1.0 + around(self.wheel_radius_each, wheels)),
             leg_offset=around(self.joint_offset, wheels),
-            steer_offset=around(self.steer_zero, wheels),
+            steer_offset=around(self.steer_offset, wheels),
             arm_offset=around(self.joint_offset, arm),
             wheel_lag=lag(wheels),
             steer_lag=lag(wheels),

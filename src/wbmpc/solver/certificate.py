@@ -1,4 +1,4 @@
-"""What a solution is worth: the largest violation of every constraint by name, and what a failed solve died of."""
+"""What a solution is worth: the largest violation of every constraint by name, and why a failed solve failed."""
 
 from __future__ import annotations
 

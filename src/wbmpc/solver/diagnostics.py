@@ -27,7 +27,7 @@ NEARLY = 1e-2
 
 
 def diagnose(solver: Solver, solution: Solution) -> Solution:
-    """The solution with its violations by name, and the status and the sentence that these show."""
+    """The solution with its violations by name, and the status and the message that these show."""
     problem, ws = solver.problem, solver.ws
     violations = solver.checks.violations(ws.x, ws.u, ws.p, ws.w)
     missed = _missed(solver, violations)
@@ -122,7 +122,7 @@ def _relaxed(term: Constraint, found: Violation) -> float:
 
 
 def _no_minimum(solver: Solver) -> str:
-    """What to say where the exact Hessian is not convex at the end; the Gauss-Newton one cannot tell."""
+    """What to say where the exact Hessian is not convex at the end; the Gauss-Newton one is always convex."""
     from wbmpc.solver.driver import is_minimum
 
     if not solver.problem.exact or is_minimum(solver.ws.memory, solver.ws.table):
@@ -144,7 +144,9 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) ->
     gap, where = certificate.largest_gap(problem, ws, solver.x0)
     if not missed and gap <= feasibility:
         return status, "the last step met the constraints, but nothing has settled"
-    held_up = not missed and (problem.softness > 0.0).any()  # by wishes: the merit has them among the violations
+    held_up = (
+        not missed and (problem.softness > 0.0).any()
+    )  # by soft equalities: the merit has them among the violations
     if missed and _gives_way(problem, problem.ocp.terms[missed.row.split(".")[0]]):
         return (
             solution.status,
@@ -191,9 +193,9 @@ def _diverged(solver: Solver) -> str:
     free = certificate.unseen_inputs(problem)
     if free:
         parts["no term looks at"] = f"input '{free[0]}'"
-    told = ", ".join(f"{name}: {text}" for name, text in parts.items() if text)
+    causes = ", ".join(f"{name}: {text}" for name, text in parts.items() if text)
     start = np.abs(solver.x0).max()
-    return f"the start has a state of {start:.3g}, {told}" if start > THRESHOLDS.divergence else told
+    return f"the start has a state of {start:.3g}, {causes}" if start > THRESHOLDS.divergence else causes
 
 
 def _multipliers_diverged(solution: Solution) -> bool:

@@ -39,7 +39,7 @@ from wbmpc.solver.workspace import LOG
 CONVERGED, ITERATION_LIMIT, LINE_SEARCH_FAILED, NOT_FINITE, DIVERGED, INPUT_INFEASIBLE, EQUALITY_INFEASIBLE = range(7)
 
 LOG_COLUMNS = len(LOG)
-#: What a direction is told to be where it ends nothing: of use, or to be sought again.
+#: What a direction is commanded to be where it ends nothing: of use, or to be sought again.
 GO_ON, AGAIN = -1, -2
 
 
@@ -306,7 +306,7 @@ def update_merit(
     kkt, last_kkt = optimality
     if drop > 1e-10:
         penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
-    # Where differences of the cost drown in rounding, the KKT residual tells that Gauss-Newton overshoots.
+    # Where differences of the cost drown in rounding, the KKT residual shows that Gauss-Newton overshoots.
     invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
     first = max(0.5 * first, 0.01) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
     return penalty, first

@@ -2,7 +2,7 @@
 
 **Which rows.** Rows with multipliers: augmented Lagrangians, equalities of the state alone and of the end of the horizon. A step
 need not meet them; their multipliers grow until it does. Where they contradict each other, multipliers grow for ever, so that
-"not met yet" and "cannot be met" have to be told apart while only one iteration is done per solve. Compiled solver only.
+"not met yet" and "cannot be met" have to be distinguished while only one iteration is done per solve. Compiled solver only.
 
 **The certificate.** Let v be changes of the inputs beyond the policy's feedback that keep the dynamics and the rows of the Riccati
 recursion, J the Jacobian of the rows with multipliers by v, W the lengths of the intervals, and r what a full step leaves of these

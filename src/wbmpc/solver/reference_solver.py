@@ -79,13 +79,13 @@ class InterpretedSolver(InterpretedDirections):
         functions = self.derivatives["rows_jacobian"]
         held = rows.bounds_inputs & (~rows.soft | (self.hold > 1))
         h = hold_inputs(rows, held, self.mu, x, u, lambda x, u: functions(x, u, self._p(k), self.ws.w))
-        self._tell_outside(k, rows, h)
+        self._report_outside(k, rows, h)
         if alpha > 0.0:
             carried = np.where(rows.soft, rows.s + alpha * rows.ds, 0.0)
             general = held & (np.arange(h.size) >= rows.boxes)
             rows.dt = np.where(general, (np.maximum(h + carried, aims(rows, self.mu)) - rows.t) / alpha, rows.dt)
 
-    def _tell_outside(self, k: int, rows: RowState, h: np.ndarray) -> None:
+    def _report_outside(self, k: int, rows: RowState, h: np.ndarray) -> None:
         """Remember by how much node k's inputs are outside, where its rows are h."""
         state, by = self.ws.state, np.where(rows.bounds_inputs, -h, 0.0)
         if by.max(initial=0.0) > max(state[StateField.INPUT_VIOLATION], state[StateField.MIXED_VIOLATION]):
@@ -93,7 +93,7 @@ class InterpretedSolver(InterpretedDirections):
         state[StateField.INPUT_VIOLATION] = max(state[StateField.INPUT_VIOLATION], by[~rows.soft].max(initial=0.0))
         state[StateField.MIXED_VIOLATION] = max(state[StateField.MIXED_VIOLATION], by[rows.soft].max(initial=0.0))
 
-    def _tell_passed(self, k: int, rows: RowState, h: np.ndarray) -> None:
+    def _report_passed(self, k: int, rows: RowState, h: np.ndarray) -> None:
         """Remember by how much node k's state is outside, where its rows are h."""
         from wbmpc.solver.inequality_table import GIVES_WAY
 
@@ -329,8 +329,8 @@ class InterpretedSolver(InterpretedDirections):
         for k, rows in enumerate(self.own):
             h = self._rows(k, ws.x[k], ws.u[min(k, last - 1)])
             if not self.hold and k < last:
-                self._tell_outside(k, rows, h)
-            self._tell_passed(k, rows, h)
+                self._report_outside(k, rows, h)
+            self._report_passed(k, rows, h)
 
     def _status_at_the_limit(self, c: Any, status: int) -> int:
         from wbmpc.solver.driver import EQUALITY_INFEASIBLE, INPUT_INFEASIBLE

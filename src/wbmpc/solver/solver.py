@@ -50,7 +50,7 @@ def _read_only(part: np.ndarray) -> np.ndarray:
 
 
 @cache
-def _tell(why: str) -> None:
+def _warn(why: str) -> None:
     """Once for each problem's reason."""
     _LOG.warning("%s: CasADi's interpreter evaluates the whole problem, thousands of times slower", why)
 
@@ -115,7 +115,7 @@ class Solver:
             missing = lacking(self.problem, self.settings)
             if missing:
                 raise UnsupportedOperation(f"{error}, and the interpreted twin has no {missing}") from None
-            _tell(str(error))
+            _warn(str(error))
             self.settings = replace(self.settings, backend="interpreted")
             return None
 
@@ -373,7 +373,7 @@ class Solver:
         return x0
 
     def certified(self, status: int, count: int, elapsed: float) -> Solution:
-        """What the last :meth:`run` left in the memory, with violations by name and what it died of."""
+        """What the last :meth:`run` left in the memory, with violations by name and the cause of its failure."""
         with self.exclusive, Interruptible():
             return diagnose(self, self.solution(status, count, elapsed))
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.stability.configurations import leg_angles, refuse_beyond
+from wbmpc.stability.configurations import leg_angles, reject_beyond
 from wbmpc.stability.geometry import Region, area, overlap_regions, region_margin, support_polygon
 from wbmpc.stability.robot import Stance, StanceOf, standing
 from wbmpc.stability.zmp import GRAVITY
@@ -50,9 +50,9 @@ class Assessment:
         """How far [m] the zero-moment point may move before the robot can rock (negative: it tips over)."""
         return float(region_margin(self.stance.feet, self.stance.zmp))
 
-    def figures(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Everything as plain numbers and lists (SI units); what is not a number is None. ``stays_upright``: it does not tip over;
-        whether it slides, ``friction_needed`` tells (None if it tips over)."""
+        whether it slides, ``friction_needed`` says (None if it tips over)."""
         s = self.stance
         legs = self.x[self.robot.state["leg"]] if "leg" in self.robot.state else np.zeros(0)
         return {
@@ -121,7 +121,7 @@ def _arm_angles(robot: RobotModel, arm: ArrayLike) -> Array:
     size = len(robot.state.groups["arm"])
     if angles.shape != (size,) or not np.isfinite(angles).all():
         raise InputError(f"arm: {size} finite angles [rad] are needed, got {angles}")
-    refuse_beyond(robot, "arm", angles, "arm")
+    reject_beyond(robot, "arm", angles, "arm")
     return angles
 
 

@@ -31,7 +31,7 @@ def leg_angles(robot: RobotModel, configuration: str | Sequence[float]) -> NDArr
     if isinstance(configuration, str) and configuration.upper() in CONFIGURATIONS:
         return _named(robot, configuration.upper())
     angles = _parsed(configuration, geometry.modules)
-    refuse_beyond(robot, "leg", angles, "configuration")
+    reject_beyond(robot, "leg", angles, "configuration")
     return angles
 
 
@@ -43,7 +43,7 @@ def _hinged(robot: RobotModel) -> ModuleGeometry:
     return geometry
 
 
-def refuse_beyond(robot: RobotModel, group: str, angles: NDArray[np.float64], what: str) -> None:
+def reject_beyond(robot: RobotModel, group: str, angles: NDArray[np.float64], what: str) -> None:
     """Raise :class:`InputError` where an angle [rad] of a joint of the group is outside its limits."""
     part, names = robot.state[group], robot.state.groups[group]
     limits = robot.limits.state_lower[part], robot.limits.state_upper[part]
@@ -83,7 +83,7 @@ def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
     low, high = robot.limits.state_lower[part], robot.limits.state_upper[part]
     for other in (angles + 2.0 * np.pi, angles - 2.0 * np.pi):  # as where a range is 0 to 2π
         angles = np.where(((angles < low) | (angles > high)) & (low <= other) & (other <= high), other, angles)
-    refuse_beyond(robot, "leg", angles, f"configuration {name}")
+    reject_beyond(robot, "leg", angles, f"configuration {name}")
     return angles
 
 

@@ -26,7 +26,7 @@ from typing import Any
 #: (experiment, settings): short runs that pass through all of the code of their robot.
 FAST: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("swerve-stability", ()),
-    ("swerve-track", ("periods=1", "rest=2")),
+    ("swerve-track", ("periods=1", "settle_time=2")),
     ("rezero-circle", ("rounds=1",)),
     ("rezero-push-hand", ("forces=[100]",)),
 )

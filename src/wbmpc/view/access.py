@@ -64,8 +64,8 @@ class Access:
         return f"{_cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     # ------------------------------------------------------------------ requests
-    def refusal(self, path: str, headers: Any, port: int) -> str:
-        """Why a request for ``path`` with ``headers`` (``get_all(name)``) at ``port`` is refused; empty if it is not."""
+    def rejection(self, path: str, headers: Any, port: int) -> str:
+        """Why a request for ``path`` with ``headers`` (``get_all(name)``) at ``port`` is rejected; empty if it is not."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._serves(hosts[0], port):
             return "the Host header is not the address of this view"

@@ -10,7 +10,7 @@ import numpy as np
 from wbmpc.mpc.mpc import MPC
 from wbmpc.recording.observer import hand_goal
 from wbmpc.view.snapshot import NUMBERS, errors
-from wbmpc.view.steering import Controls, Steering, no_orders
+from wbmpc.view.steering import Controls, Steering, no_requests
 from wbmpc.view.window import Window
 
 Array = np.ndarray
@@ -22,22 +22,22 @@ class LiveView(Window):
     def __init__(self, title: str, host: str, port: int, opened: Callable[[str], None], with_token: bool) -> None:
         super().__init__(title, host, port, opened, with_token)
         self.wants_reset = self.ended = False
-        self._orders, self._before = no_orders(), ""
+        self._requests, self._before = no_requests(), ""
         self._expect()
 
     def _expect(self) -> None:
         """What was asked for until now is not for the run that begins."""
-        self._counts = {name: int(self._orders[name]) for name in ("resets", "ends")}
+        self._counts = {name: int(self._requests[name]) for name in ("resets", "ends")}
 
     def _asked(self, name: str) -> bool:
         """Whether the user has asked for ``resets`` or ``ends`` since the run began."""
-        return int(self._orders[name]) != self._counts[name]
+        return int(self._requests[name]) != self._counts[name]
 
-    def _read_orders(self) -> bool:
+    def _read_requests(self) -> bool:
         """Take in the panel's newest message, if there is a new one."""
-        message = self.orders.read()
+        message = self.requests.read()
         if message is not None:
-            self._orders = message.values
+            self._requests = message.values
         return message is not None
 
     def _controls(

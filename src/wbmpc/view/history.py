@@ -19,7 +19,7 @@ class Factor:
     def __init__(self) -> None:
         self._points: deque[tuple[float, float]] = deque()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """The run stood, or begins anew: what was before does not count."""
         self._points.clear()
 

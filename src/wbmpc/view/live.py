@@ -1,7 +1,7 @@
 """A live view of a run: a watcher that hands pictures to a process of its own and takes the user's orders from it.
 
 The hand-over is two mailboxes in shared memory: neither side ever waits for the other, so a browser that hangs, or a view
-that has died, changes nothing in the run.
+that has crashed, changes nothing in the run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from wbmpc.view.core import LiveView, followed, numbers, timing
 from wbmpc.view.history import Factor
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import PLAN, REFERENCE, fields, filled, ground
-from wbmpc.view.steering import Steering, no_orders, planar, spatial
+from wbmpc.view.steering import Steering, no_requests, planar, spatial
 
 Array = np.ndarray
 #: A run that is late by more than this [s] gives up catching up with the clock.
@@ -66,7 +66,7 @@ class View(LiveView):
     def _loads_of(running: Running) -> Loads:
         return Loads(running.plant.description, Observer(running).reader.joint_names)
 
-    def anew(self) -> None:
+    def restart(self) -> None:
         """What comes is another run."""
         self.wants_reset = self.steered = False
 
@@ -74,20 +74,20 @@ class View(LiveView):
     def begin(self, running: Running) -> None:
         """Show this loop from now on; of one without MPC there are no goals and weights."""
         self.running, self._observer = running, Observer(running)
-        self.say("")
+        self.show_message("")
         self._ticks, self._late_ticks, self._period = 0, 0, running.timing.period
-        self._factor.forget()
+        self._factor.reset()
         if self.process is not None and self._observer.scene != self.scene:
             self.close()  # another world: browsers find the new server at the same place
-            self._orders = no_orders()
+            self._requests = no_requests()
         if self.process is None:
             self.open(running)
-        self.say(self._before)
+        self.show_message(self._before)
         self._loads = self._loads_of(running)
         self._steering = Steering(running, self._observer.lift, self.reject)
-        self._steering.skip(self._orders)
+        self._steering.skip(self._requests)
         self._expect()
-        self._steps = int(self._orders["steps"])
+        self._steps = int(self._requests["steps"])
         self._drift = np.array([0.0, 0, 0, 1, 0, 0, 0])
         self._next = -np.inf
         self._anchor(0.0)
@@ -95,7 +95,7 @@ class View(LiveView):
     def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         """Pictures and orders; then wait until it is time."""
         start = time.perf_counter()
-        self._take_orders()
+        self._take_requests()
         self._steer(t)
         if start >= self._next:
             self._next = start + 1.0 / RATE
@@ -105,22 +105,25 @@ class View(LiveView):
 
     def end(self, ending: Ending) -> None:
         """Say so; the last picture stays until :meth:`close`."""
-        self.say(f"The run is over: {ending.reason}" if ending.reason else "The run is over")
+        self.show_message(f"The run is over: {ending.reason}" if ending.reason else "The run is over")
         self._before = f"Before: {ending.reason}" if ending.fell else ""
 
     # ------------------------------------------------------------------ time
     def _anchor(self, t: float) -> None:
-        self._origin, self._speed = time.perf_counter() - t / float(self._orders["speed"]), float(self._orders["speed"])
+        self._origin, self._speed = (
+            time.perf_counter() - t / float(self._requests["speed"]),
+            float(self._requests["speed"]),
+        )
 
     def _wait(self, t: float, plans: PolicyQueue) -> None:
         """Hold the run while it is paused, and until the wall clock is at t."""
-        if self._orders["paused"]:
+        if self._requests["paused"]:
             self._pause(t, plans)
             self._anchor(t)
-            self._factor.forget()
+            self._factor.reset()
         else:
-            self._steps = int(self._orders["steps"])  # what was asked for while nothing was paused
-        if float(self._orders["speed"]) != self._speed:
+            self._steps = int(self._requests["steps"])  # what was asked for while nothing was paused
+        if float(self._requests["speed"]) != self._speed:
             self._anchor(t)
         ahead = self._origin + t / self._speed - time.perf_counter()
         self.lateness.append(-ahead)
@@ -132,26 +135,26 @@ class View(LiveView):
             self._anchor(t)
 
     def _pause(self, t: float, plans: PolicyQueue) -> None:
-        while self._orders["paused"] and int(self._orders["steps"]) == self._steps:
+        while self._requests["paused"] and int(self._requests["steps"]) == self._steps:
             if not self.process.is_alive():
-                self._orders["paused"][...] = 0.0  # nobody could ever let go again
+                self._requests["paused"][...] = 0.0  # nobody could ever let go again
                 return
             if self.running.interrupted():
                 return
             time.sleep(0.02)
-            self._take_orders()
+            self._take_requests()
             self._steer(t)
             self.shown.write(**self._snapshot(t, plans))
-        self._steps += int(self._orders["steps"]) != self._steps  # each of several clicks is a step
+        self._steps += int(self._requests["steps"]) != self._steps  # each of several clicks is a step
 
-    def _take_orders(self) -> None:
-        before = self._orders["speed"]
-        if not self._read_orders():
+    def _take_requests(self) -> None:
+        before = self._requests["speed"]
+        if not self._read_requests():
             return
         try:
-            bounds.within("speed", float(self._orders["speed"]), *bounds.SPEEDS)
+            bounds.within("speed", float(self._requests["speed"]), *bounds.SPEEDS)
         except InputError as error:
-            self._orders["speed"] = before
+            self._requests["speed"] = before
             self.reject(str(error))
         if self._asked("ends"):
             self.ended = True
@@ -161,7 +164,7 @@ class View(LiveView):
             raise EndedByUser("begun anew in the view")
 
     def _steer(self, t: float) -> None:
-        self._steering.apply(t, self._orders, self._drift)
+        self._steering.apply(t, self._requests, self._drift)
         self.steered = self.steered or self._steering.used
 
     # ------------------------------------------------------------------ pictures

@@ -17,7 +17,7 @@ from wbmpc.stability import CONFIGURATIONS
 from wbmpc.view.history import History
 from wbmpc.view.scene import add_follow, add_legend, name_tab
 from wbmpc.view.snapshot import NUMBERS, plain, spoken
-from wbmpc.view.steering import Controls, no_orders
+from wbmpc.view.steering import Controls, no_requests
 
 Array = np.ndarray
 #: Pictures between two updates of the numbers, and of the plots, which cost a browser more.
@@ -38,10 +38,10 @@ _Line = tuple[str, str, str, float]
 class Panel:
     """Widgets of one server; every change writes all orders anew, so that none can be lost."""
 
-    def __init__(self, server: viser.ViserServer, orders: Mailbox, controls: Controls) -> None:
-        self.server, self._orders, self.controls = server, orders, controls
-        self._values, self._lock = no_orders(), threading.Lock()  # the server calls back from several threads
-        self._dragged, self._about, self._said = False, "", ""
+    def __init__(self, server: viser.ViserServer, requests: Mailbox, controls: Controls) -> None:
+        self.server, self._requests, self.controls = server, requests, controls
+        self._values, self._lock = no_requests(), threading.Lock()  # the server calls back from several threads
+        self._dragged, self._about, self._message = False, "", ""
         self._rejected, self._rejected_at, self._moved_at = "", -np.inf, -np.inf
         server.gui.main_panel.dock_right()
         name_tab(server.gui, controls.title)
@@ -66,7 +66,7 @@ class Panel:
         with self._lock:
             for name, value in values.items():
                 self._values[name][...] = value
-            self._orders.write(**self._values)
+            self._requests.write(**self._values)
 
     def _click(self, count: str, **values: Any) -> None:
         self._send(**{count: self._values[count] + 1, **values})
@@ -116,7 +116,7 @@ class Panel:
         self._click("brake_clicks", brakes_open=float(self._brakes.value))
 
     def _show_brakes(self, is_open: float) -> None:
-        """How the run's brakes are; after a click only once the run has had the time to follow it, or to refuse."""
+        """How the run's brakes are; after a click only once the run has had the time to follow it, or to reject."""
         if self.controls.legs and np.isfinite(is_open) and time.monotonic() > self._brakes_clicked + _ANSWER:
             self._brakes.value = bool(is_open)
 
@@ -200,10 +200,10 @@ class Panel:
         for handle, lines in self._figures:
             handle.data = (rows[:, 0], *(factor * rows[:, column] for column, factor in lines))
 
-    def say(self, sentence: str) -> None:
-        """Show a sentence under the title; empty: none."""
-        if sentence != self._said:
-            self._said = sentence
+    def show_message(self, message: str) -> None:
+        """Show a message under the title; empty: none."""
+        if message != self._message:
+            self._message = message
             self._head()
 
     def reject(self, reason: str) -> None:
@@ -212,10 +212,10 @@ class Panel:
         self._head()
 
     def _head(self) -> None:
-        said = f"  \n**{plain(self._said)}**" if self._said else ""
+        text = f"  \n**{plain(self._message)}**" if self._message else ""
         if time.monotonic() < self._rejected_at + _SHOWN:
-            said += f"  \n**Not done:** {plain(self._rejected)}"
-        self._status.content = f"**{plain(self.controls.title)}**{self._about}{said}"
+            text += f"  \n**Not done:** {plain(self._rejected)}"
+        self._status.content = f"**{plain(self.controls.title)}**{self._about}{text}"
 
     def _place(self, handle: Any, pose: Array) -> None:
         finite = bool(np.isfinite(pose).all())

@@ -19,10 +19,10 @@ from wbmpc.simulation.scene import SceneReader
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, ground
 
-#: What the physics tells: numbers, and records of the hand's true position [m] at times [s] of the machine's clock.
+#: What the simulation sends: numbers, and records of the hand's true position [m] at times [s] of the machine's clock.
 NUMBERS, RECORDS = ("ready", "end", "fell", "behind", "tilt"), ("time", "x", "y", "z")
 #: How often the process looks for a command and sends a measurement [s]; a record every so many looks.
-LOOK, EVERY = 1e-3, 10
+POLL_PERIOD, EVERY = 1e-3, 10
 #: What the physics shows: pose of the base, and what acts between robot and floor, all in the world; its own time and the
 #: clock's [s] (nan before the first command).
 SEEN = {"base": (7,), **GROUND, "time": (), "clock": ()}
@@ -129,7 +129,7 @@ def simulate(
         os.sched_setaffinity(0, {core})
     if fifo:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))  # after controller and MPC
-    plant, clock, command, offset, looks = make(), WallClock(origin=0.0, spin=0.0), None, 0.0, 0
+    plant, clock, command, offset, polls = make(), WallClock(origin=0.0, spin=0.0), None, 0.0, 0
     due, shown = clock.now(), -np.inf
     reader = SceneReader(plant.model, plant.description.base.body)
     while not board["end"] and os.getppid() == parent:
@@ -153,13 +153,13 @@ def simulate(
         # the physics is behind the clock by less than a step; while the robot stands time goes on for it too
         measured["time"] = now if command is None else plant.time + offset
         measurements.write(**measured)
-        if command is not None and looks % EVERY == 0:
+        if command is not None and polls % EVERY == 0:
             _record(plant, board, measured["time"])
         if now - shown > 1.0 / RATE:
             shown = now
             _show(plant, reader, seen, now if command is not None else np.nan)
         board["ready"] = 1.0
-        looks, due = looks + 1, max(due + LOOK, clock.now())
+        polls, due = polls + 1, max(due + POLL_PERIOD, clock.now())
         clock.wait(due)
 
 

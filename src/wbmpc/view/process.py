@@ -20,14 +20,14 @@ OVERLAYS = 3
 #: How long a page goes on saying why the run is over [s], if there is a browser.
 FAREWELL = 4.0
 #: What the process (``ready``, ``port``) and the run (``end``; as text what is over, and why; how many orders were ``rejected``, as
-#: note why the last one was) tell each other.
+#: note why the last one was) exchange.
 BOARD = ("ready", "port", "end", "rejected")
 #: Makes, in this process, what turns messages into snapshots.
 Drawer = Callable[[], Callable[[dict[str, Any]], dict[str, Any]]]
 
 
 def serve(
-    scene: dict[str, Any], controls: Any, shown: Mailbox, orders: Mailbox, board: Board, access: Access, port: int,
+    scene: dict[str, Any], controls: Any, shown: Mailbox, requests: Mailbox, board: Board, access: Access, port: int,
     drawer: Drawer | None,
 ) -> None:  # fmt: skip
     """Serve until the run says ``end`` or its process is gone. A failure stands on the board as text."""
@@ -36,7 +36,7 @@ def serve(
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the server's banner would mix with the run's own output
     try:
         draw = None if drawer is None else drawer()
-        stage, panel = _open(Scene.of_plain(scene), controls, orders, access, port)
+        stage, panel = _open(Scene.of_plain(scene), controls, requests, access, port)
     except Exception as error:
         board.text = f"{type(error).__name__}: {error}"
         return
@@ -50,23 +50,23 @@ def serve(
             pictures += 1
             panel.show(snapshot)
             stage.follow(snapshot["poses"], panel.follows)
-        panel.say(board.text)
+        panel.show_message(board.text)
         if board["rejected"] != rejected:
             rejected = board["rejected"]
             panel.reject(board.note)
         time.sleep(1.0 / RATE)
-    panel.say(board.text)
+    panel.show_message(board.text)
     if board.text and stage.server.get_clients() and os.getppid() == parent:
         time.sleep(FAREWELL)
     stage.server.stop()
 
 
-def _open(scene: Scene, controls: Any, orders: Mailbox, access: Access, port: int) -> tuple[Any, Any]:
+def _open(scene: Scene, controls: Any, requests: Mailbox, access: Access, port: int) -> tuple[Any, Any]:
     from wbmpc.view.panel import Panel
     from wbmpc.view.scene import ViewScene
     from wbmpc.view.server import open_server
 
     server, guard = open_server(access, port)
-    panel = Panel(server, orders, controls)
+    panel = Panel(server, requests, controls)
     guard.rejected = panel.reject
     return ViewScene(server, scene), panel

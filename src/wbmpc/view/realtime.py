@@ -35,7 +35,7 @@ from wbmpc.view.steering import Steering
 Array = np.ndarray
 _HERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 #: How often the session's own thread looks whether the run has ended [s].
-_LOOK = 0.05
+_POLL_PERIOD = 0.05
 
 
 class RealtimeView(LiveView):
@@ -78,27 +78,27 @@ class RealtimeView(LiveView):
         if t < self._shown_at + 1.0 / RATE:
             return
         counts = {n: np.nan if self._runner is None else self._runner.own[n] for n in ("ticks", "misses")}
-        self.moments.write(t=t, late=self._late, x=self._agent.state(), **counts)
+        self.moments.write(t=t, late=self._late, x=self._controller.state(), **counts)
         self._shown_at, self._late = t, 0.0
 
     # ------------------------------------------------------------------ the MPC's thread
-    def guide(self, mpc: MPC, agent: Any, push: Callable[[Array], None]) -> None:
-        """Steer this MPC from now on, before each of its solves; ``agent`` is the runner's."""
-        self._agent, self._shown_at = agent, -np.inf
+    def guide(self, mpc: MPC, controller: Any, push: Callable[[Array], None]) -> None:
+        """Steer this MPC from now on, before each of its solves; ``controller`` is the runner's."""
+        self._controller, self._shown_at = controller, -np.inf
         self.wants_reset = self.stopped = False
-        self.say(self._before)
+        self.show_message(self._before)
         lift = np.array([0.0, 0.0, -self.robot.base.ground])
-        stand_in = _Robot(agent, push)
+        stand_in = _Robot(controller, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
         steering = Steering(running, lift, self.reject)
-        steering.skip(self._orders)
+        steering.skip(self._requests)
         self._expect()
         before, planned = mpc.guess, [-np.inf]
 
         def guess(t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
-            self._read_orders()
+            self._read_requests()
             stand_in.x = x0
-            steering.apply(t, self._orders, _HERE)
+            steering.apply(t, self._requests, _HERE)
             self.ended = self.ended or self._asked("ends")
             self.wants_reset = self._asked("resets")
             if t >= planned[0] + 1.0 / RATE:
@@ -114,8 +114,8 @@ class RealtimeView(LiveView):
         self._runner = runner
         with runner:
             while not (runner.stopped or self.ended or self.wants_reset):
-                time.sleep(_LOOK)
-            self.say(f"The run is over: {self._reason(runner)}")  # the threads' end may take a while
+                time.sleep(_POLL_PERIOD)
+            self.show_message(f"The run is over: {self._reason(runner)}")  # the threads' end may take a while
         self.stopped = runner.stopped
         self._before = f"Before: {runner.state}" if runner.stopped else ""
         return self._reason(runner)
@@ -127,22 +127,22 @@ class RealtimeView(LiveView):
 
 
 class _Robot:
-    """What steering needs of plant and agent, in the MPC's thread: the state ``x`` (nx) that the next solve begins with."""
+    """What steering needs of plant and controller, in the MPC's thread: the state ``x`` (nx) that the next solve begins with."""
 
-    def __init__(self, agent: Any, push: Callable[[Array], None]) -> None:
-        self._agent, self.push, self.robot, self.x = agent, push, agent.robot, agent.robot.home
+    def __init__(self, controller: Any, push: Callable[[Array], None]) -> None:
+        self._controller, self.push, self.robot, self.x = controller, push, controller.robot, controller.robot.home
 
     def state(self) -> Array:
         return self.x
 
     @property
     def brakes(self) -> Any:
-        """Brake states over time; the agent's own."""
-        return self._agent.brakes
+        """Brake states over time; the controller's own."""
+        return self._controller.brakes
 
     @brakes.setter
     def brakes(self, value: Any) -> None:
-        self._agent.brakes = value
+        self._controller.brakes = value
 
 
 def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:

@@ -29,7 +29,7 @@ _HEADERS = {
 
 
 class Guard:
-    """Stands before a server: refuses requests by ``access`` with status 403, and messages that are not as they should be.
+    """Stands before a server: rejects requests by ``access`` with status 403, and messages that are not as they should be.
 
     ``rejected(reason)`` is called, in the server's thread, for messages of a page that were left out.
     """
@@ -48,9 +48,9 @@ class Guard:
     def answer(self, connection: Any, request: Any, serve: Callable[..., Any]) -> Any:
         """The answer to a request; None lets a WebSocket begin."""
         port = int(connection.local_address[1])
-        reason = self.access.refusal(request.path, request.headers, port)
+        reason = self.access.rejection(request.path, request.headers, port)
         if reason:
-            self.log.warning("view: a request was refused: %s", reason)
+            self.log.warning("view: a request was rejected: %s", reason)
             text = f"403: {reason}\n".encode()
             response = Response(
                 HTTPStatus.FORBIDDEN.value,
@@ -120,7 +120,7 @@ def open_server(access: Access, port: int, label: str = "wbmpc") -> tuple[viser.
     guard = Guard(access)
     with guard.before():
         server = viser.ViserServer(host=access.host, port=port, label=label, verbose=False)
-    if not guard.installed:  # another version of viser starts its server in another way: nobody would be refused
+    if not guard.installed:  # another version of viser starts its server in another way: nobody would be rejected
         server.stop()
         raise InputError("view: this version of viser cannot be guarded; valid: viser 1.1")
     guard.server = server

@@ -34,7 +34,7 @@ def run_session(robot_name: str, seed: int, view: View, *others: Watcher) -> End
     """
     robot = load_robot(robot_name)
     while True:
-        view.anew()
+        view.restart()
         watch = Watch(None, (view, *others))
         ending = run_lockstep(*system_of(robot, seed).parts, LONGEST, lambda t, command, plans: None, watch)
         if not (view.wants_reset or ending.fell):
@@ -61,17 +61,17 @@ def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[RealTimeR
     robot = load_robot(robot_name)
     # the controller's model is the first MPC: the memory of the runner's own belongs to its thread
     system, mpc = system_of(robot, seed), system_of(robot, seed).mpc
-    agent, model, clock = system.controller, system.mpc, WallClock()
-    simulated = Simulated(partial(_plant_of, robot_name, seed), system.plant.measure(), agent.stop(), clock, None)
+    controller, model, clock = system.controller, system.mpc, WallClock()
+    simulated = Simulated(partial(_plant_of, robot_name, seed), system.plant.measure(), controller.stop(), clock, None)
     if view.process is None:
         view.open(mpc, simulated.seen)
-    view.guide(mpc, agent, simulated.push)
+    view.guide(mpc, controller, simulated.push)
     times = RealTimeSettings(
         1.0 / system.timing.period, max_policy_age=_PATIENT, max_observation_age=_PATIENT, watchdog=_PATIENT,
         keep=robot.base.balances,
     )  # fmt: skip
     return RealTimeRunner(
-        simulated, agent, mpc, times, clock, parameters=lambda: model.solver.parameters, watch=view.watch
+        simulated, controller, mpc, times, clock, parameters=lambda: model.solver.parameters, watch=view.watch
     ), simulated
 
 

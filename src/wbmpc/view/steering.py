@@ -25,7 +25,7 @@ MOST_WEIGHTS = 16
 _THERE = 0.01
 
 #: Shapes of what the panel sends. Names in the plural count how often something was asked for. ``weights``: factors.
-ORDERS: dict[str, tuple[int, ...]] = {
+REQUESTS: dict[str, tuple[int, ...]] = {
     "goals": (), "goal": (7,), "base_goals": (), "base_goal": (3,),
     "pushes": (), "push": (3,), "push_time": (),
     "configurations": (), "configuration": (), "brake_clicks": (), "brakes_open": (),
@@ -34,9 +34,11 @@ ORDERS: dict[str, tuple[int, ...]] = {
 }  # fmt: skip
 
 
-def no_orders() -> dict[str, Array]:
+def no_requests() -> dict[str, Array]:
     """Nothing is asked for; real time."""
-    return {name: np.ones(shape) if name in ("weights", "speed") else np.zeros(shape) for name, shape in ORDERS.items()}
+    return {
+        name: np.ones(shape) if name in ("weights", "speed") else np.zeros(shape) for name, shape in REQUESTS.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Steering:
 
     def __init__(self, running: Running, lift: Array, reject: Callable[[str], None] = lambda reason: None) -> None:
         self.running, self.mpc, self._lift, self._reject = running, running.mpc, lift, reject
-        self._done = {name: 0 for name in ORDERS if name.endswith("s") and name != "weights"}
+        self._done = {name: 0 for name in REQUESTS if name.endswith("s") and name != "weights"}
         self._limit = RateLimit(1, 5.0)
         self._weights = self._seen_weights = np.ones(MOST_WEIGHTS)
         self._push_ends: float | None = None
@@ -94,39 +96,42 @@ class Steering:
         part = mpc.ocp.dynamics.state["base"]
         return bool(part.stop - part.start == 3)
 
-    def skip(self, orders: dict[str, Array]) -> None:
+    def skip(self, requests: dict[str, Array]) -> None:
         """What was asked for before this run is not for it."""
-        self._done = {name: int(orders[name]) for name in self._done}
+        self._done = {name: int(requests[name]) for name in self._done}
 
-    def _asked(self, orders: dict[str, Array], name: str) -> bool:
-        new = int(orders[name]) != self._done[name]
-        self._done[name] = int(orders[name])
+    def _asked(self, requests: dict[str, Array], name: str) -> bool:
+        new = int(requests[name]) != self._done[name]
+        self._done[name] = int(requests[name])
         self.used = self.used or new
         return new
 
-    def apply(self, t: float, orders: dict[str, Array], drift: Array) -> None:
+    def apply(self, t: float, requests: dict[str, Array], drift: Array) -> None:
         """Do what is new at time t [s]."""
-        if self._asked(orders, "goals"):
-            self._try(lambda: self._hand_goal(t, self._near(orders["goal"], drift)))
-        if self._asked(orders, "base_goals"):
-            self._try(lambda: self._base_goal(t, self._near_planar(orders["base_goal"], drift)))
-        if self._asked(orders, "pushes"):
-            self._try(lambda: self._push(t, *bounds.push(orders["push"], orders["push_time"])))
+        if self._asked(requests, "goals"):
+            self._try(lambda: self._hand_goal(t, self._near(requests["goal"], drift)))
+        if self._asked(requests, "base_goals"):
+            self._try(lambda: self._base_goal(t, self._near_planar(requests["base_goal"], drift)))
+        if self._asked(requests, "pushes"):
+            self._try(lambda: self._push(t, *bounds.push(requests["push"], requests["push_time"])))
         if self._push_ends is not None and t >= self._push_ends:
             self._push_ends = None
             self.running.plant.push(np.zeros(3))
-        if self._asked(orders, "configurations") and self.has_legs:
+        if self._asked(requests, "configurations") and self.has_legs:
             names = list(CONFIGURATIONS)
-            index = lambda: bounds.choice("configuration", orders["configuration"], len(names))
+            index = lambda: bounds.choice("configuration", requests["configuration"], len(names))
             self._try(lambda: self._configure(names[index()]))
-        if self._asked(orders, "brake_clicks") and self.has_legs:
-            self._try(lambda: self._click(bool(bounds.choice("brakes", orders["brakes_open"], 2))))
-        if self._legs is not None and np.abs(self.running.agent.state()[self._leg_part] - self._legs).max() < _THERE:
+        if self._asked(requests, "brake_clicks") and self.has_legs:
+            self._try(lambda: self._click(bool(bounds.choice("brakes", requests["brakes_open"], 2))))
+        if (
+            self._legs is not None
+            and np.abs(self.running.controller.state()[self._leg_part] - self._legs).max() < _THERE
+        ):
             self._legs = None
             self._brakes(False)
-        if not np.array_equal(orders["weights"], self._seen_weights, equal_nan=True):
-            self.used, self._seen_weights = True, orders["weights"].copy()
-            self._try(lambda: self._weigh(bounds.factors(orders["weights"])))
+        if not np.array_equal(requests["weights"], self._seen_weights, equal_nan=True):
+            self.used, self._seen_weights = True, requests["weights"].copy()
+            self._try(lambda: self._weigh(bounds.factors(requests["weights"])))
 
     def _try(self, act: Callable[[], None]) -> None:
         """Do something, or say why not."""
@@ -149,10 +154,10 @@ class Steering:
 
     def _here(self) -> Array:
         """Where the base is estimated to be (x, y, 0) [m]; a base that does not move is at the origin."""
-        agent = self.running.agent
+        controller = self.running.controller
         if self.mpc is None or "base" not in self.mpc.ocp.dynamics.state:
             return np.zeros(3)
-        place = agent.state()[self.mpc.ocp.dynamics.state["base"]][:2]
+        place = controller.state()[self.mpc.ocp.dynamics.state["base"]][:2]
         return np.array([*place, 0.0])
 
     def _push(self, t: float, force: Array, seconds: float) -> None:
@@ -166,7 +171,7 @@ class Steering:
             return
         goal = np.concatenate([goal[:3] - self._lift, goal[3:]])
         self.mpc.reference["hand"] = Reference(np.zeros(1), goal[None], "pose_hold")
-        robot = self.running.agent.robot
+        robot = self.running.controller.robot
         if self.base_of(self.mpc):
             yaw = self._target(t)[2]
             beside = robot.pose(robot.home)[0][:2] - robot.home[robot.state["base"]][:2]
@@ -201,7 +206,7 @@ class Steering:
 
     def _configure(self, name: str) -> None:
         """Legs to a configuration by name; :class:`InputError` if the robot's hinges do not reach it."""
-        self._move_legs(leg_angles(self.running.agent.robot, name))
+        self._move_legs(leg_angles(self.running.controller.robot, name))
 
     def _move_legs(self, angles: Array) -> None:
         """Legs to ``angles`` (4) [rad] from now on; a base that is on its way goes on along its path."""
@@ -220,22 +225,22 @@ class Steering:
 
     def _click(self, is_open: bool) -> None:
         """Brakes opened or closed by hand; where they would hold the base against nothing (H), :class:`InputError`."""
-        agent = self.running.agent
-        check = getattr(agent.robot.base, "check_brakes", None)
+        controller = self.running.controller
+        check = getattr(controller.robot.base, "check_brakes", None)
         if is_open and check is not None:
-            check(agent.state()[self._leg_part], np.ones(4))
+            check(controller.state()[self._leg_part], np.ones(4))
         self._legs = None
         self._brakes(is_open)
 
     def brakes_open(self, t: float) -> float:
-        """Whether all brakes of the legs are told to be open at time t [s] (1 or 0); nan without legs."""
-        return float(np.all(self.running.agent.brakes(t) > 0.5)) if self.has_legs else np.nan
+        """Whether all brakes of the legs are commanded to be open at time t [s] (1 or 0); nan without legs."""
+        return float(np.all(self.running.controller.brakes(t) > 0.5)) if self.has_legs else np.nan
 
     def _brakes(self, is_open: bool) -> None:
         values = np.full(4, float(is_open))
         name = "legs free" if is_open else "legs braked"
         self.mpc.set_schedule(ModeSchedule((Mode(name, {"brake": tuple(values)}),)))
-        self.running.agent.brakes = lambda t: values
+        self.running.controller.brakes = lambda t: values
 
     # ------------------------------------------------------------------ weights
     def _weigh(self, factors: Array) -> None:

@@ -14,7 +14,7 @@ from wbmpc.runtime.shared_memory import Board, Fields, Mailbox
 from wbmpc.simulation.scene import Scene
 from wbmpc.view.access import Access
 from wbmpc.view.process import BOARD, FAREWELL, Drawer, serve
-from wbmpc.view.steering import ORDERS, Controls
+from wbmpc.view.steering import REQUESTS, Controls
 
 _START = 60.0
 
@@ -22,7 +22,7 @@ _START = 60.0
 class Window:
     """A view at ``url``. ``opened(url)`` is called once the server answers; no browser is waited for.
 
-    ``with_token``: whether the address has a random token, without which requests are refused; only a loopback ``host`` may be
+    ``with_token``: whether the address has a random token, without which requests are rejected; only a loopback ``host`` may be
     without, else :class:`InputError` is raised.
     """
 
@@ -45,14 +45,14 @@ class Window:
     def start(self, scene: Scene, controls: Controls, shown: Fields, drawer: Drawer | None = None) -> None:
         """Start the server's process; returns when it answers. ``shown``: shapes of the messages that are drawn;
         ``drawer``: called there, makes what turns such messages into snapshots (left out: they are snapshots)."""
-        try:  # a process of its own would tell only after its time limit
+        try:  # a process of its own would report it only after its time limit
             socket.create_server((self.host, 0)).close()
         except OSError as e:
             raise InputError(
                 f"view: the server did not start: --host {self.host} is no address of this machine ({e})"
             ) from e
-        self.shown, self.orders, self.board = Mailbox.shared(shown), Mailbox.shared(ORDERS), Board.shared(BOARD)
-        arguments = (scene.plain(), controls, self.shown, self.orders, self.board, self.access, self.port, drawer)
+        self.shown, self.requests, self.board = Mailbox.shared(shown), Mailbox.shared(REQUESTS), Board.shared(BOARD)
+        arguments = (scene.plain(), controls, self.shown, self.requests, self.board, self.access, self.port, drawer)
         self.process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
         self.process.start()
         deadline = time.monotonic() + _START
@@ -63,10 +63,10 @@ class Window:
         self.port = int(self.board["port"])
         self.opened(self.url)
 
-    def say(self, sentence: str) -> None:
+    def show_message(self, message: str) -> None:
         """Let the page say something beside its title until something else is said; empty: nothing."""
         if self.process is not None:
-            self.board.text = sentence
+            self.board.text = message
 
     def reject(self, reason: str) -> None:
         """Let the page show for a while why something that was asked for is not done."""

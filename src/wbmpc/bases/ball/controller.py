@@ -38,7 +38,7 @@ class BallController:
     state from the sensors (left out: the measurement's own, idealised one). ``forecast``: ends the run when the plans, or the lean
     that is felt, say that the robot will fall. Raises :class:`InputError` for numbers that cannot be.
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
-    ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not). ``leaning``: lets the robot lean
+    ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
     against forces that it has learnt (None: as if there were none).
     ``clamped``: whether the last command was cut to the drives' limits.
     """
@@ -61,7 +61,7 @@ class BallController:
             PayloadEstimator(robot.base.numeric.tool_weight) if observer and "payload" in robot.parameters else None
         )
         self.shoves: PushEstimator | None = None
-        self.leaning: LeanControl | None = None
+        self.lean_control: LeanControl | None = None
         self.measured: BallMeasurement | None = None
         self.monitor: EncoderMonitor | None = None
         if estimator is not None:
@@ -99,9 +99,11 @@ class BallController:
         if self.monitor is None:
             return
         assert self.estimator is not None and self.measured is not None
-        joints, said = self.estimator.arm, self.estimator.faults
+        joints, estimator_faults = self.estimator.arm, self.estimator.faults
         read = arm if joints.reading is None else joints.reading
-        for fault in self.monitor.update(t, h, read, joints.rate, self._accelerates, said, joints.surprised):
+        for fault in self.monitor.update(
+            t, h, read, joints.rate, self._accelerates, estimator_faults, joints.surprised
+        ):
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
@@ -116,9 +118,11 @@ class BallController:
 
     @property
     def faults(self) -> list[str]:
-        """What was found of the encoders, and of forces that push the robot away, as sentences."""
+        """What was found of the encoders, and of forces that push the robot away, as messages."""
         found = [] if self.monitor is None else [str(fault) for fault in self.monitor.faults]
-        return found + ([self.leaning.told] if self.leaning is not None and self.leaning.told else [])
+        return found + (
+            [self.lean_control.push_fault] if self.lean_control is not None and self.lean_control.push_fault else []
+        )
 
     def _carried(self) -> float:
         """The mass [kg] that the hand is believed to hold."""
@@ -130,9 +134,9 @@ class BallController:
 
     def _answered(self) -> np.ndarray:
         """By how much (2) [m] the lean's divergent component counts like more than it is, under the learnt disturbance."""
-        if self.leaning is None or self.measured is None:
+        if self.lean_control is None or self.measured is None:
             return np.zeros(2)
-        return self.leaning.shift(self.disturbance, float(self.measured.state[2]))
+        return self.lean_control.shift(self.disturbance, float(self.measured.state[2]))
 
     def _feel_shoves(self, x: np.ndarray, h: float) -> None:
         """Feel a push in the state x, ``h`` [s] after the one before."""
@@ -154,8 +158,8 @@ class BallController:
         if self.payload is not None:
             force = observer.force = self.payload.update(x[:n], force, observer.learning * h)
         self.disturbance = force
-        if self.leaning is not None:
-            self.leaning.check(t, self.disturbance, x)
+        if self.lean_control is not None:
+            self.lean_control.check(t, self.disturbance, x)
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
         if not np.isfinite(disturbance).all():
@@ -169,21 +173,24 @@ class BallController:
         part = self.robot.state["arm_velocity"]
         speeds, limits = np.abs(self.measured.state[part]), self.robot.limits.state_upper[part]
         i = int(np.argmax(speeds / limits))
-        name, told = self.robot.state.groups["arm"][i], f"{speeds[i]:.0f} rad/s, and its limit is {limits[i]:g} rad/s"
-        return f": {name} is believed to turn at {told}" if speeds[i] > limits[i] else ""
+        name, push_fault = (
+            self.robot.state.groups["arm"][i],
+            f"{speeds[i]:.0f} rad/s, and its limit is {limits[i]:g} rad/s",
+        )
+        return f": {name} is believed to turn at {push_fault}" if speeds[i] > limits[i] else ""
 
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""
         own = {"disturbance": self.disturbance}
-        if self.shoves is not None or self.leaning is not None:
+        if self.shoves is not None or self.lean_control is not None:
             own["push"] = self._room()
         return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
     def _room(self) -> np.ndarray:
         """What (2) [m] the limit of the lean counts beside the lean: pushes that are felt, forces that have been learnt."""
         room = np.zeros(2) if self.shoves is None else self.shoves.room
-        if self.leaning is not None and self.measured is not None:
-            room = room + self.leaning.centre(self.disturbance, float(self.measured.state[2]))
+        if self.lean_control is not None and self.measured is not None:
+            room = room + self.lean_control.centre(self.disturbance, float(self.measured.state[2]))
         return room
 
     def _late(self) -> int:

@@ -56,7 +56,7 @@ class RezeroCost(Settings):
     divergent component, as a share of what the wheels can stop (:class:`wbmpc.bases.ball.balance.Balance`); 0: none.
     ``speed_slack``: penalty of arm speeds beyond their limit, where that cannot be held [per range and second]."""
 
-    hand: HandCost = HandCost()
+    end_effector: HandCost = HandCost()
     body: BodyCost = BodyCost()
     torque: TorqueCost = TorqueCost()
     terminal: Weight = 1.0
@@ -68,7 +68,7 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     """Hand pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); limits."""
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
-    h, b, t = cost.hand, cost.body, cost.torque
+    h, b, t = cost.end_effector, cost.body, cost.torque
     pose = np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
     twist = np.array([h.twist] * 3 + [h.angular] * 3)
     speeds = [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]

@@ -30,7 +30,7 @@ SPEED_FACTOR, SPEED_REST = 4.0, 0.2
 #: Two steps [rad] in a row of this size, the same way, are a motion.
 FLUNG = 0.03
 #: An arm with a joint that is faster than this times its speed limit is flung, and turns the base with it: the inertial unit
-#: tells the truth then, however far from the message before. (Seen: 34 rad/s where the limit is 4, and 2 rad/s of yaw in 2.5 ms.)
+#: is right then, however far from the message before. (Seen: 34 rad/s where the limit is 4, and 2 rad/s of yaw in 2.5 ms.)
 FASTER = 2.0
 #: Rates are in doubt after a reading this far [rad] from the expected one, and farther by what its age may err by [s].
 SURPRISE, LATE = 1e-3, 2e-3
@@ -154,7 +154,7 @@ class BallEstimator:
         self._time = time
         if interval > 0.0:
             self.arm.update(interval, angles)
-            self._look_for_balance(interval)
+            self._detect_balance(interval)
         state = self.state
         self._places.append((time, state[:3].copy()))
         while self._places[0][0] < time - HISTORY:
@@ -182,7 +182,7 @@ class BallEstimator:
             place += state[:3] - before
         return state
 
-    def _look_for_balance(self, interval: float) -> None:
+    def _detect_balance(self, interval: float) -> None:
         """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles."""
         f = self.filter
         if self._balanced:

@@ -118,7 +118,7 @@ class BallFilter:
         self.state, self.covariance, self.faults = best.state, best.covariance, best.faults
         self.rate = self._inertial.last[0] - self.state.gyro_bias
         self._memory.arrays["gone"][:] = best.turned
-        self._memory.look_for_stalled(self._still, STALLED)
+        self._memory.detect_stalled(self._still, STALLED)
         return self.state
 
     def _bridge(self, h: float, wheel: Array) -> None:
@@ -139,7 +139,7 @@ class BallFilter:
         p[V, V] = velocity**2 * np.eye(3)
         p[A, A] = GAP_LEAN**2 * np.eye(3) + (heading + turning**2 - GAP_LEAN**2) * np.outer(up, up)
         p[16:, 16:] = self.noise.encoder**2 * np.eye(self._n)
-        self._inertial.forget()
+        self._inertial.reset()
         self._turning, self.faults = 0.0, ()
         self._memory.arrays["read"][:], self._memory.arrays["way"][:] = wheel, 0.0
 
@@ -156,7 +156,7 @@ class BallFilter:
         if persists or (best.loose and unit.jumps(message)):
             without = self._explained(h, wheel, unit.last, "jumps")
             if not without.loose:
-                unit.refuse()
+                unit.reject()
                 return without
         unit.accept(message)
         return best
@@ -205,7 +205,7 @@ class BallFilter:
     def know_lean(self, up: ArrayLike, spread: float) -> None:
         """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].
 
-        Near upright a horizontal bias of the accelerometer looks like a lean; this tells them apart, as well as it is known.
+        Near upright a horizontal bias of the accelerometer looks like a lean; this distinguishes them, as well as it is known.
         Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
         """
         up = numbers("ball filter", "up", up, 3)

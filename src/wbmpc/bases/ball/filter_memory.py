@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState
-from wbmpc.bases.ball.filter_step import Noise, State, apply, explain, linearise, look_for_stalled
+from wbmpc.bases.ball.filter_step import Noise, State, apply, explain, linearise, detect_stalled
 from wbmpc.kernel.step import Backend, bind
 
 Array = NDArray[np.float64]
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 class FilterMemory:
     """``arrays``: everything by its name in :mod:`wbmpc.bases.ball.filter_step`. Steps: ``linearise(h, torque, gyro_more, accel_more)``,
-    ``explain(gate)``, ``apply()`` and ``look_for_stalled(still, most)``."""
+    ``explain(gate)``, ``apply()`` and ``detect_stalled(still, most)``."""
 
     def __init__(self, geometry: BallGeometry, noise: BallNoise, backend: Backend) -> None:
         self._made_of = geometry, noise, backend
@@ -36,7 +36,7 @@ class FilterMemory:
         self.explain = bind(explain, a, backend, n=n)
         # the error that counts is that of the best explanation
         self.apply = bind(apply, a | {"error": a["best_error"]}, backend, n=n)
-        self.look_for_stalled = bind(look_for_stalled, a, backend, n=n)
+        self.detect_stalled = bind(detect_stalled, a, backend, n=n)
 
     def __deepcopy__(self, memo: dict[int, object]) -> FilterMemory:
         """Steps of the copy work on its own arrays."""

@@ -425,7 +425,7 @@ def apply(n: int, y: Floats, error: Floats, turned: Floats, after: Floats, z: Fl
 
 
 @step
-def look_for_stalled(
+def detect_stalled(
     n: int, gone: Floats, wheel: Floats, read: Floats, way: Floats, stalled: Floats, still: float, most: float
 ) -> None:  # fmt: skip
     """An encoder that stays within ``still`` [rad] of what it ``read`` (one may flicker by a count) while its wheel must have turned

@@ -31,18 +31,18 @@ class LeanControl:
     """
 
     def __init__(self, robot: RobotModel, arm: ArrayLike, share: float, speed: float) -> None:
-        not_negative("leaning", share=share)
-        positive("leaning", speed=speed)
-        arm = numbers("leaning", "arm", arm, len(robot.state.groups["arm"]))
+        not_negative("lean_control", share=share)
+        positive("lean_control", speed=speed)
+        arm = numbers("lean_control", "arm", arm, len(robot.state.groups["arm"]))
         self.balance, self.speed = Balance.of(robot, arm), speed
         self.reach = float(self.balance.reach.min())
         self._room = max(MOST - share, 0.0) * self.reach
         self._ball_speed = slice(robot.base.nq, robot.base.nq + 2)
-        self.told, self._driven_since = "", np.inf  # of a force that pushes the robot away
+        self.push_fault, self._driven_since = "", np.inf  # of a force that pushes the robot away
 
     def reset(self) -> None:
         """Before another run."""
-        self.told, self._driven_since = "", np.inf
+        self.push_fault, self._driven_since = "", np.inf
 
     def shift(self, force: Array, yaw: float) -> Array:
         """By how much (2) [m] the divergent component counts like more than it is, along the world's x and y, under the learnt
@@ -59,7 +59,7 @@ class LeanControl:
         return self.shift(force, yaw) - _turned(min(1.0, self._room / size) * borne, yaw)
 
     def check(self, t: float, force: Array, x: Array) -> None:
-        """Tell once of a learnt ``force`` (nq) that pushes the robot away, at state x (nx) and time t [s]: one that no lean can
+        """Report once a learnt ``force`` (nq) that pushes the robot away, at state x (nx) and time t [s]: one that no lean can
         hold, or a strong one that drives the ball with half of ``speed``. Raises :class:`DisturbanceTooLarge` when it has driven it with
         all of it for :data:`HELD`.
         """
@@ -69,12 +69,12 @@ class LeanControl:
         driven = float(np.hypot(*velocity)) / self.speed if borne > STRONG and velocity @ force[:2] > 0.0 else 0.0
         self._driven_since = min(self._driven_since, t) if driven > 1.0 else np.inf
         what = f"a force of at least {np.hypot(*force[:2]):.0f} N that lasts pushes the robot away"
-        if (borne > MOST or driven > 0.5) and not self.told:
-            self.told = f"{what} ({t:.2f} s)"
-            _LOG.warning("%s", self.told)
+        if (borne > MOST or driven > 0.5) and not self.push_fault:
+            self.push_fault = f"{what} ({t:.2f} s)"
+            _LOG.warning("%s", self.push_fault)
         if t - self._driven_since >= HELD:
             raise DisturbanceTooLarge(
-                f"{what}: the ball goes faster than {self.speed:g} m/s (pushed_speed); motors off"
+                f"{what}: the ball goes faster than {self.speed:g} m/s (max_pushed_speed); motors off"
             )
 
     def _borne(self, force: Array, yaw: float) -> Array:

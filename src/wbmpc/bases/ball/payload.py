@@ -8,7 +8,7 @@ are. W = 1 / ``spread``², by how much d is off where there is no mass: the mode
 the base's lean, small in the arm's joints.
 
 The errors d has without a mass last, so that no time averages them away: they are a mass of standard deviation 1 / √(wᵀ W w).
-The arm has to be able to tell: its joints' part of wᵀ W w, w_aᵀ W_a w_a, is to be the larger one, and enough for a mass within
+The arm has to observe it: its joints' part of wᵀ W w, w_aᵀ W_a w_a, is to be the larger one, and enough for a mass within
 ``sure`` by itself. Where it is not (a hand above its shoulder, an arm of vertical axes alone) the disturbance stays what it is:
 a lean that a displaced centre of mass causes would be taken for a mass, which then turns with the arm.
 """
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 @dataclass
 class PayloadEstimator:
     """``weight(q)``: generalised forces (nq) [N, N m] of 1 kg at the tool; ``rate`` [1/s]; ``spread`` of base and arm [N m];
-    ``sure`` [kg]: nothing is weighed where the arm's torques alone tell a mass with a larger standard deviation.
+    ``sure`` [kg]: nothing is weighed where the arm's torques alone determine a mass with a larger standard deviation.
 
     ``mass`` [kg]: the estimate, from zero to ``most``.
     """

@@ -125,7 +125,7 @@ class BallPlant(InWorld):
         self._last: BallMeasurement | None = None
         #: what the elastic drives do; none where all are rigid
         self.drives = self._drives() if any(self._elastic) else None
-        dead = whole("plant.dead_time", p.dead_time, timestep, "physics steps", least=0)
+        dead = whole("plant.actuator_dead_time", p.actuator_dead_time, timestep, "physics steps", least=0)
         self._commands: deque[Array] = deque(maxlen=1 + dead)
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
@@ -136,10 +136,10 @@ class BallPlant(InWorld):
         base, draw, limits = self.base, self.draw, self.description.limits
         draw.apply_to_bodies(spec, balanced=(base.ball,))
         set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-        friction = [draw.friction, self.perturbation.spin_friction, 1e-4]
+        friction = [draw.friction, self.perturbation.torsional_friction, 1e-4]
         add_floor(spec, 4, friction, CONTACT)
-        if self.perturbation.cables > 0.0:
-            lay_cables(spec, self.perturbation.cables, friction, CONTACT, **GROUND)
+        if self.perturbation.floor_cables > 0.0:
+            lay_cables(spec, self.perturbation.floor_cables, friction, CONTACT, **GROUND)
         spec.body(base.body).add_freejoint(name="root")
         add_light(spec.body(base.body))
         ball = spec.body(base.ball)

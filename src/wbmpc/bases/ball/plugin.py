@@ -58,9 +58,9 @@ class BallBaseType(BaseType):
 
     def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
         """The adapter that reads encoders and the inertial unit and publishes torques."""
-        from wbmpc.bases.ball.ros import BallPilot
+        from wbmpc.bases.ball.ros import BallRosAdapter
 
-        return BallPilot(robot, settings, period)
+        return BallRosAdapter(robot, settings, period)
 
     def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> BallRosPlant:
         """Follows torques."""

@@ -25,20 +25,20 @@ class PushEstimator:
 
     A plan knows nothing of a push that goes on. Robots that are pushed lean against their motion, to brake, as far as they
     are allowed to; the push goes on to tilt them the same way, and the wheels come too late. ``room``: by how much a push that
-    lasts for ``brace`` [s] more will move the component, to be kept free by the limit of the lean. Unlike the disturbance
+    lasts for ``expected_push_time`` [s] more will move the component, to be kept free by the limit of the lean. Unlike the disturbance
     observer's force it is there within some 20 ms and gone as fast.
     ``arm`` (m) [rad]: angles for which the pole is taken. Needs :meth:`update` once for every new state.
     Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """
 
-    def __init__(self, robot: RobotModel, arm: ArrayLike, brace: float) -> None:
-        not_negative("push estimator", brace=brace)
+    def __init__(self, robot: RobotModel, arm: ArrayLike, expected_push_time: float) -> None:
+        not_negative("push estimator", expected_push_time=expected_push_time)
         arm = numbers("push estimator", "arm", arm, len(robot.state.groups["arm"]))
         n, q = robot.base.nq, ca.SX.sym("q", robot.base.nq)
         offset = load_offset(robot.base, q, ca.SX.zeros(robot.parameters.size))
         pole = Balance.of(robot, arm).pole
         self._slope = ca.Function("slope", [q], [ca.densify(ca.jacobian(offset, q)) / pole])
-        self._size, self._speeds, self.brace = robot.state.size, slice(n, 2 * n), brace
+        self._size, self._speeds, self.expected_push_time = robot.state.size, slice(n, 2 * n), expected_push_time
         self.reset()
 
     def reset(self) -> None:
@@ -65,5 +65,5 @@ class PushEstimator:
     def room(self) -> Array:
         """(2) [m], along the world's x and y."""
         size = max(float(np.hypot(*self.drift)), 1e-12)
-        room: Array = max(0.0, 1.0 - DEAD / size) * self.brace * self.drift
+        room: Array = max(0.0, 1.0 - DEAD / size) * self.expected_push_time * self.drift
         return room

@@ -19,12 +19,12 @@ from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.ros_settings import BallRosSettings
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.settings import leaning_of
+from wbmpc.bases.ball.settings import lean_control_of
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Brakes, Estimate, Fix, Groups, LegOrders, Pending
+from wbmpc.ros2.base_adapter import Brakes, Estimate, Fix, Groups, LegCommands, Pending
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_turn
 from wbmpc.ros2.goals import HandTrack, Planner, Task
@@ -53,8 +53,8 @@ class BallMessage:
     accel: Array
 
 
-class BusBallAgent(BallController):
-    """A ball robot's agent for messages that come when they like, and for policies that have no successor."""
+class BusBallController(BallController):
+    """A ball robot's controller for messages that come when they like, and for policies that have no successor."""
 
     #: the newest measurement, for other threads
     seen: BallMeasurement | None = None
@@ -75,7 +75,7 @@ class BusBallAgent(BallController):
             return
         m = message
         state = self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, self._turning(age))
-        self._sampled = message.time  # a message that was refused has not moved the estimator
+        self._sampled = message.time  # a message that was rejected has not moved the estimator
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
             state = self.estimator.correct(*fix)
@@ -176,10 +176,10 @@ def same_pose(hand: HandTrack, i: int, k: int) -> bool:
     return bool(np.all(hand.positions[i] == hand.positions[k]) and np.all(hand.orientations[i] == hand.orientations[k]))
 
 
-class BallPilot:
-    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. The agent's model is an MPC of its own: a solver's memory has one owner."""
+class BallRosAdapter:
+    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. The controller's model is an MPC of its own: a solver's memory has one owner."""
 
-    keeps = needs_imu = True
+    must_keep_running = needs_imu = True
     watches = "sensors and forces"
     fix: Callable[[], Fix | None] | None = None
 
@@ -206,30 +206,38 @@ class BallPilot:
         self._model.solver.simulate(robot.home, self._torque, period)
         resting(robot, *robot.pose(robot.home))
         self._push = (
-            PushEstimator(robot, robot.home[robot.state["arm"]], settings.brace) if settings.brace > 0.0 else None
+            PushEstimator(robot, robot.home[robot.state["arm"]], settings.expected_push_time)
+            if settings.expected_push_time > 0.0
+            else None
         )
         home = robot.home[robot.state["arm"]]
-        self._leaning = leaning_of(settings, robot, home)
-        self.agent: BusBallAgent = self._new_agent(robot.home)
+        self._lean_control = lean_control_of(settings, robot, home)
+        self.controller: BusBallController = self._new_controller(robot.home)
 
-    def _new_agent(self, x: Array) -> BusBallAgent:
+    def _new_controller(self, x: Array) -> BusBallController:
         s = self.settings
         estimator = BallEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
-        agent = BusBallAgent(
-            self.robot, self._model, self._torque, self.period, DriveSettings(s.drive_lag), s.observer, estimator
+        controller = BusBallController(
+            self.robot,
+            self._model,
+            self._torque,
+            self.period,
+            DriveSettings(s.actuator_time_constant),
+            s.estimate_disturbance,
+            estimator,
         )
-        agent.fix, agent.answer, agent.shoves = self.fix, self._answer, self._push
-        agent.leaning = self._leaning
+        controller.fix, controller.answer, controller.shoves = self.fix, self._answer, self._push
+        controller.lean_control = self._lean_control
         if self._push is not None:
             self._push.reset()
-        if self._leaning is not None:
-            self._leaning.reset()
-        return agent
+        if self._lean_control is not None:
+            self._lean_control.reset()
+        return controller
 
     @property
     def faults(self) -> list[str]:
         """Encoders that stand still, wheels that slip, a force that pushes the robot away."""
-        return self.agent.faults
+        return self.controller.faults
 
     def inspect(self) -> None:
         """Its filter finds them in the tick."""
@@ -239,7 +247,7 @@ class BallPilot:
         ticks go on meanwhile."""
         return rezero_problem(self.robot, self.settings.mpc, cost.model_copy(update={"lean": 0.0}))
 
-    def leg_orders(self, node: Node, ready: Callable[[], str], now: Callable[[], Any]) -> LegOrders | None:
+    def leg_commands(self, node: Node, ready: Callable[[], str], now: Callable[[], Any]) -> LegCommands | None:
         """This robot has no legs."""
         return None
 
@@ -264,11 +272,11 @@ class BallPilot:
     def stand(self, m: BallMessage) -> None:
         """Before its first run somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
         run the estimator goes on, wherever the robot rolls or falls, until time goes back."""
-        seen = self.agent.seen
+        seen = self.controller.seen
         if seen is not None and m.time < seen.time - seen.age - BACK:
-            self._forget(seen.state)
+            self._reset(seen.state)
         elif seen is not None:
-            self.agent.follow(m)
+            self.controller.follow(m)
             return
         before, fix = self._standing, self.fix() if self.fix is not None else None
         if fix is not None:
@@ -281,16 +289,16 @@ class BallPilot:
         x[:3] = self._place
         self._standing = m.time, x
 
-    def _forget(self, x: Array) -> None:
+    def _reset(self, x: Array) -> None:
         """Nothing is known between times of two clocks: somebody holds the robot again. A simulator that was started anew has put
         it where its odometry begins; who has a clock that was set is where state x (nx) says."""
         simulated = self.settings.use_sim_time or self.settings.lockstep
         self._place, self._standing = np.zeros(3) if simulated else x[:3].copy(), None
-        self.agent = self._new_agent(self.robot.home)
+        self.controller = self._new_controller(self.robot.home)
 
     def snapshot(self) -> tuple[float, Array] | None:
         """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread. None before the first."""
-        seen = self.agent.seen
+        seen = self.controller.seen
         if seen is not None:
             return seen.time - seen.age, seen.state
         return self._standing
@@ -301,7 +309,7 @@ class BallPilot:
         self._place = x[:3].copy()
         start = rest.copy()
         start[:3] = self._place
-        self.agent = self._new_agent(start)
+        self.controller = self._new_controller(start)
         self._standing = 0.0, start
         self.mpc.reset(start, self._torque)
 
@@ -310,7 +318,7 @@ class BallPilot:
 
     def push(self, wrench: Array) -> None:
         """The hand is to exert a wrench (6): the plan counts with the world's answer."""
-        self._answer = self.agent.answer = -wrench
+        self._answer = self.controller.answer = -wrench
 
     def relocate(self) -> None:
         """Whoever holds it, poses count as they come: see :meth:`stand`."""
@@ -328,7 +336,7 @@ class BallPilot:
         """Put a task into force."""
         self.pending.set({**references, "torque": Reference.constant(self._torque)})
 
-    # ------------------------------------------------------------------ what is told
+    # ------------------------------------------------------------------ what is reported
     def estimate(self) -> Estimate | None:
         """The base's frame is the ball's centre; pose and twist of the filter."""
         seen = self.snapshot()
@@ -336,7 +344,7 @@ class BallPilot:
             return None
         x, nq = seen[1], self.robot.base.nq
         rotation = lie.euler_zyx_to_rotation(*x[2:5])
-        estimator = self.agent.estimator
+        estimator = self.controller.estimator
         assert estimator is not None
         p = estimator.filter.covariance
         position, velocity, attitude, bias = (slice(k, k + 3) for k in (0, 3, 6, 9))

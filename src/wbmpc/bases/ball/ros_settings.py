@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, BallControllerSettings, refuse_unlearnt
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, BallControllerSettings, reject_unlearnt
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.settings import Exerted, RosSettings
 from wbmpc.settings import MpcSettings
@@ -19,20 +19,22 @@ WHEEL_SPEED = 50.0
 
 
 class BallRosSettings(RosSettings):
-    """Torques, their own problem; rate and weights of :class:`BallControllerSettings`. ``observer``: of constant disturbances;
-    ``brace`` [s]: how much longer a push that is felt is expected to last, for which the lean leaves room (0: it is not felt);
-    ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run."""
+    """Torques, their own problem; rate and weights of :class:`BallControllerSettings`. ``estimate_disturbance``: of constant disturbances;
+    ``expected_push_time`` [s]: how much longer a push that is felt is expected to last, for which the lean leaves room (0: it is not felt);
+    ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run."""
 
     mpc: MpcSettings = _DEFAULT.mpc
     cost: RezeroCost = STEPS_AND_PUSHES
     wrench: Exerted | None = Exerted()
-    observer: bool = True
-    brace: float = Field(_DEFAULT.brace, ge=0, le=1.0)
-    pushed_speed: float = Field(_DEFAULT.pushed_speed, gt=0)
+    estimate_disturbance: bool = True
+    expected_push_time: float = Field(_DEFAULT.expected_push_time, ge=0, le=1.0)
+    max_pushed_speed: float = Field(_DEFAULT.max_pushed_speed, gt=0)
 
     @model_validator(mode="after")
     def _used(self) -> Self:
-        refuse_unlearnt(self.observer, self.pushed_speed != type(self).model_fields["pushed_speed"].default)
+        reject_unlearnt(
+            self.estimate_disturbance, self.max_pushed_speed != type(self).model_fields["max_pushed_speed"].default
+        )
         return self
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:

@@ -1,6 +1,6 @@
 """A ball robot's sensors that fail, and wheels that slip: what the estimator found out, and joints that should have moved.
 
-A tracker of angles cannot tell a joint at rest from an encoder that stands: both read the same. What tells them apart is the
+A tracker of angles cannot distinguish a joint at rest from a frozen encoder: both read the same. What distinguishes them is the
 model: under the torques that are sent the joint would have turned.
 """
 
@@ -31,9 +31,9 @@ ENDS = {
 }  # fmt: skip
 #: So many messages in a row it takes at least, however seldom they come.
 IN_A_ROW = 3
-#: The sentences of what is found, by part and kind. What contradicts rolling beyond one wheel or a spin about the vertical may be
+#: The messages of what is found, by part and kind. What contradicts rolling beyond one wheel or a spin about the vertical may be
 #: the ball, or an inertial unit that is off (its zero, its scale): the messages are the same.
-SENTENCES = {
+MESSAGES = {
     "encoder stalled": "the encoder of {} stands still", "encoder jumps": "the encoder of {} jumps",
     "imu exceeds": "the inertial unit exceeds its range", "imu repeats": "the inertial unit stands still",
     "imu jumps": "the inertial unit jumps", "ball slips": "the ball slips or the inertial unit is wrong",
@@ -43,23 +43,23 @@ SENTENCES = {
 @dataclass(frozen=True)
 class EncoderFault:
     """At ``time`` [s] a ``part`` (wheel, arm joint, the ball, the inertial unit: ``imu``) turned out to be ``stalled``, to slip, to
-    ``jump``; or the unit to exceed its range, or to repeat itself: ``str()`` tells it."""
+    ``jump``; or the unit to exceed its range, or to repeat itself: ``str()`` is the message."""
 
     time: float
     part: str
     kind: str
 
     def __str__(self) -> str:
-        return f"{sentence(self.part, self.kind)} ({self.time:.2f} s)"
+        return f"{message_of(self.part, self.kind)} ({self.time:.2f} s)"
 
 
-def sentence(part: str, kind: str) -> str:
+def message_of(part: str, kind: str) -> str:
     """What is wrong with a part, without the time."""
-    return SENTENCES.get(_general(part, kind), f"{part} {kind}").format(part)
+    return MESSAGES.get(_general(part, kind), f"{part} {kind}").format(part)
 
 
 def _general(part: str, kind: str) -> str:
-    """The key of a part's fault in :data:`ENDS` and :data:`SENTENCES`."""
+    """The key of a part's fault in :data:`ENDS` and :data:`MESSAGES`."""
     return f"encoder {kind}" if part not in ("imu", "ball") and kind in ("stalled", "jumps") else f"{part} {kind}"
 
 
@@ -72,7 +72,7 @@ class EncoderMonitor:
     accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)
     At its ``stops``, lower and upper (n) [rad], a joint is not judged. Wheels, the inertial unit and jumps are judged by the
     estimator; what it says of wheels counts once it has said so for ``patience`` [s], of the others at once; what of it lasts as
-    long as :data:`ENDS` has it ends the run. ``faults``: all that were told, each part once.
+    long as :data:`ENDS` has it ends the run. ``faults``: all that were reported, each part once.
     """
 
     def __init__(
@@ -89,11 +89,11 @@ class EncoderMonitor:
         self._low, self._high = low + NEAR, high - NEAR
         self._anchor = np.full(len(self.joints), np.nan)
         self._speed, self._gone, self._then, self._stood = np.zeros((4, len(self.joints)))
-        self._said: dict[str, float] = {}
+        self._durations: dict[str, float] = {}
         self._doubted_until = -np.inf
 
     def update(
-        self, t: float, interval: float, arm: Array, speed: Array, acceleration: Array | None, said: Sequence[str],
+        self, t: float, interval: float, arm: Array, speed: Array, acceleration: Array | None, estimator_faults: Sequence[str],
         surprised: NDArray[np.bool_] | None = None,
     ) -> list[EncoderFault]:  # fmt: skip
         """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
@@ -104,9 +104,9 @@ class EncoderMonitor:
         if acceleration is not None:
             standing = self._standing(interval, arm, speed, acceleration, doubted)
         new = [EncoderFault(t, self.joints[i], "stalled") for i in standing]
-        new += [EncoderFault(t, *name.split()) for name in self._lasting(interval, said)]
-        told = {(f.part, f.kind) for f in self.faults}
-        new = [f for f in new if (f.part, f.kind) not in told]
+        new += [EncoderFault(t, *name.split()) for name in self._lasting(interval, estimator_faults)]
+        known = {(f.part, f.kind) for f in self.faults}
+        new = [f for f in new if (f.part, f.kind) not in known]
         self.faults += new
         return new
 
@@ -129,20 +129,22 @@ class EncoderMonitor:
         self._stood = np.where(moves, 0.0, self._stood + h)
         return np.flatnonzero((np.abs(self._gone) > self.expected) & (self._stood >= self.least - 1e-9))
 
-    def _lasting(self, h: float, said: Sequence[str]) -> list[str]:
+    def _lasting(self, h: float, estimator_faults: Sequence[str]) -> list[str]:
         """What the estimator says and, of wheels and ball, has said most of the time."""
-        names = {*self._said, *said} - {ORDINARY}
+        names = {*self._durations, *estimator_faults} - {ORDINARY}
         counts = {n: min(h, _ends(n) / IN_A_ROW) for n in names}
-        self._said = {n: max(self._said.get(n, 0.0) + (c if n in said else -c), 0.0) for n, c in counts.items()}
-        self._said = {n: min(v, self._most(n)) for n, v in self._said.items() if v > 0.0}
-        return [n for n, v in self._said.items() if v >= self._told_after(n) - 1e-9]
+        self._durations = {
+            n: max(self._durations.get(n, 0.0) + (c if n in estimator_faults else -c), 0.0) for n, c in counts.items()
+        }
+        self._durations = {n: min(v, self._most(n)) for n, v in self._durations.items() if v > 0.0}
+        return [n for n, v in self._durations.items() if v >= self._report_delay(n) - 1e-9]
 
     def _most(self, name: str) -> float:
         """How long [s] counts: what was said for long is not over at once."""
         ends = _ends(name)
         return max(2.0 * self.patience, ends if np.isfinite(ends) else 0.0)
 
-    def _told_after(self, name: str) -> float:
+    def _report_delay(self, name: str) -> float:
         """How long [s] the estimator has to say so."""
         return 0.0 if name.endswith("jumps") or name.startswith("imu") else self.patience
 
@@ -151,11 +153,13 @@ class EncoderMonitor:
         """Why the state cannot be known any more; empty while it can."""
         joints = [f"{f.part}" for f in self.faults if f.kind == "stalled" and f.part in self.joints]
         if joints:
-            return sentence(joints[0], "stalled")
-        lasting = [n for n, v in self._said.items() if v >= _ends(n) - 1e-9]
+            return message_of(joints[0], "stalled")
+        lasting = [n for n, v in self._durations.items() if v >= _ends(n) - 1e-9]
         if lasting:
-            return f"{sentence(*lasting[0].split())} for {_ends(lasting[0]):g} s"
-        wheels = [n.split()[0] for n, v in self._said.items() if n.endswith("stalled") and v >= self.patience - 1e-9]
+            return f"{message_of(*lasting[0].split())} for {_ends(lasting[0]):g} s"
+        wheels = [
+            n.split()[0] for n, v in self._durations.items() if n.endswith("stalled") and v >= self.patience - 1e-9
+        ]
         if self.wheels - len(wheels) < LEAST_WHEELS:
             return f"the encoders of {' and '.join(sorted(wheels))} stand still, and {LEAST_WHEELS} are needed"
         return ""

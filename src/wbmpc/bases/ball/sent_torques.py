@@ -22,7 +22,7 @@ MOST_DEAD_TIME = 0.5
 @dataclass(frozen=True)
 class DriveSettings:
     """What a controller believes of the drives: ``lag`` [s], first order, and ``dead_time`` [s] between command and drive (in
-    settings: ``drive_dead_time``), whole controller periods, at most :data:`MOST_DEAD_TIME`. Too long a one costs little, too short
+    settings: ``actuator_dead_time``), whole controller periods, at most :data:`MOST_DEAD_TIME`. Too long a one costs little, too short
     a one the margin of stability."""
 
     lag: float = 0.0
@@ -41,9 +41,9 @@ class SentTorques:
     def __init__(self, torque: Array, period: float, settings: DriveSettings) -> None:
         self._period = period
         self.blend = 1.0 - np.exp(-period / settings.lag) if settings.lag > 0.0 else 1.0
-        self.dead = whole("drive_dead_time", settings.dead_time, period, "controller periods", least=0)
+        self.dead = whole("actuator_dead_time", settings.dead_time, period, "controller periods", least=0)
         if settings.dead_time > MOST_DEAD_TIME:
-            raise InputError(f"drive_dead_time: must be at most {MOST_DEAD_TIME:g} s, got {settings.dead_time:g} s")
+            raise InputError(f"actuator_dead_time: must be at most {MOST_DEAD_TIME:g} s, got {settings.dead_time:g} s")
         known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead
         self._torques: deque[Array] = deque([torque.copy()] * known, maxlen=known)
 

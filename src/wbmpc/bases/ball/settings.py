@@ -17,7 +17,7 @@ from wbmpc.settings import MpcSettings, Settings
 #: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
 #: swings from limit to limit for ever.
 STEPS_AND_PUSHES = RezeroCost(
-    hand=HandCost(orientation=40.0),
+    end_effector=HandCost(orientation=40.0),
     body=BodyCost(tilt_rate=3.0, arm=1.0),
     torque=TorqueCost(wheel=0.1, arm=0.3),
     lean=0.6,
@@ -32,40 +32,44 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     )
 
 
-def refuse_unlearnt(observer: bool, changed: bool) -> None:
-    """Raise ``ValueError`` if ``pushed_speed`` is ``changed`` where no forces are learnt."""
-    if changed and not observer:
-        raise ValueError("pushed_speed: with observer=false nothing uses it")
+def reject_unlearnt(estimate_disturbance: bool, changed: bool) -> None:
+    """Raise ``ValueError`` if ``max_pushed_speed`` is ``changed`` where no forces are learnt."""
+    if changed and not estimate_disturbance:
+        raise ValueError("max_pushed_speed: with estimate_disturbance=false nothing uses it")
 
 
 class BallControllerSettings(Settings):
-    """``observer``: whether constant disturbances are estimated, and of them (``weigh``), for the MPC, a mass at the hand;
-    ``brace`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
-    ``pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
-    ``drive_lag`` [s] that the controller assumes, and ``drive_dead_time`` [s] that the MPC's policy and the regulators do, in the
+    """``estimate_disturbance``: whether constant disturbances are estimated, and of them (``estimate_payload``), for the MPC, a mass at the hand;
+    ``expected_push_time`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
+    ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
+    ``actuator_time_constant`` [s] that the controller assumes, and ``actuator_dead_time`` [s] that the MPC's policy and the regulators do, in the
     middle of what may be."""
 
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
-    observer: bool = True
-    weigh: bool = True
-    brace: float = Field(0.3, ge=0, le=1.0)
-    pushed_speed: float = Field(2.0, gt=0)
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
-    drive_dead_time: float = Field(0.010, ge=0, le=0.05)
+    estimate_disturbance: bool = True
+    estimate_payload: bool = True
+    expected_push_time: float = Field(0.3, ge=0, le=1.0)
+    max_pushed_speed: float = Field(2.0, gt=0)
+    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
+    actuator_dead_time: float = Field(0.010, ge=0, le=0.05)
 
 
 class Leans(Protocol):
     """Settings of whatever controls a ball robot with the MPC."""
 
     @property
-    def observer(self) -> bool: ...
+    def estimate_disturbance(self) -> bool: ...
     @property
     def cost(self) -> RezeroCost: ...
     @property
-    def pushed_speed(self) -> float: ...
+    def max_pushed_speed(self) -> float: ...
 
 
-def leaning_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
+def lean_control_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
     """How the MPC's robot leans against forces that it learns, its ``arm`` (m) [rad] about there; None if it learns none."""
-    return LeanControl(robot, arm, settings.cost.lean, settings.pushed_speed) if settings.observer else None
+    return (
+        LeanControl(robot, arm, settings.cost.lean, settings.max_pushed_speed)
+        if settings.estimate_disturbance
+        else None
+    )

@@ -2,9 +2,9 @@
 
 τ = τ_ff + K_p (ψ_ff − ψ) + K_d (ψ̇_ff − ψ̇) for wheels and arm joints. The arm's ψ_ff is the plan's. Wheels have no planned angle:
 theirs is the integral of the planned speeds ψ̇_ff = W(q_ff) v_ff. That integral knows nothing of where the wheels are, and what
-it is off (other radii, slip, a plan that was not followed) would add up for ever; so it bleeds towards the measured angle:
-d/dt ψ_ff = W v_ff + (ψ − ψ_ff) / ``bleed``. Its error e = ψ_ff − ψ obeys ė = (ψ̇_ff − ψ̇) − e / bleed and stays below bleed times the
-largest error of speed.
+it is off (other radii, slip, a plan that was not followed) would add up for ever; so it leaks towards the measured angle:
+d/dt ψ_ff = W v_ff + (ψ − ψ_ff) / T with T = ``leak_time_constant``. Its error e = ψ_ff − ψ obeys ė = (ψ̇_ff − ψ̇) − e / T and stays
+below T times the largest error of speed.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ActuatorGains:
-    """K_p [N m/rad] and K_d [N m s/rad] of wheels and arm joints; ``bleed`` [s] (infinite: plain integration)."""
+    """K_p [N m/rad] and K_d [N m s/rad] of wheels and arm joints; ``leak_time_constant`` [s] (infinite: plain integration)."""
 
     wheel_stiffness: float = 0.2
     wheel_damping: float = 0.02
     arm_stiffness: float = 20.0
     arm_damping: float = 1.0
-    bleed: float = 0.25
+    leak_time_constant: float = 0.25
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name == "bleed" and not value > 0.0:
+            if name == "leak_time_constant" and not value > 0.0:
                 raise InputError(f"tracking: {name} must be positive, got {value}")
-            if name != "bleed" and not 0.0 <= value < np.inf:
+            if name != "leak_time_constant" and not 0.0 <= value < np.inf:
                 raise InputError(f"tracking: {name} must be at least 0 and finite, got {value}")
 
 
@@ -53,7 +53,7 @@ class TrackingController(BallController):
         n, base, size = len(robot.input.groups["wheel"]), robot.base, robot.state.size
         x = ca.SX.sym("x", size)
         self._speeds = ca.Function("speeds", [x], [base.wheel_speeds(x[: base.nq], x[base.nq :])])
-        self.bleed, self._n, self._arm = gains.bleed, n, robot.state["arm"]
+        self.leak_time_constant, self._n, self._arm = gains.leak_time_constant, n, robot.state["arm"]
         each = lambda wheel, arm: np.array([wheel] * n + [arm] * (self.limit.size - n))
         self.stiffness = each(gains.wheel_stiffness, gains.arm_stiffness)
         self.damping = each(gains.wheel_damping, gains.arm_damping)
@@ -86,5 +86,5 @@ class TrackingController(BallController):
         planned = plans.current.state(t)
         speed = self.speeds(planned)
         position = np.concatenate([self._integral, planned[self._arm]])
-        self._integral = self._integral + self.period * (speed[: self._n] - self.wheel_error / self.bleed)
+        self._integral = self._integral + self.period * (speed[: self._n] - self.wheel_error / self.leak_time_constant)
         return BallCommand(self.limits.possible(self.feedforward), position, speed, self.stiffness, self.damping)

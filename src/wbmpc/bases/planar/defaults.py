@@ -20,11 +20,11 @@ _POSTURES = 400
 class PlanarCost(Settings):
     """Weights per second, in units of the robot's size and limits.
 
-    ``effector`` [1/m²]: position of the end effector, and of its orientation times (reach / 4)²; ``input``: of every input over its
+    ``end_effector`` [1/m²]: position of the end effector, and of its orientation times (reach / 4)²; ``input``: of every input over its
     limit; ``posture``: of every arm joint over half its range; ``terminal`` [s]: factor of the end effector's weights at the end.
     """
 
-    effector: Weight = 4000.0
+    end_effector: Weight = 4000.0
     input: Weight = 0.4
     posture: Weight = 0.5
     terminal: Weight = 0.5
@@ -54,7 +54,7 @@ def planar_problem(
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     limits, hard = robot.limits, settings.limits == "hard"
-    effector = cost.effector * np.array([1.0] * 3 + [(reach(robot) / 4.0) ** 2] * 3)
+    effector = cost.end_effector * np.array([1.0] * 3 + [(reach(robot) / 4.0) ** 2] * 3)
     frame = residuals.FramePose(robot, robot.tool)
     ocp.add(Cost("hand", frame, list(effector), at="path+terminal", terminal_weight=list(cost.terminal * effector)))
     arm = robot.state["arm"]

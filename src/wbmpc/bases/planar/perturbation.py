@@ -7,9 +7,10 @@ from wbmpc.simulation.perturbation import Perturbation
 #: Settings of :class:`Perturbation` that these plants read.
 READS = frozenset(
     {
-        "mass", "inertia", "com", "joint_offset", "wheel_radius", "wheel_radius_each", "drive_lag", "drive_lag_spread", "joint_loss",
-        "friction", "encoder_jitter", "encoder_counts", "arm_counts", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise",
-        "accel_bias", "accel_walk", "payload", "load", "slope",
+        "mass", "inertia", "com_offset", "joint_offset", "wheel_radius", "wheel_radius_each", "actuator_time_constant",
+        "actuator_time_constant_spread", "dry_friction", "friction",
+        "encoder_jitter", "encoder_counts", "arm_counts", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise",
+        "accel_bias", "accel_walk", "payload", "body_payload", "slope",
     }
 )  # fmt: skip
 

@@ -21,7 +21,7 @@ from wbmpc.checks import numbers
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
-from wbmpc.simulation.payloads import PAYLOAD, add_load, add_payload, incline
+from wbmpc.simulation.payloads import PAYLOAD, add_body_payload, add_payload, incline
 from wbmpc.simulation.perturbation import Perturbation, quantise
 from wbmpc.simulation.world import (
     ROBOT,
@@ -112,8 +112,8 @@ class PlanarPlant(InWorld):
         self._add_imu(spec)
         if p.payload > 0.0:
             add_payload(spec, self.description.arm.tool, p.payload)
-        if p.load > 0.0:
-            add_load(spec, self.base.body, p.load)
+        if p.body_payload > 0.0:
+            add_body_payload(spec, self.base.body, p.body_payload)
         if p.slope > 0.0:
             incline(spec, p.slope, draw.downhill)
         if edit is not None:
@@ -121,7 +121,7 @@ class PlanarPlant(InWorld):
 
     def _drive_wheel(self, spec: mujoco.MjSpec, i: int) -> None:
         name, body = self._names["wheel"][i], spec.joint(self._names["wheel"][i]).parent
-        spec.joint(name).armature, spec.joint(name).frictionloss = 0.03, self.perturbation.joint_loss
+        spec.joint(name).armature, spec.joint(name).frictionloss = 0.03, self.perturbation.dry_friction
         effort = self.description.limits.effort.get(name, np.inf)
         add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, self.draw.wheel_lag[i], _WHEEL_GAIN)
         # net force of all that touches below this body (data: force; reduction 3: net force)

@@ -33,6 +33,6 @@ class PlanarBaseType(BaseType):
         from wbmpc.simulation.lockstep import Timing
 
         plant, settings = self.plant(robot, None, seed), planar_settings()
-        timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.delay)
+        timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.computation_delay)
         controller = PlanarController(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
         return System(plant, controller, planar_mpc(robot, settings), timing)

@@ -1,4 +1,4 @@
-"""Who commands the brakes: one place that tells the brakes and the planner the same."""
+"""Who commands the brakes: one place that sends the same commands to the brakes and the planner."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def described(motion: Array) -> str:
     return " and ".join(name for part, name in parts if abs(part) > 0.3)
 
 
-def refuse_floating(geometry: ModuleGeometry, leg: ArrayLike, brake: ArrayLike) -> None:
+def reject_floating(geometry: ModuleGeometry, leg: ArrayLike, brake: ArrayLike) -> None:
     """Raise :class:`InputError` if legs that stay at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing,
     or for what is not finite or of another length."""
     n = geometry.modules
@@ -62,7 +62,7 @@ def refuse_floating(geometry: ModuleGeometry, leg: ArrayLike, brake: ArrayLike) 
         )
 
 
-def refuse_floating_way(
+def reject_floating_way(
     geometry: ModuleGeometry, leg: ArrayLike, goal: ArrayLike, brake: ArrayLike, rate: ArrayLike
 ) -> None:
     """Raise :class:`InputError` if legs on their way from ``leg`` to ``goal`` (n) [rad] at ``rate`` (n) [rad/s] hold the base
@@ -111,9 +111,9 @@ class BrakeControl:
         closed = np.zeros(len(self.legs))
         # times and states from then on: replaced as a whole, for a controller's thread may ask meanwhile
         self._events: tuple[list[float], list[Array]] = [-np.inf], [self._checked(closed if start is None else start)]
-        self._known: dict[int, BrakeFault] = {}  # leg: how it is otherwise than told
+        self._known: dict[int, BrakeFault] = {}  # leg: how it is otherwise than commanded
         self._held = np.full(len(self.legs), -np.inf)
-        self._tell()
+        self._notify_planner()
 
     def _checked(self, brake: ArrayLike) -> Array:
         try:
@@ -128,17 +128,17 @@ class BrakeControl:
         """From t [s] on the brakes (n) are as given; what was scheduled for later stays, what was for the same time goes.
 
         ``leg`` (n) [rad]: where the legs will stay meanwhile. If nothing held the base then, as in H with open brakes, the
-        event is refused (:class:`InputError`). Missions that move their legs at once do not give it.
+        event is rejected (:class:`InputError`). Missions that move their legs at once do not give it.
         """
         if not np.isfinite(t):
             raise InputError(f"brakes: the time of an event must be finite, got {t}")
         if leg is not None:
-            refuse_floating(self.geometry, leg, self._checked(brake))
+            reject_floating(self.geometry, leg, self._checked(brake))
         state, (times, states) = self._checked(brake), self._events
         place = int(np.searchsorted(times, t))
         rest = place + int(place < len(times) and times[place] == t)
         self._events = [*times[:place], float(t), *times[rest:]], [*states[:place], state, *states[rest:]]
-        self._tell()
+        self._notify_planner()
 
     def commanded(self, t: float) -> Array:
         """Brakes (n) at t [s], 1 = open."""
@@ -152,7 +152,7 @@ class BrakeControl:
             self._known.pop(fault.leg, None)
         else:
             self._known[fault.leg] = fault
-        self._tell()
+        self._notify_planner()
 
     def hold(self, until: ArrayLike) -> None:
         """Plan with legs that are kept closed from now on, each until ``until`` (n) [s] (−inf: it is not), whatever is commanded.
@@ -166,13 +166,13 @@ class BrakeControl:
         anew = held > self._held
         self._known = {leg: k for leg, k in self._known.items() if not anew[leg]}
         self._held = held.copy()
-        self._tell()
+        self._notify_planner()
 
     def doubted(self, t: float) -> list[BrakeFault]:
         """What is planned with at t [s] in place of commands: faults that were accepted, until the next command of the brake."""
         return [fault for leg, fault in self._known.items() if t < self._changes(leg, fault.time)]
 
-    def forget(self, t: float) -> None:
+    def reset(self, t: float) -> None:
         """What was before t [s] is not asked for any more: call it now and then where events go on for ever."""
         first = bisect_right(self._events[0], t - self.delay) - 1
         if first > 0:
@@ -208,6 +208,6 @@ class BrakeControl:
             state[fault.leg] = 0.0 if fault.kind == "does not open" else 1.0
         return np.asarray(state)
 
-    def _tell(self) -> None:
+    def _notify_planner(self) -> None:
         if self.changed is not None:
             self.changed(self.schedule())

@@ -26,7 +26,7 @@ FAST, CRAWL_SHARE = 0.4, 0.7
 
 @dataclass(frozen=True)
 class BrakeFault:
-    """At ``time`` [s] the brake of ``leg`` (index) turned out not to do what it was told, or that it does: ``str()`` tells it."""
+    """At ``time`` [s] the brake of ``leg`` (index) turned out not to do what it was commanded to do, or that it does: ``str()`` is the message."""
 
     time: float
     leg: int
@@ -54,7 +54,7 @@ class BrakeMonitor:
     ``limit`` (n) [rad/s]: largest planned rates; where they are small, so are ``crawl`` (:data:`CRAWL_SHARE` of the limit at
     most) and ``expected``. ``settle`` [s] after a command nothing is judged: brakes take their time. The base may move in place
     of a leg that is stuck, and then other legs move too little as well: those that did not stand as long as the first are
-    judged again, from the beginning, once the plan has held it for ``settle``. ``faults``: all that were told; ``withdrawn``:
+    judged again, from the beginning, once the plan has held it for ``settle``. ``faults``: all that were reported; ``withdrawn``:
     those that were taken back, of legs that were said not to open and then moved by ``moved``, or not to hold and then stood as
     one does that is not open; ``real``: those of ``faults`` that were not wrong (a brake that holds again did slip).
     """
@@ -90,19 +90,19 @@ class BrakeMonitor:
         self.restart_clock()
 
     def restart_clock(self) -> None:
-        """Times start anew: the next look is a first one, at brakes that are believed again. What was told stays told."""
+        """Times start anew: the next look is a first one, at brakes that are believed again. What was reported stays reported."""
         n = len(self.names)
         self._open: NDArray[np.bool_] | None = None
         self._since = np.zeros(n)
-        self._anchor, self._gone, self._planned, self._resting, self._told_at = np.zeros((5, n))
-        self._told = np.zeros(n, bool)
-        self._unsettled = -np.inf  # when legs that were told last had not been held in the plan
+        self._anchor, self._gone, self._planned, self._resting, self._reported_at = np.zeros((5, n))
+        self._reported = np.zeros(n, bool)
+        self._unsettled = -np.inf  # when legs that were reported last had not been held in the plan
         self.time = -np.inf
 
     def update(self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike) -> list[BrakeFault]:
         """What is new after measured angles ``leg`` (n) [rad] at t [s], brakes (n, 1 = open) and planned ``rate`` (n) [rad/s].
 
-        A fault is told once per command of its brake, or again after it was taken back. Raises :class:`InputError` for what is
+        A fault is reported once per command of its brake, or again after it was taken back. Raises :class:`InputError` for what is
         not finite or of another length, and for time that goes back (see :meth:`restart_clock`); it does not count, and the next
         one does.
         """
@@ -111,16 +111,16 @@ class BrakeMonitor:
             self._open, self._anchor, self.time = is_open, angle.copy(), t
             self._since[:] = t - self.settle
         changed = is_open != self._open
-        self._since[changed], self._told[changed], self._open = t, False, is_open
+        self._since[changed], self._reported[changed], self._open = t, False, is_open
         h, self.time = t - self.time, t
         settled = t - self._since >= self.settle - 1e-9
-        loose = is_open | self._told  # may move, as far as is known
-        stuck = self._told & is_open
+        loose = is_open | self._reported  # may move, as far as is known
+        stuck = self._reported & is_open
         if np.any(stuck & (np.abs(planned) > self.crawl)):
             self._unsettled = t
         waits = stuck.any() and t - self._unsettled < self.settle
         # a leg counts from where it was when its brake had settled; a loose one from where it was last seen to move
-        afresh = ~settled | (loose & ((np.abs(angle - self._anchor) > self.still) | (waits & ~self._told)))
+        afresh = ~settled | (loose & ((np.abs(angle - self._anchor) > self.still) | (waits & ~self._reported)))
         crept = self._anchor + np.clip(angle - self._anchor, -h * self.creep, h * self.creep)
         self._anchor = np.where(afresh, angle, np.where(loose, self._anchor, crept))
         counted = np.sign(planned) * np.maximum(np.abs(planned) - self.crawl, 0.0)
@@ -128,11 +128,11 @@ class BrakeMonitor:
         self._resting = np.where(afresh, 0.0, self._resting + h)
         self._gone = angle - self._anchor
         withdrawn, new = self._withdraw(t, angle), []
-        for i in np.flatnonzero(settled & ~self._told):
+        for i in np.flatnonzero(settled & ~self._reported):
             fault = self._judge(t, int(i))
             if fault is not None:
                 new.append(fault)
-                self._told[i], self._told_at[i] = True, angle[i]
+                self._reported[i], self._reported_at[i] = True, angle[i]
                 self._unsettled = t
         self.faults += new
         self.real += new
@@ -153,13 +153,13 @@ class BrakeMonitor:
         """Legs that were said not to open and have moved since, and those that were said not to hold and stand."""
         assert self._open is not None
         found = []
-        for i in map(int, np.flatnonzero(self._told)):
-            gone = float(angle[i] - self._told_at[i])
+        for i in map(int, np.flatnonzero(self._reported)):
+            gone = float(angle[i] - self._reported_at[i])
             if self._open[i] and abs(gone) > self.moved:
                 found.append(BrakeFault(t, i, self.names[i], "opens after all", gone))
             elif not self._open[i] and self._stands(i):
                 found.append(BrakeFault(t, i, self.names[i], "holds after all", float(self._planned[i])))
-        self._told[[f.leg for f in found]] = False
+        self._reported[[f.leg for f in found]] = False
         self.withdrawn += found
         for back in found:
             if back.kind == "opens after all":

@@ -19,7 +19,7 @@ _LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
 #: Brakes are looked at about every so often [s]: legs do not move far meanwhile, and a look takes nearly as long as the rest of
 #: a command.
-LOOK = 0.01
+POLL_PERIOD = 0.01
 #: What the monitor of brakes sees: time [s], measured legs (n) [rad], brakes (n, 1 = open), planned rates (n) [rad/s].
 Tick = tuple[float, Array, Array, Array]
 #: Brakes (n, 1 = open) at a time [s].
@@ -58,7 +58,7 @@ class BrakeSupervision:
     """``brakes``: of the legs over time, or a function of time; None: closed. ``monitor`` is None for fixed legs; it looks every
     :data:`LOOK`, and before a stop.
 
-    ``commanded`` may be replaced, as by a view; then the guard, which could not tell the planner, rests.
+    ``commanded`` may be replaced, as by a view; then the guard, which could not informs the planner, rests.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class BrakeSupervision:
             self.commanded = brakes or (lambda t: np.zeros(hinges))
         self._own = self.commanded
         self._watched: Tick | None = None  # the newest tick since the last stop
-        self._looked = -np.inf  # when the monitor looked last
+        self._checked_at = -np.inf  # when the monitor looked last
 
     @property
     def faults(self) -> list[str]:
@@ -99,14 +99,14 @@ class BrakeSupervision:
         return brake if guard is None else np.where(guard.held(t), 0.0, brake)
 
     def guard_legs(self, t: float, leg: Array, rate: Array) -> None:
-        """Hold open legs that go astray from what drives have made of the commands, and tell the planner: measured angles ``leg``
+        """Hold open legs that go astray from what drives have made of the commands, and informs the planner: measured angles ``leg``
         (n) [rad], ``rate`` (n) [rad/s]."""
         guard = self._guarded()
         if guard is not None and guard.update(t, leg, rate, self.commanded(t)):
-            self._tell(guard)
+            self._notify_planner(guard)
 
-    def _tell(self, guard: LegGuard) -> None:
-        """Tell the planner until when each leg is held."""
+    def _notify_planner(self, guard: LegGuard) -> None:
+        """Inform the planner until when each leg is held."""
         assert self._hold is not None
         self._hold(guard.until)
 
@@ -118,24 +118,24 @@ class BrakeSupervision:
         if self.monitor is None or not np.isfinite(rate).all():
             return  # a command that is not finite is rejected, by the name of its drives, before it goes to them
         self._watched = t, leg, brake, rate
-        if t < self._looked - self._period:  # the clock of a new run; by less: the look before a stop was ahead
+        if t < self._checked_at - self._period:  # the clock of a new run; by less: the look before a stop was ahead
             self.monitor.restart_clock()
-            self._looked = -np.inf
-        if t - self._looked >= max(LOOK - 0.5 * self._period, 0.0):
-            self._look(self._watched)
+            self._checked_at = -np.inf
+        if t - self._checked_at >= max(POLL_PERIOD - 0.5 * self._period, 0.0):
+            self._check(self._watched)
 
     def stop(self, leg: Array | None) -> None:
         """All brakes close: judged is what legs (n) [rad], measured last, have done until now; the guard starts anew."""
-        self._look_before_stop(leg)
+        self._check_before_stop(leg)
         guard = self._guarded()
         if guard is None:
             return
         held = np.isfinite(guard.until).any()
         guard.restart()
         if held:
-            self._tell(guard)
+            self._notify_planner(guard)
 
-    def _look_before_stop(self, leg: Array | None) -> None:
+    def _check_before_stop(self, leg: Array | None) -> None:
         """A stop ends the plan: what legs have done until now is judged by the commands until now."""
         watched, self._watched = self._watched, None
         if watched is None or leg is None:
@@ -144,12 +144,12 @@ class BrakeSupervision:
         if leg.shape != before.shape or not np.isfinite(leg).all():
             return  # the odometry has rejected this message, and the robot stops for it
         if brake.any() or rate.any():  # else the stop changes nothing for them
-            self._look((max(t + self._period, self._looked), leg, brake, rate))
+            self._check((max(t + self._period, self._checked_at), leg, brake, rate))
 
-    def _look(self, tick: Tick) -> None:
+    def _check(self, tick: Tick) -> None:
         """Judge the brakes by a tick, and report what is found."""
         assert self.monitor is not None
-        self._looked = tick[0]
+        self._checked_at = tick[0]
         for fault in self.monitor.update(*tick):
             self.note(fault)
             if self.report is not None:

@@ -81,7 +81,7 @@ class WheelRecord:
                 )
         for name in ("wheel", "leg", "gyro", "brake"):
             if f"{name}.time" in channels:
-                _refuse_other_times(read(f"{name}.time"), times, name, where)
+                _reject_other_times(read(f"{name}.time"), times, name, where)
         place, at = read("place"), read("place.time")
         if place.ndim != 2 or place.shape[1] != 6 or len(place) < 2 or at.shape != (len(place),):
             raise InputError(
@@ -108,7 +108,7 @@ def _read(channels: Mapping[str, Array], name: str, where: str) -> Array:
     return values
 
 
-def _refuse_other_times(own: Array, times: Array, name: str, where: str) -> None:
+def _reject_other_times(own: Array, times: Array, name: str, where: str) -> None:
     """Raise :class:`InputError` for a channel whose ``own`` times [s] are not the ``times`` (k) of the steering."""
     if own.shape != times.shape:
         raise InputError(
@@ -156,7 +156,7 @@ def replay(
         raise InputError(
             f"log: the robot has {geometry.modules} modules, the channel 'steer' is of shape {record.steer.shape}"
         )
-    _refuse_other_legs(geometry, record)
+    _reject_other_legs(geometry, record)
     doubt = np.maximum(10.0 * record.place_std[0], 0.05)
     odometry = FusedOdometry(geometry, record.places[0], calibration=prior, noise=noise, pose_std=doubt)
     place = 0
@@ -172,7 +172,7 @@ def replay(
     return odometry
 
 
-def _refuse_other_legs(geometry: ModuleGeometry, record: WheelRecord) -> None:
+def _reject_other_legs(geometry: ModuleGeometry, record: WheelRecord) -> None:
     """Raise :class:`InputError` for legs that are not those of this base."""
     if geometry.has_hinge:
         if record.leg.shape[1] == 0:
@@ -231,7 +231,7 @@ def _shown(before: WheelCalibration, found: WheelCalibration, part: slice) -> tu
 
 def _numbers(wheels: WheelCalibration, geometry: ModuleGeometry) -> Array:
     """Zeros [rad] and relative errors of radii (2n)."""
-    return np.concatenate([wheels.steer_zero, wheels.wheel_radius / geometry.wheel_radius - 1.0])
+    return np.concatenate([wheels.steer_offset, wheels.wheel_radius / geometry.wheel_radius - 1.0])
 
 
 def _surprise(before: WheelCalibration, found: WheelCalibration, part: slice, apart: Array) -> float:
@@ -253,9 +253,9 @@ CROOKED = 1.5
 MOST = (0.2, 0.1)
 #: Passes over a record; derivatives are good enough when the last pass moved by less than this share of the doubt.
 PASSES, MOVED = 8, 0.1
-#: Refused share of the global poses, mean normalised squared error of the others (3 is expected), the wheels' contradiction over
+#: Rejected share of the global poses, mean normalised squared error of the others (3 is expected), the wheels' contradiction over
 #: their way: above this a record contradicts itself, and no numbers explain it.
-REFUSED, MISFIT, ABSURD = 0.1, 9.0, 0.15
+REJECTED, MISFIT, ABSURD = 0.1, 9.0, 0.15
 
 
 def fit_wheels(
@@ -334,12 +334,12 @@ def _as_believed(
         ways = ways[:, shown >= SHOWN]
         apart[part] = root @ ways @ ways.T @ np.linalg.pinv(root) @ apart[part]
     radius = before.wheel_radius + geometry.wheel_radius * apart[n:]
-    return replace(found, steer_zero=before.steer_zero + apart[:n], wheel_radius=radius)
+    return replace(found, steer_offset=before.steer_offset + apart[:n], wheel_radius=radius)
 
 
 def _contradicted(odometry: FusedOdometry) -> bool:
     """Whether too few global poses fit, or those that do fit badly."""
-    lost = odometry.refused > REFUSED * (odometry.taken + odometry.refused)
+    lost = odometry.rejected > REJECTED * (odometry.taken + odometry.rejected)
     return odometry.taken < 2 or lost or odometry.misfit > MISFIT
 
 

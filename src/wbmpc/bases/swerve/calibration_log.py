@@ -51,7 +51,7 @@ class WheelLog:
         self._count, self._gyro = 0, list[float]()
 
     def add(self, t: float, m: SwerveMeasurement, brake: np.ndarray | None = None) -> None:
-        """Take in the message of time ``t`` [s] on the log's clock, and what brakes (n, 1 = open) were told before it."""
+        """Take in the message of time ``t`` [s] on the log's clock, and what brakes (n, 1 = open) were commanded before it."""
         self._gyro.append(float(m.gyro[2]))
         if m.place is not None:
             row = np.concatenate([m.place.pose, np.sqrt(np.diag(m.place.covariance))])

@@ -50,7 +50,7 @@ class InputCost(Settings):
 class SwerveCost(Settings):
     """All weights; ``terminal``: seconds by which the state's weights are multiplied at the end of the horizon."""
 
-    hand: HandCost = HandCost()
+    end_effector: HandCost = HandCost()
     state: StateCost = StateCost()
     input: InputCost = InputCost()
     terminal: Weight = 10.0
@@ -72,7 +72,7 @@ def swerve_problem(
     """
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
-    hand = np.array([cost.hand.weight] * 3 + [cost.hand.orientation] * 3)
+    hand = np.array([cost.end_effector.weight] * 3 + [cost.end_effector.orientation] * 3)
     s, i = cost.state, cost.input
     state = residuals.State(robot)
     posture: dict[str, Any] = {"base": [s.position, s.position, s.yaw], "leg": s.leg, "steer": s.steer, "arm": s.arm}

@@ -22,7 +22,7 @@ from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 #: A wheel that hangs in the air goes its own way: contradiction of the wheels [m/s] averaged over [s], the share of it that one
-#: wheel has to make, for how long [s] it is not believed after that, fewest wheels that can tell which one it is.
+#: wheel has to make, for how long [s] it is not believed after that, fewest wheels from which the faulty one can be identified.
 CONTRADICTS, ODD_TIME, ODD_SHARE, ODD_FOR, ODD_WHEELS = 0.01, 0.03, 0.8, 0.1, 4
 #: Weight in the odometry of a wheel that slips.
 SLIP_WEIGHT = 1e-3
@@ -31,13 +31,13 @@ SLIP_WEIGHT = 1e-3
 @dataclass(frozen=True)
 class EstimatorSettings:
     """``calibration``: what is known of the wheels (None: nothing); ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry
-    has one; ``odd_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict, as of one that hangs in
+    has one; ``reject_lifted_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict, as of one that hangs in
     the air; ``smoothing`` [s] of base position and arm against the jitter of the encoders' age (0: none)."""
 
     calibration: WheelCalibration | None = None
     noise: OdometryNoise | None = None
     use_gyro: bool = True
-    odd_wheels: bool = False
+    reject_lifted_wheels: bool = False
     smoothing: float = 0.0
 
     def __post_init__(self) -> None:
@@ -80,9 +80,13 @@ class SwerveEstimator:
         wheels = self.calibration = settings.calibration or WheelCalibration.unknown(geometry)
         self.odometry = FusedOdometry(geometry, pose, calibration=wheels, noise=settings.noise)
         self.wheels_alone = WheelOdometry(
-            geometry, pose, wheel_radius=wheels.wheel_radius, leg_zero=wheels.leg_zero, steer_zero=wheels.steer_zero
+            geometry,
+            pose,
+            wheel_radius=wheels.wheel_radius,
+            leg_offset=wheels.leg_offset,
+            steer_offset=wheels.steer_offset,
         )
-        self._odd = OddWheels(geometry) if settings.odd_wheels and geometry.modules >= ODD_WHEELS else None
+        self._odd = OddWheels(geometry) if settings.reject_lifted_wheels and geometry.modules >= ODD_WHEELS else None
         self._smoothing = Smoothing(settings.smoothing) if settings.smoothing > 0.0 else None
         self._mean_age = (settings.noise or OdometryNoise()).mean_age
         self.measured: SwerveMeasurement | None = None
@@ -114,7 +118,7 @@ class SwerveEstimator:
             slips |= self._side_slip.left > 0.0
         if self._odd is not None:
             slips |= self._odd.odd > 0.0
-        # one sound wheel alone tells no motion
+        # one sound wheel alone does not determine the motion
         return np.where(slips, SLIP_WEIGHT, 1.0) if slips.any() and np.sum(~slips) > 1 else None
 
     def _smooth(self, smoothing: Smoothing, h: float) -> None:
@@ -151,7 +155,7 @@ class SwerveEstimator:
     def leg(self) -> Array:
         """Measured leg angles less their zeros (empty for fixed legs)."""
         assert self.measured is not None
-        return self.measured.leg - self.calibration.leg_zero if self.measured.leg.size else self.measured.leg
+        return self.measured.leg - self.calibration.leg_offset if self.measured.leg.size else self.measured.leg
 
     @property
     def hinge_angles(self) -> Array:
@@ -163,7 +167,7 @@ class SwerveEstimator:
     def steer(self) -> Array:
         """Measured steering angles (n) less their zeros."""
         assert self.measured is not None
-        return self.measured.steer - self.calibration.steer_zero
+        return self.measured.steer - self.calibration.steer_offset
 
     def state(self) -> Array:
         """Estimated state (nx), with the measured steering angles."""

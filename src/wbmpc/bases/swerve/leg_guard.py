@@ -76,7 +76,7 @@ class LegGuard:
         return self.until > t + 1e-9
 
     def give_up(self, leg: int) -> None:
-        """The brake of ``leg`` (index) does not hold: it is left alone until it is next told to be closed."""
+        """The brake of ``leg`` (index) does not hold: it is left alone until it is next commanded to be closed."""
         self._useless[leg], self._held[leg] = True, False
 
     def update(self, t: float, leg: ArrayLike, rate: ArrayLike, is_open: ArrayLike) -> list[LegHeld]:
@@ -88,14 +88,14 @@ class LegGuard:
         who, n = "leg guard", self.holds.size
         finite(who, time=t)
         angle, planned = numbers(who, "leg", leg, n), numbers(who, "rate", rate, n)
-        told = numbers(who, "brake", is_open, n) > 0.5
+        commanded_open = numbers(who, "brake", is_open, n) > 0.5
         before = self.until.copy()
         if t < self.time:
             self.restart()
         h, last = (t - self.time, self._last) if self._last is not None else (0.0, angle)
         self.time, self._last = t, angle
-        self._end(t, told)
-        free = told & ~self._held & ~self._useless
+        self._end(t, commanded_open)
+        free = commanded_open & ~self._held & ~self._useless
         kept = np.exp(-h / self.window)
         self._moved = np.where(free, kept * self._moved + (angle - last), 0.0)
         self._planned = np.where(free, kept * self._planned + h * planned, 0.0)
@@ -112,11 +112,11 @@ class LegGuard:
         self._held |= astray
         self.holds += astray
 
-    def _end(self, t: float, told: NDArray[np.bool_]) -> None:
-        """Legs whose time is over open, one after the other; those whose brakes are told to be closed are not held besides."""
-        closed = self._held & ~told
+    def _end(self, t: float, commanded_open: NDArray[np.bool_]) -> None:
+        """Legs whose time is over open, one after the other; those whose brakes are commanded to be closed are not held besides."""
+        closed = self._held & ~commanded_open
         self.until[closed], self._held[closed] = np.minimum(self.until[closed], t), False
-        self._useless &= told
+        self._useless &= commanded_open
         for i in np.flatnonzero(self._held & ~self.held(t)):
             if t - self._freed < self.apart - 1e-9:
                 self.until[i] = self._freed + self.apart

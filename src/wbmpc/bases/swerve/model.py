@@ -234,9 +234,9 @@ class SwerveBase:
 
     def check_brakes(self, leg: ArrayLike, brake: ArrayLike) -> None:
         """Raise :class:`InputError` if legs at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing."""
-        from wbmpc.bases.swerve.brake_control import refuse_floating
+        from wbmpc.bases.swerve.brake_control import reject_floating
 
-        refuse_floating(self.geometry, leg, brake)
+        reject_floating(self.geometry, leg, brake)
 
     def rolling(self, x: ca.SX, u: ca.SX, m: ca.SX) -> ca.SX:
         """Rolling (n) and side-slip (n) velocities of the contacts [m/s] (Pankert et al. 2022, equations 4 and 5)."""
@@ -274,7 +274,7 @@ class SwerveBase:
         found = joint_limits(self, description, self._groups, limits.velocity, limits.acceleration, twist)
         steering = self.base.joint_groups()["steer"]
         found.actuator_upper[Layout(self.input)["steer"]] = [
-            limits.drive_velocity.get(name, limits.velocity.get(name, np.inf)) for name in steering
+            limits.actuator_velocity.get(name, limits.velocity.get(name, np.inf)) for name in steering
         ]
         return found
 

@@ -7,10 +7,10 @@ from wbmpc.simulation.perturbation import Perturbation
 #: Settings of :class:`Perturbation` that this plant reads.
 READS = frozenset(
     {
-        "mass", "inertia", "com", "joint_offset", "steer_zero", "wheel_radius", "wheel_radius_each",
-        "drive_lag", "drive_lag_spread", "joint_loss", "brake_delay", "friction", "encoder_jitter",
+        "mass", "inertia", "com_offset", "joint_offset", "steer_offset", "wheel_radius", "wheel_radius_each",
+        "actuator_time_constant", "actuator_time_constant_spread", "dry_friction", "brake_delay", "friction", "encoder_jitter",
         "encoder_counts", "arm_counts", "steer_noise", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise",
-        "accel_bias", "accel_walk", "payload", "load", "slope", "brake_fault", "brake_fault_leg",
+        "accel_bias", "accel_walk", "payload", "body_payload", "slope", "brake_fault", "brake_fault_leg",
         "brake_fault_time",
     }
 )  # fmt: skip
@@ -18,12 +18,12 @@ _SENSORS = (
     "is for ball robots only; a swerve robot has encoders and an inertial unit: 'plant.encoder_jitter', 'plant.steer_noise', "
     "'plant.gyro_noise'"
 )
-_DRIVES = "is for ball robots only; a swerve robot's drives have 'plant.drive_lag'"
+_DRIVES = "is for ball robots only; a swerve robot's drives have 'plant.actuator_time_constant'"
 #: What a swerve robot has in the place of others.
 INSTEAD = {
-    "cables": "is for ball robots only; swerve-drive and swerve-plaster have their own",
-    "spin_friction": "is for ball robots only; a swerve robot's wheels hold the floor by 'plant.friction' alone",
-    **dict.fromkeys(("dead_time", "wheel_spring", "arm_spring"), _DRIVES),
+    "floor_cables": "is for ball robots only; swerve-drive and swerve-plaster have their own",
+    "torsional_friction": "is for ball robots only; a swerve robot's wheels hold the floor by 'plant.friction' alone",
+    **dict.fromkeys(("actuator_dead_time", "wheel_spring", "arm_spring"), _DRIVES),
     **dict.fromkeys(("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"), _SENSORS),
 }
 

@@ -25,7 +25,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.localization import Localisation
-from wbmpc.simulation.payloads import PAYLOAD, add_load, add_payload, incline
+from wbmpc.simulation.payloads import PAYLOAD, add_body_payload, add_payload, incline
 from wbmpc.simulation.perturbation import Draw, Perturbation, quantise
 from wbmpc.simulation.world import (
     ROBOT,
@@ -56,7 +56,7 @@ _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
 _IMU_INTERVAL = 0.0025
 
 
-def refuse_two_wheels(description: RobotDescription) -> None:
+def reject_two_wheels(description: RobotDescription) -> None:
     """Raise :class:`InputError` for a swerve base that cannot stand by itself."""
     assert isinstance(description.base, SwerveBaseDescription)
     if len(description.base.modules) < 3:
@@ -91,11 +91,11 @@ class SwervePlant(InWorld):
     ) -> None:
         if not isinstance(description.base, SwerveBaseDescription):
             raise InputError(f"{description.name}: this plant needs a swerve base")
-        refuse_two_wheels(description)
+        reject_two_wheels(description)
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localisation = perturbation or Perturbation(), localisation
         check_perturbation(self.perturbation)
-        self._refuse_brake_fault()
+        self._reject_brake_fault()
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
@@ -118,7 +118,7 @@ class SwervePlant(InWorld):
         self._set_sensors(self.draw)
         self._place(self._groups(state), lift, settle)
 
-    def _refuse_brake_fault(self) -> None:
+    def _reject_brake_fault(self) -> None:
         p, legs = self.perturbation, [m.hinge for m in self.base.modules if m.hinge]
         if p.brake_fault != "none" and p.brake_fault_leg >= len(legs):
             valid = ", ".join(f"{i} ({n})" for i, n in enumerate(legs)) or "a robot with hinged legs"
@@ -145,7 +145,7 @@ class SwervePlant(InWorld):
             )  # fmt: skip
             self._normal_force_sensor(spec, f"contact_{module.wheel}")
             for joint in (module.steer, module.wheel):
-                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, p.joint_loss
+                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, p.dry_friction
             if module.hinge:
                 spec.joint(module.hinge).damping = [1.0, 0, 0]
             self._servo(spec, module.wheel, _VELOCITY_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
@@ -158,8 +158,8 @@ class SwervePlant(InWorld):
         self._add_imu(spec)
         if p.payload > 0.0:
             add_payload(spec, self.description.arm.tool, p.payload)
-        if p.load > 0.0:
-            add_load(spec, self.base.body, p.load)
+        if p.body_payload > 0.0:
+            add_body_payload(spec, self.base.body, p.body_payload)
         if p.slope > 0.0:
             incline(spec, p.slope, draw.downhill)
         if edit is not None:

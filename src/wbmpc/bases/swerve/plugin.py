@@ -55,9 +55,9 @@ class SwerveBaseType(BaseType):
 
     def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
         """The adapter that reads joint states and publishes speeds."""
-        from wbmpc.bases.swerve.ros import SwervePilot
+        from wbmpc.bases.swerve.ros import SwerveRosAdapter
 
-        return SwervePilot(robot, settings, period)
+        return SwerveRosAdapter(robot, settings, period)
 
     def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> SwerveRosPlant:
         """Follows speeds and brakes."""

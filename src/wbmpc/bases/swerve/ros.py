@@ -129,7 +129,7 @@ class DeferredMonitor:
             yield from self.monitor.update(*self.ticks.popleft())
 
 
-class BusAgent(SwerveController):
+class BusSwerveController(SwerveController):
     """A swerve robot's controller on a bus. ``to_hold``: until when [s] legs are held, the newest for the planner, kept for the
     node's own thread, to which commanded brakes belong."""
 
@@ -153,16 +153,16 @@ class BusAgent(SwerveController):
         with self._alone:
             super().measure(measurement)
 
-    def carry_on(self, other: BusAgent) -> None:
+    def carry_on(self, other: BusSwerveController) -> None:
         """Go on with what another controller has estimated."""
         self.estimator.carry_on(other.estimator)
         self._alone = other._alone
 
 
-class SwervePilot:
+class SwerveRosAdapter:
     """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`."""
 
-    keeps = needs_imu = False
+    must_keep_running = needs_imu = False
     watches = "brakes"
     parameters = None
     fix: Callable[[], Fix | None] | None = None
@@ -178,7 +178,7 @@ class SwervePilot:
         given = robot.input.groups
         self._rest = {g: np.zeros(len(given.get("leg" if g == "brake" else g, ()))) for g in GROUPS}
         self.brakes = self._new_brakes()
-        self.agent = self._new_agent(np.zeros(3))
+        self.controller = self._new_controller(np.zeros(3))
         self.legs: Array | None = None  # where the legs are to go [rad]
         robot.pose(robot.home)  # builds the function: not in a tick
 
@@ -187,15 +187,15 @@ class SwervePilot:
         has = "brake" in self.robot.mode
         return BrakeControl(self.robot, delay=BRAKE_DELAY, changed=self.pending.schedule) if has else None
 
-    def _new_agent(self, pose: Array) -> BusAgent:
+    def _new_controller(self, pose: Array) -> BusSwerveController:
         s = self.settings
         gyro = s.use_gyro and self._has_imu
-        agent = BusAgent(
-            self.robot, pose, self.period, self.brakes, tracking=TrackingSettings(lag=s.drive_lag),
+        controller = BusSwerveController(
+            self.robot, pose, self.period, self.brakes, tracking=TrackingSettings(lag=s.actuator_time_constant),
             estimation=EstimatorSettings(use_gyro=gyro), monitor=self._new_monitor(), guard=s.leg_guard,
         )  # fmt: skip
-        agent.estimator.fix = self.fix
-        return agent
+        controller.estimator.fix = self.fix
+        return controller
 
     def _new_monitor(self) -> BrakeMonitor | None:
         if self.brakes is None:
@@ -212,26 +212,26 @@ class SwervePilot:
     @property
     def faults(self) -> list[str]:
         """Brakes that do not answer, until their next command, or until they do after all."""
-        if self.brakes is None or self.agent.estimator.seen is None:
+        if self.brakes is None or self.controller.estimator.seen is None:
             return []
-        return [str(fault) for fault in self.brakes.doubted(self.agent.estimator.seen[0].time)]
+        return [str(fault) for fault in self.brakes.doubted(self.controller.estimator.seen[0].time)]
 
     def inspect(self) -> None:
         """Judge the brakes by the ticks since the last look; the plan counts with what is found."""
-        agent = self.agent  # another thread begins the next run with another one
-        if agent.deferred is None or self.brakes is None:
+        controller = self.controller  # another thread begins the next run with another one
+        if controller.deferred is None or self.brakes is None:
             return
-        while agent.to_hold:
-            self.brakes.hold(agent.to_hold.popleft())
-        for fault in agent.deferred.judged():
-            agent.supervision.note(fault)
+        while controller.to_hold:
+            self.brakes.hold(controller.to_hold.popleft())
+        for fault in controller.deferred.judged():
+            controller.supervision.note(fault)
             self.brakes.accept(fault)
 
     def problem(self, cost: SwerveCost) -> OptimalControlProblem:
         """The controller's problem with other weights."""
         return swerve_problem(self.robot, self.settings.mpc, cost, accelerations=True)
 
-    def leg_orders(self, node: Node, ready: Callable[[], str], now: Callable[[], Now | None]) -> Legs | None:
+    def leg_commands(self, node: Node, ready: Callable[[], str], now: Callable[[], Now | None]) -> Legs | None:
         """Of legs with brakes."""
         return None if self.brakes is None else Legs(node, self.robot, self.settings, ready, now)
 
@@ -259,24 +259,24 @@ class SwervePilot:
 
     def stand(self, m: SwerveMeasurement) -> None:
         """Follow the wheels, and the gyro's bias, while nobody commands them."""
-        agent = self.agent
-        agent.estimator.use_gyro = self.settings.use_gyro and self._has_imu
-        agent.estimator.fix = self.fix
-        agent.measure(m)
+        controller = self.controller
+        controller.estimator.use_gyro = self.settings.use_gyro and self._has_imu
+        controller.estimator.fix = self.fix
+        controller.measure(m)
 
     def snapshot(self) -> tuple[float, Array] | None:
         """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread. None before the first."""
-        if self.agent.estimator.seen is None:
+        if self.controller.estimator.seen is None:
             return None
-        m, pose = self.agent.estimator.seen
+        m, pose = self.controller.estimator.seen
         parts = {"base": pose, "leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}
         return m.time, self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
 
     def begin(self, x: Array) -> None:
         """A new run: the odometry goes on, the runner's clock starts at 0."""
-        old, self.brakes, self.legs = self.agent, self._new_brakes(), None
-        self.agent = self._new_agent(old.estimator.odometry.pose)
-        self.agent.carry_on(old)
+        old, self.brakes, self.legs = self.controller, self._new_brakes(), None
+        self.controller = self._new_controller(old.estimator.odometry.pose)
+        self.controller.carry_on(old)
         self.mpc.reset(x)
 
     def swing(self, legs: Array) -> None:
@@ -290,7 +290,7 @@ class SwervePilot:
 
     def relocate(self) -> None:
         """The next pose of another localisation counts whatever was known before."""
-        self.agent.estimator.placed = False
+        self.controller.estimator.placed = False
 
     # ------------------------------------------------------------------ tasks
     def references(self, task: Task, x: Array) -> dict[str, Reference]:
@@ -302,13 +302,13 @@ class SwervePilot:
         self._twists = references["input"]
         self.pending.set(references)
 
-    # ------------------------------------------------------------------ what is told
+    # ------------------------------------------------------------------ what is reported
     def estimate(self) -> Estimate | None:
         """Planar pose and twist; the rest is unknown."""
         seen = self.snapshot()
         if seen is None:
             return None
-        odometry = self.agent.estimator.odometry
+        odometry = self.controller.estimator.odometry
         x, y, yaw = seen[1][self.robot.state["base"]]
         v = odometry.twist
         return Estimate(

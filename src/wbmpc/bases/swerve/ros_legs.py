@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.swerve.brake_control import BrakeControl, refuse_floating, refuse_floating_way
+from wbmpc.bases.swerve.brake_control import BrakeControl, reject_floating, reject_floating_way
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.bus import DEFAULT, Node
-from wbmpc.ros2.convert import sentence_of
-from wbmpc.ros2.settings import ORDERS, RosSettings
+from wbmpc.ros2.bus import DEFAULT, SMALL, Node
+from wbmpc.ros2.convert import error_message
+from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 from wbmpc.stability import leg_angles
 
 _LOG = logging.getLogger("wbmpc")
@@ -37,7 +38,7 @@ NEARER, PATIENCE = 0.002, 4.0
 
 class Legs:
     """``angles`` (n) [rad]: where legs are to go, None before anybody has said so; ``moving`` (n): which are on their way;
-    ``refused``: why the last bad order was not taken, empty when one has been taken since; ``short``: which legs have ended on
+    ``rejected``: why the last bad order was not taken, empty when one has been taken since; ``short``: which legs have ended on
     their way, empty from the next order on.
 
     ``ready()``: why no order can be taken; ``now()``: how brakes and legs are. :meth:`apply` and :meth:`watch` belong to the
@@ -56,11 +57,12 @@ class Legs:
         self.names = robot.state.groups["leg"]
         self.angles: Array | None = None
         self.moving = np.zeros(len(self.names), dtype=bool)
-        self.refused = self.short = ""
+        self.rejected = self.short = ""
+        self._limit = RateLimit()
         self._nearest, self._since = np.zeros(
             (2, len(self.names))
         )  # of legs on their way: distance [rad], since when [s]
-        self._order: tuple[Array, Array] | None = None
+        self._command: tuple[Array, Array] | None = None
         self._lock = threading.Lock()
         topics = settings.topics
         takes: dict[str, Callable[[Any], str]] = {
@@ -70,7 +72,14 @@ class Legs:
         }
         for key, take in takes.items():
             if topic := getattr(topics, key):
-                node.subscribe(topic, ORDERS[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True)
+                node.subscribe(
+                    topic,
+                    REQUEST_TYPES[key],
+                    partial(self._from_topic, topic, take),
+                    DEFAULT,
+                    deferred=True,
+                    largest=SMALL,
+                )
         if topics.set_legs:
             try:
                 node.serve(topics.set_legs, SET_LEGS, self._asked)
@@ -83,11 +92,11 @@ class Legs:
         try:
             if why:
                 raise InputError(why)
-            said = self._wanted(str(request.configuration), list(request.leg), request.angle, request.brake_open)
+            message = self._wanted(str(request.configuration), list(request.leg), request.angle, request.brake_open)
         except Exception as error:
-            self.refuse(f"{self.settings.topics.set_legs}: {sentence_of(error)}")
-            return {"success": False, "message": sentence_of(error)}
-        return {"success": True, "message": said}
+            self.reject(f"{self.settings.topics.set_legs}: {error_message(error)}")
+            return {"success": False, "message": error_message(error)}
+        return {"success": True, "message": message}
 
     def _from_topic(self, topic: str, take: Callable[[Any], str], message: Any) -> None:
         try:
@@ -95,13 +104,13 @@ class Legs:
                 raise InputError(why)
             take(message)
         except Exception as error:
-            self.refuse(f"{topic}: {sentence_of(error)}")
+            self.reject(f"{topic}: {error_message(error)}")
 
-    def refuse(self, sentence: str) -> None:
+    def reject(self, message: str) -> None:
         """Say once why an order is not taken."""
-        if sentence != self.refused:
-            _LOG.warning("%s", sentence)
-        self.refused = sentence
+        if message != self.rejected:
+            self._limit.log(_LOG, logging.WARNING, message.split(":")[0], message)
+        self.rejected = message
 
     def _wanted(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
         """A configuration by name or angles, or single legs: ``angles``, brakes; what will be done."""
@@ -156,23 +165,23 @@ class Legs:
 
     def _put(self, goal: Array, brake: Array) -> None:
         with self._lock:
-            if self._order is not None:  # what has not been taken yet is completed
-                goal = np.where(np.isnan(goal), self._order[0], goal)
-                brake = np.where(np.isnan(brake), self._order[1], brake)
+            if self._command is not None:  # what has not been taken yet is completed
+                goal = np.where(np.isnan(goal), self._command[0], goal)
+                brake = np.where(np.isnan(brake), self._command[1], brake)
             if (now := self._now()) is not None:
-                self._refuse(goal, *self._outcome(goal, brake, now[0]), now[1])
-            self._order = goal, brake
-        self.refused = ""
+                self._reject(goal, *self._outcome(goal, brake, now[0]), now[1])
+            self._command = goal, brake
+        self.rejected = ""
 
-    def _refuse(self, goal: Array, moving: Array, state: Array, leg: Array) -> None:
+    def _reject(self, goal: Array, moving: Array, state: Array, leg: Array) -> None:
         """Raise :class:`InputError` where open legs would hold the base against nothing, at rest or for long on the way."""
         geometry = self.robot.base.geometry
         if not moving.any():
-            refuse_floating(geometry, leg, state)
+            reject_floating(geometry, leg, state)
             return
         before = leg if self.angles is None else self.angles
         there = np.where(moving, np.where(np.isnan(goal), before, goal), leg)
-        refuse_floating_way(geometry, leg, there, state, self.robot.limits.input_upper[self.robot.input["leg"]])
+        reject_floating_way(geometry, leg, there, state, self.robot.limits.input_upper[self.robot.input["leg"]])
 
     def _outcome(self, goal: Array, brake: Array, commanded: Array) -> tuple[Array, Array]:
         """Which legs an order sets or keeps in motion, and the brakes (n, 1 = open) then."""
@@ -183,30 +192,30 @@ class Legs:
     @property
     def waiting(self) -> bool:
         """Whether there is an order that has not been taken."""
-        return self._order is not None
+        return self._command is not None
 
     def drop(self) -> None:
         """Forget an order that has not been taken."""
         with self._lock:
-            self._order = None
+            self._command = None
 
     def apply(self, brakes: BrakeControl, t: float, leg: Array) -> bool:
         """Carry out an order at time t [s], legs being at ``leg`` (n) [rad]; whether there was one."""
         with self._lock:
-            order, self._order = self._order, None
-        if order is None:
+            command, self._command = self._command, None
+        if command is None:
             return False
-        goal, brake = order
+        goal, brake = command
         sent = ~np.isnan(goal)
         before = self.angles
         self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
         self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
         self._nearest[:], self._since[:], self.short = np.inf, t, ""
-        brakes.forget(t)
+        brakes.reset(t)
         try:
             brakes.set(t, state, None if self.moving.any() else leg)
         except InputError as error:
-            self.refuse(f"an order to the legs is refused: {error}")
+            self.reject(f"a command for the legs is rejected: {error}")
             self.angles = before
             return False
         # a leg that is let go, or held where it is, goes nowhere
@@ -228,8 +237,8 @@ class Legs:
             return False
         self._close(brakes, t, stuck)
         places = zip(self.names, leg, self.angles, stuck, strict=True)
-        said = [f"{n} stopped at {a:.3f} rad on its way to {to:.3f} rad" for n, a, to, ended in places if ended]
-        self.short = f"{', '.join(said)}: no nearer for {PATIENCE:g} s, brakes closed"
+        message = [f"{n} stopped at {a:.3f} rad on its way to {to:.3f} rad" for n, a, to, ended in places if ended]
+        self.short = f"{', '.join(message)}: no nearer for {PATIENCE:g} s, brakes closed"
         _LOG.warning("%s", self.short)
         self.angles = np.where(stuck, leg, self.angles)
         return True
@@ -247,7 +256,7 @@ class Legs:
     def _close(self, brakes: BrakeControl, t: float, which: NDArray[np.bool_]) -> None:
         brake = brakes.commanded(t).copy()
         brake[which] = 0.0
-        brakes.forget(t)
+        brakes.reset(t)
         brakes.set(t, brake)
         self.moving &= ~which
 

@@ -41,7 +41,7 @@ def speed(twist: np.ndarray) -> np.ndarray:
 
 #: A wheel is lost that rolls at least so fast [m/s] and points so far [rad] from its direction for so long [s], longer than a turn
 #: takes; how often [s] the plan is looked at, and how long it is left alone after it was written anew.
-ROLLS, OFF, LOST, LOOK, WRITTEN = 0.05, 0.3, 0.9, 0.1, 0.6
+ROLLS, OFF, LOST, POLL_PERIOD, WRITTEN = 0.05, 0.3, 0.9, 0.1, 0.6
 #: Cost [m] of a stop besides the way that it loses: no stop without a reason.
 STOP = 1e-3
 #: Of two equal ways the one that stops later is taken (cost [m] per node): more is known by then.
@@ -186,7 +186,7 @@ class SteeringGuess:
         self.rate = float(np.min(robot.limits.input_upper[robot.input["steer"]])) * 0.6
         self.limits = (robot.limits.state_lower[steer], robot.limits.state_upper[steer])
         self._armed, self._done = True, False
-        self._look = -np.inf
+        self._next_check = -np.inf
 
     def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
         base = self.robot.input["base"]
@@ -202,7 +202,7 @@ class SteeringGuess:
         soon = speed(self.preview(t + np.array([0.0, 0.5, 1.0]), x0[self.robot.state["base"]]))
         if soon.max() < MOVING or not self._stuck(trajectory, twists):
             return None
-        self._done, self._look = True, t + WRITTEN
+        self._done, self._next_check = True, t + WRITTEN
         self._write(trajectory, twists, x0, self.plan(t, float(grid[-1]), x0))
         return trajectory
 
@@ -214,9 +214,9 @@ class SteeringGuess:
         """Where wheels of the plan stop following the preview, as at the end of their range, write the rest of it with a stop.
 
         Returns whether it did."""
-        if t < self._look:
+        if t < self._next_check:
             return False
-        self._look = t + LOOK
+        self._next_check = t + POLL_PERIOD
         grid = trajectory.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
         lost = self._lost(trajectory, twists, x0)
@@ -224,7 +224,7 @@ class SteeringGuess:
             return False
         plan = self.plan(t, float(grid[-1]), x0)
         stop = int(np.searchsorted(grid, plan.times[plan.stops[0]])) if plan.stops else lost
-        self._look = t + WRITTEN
+        self._next_check = t + WRITTEN
         self._write(trajectory, twists, x0, plan, max(min(stop, lost) - 1, 0))
         return True
 

@@ -29,7 +29,7 @@ def make_system(robot: RobotModel, plant: SwervePlant) -> System:
     mpc.reference["hand"] = Reference.poses([0.0], [position], orientation)
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
-    timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.delay)
+    timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.computation_delay)
     controller = SwerveController(robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=DRIVE_LAG))
     mpc.reset(robot.home)
     return System(plant, controller, mpc, timing)

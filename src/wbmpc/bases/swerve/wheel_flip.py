@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wbmpc.bases.swerve.steering_planner import (
-    LOOK,
     NODES,
+    POLL_PERIOD,
     ROLLS,
     Preview,
     SteeringGuess,
@@ -193,7 +193,7 @@ class WheelFlipGuess(SteeringGuess):
         new, self._new = self._new, ()
         if new and abs(self._planned(trajectory, new[-1].wheel, self._mark[0]) - self._mark[1]) > 0.5 * np.pi:
             self.turns = tuple(turn for turn in self.turns if turn not in new)
-            self._look = t + LOOK
+            self._next_check = t + POLL_PERIOD
 
     def _planned(self, trajectory: Trajectory, wheel: int, t: float | np.ndarray) -> np.ndarray:
         """Angles [rad] of a wheel at times t [s] in the solver's trajectories."""
@@ -221,9 +221,9 @@ class WheelFlipGuess(SteeringGuess):
 
     def _go_on(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> bool:
         """Whether anything was written: turns into the plan where wheels come to the end of their range."""
-        if t < self._look - 1e-9:
+        if t < self._next_check - 1e-9:
             return False
-        self._look = t + LOOK
+        self._next_check = t + POLL_PERIOD
         times, ways, speeds = self._ways(t, float(trajectory.grid[-1]), x0)
         previous, written = self.turns, False
         for wheel in range(ways.shape[1]):

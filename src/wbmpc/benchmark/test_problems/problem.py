@@ -1,4 +1,4 @@
-"""What a problem of the zoo is."""
+"""What a test problem is."""
 
 from __future__ import annotations
 

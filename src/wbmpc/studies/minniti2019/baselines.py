@@ -1,4 +1,4 @@
-"""The ball robot's controllers by name: the MPC with either tracking, and its rivals with their searched gains."""
+"""The ball robot's controllers by name: the MPC with either tracking, and its baselines with their searched gains."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ REGULATORS = ("lqr", "scheduled-lqr")
 
 class RegulatorSettings(Settings):
     """Factors of the MPC's weights of torques (``torque``; another one of the arm's, ``arm``), ball speed and tilt rate
-    (``damping``), the arm's angles and rates (``posture``), hand (``hand``); ``most`` [m]: position errors beyond it are cut."""
+    (``damping``), the arm's angles and rates (``posture``), hand (``hand``); ``max_error`` [m]: position errors beyond it are cut."""
 
     torque: float = Field(1.0, gt=0)
     arm: float = Field(1.0, gt=0)
     posture: float = Field(1.0, gt=0)
     damping: float = Field(1.0, gt=0)
     hand: float = Field(1.0, gt=0)
-    most: float = Field(0.1, gt=0)
+    max_error: float = Field(0.1, gt=0)
 
 
 class SeparateSettings(Settings):
@@ -71,8 +71,8 @@ class TaskspaceSettings(Settings):
     balance: float = Field(1.63, gt=0)
 
 
-class RivalsSettings(Settings):
-    """Gains of each rival, found by ``python benchmarks/rezero_rivals.py --search all``: the same search, as many runs, the same tuning seeds."""
+class BaselineSettings(Settings):
+    """Gains of each baseline, found by ``python benchmarks/ball_baselines.py --search all``: the same search, as many runs, the same tuning seeds."""
 
     lqr: RegulatorSettings = RegulatorSettings()
     scheduled_lqr: RegulatorSettings = RegulatorSettings()
@@ -91,7 +91,7 @@ _STIFF = SeparateSettings(ball=53.7, ball_speed=0.782, tilt_rate=0.569, wheel=0.
 _DAMPED = RegulatorSettings(torque=30.0, damping=10.0, posture=10.0)
 #: For accurate tasks: the same search on the square with a load that nobody knows of. The regulators were not searched: theirs
 #: is the best of four sets that were tried on the circle.
-ACCURATE_RIVALS = RivalsSettings(
+ACCURATE_BASELINES = BaselineSettings(
     lqr=_DAMPED,
     scheduled_lqr=_DAMPED,
     separate=_STIFF,
@@ -109,7 +109,7 @@ class ActuatorSettings(Settings):
     wheel_damping: Weight = ActuatorGains.wheel_damping
     arm_stiffness: Weight = ActuatorGains.arm_stiffness
     arm_damping: Weight = ActuatorGains.arm_damping
-    bleed: float = Field(ActuatorGains.bleed, gt=0)
+    leak_time_constant: float = Field(ActuatorGains.leak_time_constant, gt=0)
 
 
 class TrackingSettings(Settings):
@@ -138,26 +138,42 @@ _PLAN = frozenset(
 #: What regulators take of the costs (:func:`regulator_weights`) is all but these; what `separate` and its like take: these.
 _NO_REGULATORS = frozenset(
     f"cost.{n}"
-    for n in ("hand.limit", "hand.turn_limit", "terminal", "lean", "speed_slack", "torque.force", "torque.moment")
+    for n in (
+        "end_effector.limit",
+        "end_effector.turn_limit",
+        "terminal",
+        "lean",
+        "speed_slack",
+        "torque.force",
+        "torque.moment",
+    )
 )
 _SEPARATES = frozenset(
     f"cost.{n}"
-    for n in ("hand.weight", "hand.orientation", "hand.roll", "body.yaw", "body.yaw_rate", "body.arm", "lean")
+    for n in (
+        "end_effector.weight",
+        "end_effector.orientation",
+        "end_effector.roll",
+        "body.yaw",
+        "body.yaw_rate",
+        "body.arm",
+        "lean",
+    )
 )
 
 
 def unread(controller: Controller, tracking: TrackingSettings) -> frozenset[str]:
     """Names of the ball robot's settings that a controller does not read."""
-    rivals = {f"rival.{name}" for name in RivalsSettings.model_fields if name != controller.replace("-", "_")}
+    baselines = {f"baseline.{name}" for name in BaselineSettings.model_fields if name != controller.replace("-", "_")}
     if controller == "mpc":
-        return frozenset(rivals | {"drive_dead_time" if tracking.kind == "actuators" else "tracking.gains"})
-    idle = rivals | {"brace", "pushed_speed", "weigh", "tracking.kind", "tracking.gains"}
+        return frozenset(baselines | {"actuator_dead_time" if tracking.kind == "actuators" else "tracking.gains"})
+    idle = baselines | {"expected_push_time", "max_pushed_speed", "estimate_payload", "tracking.kind", "tracking.gains"}
     if controller in REGULATORS:
         return frozenset(idle | _PLAN | _NO_REGULATORS)
     if controller == "taskspace":
-        return frozenset(idle | _PLAN | _weights() | {"drive_dead_time"})
-    blind = {"observer"} if controller == "separate" else set()
-    return frozenset(idle | blind | {"mpc.first_interval", "drive_dead_time"} | (_weights() - _SEPARATES))
+        return frozenset(idle | _PLAN | _weights() | {"actuator_dead_time"})
+    blind = {"estimate_disturbance"} if controller == "separate" else set()
+    return frozenset(idle | blind | {"mpc.first_interval", "actuator_dead_time"} | (_weights() - _SEPARATES))
 
 
 @dataclass(frozen=True)
@@ -173,11 +189,11 @@ class Parts:
 
 
 def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController, MPC | None]:
-    """The agent that the settings name, and the MPC that plans for it (None: nothing does)."""
+    """The controller that the settings name, and the MPC that plans for it (None: nothing does)."""
     policies = settings.controller == "mpc" and settings.tracking.kind != "actuators"
     late = policies or settings.controller in REGULATORS
-    drives = DriveSettings(settings.drive_lag, settings.drive_dead_time if late else 0.0)
-    own = (p.robot, p.mpc, p.torque, p.period, drives, settings.observer, p.estimator)
+    drives = DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time if late else 0.0)
+    own = (p.robot, p.mpc, p.torque, p.period, drives, settings.estimate_disturbance, p.estimator)
     name = settings.controller
     if name == "mpc":
         more = (*own, FallPredictor(p.robot, p.arm))
@@ -187,17 +203,19 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController,
     if name == "taskspace":
         return _taskspace(settings, p), None
     if name in REGULATORS:
-        gains = settings.rival.lqr if name == "lqr" else settings.rival.scheduled_lqr
-        agent = LqrController(*own)
+        gains = settings.baseline.lqr if name == "lqr" else settings.baseline.scheduled_lqr
+        controller = LqrController(*own)
         regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, gains), p.period)
-        agent.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.most)
-        agent.forecast = _felt(p)
-        return agent, None
+        controller.regulate(
+            regulator, lambda t: p.mpc.reference["body"].at(t), name == "scheduled-lqr", gains.max_error
+        )
+        controller.forecast = _felt(p)
+        return controller, None
     return _separate(settings, p)
 
 
 def _felt(p: Parts) -> FallPredictor:
-    """Falls that rivals foresee: by the state alone, for plans that they have are not the optimiser's of the whole robot."""
+    """Falls that baselines foresee: by the state alone, for plans that they have are not the optimiser's of the whole robot."""
     return FallPredictor(p.robot, p.arm, ahead=0.0)
 
 
@@ -206,18 +224,18 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceController:
         pose = p.mpc.reference["hand"].at(t)
         return pose[:3], pose[3:]
 
-    home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.rival.taskspace.model_dump())
-    more = (p.period, DriveSettings(settings.drive_lag), settings.observer, p.estimator)
-    agent = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
-    agent.stance = lambda t: p.mpc.reference["body"].at(t)
-    agent.forecast = _felt(p)
-    return agent
+    home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.baseline.taskspace.model_dump())
+    more = (p.period, DriveSettings(settings.actuator_time_constant), settings.estimate_disturbance, p.estimator)
+    controller = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
+    controller.stance = lambda t: p.mpc.reference["body"].at(t)
+    controller.forecast = _felt(p)
+    return controller
 
 
 def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, MPC]:
     name = settings.controller
-    gains: SeparateSettings = getattr(settings.rival, name.replace("-", "_"))
-    h, b = settings.cost.hand, settings.cost.body
+    gains: SeparateSettings = getattr(settings.baseline, name.replace("-", "_"))
+    h, b = settings.cost.end_effector, settings.cost.body
     weights = {"ball": gains.ball, "ball_speed": gains.ball_speed, "tilt_rate": gains.tilt_rate}
     cost = settings.cost.model_copy(update={
         "body": b.model_copy(update=weights),
@@ -226,19 +244,20 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
     planner = MPC(base_problem(p.robot, settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
     planner.reference["body"] = p.mpc.reference["body"]
     inverse = HandInverse(p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1))
-    agent = SeparateController(
-        p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.drive_lag), settings.observer and name != "separate", p.estimator,
+    controller = SeparateController(
+        p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.actuator_time_constant),
+        settings.estimate_disturbance and name != "separate", p.estimator,
         planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral), aware=name == "separate-aware",
     )  # fmt: skip
-    agent.forecast = _felt(p)
+    controller.forecast = _felt(p)
     home = p.robot.base.numeric.equilibrium(p.arm)[0]
-    planner.reset(agent.believed(home), p.torque[p.robot.input["wheel"]])
-    return agent, planner
+    planner.reset(controller.believed(home), p.torque[p.robot.input["wheel"]])
+    return controller, planner
 
 
 def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: RegulatorSettings) -> LqrWeights:
-    """The MPC's weights, times the rival's factors, for a regulator."""
-    h, b, t = settings.cost.hand, settings.cost.body, settings.cost.torque
+    """The MPC's weights, times the baseline's factors, for a regulator."""
+    h, b, t = settings.cost.end_effector, settings.cost.body, settings.cost.torque
     fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
     arm, joints = r.posture * np.array([b.arm, b.arm_rate]), robot.base.nq - 5
     state = robot.state.vector({

@@ -23,12 +23,12 @@ IDEALISATIONS = ["the hand's orientation is free but for a small weight: three j
 
 
 class RezeroCircleSettings(AccurateSettings):
-    """A circle of ``radius`` [m] in ``lap`` [s], ``rounds`` times, the first of which starts from rest; ``yaw`` of the base."""
+    """A circle of ``radius`` [m] in ``lap_time`` [s], ``rounds`` times, the first of which starts from rest; ``yaw`` of the base."""
 
     radius: float = Field(0.15, gt=0, le=1.0)
-    lap: float = Field(6.0, ge=1.0, le=60.0)
+    lap_time: float = Field(6.0, ge=1.0, le=60.0)
     rounds: int = Field(3, ge=1, le=50)
-    settle: float = Field(3.0, ge=0.5, le=60.0)
+    settle_time: float = Field(3.0, ge=0.5, le=60.0)
     yaw: Literal["held", "free"] = "held"
 
     def idle(self) -> dict[str, str]:
@@ -38,10 +38,10 @@ class RezeroCircleSettings(AccurateSettings):
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
     """Ball positions (n, 2) [m] round a centre on its left: it starts and ends at rest, a second each of constant angular
     acceleration, in between at constant speed."""
-    rate, total = 2.0 * np.pi / settings.lap, 2.0 * np.pi * settings.rounds
-    end = settings.settle + total / rate + 1.0
-    t = np.clip(times, settings.settle, end) - settings.settle
-    last = end - settings.settle
+    rate, total = 2.0 * np.pi / settings.lap_time, 2.0 * np.pi * settings.rounds
+    end = settings.settle_time + total / rate + 1.0
+    t = np.clip(times, settings.settle_time, end) - settings.settle_time
+    last = end - settings.settle_time
     angle = np.where(t < 1.0, 0.5 * rate * t**2, rate * (t - 0.5))
     angle = np.where(t > last - 1.0, total - 0.5 * rate * (last - t) ** 2, angle)
     return settings.radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
@@ -55,7 +55,7 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
     robot = ball_robot(settings)
     arm = bent_arm(settings, robot)
     home = robot.base.numeric.equilibrium(arm)[0]
-    duration = settings.settle + settings.rounds * settings.lap + 3.0
+    duration = settings.settle_time + settings.rounds * settings.lap_time + 3.0
     grid = np.arange(0.0, duration + settings.mpc.horizon, 0.01)
     body = np.tile(home, (grid.size, 1))
     body[:, :2] = ball_path(settings, grid)
@@ -65,7 +65,7 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
 
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
         t = log.times("state")
-        use = t >= settings.settle
+        use = t >= settings.settle_time
         wanted = ball_path(settings, t)
         return {
             "hand_error_rms": Metric(rms((hand_felt(log) - hand)[use]), "m", goal=0.005),

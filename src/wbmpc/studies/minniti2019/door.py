@@ -18,7 +18,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress, Timing
-from wbmpc.studies.minniti2019.door_control import DoorAgent, Push
+from wbmpc.studies.minniti2019.door_control import DoorController, Push
 from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, worst_estimates
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, TIP_MASS, TIP_RADIUS, Door, DoorPlant
@@ -33,7 +33,7 @@ LABELS = ("low", "high")
 #: Where the hand touches the panel, from the hinge; the gap before it [m].
 LEVER, GAP = 0.7, 0.10
 HERE = [
-    "the door's hinge is where it is believed to be within misplaced; the closed panel's place is learnt from the touch",
+    "the door's hinge is where it is believed to be within door_position_error; the closed panel's place is learnt from the touch",
     "only the rubber tip of the hand touches the door, and only its panel; the robot's body does not",
     "the force sensor has noise of 0.1 N and a bias of 0.1 N for each axis; it stands between hand and tip",
     "the closer's torque is constant, dry friction is Coulomb's",
@@ -45,8 +45,8 @@ NOMINAL = (2.56, 12.0, 3.5)
 def make_plant(
     settings: RezeroDoorSettings, robot: RobotModel, home: np.ndarray, torque: np.ndarray, seed: int
 ) -> DoorPlant:
-    """The robot before a door that stands up to ``misplaced`` away from where it is believed to be."""
-    error = np.random.default_rng([seed, 23]).uniform(-settings.misplaced, settings.misplaced, 2)
+    """The robot before a door that stands up to ``door_position_error`` away from where it is believed to be."""
+    error = np.random.default_rng([seed, 23]).uniform(-settings.door_position_error, settings.door_position_error, 2)
     hinge = np.array(believed(robot.pose(home)[0]).hinge) + error
     door = Door((float(hinge[0]), float(hinge[1])), **DOORS[settings.door])
     return DoorPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
@@ -62,7 +62,7 @@ def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
     """The steady force [N] on the hand that the limit of the lean holds at home; infinite without that limit.
 
     A door that gives way takes the force from a robot that leans for it: what the lean then needs to be stopped is left over by
-    ``hold``. (Rezero: 35 N. Pushed with 30 N it ran after doors and fell, tuning seeds 1 and 6.)"""
+    ``lean_share``. (Rezero: 35 N. Pushed with 30 N it ran after doors and fell, tuning seeds 1 and 6.)"""
     if settings.cost.lean == 0.0:
         return np.inf
     balance = Balance.of(robot, robot.home[robot.state["arm"]])
@@ -70,18 +70,20 @@ def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
 
 
 def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tuple[float, str]:
-    """The force [N] to push with where ``force`` is asked for, and a sentence (a warning too) if it is less."""
-    most = settings.hold * held(settings, robot)
+    """The force [N] to push with where ``force`` is asked for, and a message (a warning too) if it is less."""
+    most = settings.lean_share * held(settings, robot)
     if force <= most:
         return force, ""
-    told = f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (hold)"
-    _LOG.warning("%s, at %g N", told, force)
-    return most, told
+    fault = (
+        f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (lean_share)"
+    )
+    _LOG.warning("%s, at %g N", fault, force)
+    return most, fault
 
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
     """One run with the reference ``force`` [N]."""
-    robot = ball_robot(settings, settings.weigh and settings.observer, contact="force")
+    robot = ball_robot(settings, settings.estimate_payload and settings.estimate_disturbance, contact="force")
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0])
     push = settings.push or suited(settings.scheme)
@@ -90,29 +92,29 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
         settings.mpc.solver(), settings.mpc.rate,
     )  # fmt: skip
     plant = make_plant(settings, robot, home, torque, seed)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    possible, told = bounded(settings, robot, force)
-    agent = make_agent(settings, possible, robot, mpc, home, torque, timing.period, geometry)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
+    possible, fault = bounded(settings, robot, force)
+    controller = make_controller(settings, possible, robot, mpc, home, torque, timing.period, geometry)
     log = Log()
 
     def record(t: float, command: Any, plans: Any) -> None:
-        record_rezero(log, t, plant, agent, command.torque)
-        record_door(log, t, plant, agent, plans)
+        record_rezero(log, t, plant, controller, command.torque)
+        record_door(log, t, plant, controller, plans)
 
-    duration = settings.settle + settings.patience + settings.rest
-    outcome = Loop(plant, agent, mpc, timing, duration, record).run(progress)
-    return Trial(force, log, outcome.ending, mpc, (*filter(None, [told]), *outcome.faults))
+    duration = settings.settle_time + settings.timeout + settings.final_hold_time
+    outcome = Loop(plant, controller, mpc, timing, duration, record).run(progress)
+    return Trial(force, log, outcome.ending, mpc, (*filter(None, [fault]), *outcome.faults))
 
 
-def make_agent(
+def make_controller(
     settings: RezeroDoorSettings, force: float, robot: RobotModel, mpc: MPC, home: np.ndarray, torque: np.ndarray, period: float,
     geometry: DoorGeometry,
-) -> DoorAgent:  # fmt: skip
-    """The agent at home, with its references and what it is to do."""
+) -> DoorController:  # fmt: skip
+    """The controller at home, with its references and what it is to do."""
     hand, quaternion = robot.pose(home)
-    wanted = lambda t: force * float(np.clip(t / max(settings.rise, 1e-9), 0.0, 1.0))
+    wanted = lambda t: force * float(np.clip(t / max(settings.rise_time, 1e-9), 0.0, 1.0))
     push = Push(
-        wanted, hand, quaternion, settings.settle, settings.speed, settings.open, settings.settle + settings.patience,
+        wanted, hand, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
         back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
     )  # fmt: skip
     for body in ("body", "push_body"):
@@ -123,7 +125,7 @@ def make_agent(
     for pose in ("hand", "turn"):
         mpc.reference[pose] = Reference.poses([0.0], hand, quaternion)
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
-    agent = DoorAgent(
+    controller = DoorController(
         robot,
         mpc,
         push,
@@ -132,30 +134,30 @@ def make_agent(
         settings.scheme.identify,
         torque,
         period,
-        DriveSettings(settings.drive_lag, settings.drive_dead_time),
-        settings.observer,
+        DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time),
+        settings.estimate_disturbance,
         estimator,
         FallPredictor(robot, robot.home[robot.state["arm"]]),
     )
-    mpc.solver.set_parameters(agent.parameters())
-    start = np.concatenate([home, agent.door]) if agent.with_door else home
+    mpc.solver.set_parameters(controller.parameters())
+    start = np.concatenate([home, controller.door]) if controller.with_door else home
     mpc.reset(start, np.concatenate([torque, np.zeros(3)]))
-    return agent
+    return controller
 
 
-def record_door(log: Log, t: float, plant: DoorPlant, agent: DoorAgent, plans: Any) -> None:
+def record_door(log: Log, t: float, plant: DoorPlant, controller: DoorController, plans: Any) -> None:
     """Forces, door and phases."""
     log.add("force", t, plant.contact_force())
     log.add("normal", t, plant.normal)
     log.add("door", t, np.array([plant.angle, plant.rate]))
-    log.add("door_estimated", t, agent.door)
-    log.add("force_measured", t, -agent.force)
-    log.add("force_sensorless", t, -agent.sensorless.force)
+    log.add("door_estimated", t, controller.door)
+    log.add("force_measured", t, -controller.force)
+    log.add("force_sensorless", t, -controller.sensorless.force)
     log.add("force_planned", t, -plans.current.feedforward(t)[-3:])
-    log.add("pushing", t, float(agent.phase == "push"))
-    log.add("touching", t, float(agent.contact.touching))
-    log.add("impedance", t, agent.impedance)
-    log.add("hand_wanted", t, agent.mpc.reference["hand"].at(t)[:3])
+    log.add("pushing", t, float(controller.phase == "push"))
+    log.add("touching", t, float(controller.contact.touching))
+    log.add("impedance", t, controller.impedance)
+    log.add("hand_wanted", t, controller.mpc.reference["hand"].at(t)[:3])
 
 
 def build(settings: RezeroDoorSettings, seed: int) -> Scenario:
@@ -170,7 +172,7 @@ def build(settings: RezeroDoorSettings, seed: int) -> Scenario:
     names, log = LABELS[-len(settings.forces) :], Log()
     return Scenario(
         log, [Part(f"{force:g} N", partial(push, force)) for force in sorted(settings.forces)],
-        lambda run: {**metrics(trials, names, settings.rise), **worst_estimates(trials)},
+        lambda run: {**metrics(trials, names, settings.rise_time), **worst_estimates(trials)},
         lambda run: [plot for name, t in zip(names, trials, strict=False) for plot in door_plots(name, t, settings)],
         [*HERE, *IDEALISATIONS],
     )  # fmt: skip

@@ -2,8 +2,8 @@
 
 Phases: the hand approaches (mode ``free`` up to the predicted touch, then contact: the plan leans before it touches), pushes
 (``held`` until the door moves, then ``moving``), lets go when the door is open. A contact is one when the debounced force says
-so; plans made without it have no wrench (one made before, which goes on while newer ones are refused, still has). A sensor that
-says nothing cannot be told from a hand that is free, nor one that says the same for ever from a hand that pushes; so its numbers
+so; plans made without it have no wrench (one made before, which goes on while newer ones are rejected, still has). A sensor that
+says nothing cannot be reported from a hand that is free, nor one that says the same for ever from a hand that pushes; so its numbers
 must change, and they are compared with the force that the momentum observer finds without it. Before the hand starts it touches
 nothing, whatever the sensor says: that is its zero. A hand whose sensor is not believed lets go, as one does that has found no
 door in time; the force is zero from then on.
@@ -37,7 +37,7 @@ Array = np.ndarray
 _LOG = logging.getLogger("wbmpc")
 #: While it has not touched, the hand is planned to touch no earlier than this [s].
 SOON = 0.05
-#: Least and largest impedance that the optimiser is told (inertia, damping, resistance).
+#: Least and largest impedance that the optimiser is reported (inertia, damping, resistance).
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
 #: How well the generalised forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
 SPREAD = (2.0, 2.0, 1.0, 1.5, 1.5, 0.1)
@@ -48,7 +48,7 @@ ANTICIPATED = 8.0
 NEVER = 1e6
 #: A door moves when it is faster than this [rad/s], and rests below a third of it.
 MOVING = 0.03
-#: Above this rate [rad/s] it tells its impedance.
+#: Above this rate [rad/s] the motion shows its impedance.
 SLIDING = 0.06
 #: Points of the references over the horizon.
 POINTS = 27
@@ -67,7 +67,7 @@ def modes(door: bool) -> dict[str, Mode]:
 @dataclass(frozen=True)
 class Push:
     """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the hand starts from ``start`` (3) [m] at time
-    ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``open`` [rad] or, touch or not, at time ``give_up`` [s]
+    ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``opening_angle`` [rad] or, touch or not, at time ``give_up`` [s]
     and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries."""
 
     force: Callable[[float], float]
@@ -82,8 +82,8 @@ class Push:
     tip_weight: float
 
 
-class DoorAgent(BallController):
-    """The agent of the ball robot before a door. ``geometry``: where it believes the door to be; it learns the closed panel's
+class DoorController(BallController):
+    """The controller of the ball robot before a door. ``geometry``: where it believes the door to be; it learns the closed panel's
     place when it touches it. ``door`` (2): angle [rad] and rate [rad/s] of the door; ``phase``: approach, push or release."""
 
     def __init__(
@@ -171,7 +171,7 @@ class DoorAgent(BallController):
 
     def _distrust(self, t: float) -> None:
         """The sensor has a fault: there is neither force nor contact any more."""
-        self._tell(self.sensor.fault, t)
+        self._report(self.sensor.fault, t)
         self.force, self.contact.touching = np.zeros(3), False
 
     @property
@@ -179,7 +179,7 @@ class DoorAgent(BallController):
         """As of every ball robot; a force sensor that is not believed, a door that was not there."""
         return [*super().faults, *self._found]
 
-    def _tell(self, fault: str, t: float) -> None:
+    def _report(self, fault: str, t: float) -> None:
         self._found.append(f"{fault} ({t:.2f} s)")
         _LOG.warning("%s", self._found[-1])
 
@@ -207,7 +207,7 @@ class DoorAgent(BallController):
         if self.sensor.fault:
             return True
         if self.phase == "approach" and t >= self.push.give_up:
-            self._tell("the hand has found no door", t)
+            self._report("the hand has found no door", t)
         return bool(t >= self.push.give_up or (self.phase == "push" and self.door[0] >= self.push.open))
 
     def _identify(self, hand: Array) -> None:

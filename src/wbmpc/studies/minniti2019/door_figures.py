@@ -116,10 +116,10 @@ def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Pl
     """The paper's Fig. 9 for one force, with what was planned; door, impedance and torques."""
     log, wanted = trial.log, trial.force
     t, normal, state = log.times("force"), log.array("normal"), log.array("state")
-    touch, _ = pushed(log, settings.rise)
+    touch, _ = pushed(log, settings.rise_time)
     along = lambda channel: np.sum(log.array(channel) * normal, axis=1)
     tangential = np.linalg.norm(log.array("force") - normal_force(log)[:, None] * normal, axis=1)
-    reference = wanted * np.clip((t - touch) / max(settings.rise, 1e-9), 0.0, 1.0) * log.array("pushing")
+    reference = wanted * np.clip((t - touch) / max(settings.rise_time, 1e-9), 0.0, 1.0) * log.array("pushing")
     label = f"{wanted:g} N"
     door, believed_door = np.rad2deg(log.array("door")), np.rad2deg(log.array("door_estimated"))
     impedance, first = log.array("impedance"), np.maximum(np.abs(log.array("impedance")[0]), 1e-9)

@@ -1,7 +1,7 @@
 """The impedance of a door from the force on it and its motion: a Kalman filter.
 
 I φ̈ + d φ̇ + c = τ of a door that opens, with the unknown inertia I, damping d and resistance c. c is closer plus dry friction: while
-a door only opens, the two cannot be told apart. States are angle, rate and 1 / I, d / I, c / I, in which the equation is nearly
+a door only opens, the two cannot be distinguished. States are angle, rate and 1 / I, d / I, c / I, in which the equation is nearly
 linear (with I, d, c themselves the filter was sure of wrong values). At a steady rate only d φ̇ + c is seen; the covariance says
 so. A door that rests or creeps says nothing: :meth:`DoorFilter.rest`.
 """

@@ -86,7 +86,7 @@ def door_problem(
 
 
 def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push: PushCost) -> None:
-    h, b, end = cost.hand, cost.body, cost.terminal
+    h, b, end = cost.end_effector, cost.body, cost.terminal
     pose = np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
     turn = np.array([0.0] * 3 + [push.orientation, push.orientation, min(push.orientation, h.roll)])
     error = residuals.FramePose(robot, robot.tool, axes="reference")

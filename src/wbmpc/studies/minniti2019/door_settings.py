@@ -22,14 +22,14 @@ DOORS: dict[str, dict[str, Any]] = {
 
 
 class RezeroDoorSettings(RezeroSettings):
-    """``forces`` [N] along the normal, a run each, reached ``rise`` [s] after the touch; ``door``: its kind; ``settle`` [s] before
-    the hand starts, with ``speed`` [m/s]; it lets go at ``open`` [rad], or ``patience`` [s] after it started; the run ends
-    ``rest`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
-    (what is left out: as suits the scheme); ``misplaced`` [m]: the door's place is not known better; ``hold``: a force beyond this
-    share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is told."""
+    """``forces`` [N] along the normal, a run each, reached ``rise_time`` [s] after the touch; ``door``: its kind; ``settle_time`` [s] before
+    the hand starts, with ``speed`` [m/s]; it lets go at ``opening_angle`` [rad], or ``timeout`` [s] after it started; the run ends
+    ``final_hold_time`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
+    (what is left out: as suits the scheme); ``door_position_error`` [m]: the door's place is not known better; ``lean_share``: a force beyond this
+    share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is reported."""
 
     cost: RezeroCost = RezeroCost(
-        hand=HandCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
+        end_effector=HandCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
         body=BodyCost(ball_speed=1.0, tilt_rate=5.0, arm=1.0),
         torque=TorqueCost(wheel=0.2, arm=0.3),
         lean=0.6,
@@ -39,17 +39,17 @@ class RezeroDoorSettings(RezeroSettings):
     push: PushCost | None = None
     door: Literal["free", "heavy", "sticking", "light", "locked"] = "free"
     forces: tuple[Annotated[float, Field(gt=0, le=200.0)], ...] = Field((8.0, 16.0), min_length=1, max_length=2)
-    rise: float = Field(0.3, ge=0, le=10.0)
-    settle: float = Field(3.0, ge=0.5, le=60.0)
+    rise_time: float = Field(0.3, ge=0, le=10.0)
+    settle_time: float = Field(3.0, ge=0.5, le=60.0)
     speed: float = Field(0.1, gt=0, le=1.0)
-    open: float = Field(float(np.deg2rad(60.0)), gt=0, le=2.0)
-    patience: float = Field(9.0, ge=1.0, le=120.0)
-    rest: float = Field(2.0, ge=0.1, le=60.0)
-    misplaced: float = Field(0.01, ge=0, le=0.05)
-    hold: float = Field(0.6, gt=0, le=10.0)
+    opening_angle: float = Field(float(np.deg2rad(60.0)), gt=0, le=2.0)
+    timeout: float = Field(9.0, ge=1.0, le=120.0)
+    final_hold_time: float = Field(2.0, ge=0.1, le=60.0)
+    door_position_error: float = Field(0.01, ge=0, le=0.05)
+    lean_share: float = Field(0.6, gt=0, le=10.0)
 
     unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "rival", "tracking", "brace", "pushed_speed", "cost.hand.turn_limit",
+        *RezeroSettings.unused, "controller", "baseline", "tracking", "expected_push_time", "max_pushed_speed", "cost.end_effector.turn_limit",
     )  # fmt: skip
 
     def idle(self) -> dict[str, str]:
@@ -59,7 +59,7 @@ class RezeroDoorSettings(RezeroSettings):
         if not scheme.cone:
             out |= dict.fromkeys(("scheme.friction", "scheme.least"), "scheme.cone=false")
         if self.cost.lean == 0.0:
-            out["hold"] = "cost.lean=0"
+            out["lean_share"] = "cost.lean=0"
         return out
 
     @field_validator("push", mode="before")

@@ -58,27 +58,27 @@ def drive(
     mpc = frequency_mpc(settings, name == "shaped")
     set_home_references(mpc, robot, torque, home)
     position, quaternion = robot.pose(home)
-    times = np.array([0.0, settings.settle, settings.settle + settings.hold])
+    times = np.array([0.0, settings.settle_time, settings.settle_time + settings.hold_time])
     places = np.array([position, position + settings.step, position])
     mpc.reference["hand"] = Reference.poses(times, places, quaternion, hold=True)
     rest = [home, resting(robot, places[1], quaternion), home]
     mpc.reference["body"] = Reference(times, np.array(rest), "hold")
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
     own = (
         timing.period,
-        DriveSettings(settings.drive_lag),
-        settings.observer,
+        DriveSettings(settings.actuator_time_constant),
+        settings.estimate_disturbance,
         estimator,
         FallPredictor(robot, robot.home[robot.state["arm"]]),
     )
-    agent: BallController
+    controller: BallController
     if name == "shaped":
-        agent = FrequencyAwareController(robot, mpc, torque, *own)
-        mpc.reset(*agent.memory.dynamics.equilibrium(home, torque))
+        controller = FrequencyAwareController(robot, mpc, torque, *own)
+        mpc.reset(*controller.memory.dynamics.equilibrium(home, torque))
     else:
-        agent = BallController(robot, mpc, torque, *own)
+        controller = BallController(robot, mpc, torque, *own)
         mpc.reset(home, torque)
     single, asked = Log(), torque.copy()
 
@@ -92,9 +92,9 @@ def drive(
         log.add(f"asked_{name}", t, asked.copy())  # the command before this one, which has acted until now
         asked[:] = command.torque
         log.add(f"wanted_{name}", t, places[k])
-        record_rezero(single, t, plant, agent, command.torque)
+        record_rezero(single, t, plant, controller, command.torque)
 
-    outcome = Loop(plant, agent, mpc, timing, float(times[-1]) + settings.hold, record).run(progress)
+    outcome = Loop(plant, controller, mpc, timing, float(times[-1]) + settings.hold_time, record).run(progress)
     append_as(single, log, name, ("state", "tilt", "torque"))
     return outcome
 

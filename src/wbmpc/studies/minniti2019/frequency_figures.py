@@ -27,10 +27,10 @@ def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Endi
         wheels = count_wheels(log.array(f"state_{name}"), error)
         t, hand = log.times(f"hand_{name}"), log.array(f"hand_{name}")
         step = np.array(settings.step)
-        start = settings.settle - lead
-        window = (t >= start) & (t < start + settings.hold)
+        start = settings.settle_time - lead
+        window = (t >= start) & (t < start + settings.hold_time)
         done = (hand[window] - log.array(f"wanted_{name}")[0]) @ step / (step @ step)
-        last = (t >= start + settings.hold - 1.0) & (t < start + settings.hold)
+        last = (t >= start + settings.hold_time - 1.0) & (t < start + settings.hold_time)
         steady = np.linalg.norm(hand[last] - log.array(f"wanted_{name}")[0] - step, axis=1)
         squares = lambda part: float(np.sqrt(np.mean(np.sum(part**2, axis=1) / part.shape[1])))
         out |= {

@@ -14,10 +14,10 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 VARIANTS = ("plain", "shaped")
-#: Shorter steps [m] are not told from the hand's noise.
+#: Shorter steps [m] cannot be distinguished from the noise.
 LEAST_STEP = 0.01
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
-ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, drive_lag=0.0)
+ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, actuator_time_constant=0.0)
 
 
 class FilterSettings(Settings):
@@ -33,21 +33,22 @@ class FilterSettings(Settings):
 
 
 class RezeroFrequencySettings(RezeroSettings):
-    """``step`` (3) [m] of the hand and back, ``settle`` [s] before it, ``hold`` [s] of each; ``filters`` of the shaped variant;
+    """``step`` (3) [m] of the hand and back, ``settle_time`` [s] before it, ``hold_time`` [s] of each; ``filters`` of the shaped variant;
     ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
 
     plant: Perturbation = ELASTIC
     cost: RezeroCost = STEPS_AND_PUSHES
-    drive_lag: float = Field(0.006, ge=0, le=0.5)
+    actuator_time_constant: float = Field(0.006, ge=0, le=0.5)
     filters: FilterSettings = FilterSettings()
     step: tuple[float, float, float] = (0.2, 0.0, 0.0)
-    settle: float = Field(3.0, ge=0.5, le=60.0)
-    hold: float = Field(5.0, ge=1.0, le=60.0)
+    settle_time: float = Field(3.0, ge=0.5, le=60.0)
+    hold_time: float = Field(5.0, ge=1.0, le=60.0)
     preview: bool = True
     variants: tuple[str, ...] = VARIANTS
 
     unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "rival", "tracking", "weigh", "brace", "pushed_speed", "drive_dead_time",
+        *RezeroSettings.unused, "controller", "baseline", "tracking", "estimate_payload",
+        "expected_push_time", "max_pushed_speed", "actuator_dead_time",
     )  # fmt: skip
 
     def idle(self) -> dict[str, str]:
@@ -64,9 +65,9 @@ class RezeroFrequencySettings(RezeroSettings):
 
     @model_validator(mode="after")
     def _rest_before(self) -> Self:
-        if self.preview and self.settle < self.mpc.horizon:
+        if self.preview and self.settle_time < self.mpc.horizon:
             raise ValueError(
-                f"settle: {self.settle:g} s before a step that is seen {self.mpc.horizon:g} s ahead (mpc.horizon): at least "
+                f"settle_time: {self.settle_time:g} s before a step that is seen {self.mpc.horizon:g} s ahead (mpc.horizon): at least "
                 "as long, or preview=false"
             )
         return self

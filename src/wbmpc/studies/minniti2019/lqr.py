@@ -1,4 +1,4 @@
-"""Rivals of the MPC for a ball robot: linear-quadratic regulators about its equilibria, at the controller's rate.
+"""Baselines of the MPC for a ball robot: linear-quadratic regulators about its equilibria, at the controller's rate.
 
 They have the MPC's weights (hand pose and twist, ball, rates, torques), its estimator, its estimated disturbance and its drives'
 limits, but no horizon with limits: what they ask for is cut. References are equilibria. The gain-scheduled one takes its gains
@@ -105,7 +105,7 @@ class LqrController(BallController):
     def regulate(
         self, gains: RegulatorGains, wanted_state: Callable[[float], Array], scheduled: bool, most: float
     ) -> None:
-        """What the regulator needs beside the agent's own."""
+        """What the regulator needs beside the controller's own."""
         self.gains, self.wanted_state, self.scheduled, self.most = gains, wanted_state, scheduled, most
         home = self.robot.home[self.robot.state["arm"]]
         self._home, self._shift = gains.at(home), gains.at_rest(home)

@@ -47,9 +47,9 @@ def estimator_metrics(log: Log) -> dict[str, Metric]:
     }
 
 
-def fault_metrics(*agents: BallController) -> dict[str, Metric]:
-    """How many encoders were found to stand still, and wheels to slip, by all agents of a run."""
-    monitors = [a.monitor for a in agents if a.monitor is not None]
+def fault_metrics(*controllers: BallController) -> dict[str, Metric]:
+    """How many encoders were found to stand still, and wheels to slip, by all controllers of a run."""
+    monitors = [a.monitor for a in controllers if a.monitor is not None]
     return {"encoder_faults": Metric(float(sum(len(m.faults) for m in monitors)), "1")} if monitors else {}
 
 

@@ -26,25 +26,25 @@ IDEALISATIONS = ["pushes are exact forces at the base's centre of mass"]
 
 
 class RezeroPushSettings(RezeroSettings):
-    """``forces`` [N], each along x and then along y, for ``length`` [s], whole controller periods; ``pause`` [s] from one push to
+    """``forces`` [N], each along x and then along y, for ``push_duration`` [s], whole controller periods; ``pause`` [s] from one push to
     the next."""
 
     forces: tuple[Annotated[float, Field(ge=0, le=5000.0)], ...] = Field((50.0, 100.0, 200.0), min_length=1)
-    length: float = Field(0.2, gt=0, le=5.0)
+    push_duration: float = Field(0.2, gt=0, le=5.0)
     pause: float = Field(7.0, ge=2.0, le=60.0)
-    settle: float = Field(3.0, ge=0.5, le=60.0)
+    settle_time: float = Field(3.0, ge=0.5, le=60.0)
 
     @model_validator(mode="after")
     def _whole_periods(self) -> Self:
-        whole("length", self.length, 1.0 / self.control.rate, "controller periods")
+        whole("push_duration", self.push_duration, 1.0 / self.control.rate, "controller periods")
         return self
 
     @model_validator(mode="after")
     def _one_after_the_other(self) -> Self:
-        if self.pause < self.length + LAST:
+        if self.pause < self.push_duration + LAST:
             raise ValueError(
-                f"pause: {self.pause:g} s from one push to the next, which are {self.length:g} s long and judged by the last "
-                f"{LAST:g} s; at least {self.length + LAST:g} s are needed"
+                f"pause: {self.pause:g} s from one push to the next, which are {self.push_duration:g} s long and judged by the last "
+                f"{LAST:g} s; at least {self.push_duration + LAST:g} s are needed"
             )
         return self
 
@@ -54,7 +54,7 @@ class RezeroPushBallSettings(RezeroPushSettings):
 
     cost: RezeroCost = STEPS_AND_PUSHES.model_copy(
         update={
-            "hand": STEPS_AND_PUSHES.hand.model_copy(update={"weight": 0.0}),
+            "end_effector": STEPS_AND_PUSHES.end_effector.model_copy(update={"weight": 0.0}),
             "body": STEPS_AND_PUSHES.body.model_copy(update={"ball": 10.0}),
         }
     )
@@ -65,10 +65,10 @@ class RezeroPushHandSettings(RezeroPushSettings):
 
 
 def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
-    pushes, t = [], settings.settle
+    pushes, t = [], settings.settle_time
     for force in settings.forces:
         for direction in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
-            pushes.append(Push(t, settings.length, tuple(force * np.array(direction))))
+            pushes.append(Push(t, settings.push_duration, tuple(force * np.array(direction))))
             t += settings.pause
     return Task(arm, t, pushes=tuple(pushes))
 

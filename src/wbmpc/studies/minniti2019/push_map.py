@@ -25,7 +25,7 @@ MODES: dict[str, type[RezeroPushSettings]] = {"ball": RezeroPushBallSettings, "h
 #: Largest impulse [N s] that is tried, and the width [N s] at which a bisection ends.
 MOST, FINE = 320.0, 5.0
 #: Settings of the push experiments that a map does not read: its pushes have lengths and forces of their own, after 1 s.
-UNUSED = ("forces", "length", "settle")
+UNUSED = ("forces", "push_duration", "settle_time")
 #: What is asked of the robot after a push, the harder first: attributes of an outcome.
 CRITERIA = ("recovers", "stands")
 #: Impulses [N s]: the robot does what is asked after the first, and not after the second.
@@ -72,7 +72,7 @@ def check(point: Point) -> None:
             raise InputError(
                 f"{key}: the push map does not use it; lengths are those of the map, forces what it looks for"
             )
-    settings = (*point.given, f"length={point.length!r}")
+    settings = (*point.given, f"push_duration={point.length!r}")
     configure(MODES[point.mode], settings, f"rezero-push-{point.mode}, {point.length:g} s long")
 
 

@@ -1,6 +1,6 @@
-"""The paper's rival: base and arm controlled by themselves (Minniti et al. 2019, section IV-C), and what can be added to it.
+"""The paper's baseline: base and arm controlled by themselves (Minniti et al. 2019, section IV-C), and what can be added to it.
 
-A base MPC that is told only of ball and base and takes the arm to stand still in its nominal configuration; a joint-level PID
+A base MPC that is reported only of ball and base and takes the arm to stand still in its nominal configuration; a joint-level PID
 for the arm, whose goal is the inverse kinematics of the hand's task at the present pose of the base. Two things may be added:
 the disturbance observer on the base's rows (integral action: an arm that has moved is a constant tilting moment for it), and the
 arm's motion in the base MPC's prediction (its moving centre of mass and its reaction, fed forward).
@@ -102,8 +102,8 @@ class ArmLoop:
 
 class SeparateController(BallController):
     """``mpc``: the whole robot's, as a model for the prediction over the delay and for its references only; ``planner``: the base
-    MPC (:class:`wbmpc.studies.minniti2019.held_arm.ServoedArm`). ``aware``: whether it knows of the arm's motion. ``observer`` (of the other agents):
-    the disturbance of the base's rows alone."""
+    MPC (:class:`wbmpc.studies.minniti2019.held_arm.ServoedArm`). ``aware``: whether it knows of the arm's motion. ``observer``
+    (of the other controllers): the disturbance of the base's rows alone."""
 
     def __init__(
         self, robot: RobotModel, mpc: MPC, torque: Array, period: float, drives: DriveSettings, observer: bool, *more: Any,
@@ -162,7 +162,7 @@ class SeparateController(BallController):
         return np.concatenate([policy.feedforward(t), weight]), np.concatenate([policy.law(t, believed), arm])
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """What the base MPC is told at time ``until``; its references are those of the whole robot."""
+        """What the base MPC is reported at time ``until``; its references are those of the whole robot."""
         self.planner.reference["body"] = self.mpc.reference["body"]
         there = super().predict(t, until, plans)
         return Observation(there.t, self.believed(there.x))

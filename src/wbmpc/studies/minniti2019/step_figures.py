@@ -63,7 +63,7 @@ def metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: b
     norm = lambda vector: float(np.linalg.norm(vector))
     lead = settings.lead
     for k in range(len(STEPS)):
-        start, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold
+        start, end = schedule.times[k + 1], schedule.times[k + 1] + settings.hold_time
         if t[-1] < end - 0.1:
             continue
         window = (t >= start - lead) & (t < end - lead)
@@ -75,7 +75,7 @@ def metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: b
         turned.append(_orientation_error(felt_turn[last], schedule.quaternions[k + 1]))
         turned_world.append(_orientation_error(true_turn[last], schedule.quaternions[k + 1]))
     start = schedule.times[len(STEPS) + 1]
-    roll = (t >= start + settings.hold - lead - STEADY) & (t < start + settings.hold - lead)
+    roll = (t >= start + settings.hold_time - lead - STEADY) & (t < start + settings.hold_time - lead)
     impossible = schedule.quaternions[len(STEPS) + 1]
     unreachable = norm(_orientation_error(true_turn[roll], impossible)) if roll.any() else float("inf")
     worst = lambda values: max(values) if values else float("inf")

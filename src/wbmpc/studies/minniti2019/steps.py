@@ -28,14 +28,14 @@ MOVING = 0.5
 
 
 class RezeroStepsSettings(RezeroSettings):
-    """``settle`` [s] at home before the steps, ``hold`` [s] of each step, ``rest`` [s] at home after them.
+    """``settle_time`` [s] at home before the steps, ``hold_time`` [s] of each step, ``final_hold_time`` [s] at home after them.
 
     ``preview``: whether the MPC sees a step before it comes.
     """
 
-    hold: float = Field(5.0, ge=STEADY + MOVING, le=600.0)
-    settle: float = Field(5.0, ge=0.5, le=600.0)
-    rest: float = Field(10.0, ge=0.0, le=600.0)
+    hold_time: float = Field(5.0, ge=STEADY + MOVING, le=600.0)
+    settle_time: float = Field(5.0, ge=0.5, le=600.0)
+    final_hold_time: float = Field(10.0, ge=0.0, le=600.0)
     preview: bool = True
 
     own: ClassVar[tuple[str, ...]] = ("mpc.horizon",)
@@ -49,21 +49,21 @@ class RezeroStepsSettings(RezeroSettings):
     def _windows(self) -> Self:
         least = STEADY + max(self.lead, MOVING)
         way_out = "; a smaller mpc.horizon or preview=false needs less" if self.lead > MOVING else ""
-        if self.hold < least - 1e-9:
+        if self.hold_time < least - 1e-9:
             raise ValueError(
-                f"hold={self.hold:g}: a step needs {least:g} s, {STEADY:g} s to be judged and before that the preview "
+                f"hold_time={self.hold_time:g}: a step needs {least:g} s, {STEADY:g} s to be judged and before that the preview "
                 f"(mpc.horizon) or {MOVING:g} s to move{way_out}"
             )
-        if self.settle < self.lead - 1e-9:
+        if self.settle_time < self.lead - 1e-9:
             raise ValueError(
-                f"settle={self.settle:g}: at least the preview of {self.lead:g} s (mpc.horizon) is needed{way_out}"
+                f"settle_time={self.settle_time:g}: at least the preview of {self.lead:g} s (mpc.horizon) is needed{way_out}"
             )
         return self
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Home for ``settle``, the steps one after another, the impossible one, home again: times and poses that hold."""
+    """Home for ``settle_time``, the steps one after another, the impossible one, home again: times and poses that hold."""
 
     times: np.ndarray
     positions: np.ndarray
@@ -74,8 +74,8 @@ class Schedule:
     def of(cls, settings: RezeroStepsSettings, robot: RobotModel) -> Schedule:
         home = robot.pose(robot.home)
         poses = [home, *(target(s, *home) for s in (*STEPS, IMPOSSIBLE)), home]
-        times = [0.0, *(settings.settle + settings.hold * np.arange(len(STEPS) + 2))]
-        duration = times[-1] + settings.rest
+        times = [0.0, *(settings.settle_time + settings.hold_time * np.arange(len(STEPS) + 2))]
+        duration = times[-1] + settings.final_hold_time
         return cls(np.array(times), np.array([p for p, _ in poses]), np.array([q for _, q in poses]), duration)
 
     def reference(self) -> Reference:

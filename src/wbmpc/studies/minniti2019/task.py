@@ -16,7 +16,7 @@ from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.push import PushEstimator
-from wbmpc.bases.ball.settings import leaning_of
+from wbmpc.bases.ball.settings import lean_control_of
 from wbmpc.checks import whole
 from wbmpc.errors import InputError
 from wbmpc.experiment import Loop, Scenario
@@ -102,7 +102,9 @@ def ball_robot(settings: RezeroSettings, payload: bool = False, contact: str = "
 
 def robot_of(settings: RezeroSettings) -> RobotModel:
     """The ball robot as the controller of the settings models it: with a mass at the hand where that is estimated."""
-    return ball_robot(settings, settings.weigh and settings.observer and settings.controller == "mpc")
+    return ball_robot(
+        settings, settings.estimate_payload and settings.estimate_disturbance and settings.controller == "mpc"
+    )
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,7 @@ def ball_system(
     for term, reference in references.items():
         mpc.reference[term] = reference
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
     controller, planner = make_controller(settings, Parts(robot, mpc, torque, timing.period, estimator, arm))
     mpc.reset(home, torque)
@@ -157,10 +159,10 @@ def task_scenario(
     plant, controller, log = system.plant, system.controller, Log()
     if settings.controller == "mpc":
         robot = controller.robot
-        controller.leaning = leaning_of(settings, robot, task.arm)
-        if settings.brace > 0.0 and controller.estimator is not None:
+        controller.lean_control = lean_control_of(settings, robot, task.arm)
+        if settings.expected_push_time > 0.0 and controller.estimator is not None:
             # (states from the simulator with noise are all pushes)
-            controller.shoves = PushEstimator(robot, task.arm, settings.brace)
+            controller.shoves = PushEstimator(robot, task.arm, settings.expected_push_time)
 
     def record(t: float, command: Any, plans: Any) -> None:
         if before is not None:
@@ -179,7 +181,7 @@ def task_scenario(
     )  # fmt: skip
 
 
-def record_rezero(log: Log, t: float, plant: BallPlant, agent: BallController, torque: np.ndarray) -> None:
+def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallController, torque: np.ndarray) -> None:
     """The channels of every experiment: truth, torques, disturbance and, with an estimator, what it believes."""
     truth = plant.truth()
     log.add("state", t, plant.state())
@@ -187,11 +189,11 @@ def record_rezero(log: Log, t: float, plant: BallPlant, agent: BallController, t
     log.add("hand_quaternion", t, lie.rotation_to_quaternion(truth.tool_rotation))
     log.add("tilt", t, truth.tilt)
     log.add("torque", t, torque)
-    log.add("disturbance", t, agent.disturbance)
-    if agent.payload is not None:
-        log.add("payload", t, agent.payload.mass)
-    if agent.estimator is not None:
-        _record_estimate(log, t, agent.state()[: truth.state.size], truth, agent.estimator.filter)
+    log.add("disturbance", t, controller.disturbance)
+    if controller.payload is not None:
+        log.add("payload", t, controller.payload.mass)
+    if controller.estimator is not None:
+        _record_estimate(log, t, controller.state()[: truth.state.size], truth, controller.estimator.filter)
 
 
 def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estimator: BallFilter) -> None:

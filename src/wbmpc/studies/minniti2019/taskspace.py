@@ -28,12 +28,12 @@ HERE = ["neither controller sees a step before it comes"]
 
 
 class RezeroTaskspaceSettings(RezeroSettings):
-    """``settle`` [s] at home, then the eight steps of `rezero-steps`, ``hold`` [s] each."""
+    """``settle_time`` [s] at home, then the eight steps of `rezero-steps`, ``hold_time`` [s] each."""
 
-    hold: float = Field(5.0, ge=1.0, le=600.0)
-    settle: float = Field(4.0, ge=0.5, le=600.0)
+    hold_time: float = Field(5.0, ge=1.0, le=600.0)
+    settle_time: float = Field(4.0, ge=0.5, le=600.0)
 
-    unused: ClassVar[tuple[str, ...]] = (*RezeroSettings.unused, "controller", "brace", "pushed_speed")
+    unused: ClassVar[tuple[str, ...]] = (*RezeroSettings.unused, "controller", "expected_push_time", "max_pushed_speed")
 
     def controllers(self) -> tuple[Controller, ...]:
         return CONTROLLERS
@@ -43,7 +43,7 @@ def goals(settings: RezeroTaskspaceSettings, robot: RobotModel) -> tuple[np.ndar
     """Times (n,) [s] from which poses hold, positions (n, 3) [m], quaternions (n, 4)."""
     home = robot.pose(robot.home)
     poses = [home, *(target(step, *home) for step in STEPS)]
-    times = np.array([0.0, *(settings.settle + settings.hold * np.arange(len(STEPS)))])
+    times = np.array([0.0, *(settings.settle_time + settings.hold_time * np.arange(len(STEPS)))])
     return times, np.array([p for p, _ in poses]), np.array([q for _, q in poses])
 
 
@@ -68,7 +68,7 @@ def drive(
         record_rezero(single, t, system.plant, system.controller, command.torque)
         log.add(f"wanted_{name}", t, np.concatenate([places[now(t)], turns[now(t)]]))
 
-    outcome = system.loop(times[-1] + settings.hold, record).run(progress)
+    outcome = system.loop(times[-1] + settings.hold_time, record).run(progress)
     append_as(single, log, name, ("state", "hand_quaternion", "tilt", "torque"))
     return replace(outcome, mpc=system.mpc if name == "mpc" else None)
 

@@ -1,4 +1,4 @@
-"""The rival of the paper's main argument: an instantaneous task-space controller (Minniti et al. 2019, section I).
+"""The baseline of the paper's main argument: an instantaneous task-space controller (Minniti et al. 2019, section I).
 
 At every tick it looks for the torques whose accelerations now come nearest to what two tasks want: the hand's pose by a
 proportional-derivative law, and the base's balance by an LQR about the stance that carries the hand's goal. Bounded least

@@ -31,21 +31,21 @@ IDEALISATIONS = ["the load is unknown to the controller"]
 
 
 class RezeroWholebodySettings(AccurateSettings):
-    """``move`` [s] from corner to corner, ``hold`` [s] there, ``settle`` [s] at home before."""
+    """``move_time`` [s] from corner to corner, ``hold_time`` [s] there, ``settle_time`` [s] at home before."""
 
     payload: float = Field(1.0, ge=0, le=5.0)
-    move: float = Field(1.5, gt=0, le=60.0)
-    hold: float = Field(3.5, ge=STEADY, le=60.0)
-    settle: float = Field(8.0, ge=0.5, le=60.0)
+    move_time: float = Field(1.5, gt=0, le=60.0)
+    hold_time: float = Field(3.5, ge=STEADY, le=60.0)
+    settle_time: float = Field(8.0, ge=0.5, le=60.0)
 
 
 def hand_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) [s] and positions (n, 3) [m] of the hand: straight lines at constant speed, and holds."""
-    times, places, t = [0.0], [home], settings.settle
+    times, places, t = [0.0], [home], settings.settle_time
     for before, after in itertools.pairwise(CORNERS):
-        times += [t, t + settings.move]
+        times += [t, t + settings.move_time]
         places += [home + before, home + after]
-        t += settings.move + settings.hold
+        t += settings.move_time + settings.hold_time
     return np.array(times), np.array(places)
 
 
@@ -57,14 +57,14 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
     home = robot.base.numeric.equilibrium(arm)[0]
     position, quaternion = robot.pose(home)
     times, places = hand_path(settings, position)
-    ends = settings.settle + (settings.move + settings.hold) * np.arange(len(CORNERS))
+    ends = settings.settle_time + (settings.move_time + settings.hold_time) * np.arange(len(CORNERS))
 
     def wanted(t: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(t, times, places[:, i]) for i in range(3)], axis=1)
 
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
         t, torque = log.times("state"), log.array("torque")
-        use, hand = t >= settings.settle, hand_felt(log) - wanted(t)
+        use, hand = t >= settings.settle_time, hand_felt(log) - wanted(t)
         steady = [(t >= end - STEADY) & (t < end) & (t[-1] > end - 0.1) for end in ends]
         mean = lambda values: max(float(np.linalg.norm(values[w].mean(axis=0))) if w.any() else np.inf for w in steady)
         share = (

@@ -83,7 +83,7 @@ class Bench:
         )  # fmt: skip
 
 
-def refuse(robot: RobotModel) -> None:
+def reject(robot: RobotModel) -> None:
     """What this robot cannot do is said before the first test (:class:`InputError`)."""
     for name in CONFIGURATIONS:
         leg_angles(robot, name)
@@ -181,7 +181,7 @@ def slide_force(bench: Bench, name: str, progress: Progress | None) -> float:
 
 @dataclass(frozen=True)
 class Found:
-    """What a monitor found: ``time`` [s] from when the fault can be seen to its sentence about it, infinite without one; of
+    """What a monitor found: ``time`` [s] from when the fault can be seen to its message about it, infinite without one; of
     brakes that no test made fail all ``alarms``, and those of them that it did not take back (``real``)."""
 
     time: float
@@ -192,7 +192,7 @@ class Found:
     def of(cls, monitor: BrakeMonitor, failing: int | None, seen_from: float) -> Found:
         """``failing``: the leg whose brake is made to fail, which can be seen from ``seen_from`` [s] on."""
         right = [f.time for f in monitor.real if f.leg == failing]
-        alarms, real = ([f for f in told if f.leg != failing] for told in (monitor.faults, monitor.real))
+        alarms, real = ([f for f in faults if f.leg != failing] for faults in (monitor.faults, monitor.real))
         return cls(right[0] - seen_from if right else float("inf"), alarms, real)
 
 
@@ -219,22 +219,22 @@ def fault(bench: Bench, kind: str | None, progress: Progress | None) -> Found:
     period = bench.period
     monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
     brakes = lambda t: np.full(home.size, float(OPENS < t < SWING_PERIOD))
-    agent = RollingController(
+    controller = RollingController(
         robot, np.zeros(3), period, goals, brakes=brakes, supervision=SupervisionSettings(monitor=monitor)
     )
     if kind == "closed":
         plant.brakes.fail(tried, "closed")
     hinge = plant.model.joint(robot.state.groups["leg"][tried]).dofadr[0]
-    with watched(plant, period, SWING_PERIOD + 3.0, progress, agent) as tick:
+    with watched(plant, period, SWING_PERIOD + 3.0, progress, controller) as tick:
         for k in range(round((SWING_PERIOD + 3.0) / period)):
             t = k * period
             if kind == "open" and t > FAILS:
                 plant.brakes.fail(tried, "open")
             plant.data.qfrc_applied[hinge] = KNOCK if KNOCK_BEGINS <= t < KNOCK_ENDS else 0.0
-            agent.measure(plant.measure())
-            command = agent.drive(t)
+            controller.measure(plant.measure())
+            command = controller.drive(t)
             tick(t, command)
             plant.step(command, bench.steps)
-            assert agent.measured is not None
-            bench.log.add(f"fault_{kind or 'none'}", t, [*agent.measured.leg, *goals(t)[1][0]])
+            assert controller.measured is not None
+            bench.log.add(f"fault_{kind or 'none'}", t, [*controller.measured.leg, *goals(t)[1][0]])
     return Found.of(monitor, None if kind is None else tried, OPENS if kind == "closed" else KNOCK_BEGINS)

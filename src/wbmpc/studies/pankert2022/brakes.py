@@ -35,7 +35,7 @@ KINDS: dict[str | None, str] = {
 def build(settings: SwerveBrakesSettings, seed: int) -> Scenario:
     """All tests one after the other, each on its own plant of the same seed."""
     bench = Bench(settings, load_robot(settings.robot), seed, Log())
-    brake_tests.refuse(bench.robot)
+    brake_tests.reject(bench.robot)
     moved, slip, slides, faults = (dict[Any, Any]() for _ in range(4))
 
     def test(name: str, into: dict[Any, Any], key: Any, run: Callable[..., Any], *given: Any) -> Part:

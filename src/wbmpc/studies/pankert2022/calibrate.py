@@ -50,7 +50,7 @@ def _metrics(log: Log, found: WheelCalibration) -> dict[str, Metric]:
         "yaw_error_rms_world": Metric(rms((odometry - base)[:, 2]), "rad"),
         "base_path_length": Metric(way, "m"),
         "odometry_drift_ratio_wheels": Metric(float(np.hypot(*(wheels - base)[-1, :2])) / max(way, 1e-9), "1"),
-        "steer_zero_mean": Metric(float(found.steer_zero.mean()), "rad"),
+        "steer_zero_mean": Metric(float(found.steer_offset.mean()), "rad"),
         "steer_zero_mean_std": Metric(float(np.sqrt(found.covariance[: found.modules, : found.modules].mean())), "rad"),
         "wheel_radius_mean": Metric(float(found.wheel_radius.mean()), "m"),
     }

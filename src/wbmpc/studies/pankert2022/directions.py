@@ -12,7 +12,7 @@ from wbmpc.model.wheels import beyond_range, wheel_velocities
 ROLLS, OFF = 0.02, 0.02
 
 
-def refuse_directions(
+def reject_directions(
     robot: RobotModel, times: np.ndarray, twists: np.ndarray, legs: np.ndarray, leg_rates: np.ndarray
 ) -> None:
     """Raise :class:`InputError` if body ``twists`` (k, 3) at ``times`` (k,) [s] ask a wheel for a direction out of its range.

@@ -1,5 +1,5 @@
 """`swerve-drive`: through a door in H, X and A while driving and turning, over bumps and cables (Pankert et al. 2022, section
-IV-B, Fig. 7 and 8); a leg that is knocked; driving with closed brakes; the rolling inverse kinematics as rival."""
+IV-B, Fig. 7 and 8); a leg that is knocked; driving with closed brakes; the rolling inverse kinematics as baseline."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
-from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
+from wbmpc.bases.swerve.plant import SwervePlant, reject_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import InputError
@@ -43,7 +43,7 @@ SUMMARY = (
 IDEALISATIONS = [
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
     "bumps are smooth and of the floor's mean friction; the door is a gap that is measured, drawn but not hit",
-    "the computation takes a constant 10 ms; the rival's takes none",
+    "the computation takes a constant 10 ms; the baseline's takes none",
     "the time that a brake takes to open and to close is assumed, and known to the planner",
 ]
 
@@ -67,18 +67,18 @@ class _Run:
         return home, plant
 
     def record(
-        self, name: str, t: float, plant: SwervePlant, agent: SwerveController, mission: Mission, command: Any
+        self, name: str, t: float, plant: SwervePlant, controller: SwerveController, mission: Mission, command: Any
     ) -> None:
         truth, add = plant.truth(), self.log.add
         add(f"{name}.base", t, truth.pose)
-        add(f"{name}.base_odometry", t, agent.pose)
+        add(f"{name}.base_odometry", t, controller.pose)
         add(f"{name}.base_reference", t, mission.base(t)[0][0])
         add(f"{name}.leg", t, truth.state[self.robot.state["leg"]])
         add(f"{name}.leg_reference", t, mission.leg(t)[0][0])
         add(f"{name}.brake", t, command.brake)
         add(f"{name}.wheel_slip", t, truth.slip)
         add(f"{name}.wheel_force", t, truth.wheel_force)
-        add(f"{name}.wanted", t, agent.wanted)
+        add(f"{name}.wanted", t, controller.wanted)
         speeds = [truth.joint_speeds[n] for g in ("leg", "steer", "wheel") for n in self.robot.input.groups[g]]
         add(f"{name}.joint_speed", t, speeds)
         add(f"{name}.steer", t, truth.state[self.robot.state["steer"]])
@@ -96,28 +96,30 @@ class _Run:
         mpc.reference["hand"] = Reference.poses(t, *riding(robot, home, mission.base(t)[0]))
         brakes = BrakeControl(robot, delay=s.plant.brake_delay, changed=mpc.set_schedule)
         mission.apply(brakes)
-        timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
-        agent = SwerveController(
-            robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=s.drive_lag),
-            estimation=EstimatorSettings(use_gyro=s.use_gyro, odd_wheels=s.odd_wheels),
+        timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)
+        controller = SwerveController(
+            robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=s.actuator_time_constant),
+            estimation=EstimatorSettings(use_gyro=s.use_gyro, reject_lifted_wheels=s.reject_lifted_wheels),
             supervision=SupervisionSettings(guard=s.leg_guard and knock is None, report=brakes.accept),
         )  # fmt: skip
-        stand_still(plant, agent, timing, s.rest)
+        stand_still(plant, controller, timing, s.settle_time)
         mpc.reset(home)
         hit = None if knock is None else Knock(knock, plant, plant.time, corners(robot)["LF"])
         plant.external = hit
 
         def record(now: float, command: Any, plans: Any) -> None:
             if round(now / timing.period) % 4 == 0:
-                self.record(name, now, plant, agent, mission, command)
+                self.record(name, now, plant, controller, mission, command)
 
-        return Loop(plant, agent, mpc, timing, duration, record).run(progress), hit
+        return Loop(plant, controller, mpc, timing, duration, record).run(progress), hit
 
-    def rival(self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None) -> Outcome:
+    def baseline(
+        self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None
+    ) -> Outcome:
         """The rolling inverse kinematics on the same way: same plant, odometry and brakes."""
         s, robot, name = self.settings, self.robot, "rival"
         _, plant = self.start(mission, edit)
-        timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.delay)
+        timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)
         brakes = BrakeControl(robot)
         mission.apply(brakes)
 
@@ -125,36 +127,36 @@ class _Run:
             (pose, rate), (leg, leg_rate) = mission.base(t), mission.leg(t)
             return (pose[0], rate[0]), (leg[0], leg_rate[0])
 
-        agent = RollingController(
+        controller = RollingController(
             robot, plant.truth().pose, timing.period, goals,
-            RollingGains(s.rival_base_gain, s.rival_leg_gain, s.rival_steer_gain, s.rival_lead, s.rival_look_ahead),
-            brakes.commanded, estimation=EstimatorSettings(use_gyro=s.use_gyro, odd_wheels=s.odd_wheels),
+            RollingGains(s.baseline_base_gain, s.baseline_leg_gain, s.baseline_steer_gain, s.baseline_lead, s.baseline_look_ahead),
+            brakes.commanded, estimation=EstimatorSettings(use_gyro=s.use_gyro, reject_lifted_wheels=s.reject_lifted_wheels),
         )  # fmt: skip
-        stand_still(plant, agent, timing, s.rest)
+        stand_still(plant, controller, timing, s.settle_time)
 
         def record(now: float, command: Any, plans: Any) -> None:
             if round(now / timing.period) % 4 == 0:
-                self.record(name, now, plant, agent, mission, command)
+                self.record(name, now, plant, controller, mission, command)
 
-        return Loop(plant, agent, None, timing, duration, record).run(progress)
+        return Loop(plant, controller, None, timing, duration, record).run(progress)
 
 
-def rival_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
-    """Pose errors (k, 3) in the estimated frame of the rival alone on the tour, for the search of gains; infinite if it fell or
+def baseline_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
+    """Pose errors (k, 3) in the estimated frame of the baseline alone on the tour, for the search of gains; infinite if it fell or
     ended early for another reason."""
     robot, log = swerve_robot(settings.robot), Log()
     mission, duration = tour(robot, settings.plant.brake_delay)
-    ending = _Run(settings, robot, seed, log).rival(mission, duration, terrain).ending
+    ending = _Run(settings, robot, seed, log).baseline(mission, duration, terrain).ending
     error = log.array("rival.base_odometry") - log.array("rival.base_reference")
     return np.full_like(error, np.inf) if ending.reason else error
 
 
 def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
-    """The tour with the MPC and with the rival, the knock, and driving with closed brakes."""
+    """The tour with the MPC and with the baseline, the knock, and driving with closed brakes."""
     robot = swerve_robot(settings.robot)
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
-    refuse_two_wheels(robot.description)
+    reject_two_wheels(robot.description)
     bench = _Run(settings, robot, seed, Log())
     mission, duration = tour(robot, settings.plant.brake_delay)
     knocks: list[Knock | None] = []
@@ -166,16 +168,16 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
 
     def measured(run: Run) -> dict[str, Metric]:
         faults = [fault for name, o in run.outcomes.items() if name != "rival" for fault in o.faults]
-        held, rival = run.outcomes["tour"].controller.holds, run.outcomes.get("rival")
+        held, baseline = run.outcomes["tour"].controller.holds, run.outcomes.get("rival")
         knocked = knocks[0].done if knocks and knocks[0] is not None else None
-        return metrics(bench.log, robot, faults, held, knocked, None if rival is None else rival.ending)
+        return metrics(bench.log, robot, faults, held, knocked, None if baseline is None else baseline.ending)
 
     closed = {f"closed_{name}": straight(robot, name, False) for name in CONFIGURATIONS}
     return Scenario(
         bench.log,
         [
             Part("tour", lambda progress: bench.planned("tour", mission, duration, terrain, progress=progress)[0]),
-            Part("rival", lambda progress: bench.rival(mission, duration, terrain, progress), baseline=True),
+            Part("rival", lambda progress: bench.baseline(mission, duration, terrain, progress), baseline=True),
             Part("knock", partial(aside, "knock", *straight(robot, "X", True), 4.0)),
             *(Part(name, partial(aside, name, *way, None)) for name, way in closed.items()),
         ],

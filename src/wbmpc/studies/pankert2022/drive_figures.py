@@ -65,7 +65,7 @@ def recovery(t: np.ndarray, error: np.ndarray, end: float) -> float:
 
 
 def metrics(
-    log: Log, robot: RobotModel, faults: list[str], held: int, knocked: float | None, rival: Ending | None
+    log: Log, robot: RobotModel, faults: list[str], held: int, knocked: float | None, baseline: Ending | None
 ) -> dict[str, Metric]:
     """All of them; ``held``: how often the guard held a leg on the tour; ``knocked``: when [s] the knock was over, None if there
     was none; ``rival``: how it ended, None if it did not run. The errors of one that did not get to the end are infinite, their
@@ -84,8 +84,8 @@ def metrics(
         "brake_faults": Metric(float(len(faults)), "1", goal=0.0),
         "legs_held": Metric(float(held), "1"),
     }
-    if rival is not None and not rival.interrupted:
-        whole = not rival.reason
+    if baseline is not None and not baseline.interrupted:
+        whole = not baseline.reason
         away, turned, legs = (*_error(log, "rival"), _leg_error(log, "rival")) if whole else (np.inf,) * 3
         found["baseline_position_error_rms"] = Metric(away, "m")
         found["baseline_yaw_error_rms"] = Metric(turned, "rad")

@@ -20,29 +20,30 @@ KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
 
 class SwerveDriveSettings(ExperimentSettings):
-    """``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``leg_guard`` (MPC), ``odd_wheels`` (MPC and rival): see
-    :class:`wbmpc.bases.swerve.controller.SwerveController`. ``rival_…``: gains [1/s] for base, legs and steering; by how much
+    """``use_gyro``, ``settle_time``, ``actuator_time_constant``: as in swerve-track; ``leg_guard`` (MPC), ``reject_lifted_wheels``
+    (MPC and baseline): see :class:`wbmpc.bases.swerve.controller.SwerveController`.
+    ``baseline_…``: gains [1/s] for base, legs and steering; by how much
     [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
     :class:`wbmpc.studies.pankert2022.rolling.RollingController`)."""
 
     # by runs on seed 0, looked at on seed 5
     cost: SwerveCost = SwerveCost(
-        hand=HandCost(weight=0.0, orientation=0.0),
+        end_effector=HandCost(weight=0.0, orientation=0.0),
         state=StateCost(position=30_000.0, yaw=9000.0, leg=300.0, arm=1.0),
         input=InputCost(base=5.0, steer=0.002),
     )
     robot: str = "swerve-ur10"
     use_gyro: bool = True
-    odd_wheels: bool = False
-    rest: float = Field(20.0, ge=0, le=120)
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    reject_lifted_wheels: bool = False
+    settle_time: float = Field(20.0, ge=0, le=120)
+    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     leg_guard: bool = True
-    # of a search that benchmarks/rivals.py does, of which only a part was run
-    rival_base_gain: float = Field(8.0, ge=0, le=50)
-    rival_leg_gain: float = Field(8.0, ge=0, le=50)
-    rival_steer_gain: float = Field(40.0, gt=0, le=100)
-    rival_lead: float = Field(0.0, ge=0, le=0.5)
-    rival_look_ahead: float = Field(0.0, ge=0, le=5)
+    # of a search that benchmarks/swerve_baselines.py does, of which only a part was run
+    baseline_base_gain: float = Field(8.0, ge=0, le=50)
+    baseline_leg_gain: float = Field(8.0, ge=0, le=50)
+    baseline_steer_gain: float = Field(40.0, gt=0, le=100)
+    baseline_lead: float = Field(0.0, ge=0, le=0.5)
+    baseline_look_ahead: float = Field(0.0, ge=0, le=5)
 
 
 def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:

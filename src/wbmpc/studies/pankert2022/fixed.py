@@ -35,15 +35,19 @@ IDEALISATIONS = [
     "errors are in the estimated frame: what steering zeros do to the odometry is the same for all controllers, but not what slip"
     " does, and the MPC lets wheels slip while they turn about",
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
-    "the computation of the MPC takes a constant 10 ms; the rivals' takes none",
-    "rivals know the reference ahead of time too: they turn their wheels before they start",
+    "the computation of the MPC takes a constant 10 ms; the baselines' takes none",
+    "baselines know the reference ahead of time too: they turn their wheels before they start",
 ]
 
 Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], SwerveController]
 
 
-def _mpc_agent(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion) -> SwerveController:
-    return SwerveController(r, pose, period, tracking=TrackingSettings(lag=s.drive_lag, allow_side_slip=fast_enough(r)))
+def _mpc_controller(
+    r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion
+) -> SwerveController:
+    return SwerveController(
+        r, pose, period, tracking=TrackingSettings(lag=s.actuator_time_constant, allow_side_slip=fast_enough(r))
+    )
 
 
 def goals(
@@ -55,7 +59,7 @@ def goals(
     return (pose, np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])), (legs, 0.0 * legs)
 
 
-#: From ``benchmarks/rivals.py``, a coordinate search of 31 sets of gains for each. Inverse kinematics: all motions and random
+#: From ``benchmarks/swerve_baselines.py``, a coordinate search of 31 sets of gains for each. Inverse kinematics: all motions and random
 #: twists of 20 s, seeds 0 and 1 (with an earlier odometry). Four wheels: forward and turning (what it can do), seed 0, 0.56 mm
 #: rms (by hand: 4.1).
 GAINS: dict[str, dict[str, float]] = {
@@ -64,8 +68,8 @@ GAINS: dict[str, dict[str, float]] = {
 }
 
 
-def rival(kind: type[RollingController], **gains: float) -> Make:
-    """A maker of a rival's agent."""
+def baseline(kind: type[RollingController], **gains: float) -> Make:
+    """A maker of a baseline's controller."""
 
     def make(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion) -> SwerveController:
         return kind(r, pose, period, lambda t: goals(p, t, legs_at_home(r)), RollingGains(**gains))
@@ -74,9 +78,9 @@ def rival(kind: type[RollingController], **gains: float) -> Make:
 
 
 CONTROLLERS: dict[str, Make] = {
-    "mpc": _mpc_agent,
-    "ik": rival(RollingController, **GAINS["ik"]),
-    "four_wheel": rival(FourWheelSteeringController, **GAINS["four_wheel"]),
+    "mpc": _mpc_controller,
+    "ik": baseline(RollingController, **GAINS["ik"]),
+    "four_wheel": baseline(FourWheelSteeringController, **GAINS["four_wheel"]),
 }
 
 
@@ -111,23 +115,23 @@ def drive(
 ) -> Outcome:
     """One controller over the whole reference; logs its poses as ``base_NAME`` and ``odometry_NAME``."""
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    agent = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
+    controller = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
     if mpc is not None:
-        agent.supervision.report = closed_brakes(robot, mpc)
-    stand_still(plant, agent, timing, settings.rest)
+        controller.supervision.report = closed_brakes(robot, mpc)
+    stand_still(plant, controller, timing, settings.settle_time)
 
     def record(t: float, command: Any, plans: Any) -> None:
         if round(t / timing.period) % 4:
             return
         truth = plant.truth()
         log.add(f"base_{name}", t, truth.pose)
-        log.add(f"odometry_{name}", t, agent.estimator.odometry.pose)
+        log.add(f"odometry_{name}", t, controller.estimator.odometry.pose)
         log.add(f"slip_{name}", t, truth.slip)
         log.add(f"wheel_{name}", t, command.wheel)
-        log.add(f"steer_{name}", t, agent.measured.steer if agent.measured is not None else command.steer)
+        log.add(f"steer_{name}", t, controller.measured.steer if controller.measured is not None else command.steer)
 
-    return Loop(plant, agent, mpc, timing, float(reference.path.times[-1]), record).run(progress)
+    return Loop(plant, controller, mpc, timing, float(reference.path.times[-1]), record).run(progress)
 
 
 EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveFixedSettings, build)

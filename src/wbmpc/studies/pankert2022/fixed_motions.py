@@ -14,7 +14,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.settings import ExperimentSettings
 from wbmpc.studies.base_path import BasePath, Segment, in_turn, random_twists
-from wbmpc.studies.pankert2022.directions import refuse_directions
+from wbmpc.studies.pankert2022.directions import reject_directions
 
 Name = Literal["forward", "sideways", "diagonal", "turning", "combined"]
 SEGMENTS: dict[Name, Segment] = {
@@ -29,28 +29,28 @@ START, PAUSE, RAMP = 1.0, 2.0, 1.0
 
 
 class SwerveFixedSettings(ExperimentSettings):
-    """``motions``: which, in this order, each once at most; ``random`` [s] of random twists after them (600 is the ten minutes of
-    the protocol), up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]; ``rest`` [s] of standing first, for the gyro's bias;
-    ``drive_lag`` [s] that the MPC's controller assumes."""
+    """``motions``: which, in this order, each once at most; ``random_time`` [s] of random twists after them (600 is the ten minutes of
+    the protocol), up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]; ``settle_time`` [s] of standing first, for the gyro's bias;
+    ``actuator_time_constant`` [s] that the MPC's controller assumes."""
 
     cost: SwerveCost = SwerveCost(
-        hand=HandCost(weight=0.0, orientation=0.0),
+        end_effector=HandCost(weight=0.0, orientation=0.0),
         state=StateCost(position=10_000.0, yaw=3000.0, arm=1.0),
         input=InputCost(base=5.0),
     )
     robot: str = "swerve-fixed-ur10"
     motions: tuple[Name, ...] = tuple(SEGMENTS)
-    random: float = Field(60.0, ge=0, le=3600)
+    random_time: float = Field(60.0, ge=0, le=3600)
     speed: float = Field(0.5, gt=0, le=1.0)
     yaw_rate: float = Field(0.4, ge=0, le=1.0)
-    rest: float = Field(20.0, ge=0, le=120)
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    settle_time: float = Field(20.0, ge=0, le=120)
+    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
 
     @model_validator(mode="after")
     def _something_to_compare(self) -> Self:
         """A base that is asked nothing compares no controllers; of a motion twice the figures would be of the second alone."""
-        if not self.motions and self.random == 0.0:
-            raise ValueError("motions: none is left, and random is 0: there is nothing to follow")
+        if not self.motions and self.random_time == 0.0:
+            raise ValueError("motions: none is left, and random_time is 0: there is nothing to follow")
         twice = [name for k, name in enumerate(self.motions) if name in self.motions[:k]]
         if twice:
             raise ValueError(f"motions: '{twice[0]}' stands there twice; valid: each once at most")
@@ -69,16 +69,16 @@ class Motion:
         first, times = in_turn([SEGMENTS[n] for n in settings.motions], START, PAUSE, RAMP)
         spans: dict[str, tuple[float, float]] = dict(zip(settings.motions, times, strict=True))
         twists = first.twists
-        if settings.random > 0.0:
-            more = random_twists(settings.random, settings.speed, settings.yaw_rate, seed)
-            spans["random"] = (float(first.times[-1]), float(first.times[-1] + settings.random))
+        if settings.random_time > 0.0:
+            more = random_twists(settings.random_time, settings.speed, settings.yaw_rate, seed)
+            spans["random"] = (float(first.times[-1]), float(first.times[-1] + settings.random_time))
             twists = np.vstack([twists[:-1], more.twists])
         return cls(BasePath.of(np.vstack([twists, np.zeros((100, 3))])), spans)
 
     def set(self, mpc: MPC, robot: RobotModel) -> None:
         t = self.path.times[::2]
         legs = np.tile(legs_at_home(robot), (t.size, 1))
-        refuse_directions(robot, t, self.path.twists[::2], legs, 0.0 * legs)
+        reject_directions(robot, t, self.path.twists[::2], legs, 0.0 * legs)
         states = np.tile(robot.home, (t.size, 1))
         states[:, robot.state["base"]] = self.path.poses[::2]
         inputs = np.zeros((t.size, robot.input.size))

@@ -15,7 +15,7 @@ from wbmpc.model.wheels import ModuleGeometry, wheel_velocities
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.paths import rise, risen
-from wbmpc.studies.pankert2022.directions import refuse_directions
+from wbmpc.studies.pankert2022.directions import reject_directions
 
 #: Speed [m/s] below which a wheel stands; weight of a sample close to a limit against a turn by one radian.
 STANDS, TURN_SHARE = 0.01, 0.02
@@ -103,7 +103,7 @@ class Mission:
         t = np.atleast_1d(np.asarray(t, float))
         g, twist = robot.base.geometry, self.twist(t)
         leg, rate = self.leg(t)
-        refuse_directions(robot, t, twist, leg, rate)
+        reject_directions(robot, t, twist, leg, rate)
         velocity = np.array([wheel_velocities(g, a, v, r) for a, v, r in zip(leg, twist, rate, strict=True)])
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
         angle = np.arctan2(velocity[..., 1], velocity[..., 0]) - g.wheel_heading - leg

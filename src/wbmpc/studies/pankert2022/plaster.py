@@ -65,7 +65,7 @@ class _WallSensor:
         self.robot, self._rng = robot, np.random.default_rng([seed, 2])
         self._every, self._count = max(round(1.0 / (DISTANCE_RATE * period)), 1), 0
 
-    def __call__(self, plant: SwervePlant, agent: SwerveController) -> None:
+    def __call__(self, plant: SwervePlant, controller: SwerveController) -> None:
         """Correct the odometry at the sensor's rate: the hand by the planner's kinematics, the base as estimated."""
         self._count += 1
         if self._count % self._every:
@@ -73,14 +73,14 @@ class _WallSensor:
         truth = plant.truth()
         axis = truth.tool_rotation[:, 2]
         distance = (wall.WALL - truth.tool[1]) / axis[1] + DISTANCE_NOISE * self._rng.normal()
-        x = agent.state()
+        x = controller.state()
         hand, quaternion = self.robot.pose(x)
         beam = lie.quaternion_to_rotation(quaternion)[1, 2]
         pose = x[self.robot.state["base"]].copy()
         pose[1] += wall.WALL - distance * beam - hand[1]
-        assert agent.measured is not None
-        agent.estimator.odometry.correct(
-            agent.measured.time, pose, np.diag([UNKNOWN[0] ** 2, DISTANCE_NOISE**2, UNKNOWN[1] ** 2])
+        assert controller.measured is not None
+        controller.estimator.odometry.correct(
+            controller.measured.time, pose, np.diag([UNKNOWN[0] ** 2, DISTANCE_NOISE**2, UNKNOWN[1] ** 2])
         )
 
 
@@ -95,24 +95,24 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
         robot.description, robot.state.split(robot.home), settings.plant, seed,
         edit=terrain if settings.terrain else None, localisation=source,
     )  # fmt: skip
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
-    agent = SwerveController(
-        robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=settings.drive_lag),
+    controller = SwerveController(
+        robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=settings.actuator_time_constant),
         estimation=EstimatorSettings(calibration=calibration),
         supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
-    stand_still(plant, agent, timing, settings.rest)
+    stand_still(plant, controller, timing, settings.settle_time)
     mpc.reset(robot.home)
     log = Log()
     sensor = _WallSensor(robot, timing.period, seed) if settings.sensors else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if sensor is not None and t >= references.lines.start - 0.5:
-            sensor(plant, agent)
+            sensor(plant, controller)
         if round(t / timing.period) % 4:
             return
-        truth, pose = plant.truth(), agent.estimator.odometry.pose
+        truth, pose = plant.truth(), controller.estimator.odometry.pose
         log.add("base", t, truth.pose)
         log.add("base_odometry", t, pose)
         log.add("hand", t, truth.tool)
@@ -122,7 +122,7 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
         if wall.WALL - truth.tool[1] < wall.NEAREST:
             raise RunAborted(f"the hand's switch stopped it {1e3 * (wall.WALL - truth.tool[1]):.0f} mm before the wall")
 
-    loop = Loop(plant, agent, mpc, timing, references.duration, record)
+    loop = Loop(plant, controller, mpc, timing, references.duration, record)
     measured = lambda _: metrics(log, references, settings.sensors)
     return Scenario.single(log, loop.run, measured, lambda _: plots(log, references), IDEALISATIONS)
 

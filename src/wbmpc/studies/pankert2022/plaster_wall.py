@@ -38,7 +38,7 @@ STOP_TIME, STOP_SPEED = 0.3, 0.1
 
 class SwervePlasterSettings(ExperimentSettings):
     """``passes`` over the five lines at ``speed`` [m/s]; ``sensors``: LIDAR and wall distance (b), or odometry only (a);
-    ``terrain``: cables and bumps; ``calibration``, ``rest``, ``drive_lag``: as in swerve-track."""
+    ``terrain``: cables and bumps; ``calibration``, ``settle_time``, ``actuator_time_constant``: as in swerve-track."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=100.0))
     robot: str = "swerve-ur10"
@@ -48,8 +48,8 @@ class SwervePlasterSettings(ExperimentSettings):
     terrain: bool = True
     calibration: str = "drive"
     localisation: Annotated[LocalisationSettings, OnlyWith(sensors=True, calibration="drive")] = LocalisationSettings()
-    rest: float = Field(20.0, ge=0, le=120)
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    settle_time: float = Field(20.0, ge=0, le=120)
+    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
 
 
 @dataclass(frozen=True)

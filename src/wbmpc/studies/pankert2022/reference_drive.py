@@ -25,12 +25,12 @@ from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies.pankert2022.directions import refuse_directions
+from wbmpc.studies.pankert2022.directions import reject_directions
 
 
 class SwerveCalibrateSettings(Settings):
     """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right;
-    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``rest`` [s] before the first;
+    ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``settle_time`` [s] before the first;
     ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base."""
 
     robot: str = "swerve-ur10"
@@ -39,7 +39,7 @@ class SwerveCalibrateSettings(Settings):
     turn: float = Field(np.pi, gt=0, le=7)
     pause: float = Field(0.5, ge=0, le=60)
     rounds: int = Field(1, ge=1, le=20)
-    rest: float = Field(5.0, ge=0, le=120)
+    settle_time: float = Field(5.0, ge=0, le=120)
     open_brakes: bool = True
     localisation: LocalisationSettings = LocalisationSettings()
     control: ControlSettings = ControlSettings()
@@ -91,10 +91,10 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     part = robot.state["steer"]
     least, most = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
     closed, ramp = np.zeros(geometry.modules), s.speed / ACCELERATION
-    phases = [_Phase(s.rest, steer, np.zeros(3), 0.0, closed)]
+    phases = [_Phase(s.settle_time, steer, np.zeros(3), 0.0, closed)]
     opening, strokes = max(OPENING, s.plant.brake_delay + SURE), _strokes(geometry, leg, s)
     legs = np.tile(leg, (len(strokes), 1))
-    refuse_directions(robot, np.arange(len(strokes)), np.array([twist for twist, _ in strokes]), legs, 0.0 * legs)
+    reject_directions(robot, np.arange(len(strokes)), np.array([twist for twist, _ in strokes]), legs, 0.0 * legs)
     for k, (twist, length) in enumerate(strokes * s.rounds):
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
         target = target - np.pi * (target > most) + np.pi * (target < least)
@@ -145,33 +145,33 @@ def drive(
     )  # fmt: skip
     steps = round(1.0 / settings.control.rate / plant.timestep)
     period, geometry = steps * plant.timestep, robot.base.geometry
-    agent = SwerveController(robot, plant.truth().pose, period)
+    controller = SwerveController(robot, plant.truth().pose, period)
     phases = _phases(robot, settings)
     swings = any(p.brake.any() for p in phases)
     wheels, total = WheelLog(log), sum(p.length for p in phases)
     home, arm = robot.state.split(robot.home), np.zeros(len(robot.input.groups["arm"]))
     legs, brake = home.get("leg", np.zeros(geometry.modules)), phases[0].brake
-    with watched(plant, period, total, progress, agent) as tick:
+    with watched(plant, period, total, progress, controller) as tick:
         for phase in phases:
             for k in range(round(phase.length / period)):
                 m = plant.measure()
-                agent.measure(m)
+                controller.measure(m)
                 # open legs give way: nothing is planned for them
-                agent.watch(plant.time, brake, np.zeros(brake.size))
+                controller.watch(plant.time, brake, np.zeros(brake.size))
                 wheels.add(plant.time, m, brake)
                 if len(log.channels) and round(plant.time / period) % 4 == 0:
                     log.add("base", plant.time, plant.truth().pose)
-                    log.add("base_odometry", plant.time, agent.estimator.odometry.pose)
-                    log.add("base_wheels", plant.time, agent.estimator.wheels_alone.pose)
+                    log.add("base_odometry", plant.time, controller.estimator.odometry.pose)
+                    log.add("base_wheels", plant.time, controller.estimator.wheels_alone.pose)
                 brake = phase.brake
-                steer, wheel = _rolling(geometry, phase, k * period, agent.estimator.leg if swings else legs, legs)
-                turning = np.clip(STEER_GAIN * (steer - agent.estimator.steer), -STEER_SPEED, STEER_SPEED)
-                command = SwerveCommand(wheel * agent.wheel_scale, turning, arm, brake)
+                steer, wheel = _rolling(geometry, phase, k * period, controller.estimator.leg if swings else legs, legs)
+                turning = np.clip(STEER_GAIN * (steer - controller.estimator.steer), -STEER_SPEED, STEER_SPEED)
+                command = SwerveCommand(wheel * controller.wheel_scale, turning, arm, brake)
                 tick(plant.time, command)
                 plant.step(command, steps)
                 if plant.fell:
-                    return agent, f"the robot fell at {plant.time:.2f} s"
-    return agent, ""
+                    return controller, f"the robot fell at {plant.time:.2f} s"
+    return controller, ""
 
 
 def calibrated(

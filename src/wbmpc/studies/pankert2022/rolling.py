@@ -1,8 +1,8 @@
-"""Rivals without MPC: base and leg references straight through the rolling inverse kinematics.
+"""Baselines without MPC: base and leg references straight through the rolling inverse kinematics.
 
 The twist that the reference asks for, corrected by the base's and the legs' errors, gives each wheel its heading and speed
 (Pankert et al. 2022, equations 4 and 5, solved for the wheels). No limits but for scaling the whole motion to the
-fastest wheel and holding it back while wheels still turn. Gains: ``benchmarks/rivals.py``, on the tuning seeds.
+fastest wheel and holding it back while wheels still turn. Gains: ``benchmarks/swerve_baselines.py``, on the tuning seeds.
 """
 
 from __future__ import annotations

@@ -8,10 +8,11 @@ from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.simulation.lockstep import Timing
 
 
-def stand_still(plant: SwervePlant, agent: SwerveController, timing: Timing, seconds: float) -> None:
+def stand_still(plant: SwervePlant, controller: SwerveController, timing: Timing, seconds: float) -> None:
     """Let the robot stand with closed brakes while the gyro shows its bias; ends before the run's time 0."""
     for _ in range(round(seconds / timing.period)):
-        agent.measure(plant.measure())
+        controller.measure(plant.measure())
         plant.step(
-            SwerveCommand.stop(len(agent.robot.base.geometry.hinge), len(agent.robot.input.groups["arm"])), timing.steps
+            SwerveCommand.stop(len(controller.robot.base.geometry.hinge), len(controller.robot.input.groups["arm"])),
+            timing.steps,
         )

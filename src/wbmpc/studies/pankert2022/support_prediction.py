@@ -1,6 +1,6 @@
 """Support switches of a robot with one wheel on a block while its stretched arm turns: predicted, and learnt from.
 
-What is predicted from the model is off by what the model does not know of the robot's masses. Turns of the arm tell: the gyro
+What is predicted from the model is off by what the model does not know of the robot's masses. Turns of the arm show them: the gyro
 sees when the robot begins to rock over an edge, on which its zero-moment point is then (:mod:`wbmpc.estimation.mass_offset`).
 """
 
@@ -135,7 +135,7 @@ def predict(support: Support, offset: MassOffset | None = None) -> list[Switch]:
 def tippings(support: Support, t: Array, gyro: Array) -> list[Tipping]:
     """Where the model's zero-moment point was when the ``gyro`` (k, 2) [rad/s], less its bias, saw the robot begin to rock.
 
-    ``t`` (k,) [s] from when the arm starts. The sense of the rocking tells the face it was on. Nothing where the robot can stand on
+    ``t`` (k,) [s] from when the arm starts. The sense of the rocking shows the face it was on. Nothing where the robot can stand on
     one face only, or on more than two.
     """
     if len(support.faces) != 2:

@@ -44,12 +44,12 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)
     source = settings.localisation.source(seed) if settings.global_poses else None
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=source)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    # after everything that refuses bad settings at once
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
+    # after everything that rejects bad settings at once
     calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
     pose0 = plant.truth().pose
-    agent = SwerveController(
-        robot, pose0, timing.period, tracking=TrackingSettings(lag=settings.drive_lag, friction=settings.friction),
+    controller = SwerveController(
+        robot, pose0, timing.period, tracking=TrackingSettings(lag=settings.actuator_time_constant, friction=settings.friction),
         estimation=EstimatorSettings(
             calibration=calibration, use_gyro=settings.use_gyro, smoothing=settings.smoothing
         ),
@@ -57,25 +57,25 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     )  # fmt: skip
     # the model's base has one height: what the true one lacks of it, the hand makes up for
     references.set(mpc, robot.home, -calibration.rise(robot.base.geometry))
-    stand_still(plant, agent, timing, settings.rest)
+    stand_still(plant, controller, timing, settings.settle_time)
     release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
     mpc.reset(robot.home)
     log = Log()
     wheels, driven = WheelLog(log), [n for g in SPEEDS for n in robot.input.groups.get(g, ())]
 
     def record(t: float, command: Any, plans: Any) -> None:
-        m = agent.measured
+        m = controller.measured
         assert m is not None
         release.update(m.leg, m.steer, m.wheel)
         wheels.add(t, m)
         if round(t / timing.period) % 4:
             return
         truth = plant.truth()
-        pose = agent.pose
+        pose = controller.pose
         log.add("base", t, truth.pose)
         log.add("base_odometry", t, pose)
-        log.add("base_std", t, np.sqrt(np.diag(agent.estimator.odometry.covariance)))
-        log.add("base_wheels", t, agent.estimator.wheels_alone.pose)
+        log.add("base_std", t, np.sqrt(np.diag(controller.estimator.odometry.covariance)))
+        log.add("base_wheels", t, controller.estimator.wheels_alone.pose)
         log.add("base_release", t, release.pose)
         log.add("hand", t, truth.tool)
         log.add("hand_odometry", t, in_frame(pose, truth.tool_in_base, truth.tool[2]))
@@ -88,7 +88,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         log.add("wheel_slip", t, truth.slip)
         log.add("joint_speed", t, [truth.joint_speeds[n] for n in driven])
 
-    loop = Loop(plant, agent, mpc, timing, references.duration, record)
+    loop = Loop(plant, controller, mpc, timing, references.duration, record)
     return Scenario.single(
         log,
         loop.run,

@@ -29,13 +29,13 @@ HAND_ORIENTATION = lie.rotation_to_quaternion(HAND_ROTATION)
 class SwerveTrackSettings(ExperimentSettings):
     """``periods`` of the sine (6 periods are the paper's 15.96 m), its ``amplitude`` [m] and ``variant`` (``vertical``: upright;
     ``peaks``: horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` along it [m/s]
-    (a hand that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``rest`` [s] of
+    (a hand that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``settle_time`` [s] of
     standing (0: it shows under way, and the pose is corrected late); ``calibration`` of the wheels: drive (a reference drive with
     ``localisation`` first), none, or a file that 'wbmpc calibrate' wrote; ``global_poses``: whether the run itself has the
-    ``localisation``; ``drive_lag`` [s] that the controller assumes; ``friction``, ``smoothing``: see
+    ``localisation``; ``actuator_time_constant`` [s] that the controller assumes; ``friction``, ``smoothing``: see
     :class:`wbmpc.bases.swerve.controller.SwerveController`."""
 
-    cost: SwerveCost = SwerveCost(hand=HandCost(weight=4000.0))
+    cost: SwerveCost = SwerveCost(end_effector=HandCost(weight=4000.0))
     robot: str = "swerve-ur10"
     variant: Literal["horizontal", "vertical", "peaks"] = "horizontal"
     periods: int = Field(6, ge=1, le=20)
@@ -49,8 +49,8 @@ class SwerveTrackSettings(ExperimentSettings):
     )
     friction: bool = True
     smoothing: float = Field(0.025, ge=0, le=1)
-    rest: float = Field(20.0, ge=0, le=120)
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    settle_time: float = Field(20.0, ge=0, le=120)
+    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
 
 
 class TrackReferences:

@@ -17,7 +17,7 @@ from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import ROLLING_SOFTNESS, swerve_problem
 from wbmpc.bases.swerve.estimator import EstimatorSettings
-from wbmpc.bases.swerve.plant import SwervePlant, refuse_two_wheels
+from wbmpc.bases.swerve.plant import SwervePlant, reject_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import InputError
@@ -96,7 +96,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     robot = swerve_robot(settings.robot)
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
-    refuse_two_wheels(robot.description)  # before advice about their legs
+    reject_two_wheels(robot.description)  # before advice about their legs
     approach = Approach(robot.pose(robot.home), (np.array(HOLD), HAND_ORIENTATION))
     begin = approach.duration + 1.0
     home, free = _start(robot, settings), settings.legs == "support"
@@ -115,20 +115,20 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     brakes = BrakeControl(robot, delay=settings.plant.brake_delay, changed=mpc.set_schedule)
     mission.apply(brakes)
     plant = SwervePlant(robot.description, robot.state.split(home), settings.plant, seed)
-    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.delay)
-    agent = SwerveController(
-        robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=settings.drive_lag),
+    timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
+    controller = SwerveController(
+        robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=settings.actuator_time_constant),
         estimation=EstimatorSettings(use_gyro=settings.use_gyro),
         supervision=SupervisionSettings(guard=settings.leg_guard, report=brakes.accept),
     )  # fmt: skip
-    stand_still(plant, agent, timing, settings.rest)
+    stand_still(plant, controller, timing, settings.settle_time)
     mpc.reset(home)
     log, stance_of = Log(), StanceOf(robot)
 
     def record(now: float, command: Any, plans: Any) -> None:
         if round(now / timing.period) % 4:
             return
-        truth, pose, m = plant.truth(), agent.estimator.odometry.pose, agent.measured
+        truth, pose, m = plant.truth(), controller.estimator.odometry.pose, controller.measured
         assert m is not None
         stance = stance_of(truth.state)
         log.add("base", now, truth.pose)
@@ -146,8 +146,8 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
         log.add("support_margin", now, [float(region_margin(stance.feet, stance.zmp)), stance.polygon_margin])
 
     return Scenario.single(
-        log, Loop(plant, agent, mpc, timing, duration, record).run,
-        lambda run: metrics(log, begin, free, len(agent.faults), agent.holds),
+        log, Loop(plant, controller, mpc, timing, duration, record).run,
+        lambda run: metrics(log, begin, free, len(controller.faults), controller.holds),
         lambda run: plots(log, robot, begin), IDEALISATIONS,
     )  # fmt: skip
 

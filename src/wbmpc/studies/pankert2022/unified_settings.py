@@ -20,7 +20,8 @@ class SwerveUnifiedSettings(ExperimentSettings):
     """``legs``: by targets (from ``leg_start`` to ``leg_goal``: H, X, A, or angles [rad] in brackets, one for each leg; the robot's
     home and A if nothing is said) or free, with the zero-moment point's margin in the support triangles over the two rearmost feet
     as the objective of ``support`` weight per second (a logarithmic barrier, quadratic below ``reserve`` [m]), and without a goal;
-    ``use_gyro``, ``rest``, ``drive_lag``: as in swerve-track; ``leg_guard``: see :class:`wbmpc.bases.swerve.controller.SwerveController`."""
+    ``use_gyro``, ``settle_time``, ``actuator_time_constant``: as in swerve-track; ``leg_guard``: see
+    :class:`wbmpc.bases.swerve.controller.SwerveController`."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
     robot: str = "swerve-ur10"
@@ -30,6 +31,6 @@ class SwerveUnifiedSettings(ExperimentSettings):
     support: Annotated[Weight, OnlyWith(legs="support")] = 0.05
     reserve: Annotated[float, OnlyWith(legs="support")] = Field(0.05, gt=0, le=0.5)
     use_gyro: bool = True
-    rest: float = Field(20.0, ge=0, le=120)
-    drive_lag: float = Field(0.020, ge=0, le=0.5)
+    settle_time: float = Field(20.0, ge=0, le=120)
+    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     leg_guard: bool = True

@@ -113,16 +113,18 @@ def _happened(log: Log, case: Case) -> list[tuple[float, int]]:
     return unloaded(log.times(f"force_{case.key}"), log.array(f"force_{case.key}"))
 
 
-def _switches(log: Log, cases: list[Case], nominal: list[list[Switch]], told: list[list[Switch]]) -> dict[str, Metric]:
-    """How far the predictions are off, with what the calibration told and without."""
+def _switches(
+    log: Log, cases: list[Case], nominal: list[list[Switch]], calibrated: list[list[Switch]]
+) -> dict[str, Metric]:
+    """How far the predictions are off, with the calibration and without it."""
     happened = [_happened(log, case) for case in cases]
     worst, without = (
-        max(time_error(p, events) for p, events in zip(way, happened, strict=True)) for way in (told, nominal)
+        max(time_error(p, events) for p, events in zip(way, happened, strict=True)) for way in (calibrated, nominal)
     )
     return {
         "support_switch_time_error_max": Metric(worst, "s", goal=0.2, goal_note=SWITCH_NOTE),
         "support_switch_time_error_nominal_max": Metric(without, "s"),
-        "support_switches": Metric(float(sum(map(len, told))), "1"),
+        "support_switches": Metric(float(sum(map(len, calibrated))), "1"),
     }
 
 
@@ -139,7 +141,7 @@ def plots(
     robot: RobotModel, log: Log, settings: SwerveWobbleSettings, cases: list[Case], predictions: Predictions
 ) -> list[Plot | Drawing]:
     """Rates and forces of the first height, how far predicted switches are off, and the way of the zero-moment point."""
-    nominal, told = predictions.nominal, predictions.calibrated
+    nominal, calibrated = predictions.nominal, predictions.calibrated
     key = {n: _key(n, settings.heights[0]) for n in CONFIGURATIONS}
     rates, gyros, forces = [], [], []
     for n in CONFIGURATIONS:
@@ -151,7 +153,7 @@ def plots(
     plots: list[Plot | Drawing] = [
         Plot(f"Roll-pitch rate, {height}, true (Fig. 6)", "time [s]", "rate [rad/s]", rates),
         Plot(f"Roll-pitch rate, {height}, gyro (Fig. 6)", "time [s]", "rate [rad/s]", gyros),
-        _lateness(log, cases, nominal, told),
+        _lateness(log, cases, nominal, calibrated),
     ]
     plots += [
         Plot(f"Wheel forces in {n}, {height}", "time [s]", "force [N]", f)
@@ -160,10 +162,10 @@ def plots(
     return plots + [_path(robot, n, settings) for n in CONFIGURATIONS]
 
 
-def _lateness(log: Log, cases: list[Case], nominal: list[list[Switch]], told: list[list[Switch]]) -> Plot:
+def _lateness(log: Log, cases: list[Case], nominal: list[list[Switch]], calibrated: list[list[Switch]]) -> Plot:
     """Predicted less real times of all switches, one after the other; cases in which others happened are left out."""
     series = []
-    for name, way in (("nominal masses", nominal), ("after the calibration", told)):
+    for name, way in (("nominal masses", nominal), ("after the calibration", calibrated)):
         errors: list[float] = []
         for case, switches in zip(cases, way, strict=True):
             events = _happened(log, case)

@@ -67,11 +67,11 @@ def test_a_contradiction_is_a_failed_solve_that_names_its_row(size: float, caplo
                 assert policy is last and mpc.fault.startswith("failed: the planned inputs miss an equality")
                 assert "one.all[0]" in mpc.fault or "two.all[0]" in mpc.fault
     assert mpc.statistics.failures == 50
-    told = [r.getMessage() for r in caplog.records]
-    assert len(told) == 1 and told[0].startswith("MPC at 2.000 s: failed: the planned inputs miss an equality")
+    reported = [r.getMessage() for r in caplog.records]
+    assert len(reported) == 1 and reported[0].startswith("MPC at 2.000 s: failed: the planned inputs miss an equality")
 
 
-def test_from_the_start_it_is_refused() -> None:
+def test_from_the_start_it_is_rejected() -> None:
     with pytest.raises(RunAborted, match="the first solve failed: the planned inputs miss an equality"):
         make(event=-1.0).update(Observation(0.0, START))
 

@@ -82,7 +82,7 @@ def make(terms: list[Constraint], event: float = 1.5) -> MPC:
 def test_a_contradiction_is_a_failed_solve_that_names_a_row(name: str) -> None:
     mpc = make(CONTRADICTIONS[name])
     faults = run(mpc, 95)
-    # the horizon of 1 s sees it from 0.5 s on; all of it is in mode "both" from 1.5 s on, and ten solves later it is told
+    # the horizon of 1 s sees it from 0.5 s on; all of it is in mode "both" from 1.5 s on, and ten solves later it is reported
     assert not any(faults[:25]) and all(faults[85:]), [bool(f) for f in faults]
     assert faults[-1].startswith("failed: the planned inputs miss an equality (")
     names = [t.name for t in CONTRADICTIONS[name]]
@@ -90,7 +90,7 @@ def test_a_contradiction_is_a_failed_solve_that_names_a_row(name: str) -> None:
     assert mpc.statistics.failures == sum(map(bool, faults))
 
 
-def test_from_the_start_it_is_refused() -> None:
+def test_from_the_start_it_is_rejected() -> None:
     with pytest.raises(RunAborted, match="the first solve failed: the planned inputs miss an equality"):
         make(CONTRADICTIONS["end"], event=-1.0).update(Observation(0.0, np.zeros(2)))
 
@@ -140,7 +140,7 @@ BEYOND = {
 
 
 @pytest.mark.parametrize("name", BEYOND)
-def test_inputs_beyond_their_limits_are_refused_and_both_are_named(name: str) -> None:
+def test_inputs_beyond_their_limits_are_rejected_and_both_are_named(name: str) -> None:
     """A row of inputs alone: no motion will ever meet it, so ten solves are enough."""
     mpc = make(list(BEYOND[name]))
     faults = run(mpc, 95)
@@ -159,13 +159,13 @@ def spring(*terms: Constraint) -> OptimalControlProblem:
 
 
 @pytest.mark.parametrize("at", ["path", "terminal"])
-def test_a_place_beyond_reach_for_good_is_refused_at_rest(at: str) -> None:
+def test_a_place_beyond_reach_for_good_is_rejected_at_rest(at: str) -> None:
     mpc = MPC(spring(FORCE, Constraint("there", row(lambda s: s.x[0] - 1.0), at=at)), rate=50.0)
     mpc.reset(np.zeros(2))
     faults = run(mpc, 280, noise=0.0)
-    told = [f for f in faults if f]  # until the plan that is kept ends, and the spring moves again
-    assert not any(faults[:100]) and len(told) >= 30, [bool(f) for f in faults]
-    assert all("(there.all[0] by " in f and "with 'force.all[" in f for f in told)
+    reported = [f for f in faults if f]  # until the plan that is kept ends, and the spring moves again
+    assert not any(faults[:100]) and len(reported) >= 30, [bool(f) for f in faults]
+    assert all("(there.all[0] by " in f and "with 'force.all[" in f for f in reported)
 
 
 def test_a_place_within_reach_is_not() -> None:

@@ -92,7 +92,7 @@ def test_plans_start_where_the_robot_is(speed: float) -> None:
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-def test_the_sentence_of_a_solve(backend: str) -> None:
+def test_the_message_of_a_solve(backend: str) -> None:
     solver = Solver(trolley(), SQP.real_time(5, backend=backend))
     for _ in range(3):
         found = solver.solve(np.array([0.0, -1.5]))

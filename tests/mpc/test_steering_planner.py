@@ -60,11 +60,11 @@ def brute_force(times: np.ndarray, twists: np.ndarray, limits) -> float:  # type
         speeds.append(np.hypot(*v.T).max())
     stop = [speeds[0], *np.minimum(speeds[1:], speeds[:-1])]
     # sets of stops, cheapest first; each wheel is free to choose at a stop, and goes on the nearer way elsewhere
-    orders = sorted(
+    worker_commands = sorted(
         product([0, 1], repeat=len(times)),
         key=lambda s: sum((np.pi / RATE * c + STOP) * x for c, x in zip(stop, s, strict=True)),
     )
-    for stops in orders:
+    for stops in worker_commands:
         if all(_possible(i, stops, angles, limits) for i in range(G.modules)):
             return float(sum((np.pi / RATE * c + STOP) * x for c, x in zip(stop, stops, strict=True)))
     raise AssertionError("there is always a way")

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import robot
 from wbmpc import lie
 from wbmpc.registry import REGISTRY
@@ -92,7 +93,7 @@ def test_a_hand_out_of_reach_points_there() -> None:
 
 @pytest.mark.parametrize(("integral", "left"), [(0.0, True), (3.0, False)])
 def test_integral_removes_what_a_constant_torque_leaves(integral: float, left: bool) -> None:
-    """A unit inertia with a torque of 2 N m that nobody told of: a PD stops 2 / ω² short."""
+    """A unit inertia with a torque of 2 N m that is not modeled: a PD stops 2 / ω² short."""
     loop, q, v, h = ArmLoop(pace=8.0, integral=integral), np.zeros(1), np.zeros(1), 1e-3
     for _ in range(8000):
         torque = loop.torque(np.eye(1), np.zeros(1), 0.2 - q, v, h)
@@ -101,9 +102,9 @@ def test_integral_removes_what_a_constant_torque_leaves(integral: float, left: b
     assert 0.2 - q[0] == pytest.approx(2.0 / 64.0 if left else 0.0, abs=2e-4)
 
 
-@pytest.mark.parametrize("name", ["separate", "separate-aware"])
+@pytest.mark.parametrize("name", [pytest.param("separate", marks=thorough), "separate-aware"])
 def test_separate_control_stands_a_small_push(name: str) -> None:
-    settings = RezeroPushHandSettings(forces=(30.0,), settle=0.5, pause=2.0, controller=name)
+    settings = RezeroPushHandSettings(forces=(30.0,), settle_time=0.5, pause=2.0, controller=name)
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
     assert result.completed, result.reason
     torque = result.log.array("torque")

@@ -1,4 +1,4 @@
-"""The search for the rivals' gains. Truth: a bowl with a known lowest point, trials that are counted."""
+"""The search for the baselines' gains. Truth: a bowl with a known lowest point, trials that are counted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
-import rivals
+import swerve_baselines
 
 LOWEST = {"lead": 0.02, "base_gain": 8.0, "steer_gain": 20.0, "look_ahead": 1.5}
 START = {"lead": 0.0, "base_gain": 1.0, "steer_gain": 5.0, "look_ahead": 0.5}
@@ -26,13 +26,13 @@ class Bowl:
 
 def test_search_finds_the_lowest_point() -> None:
     bowl = Bowl()
-    assert rivals.search(START, rivals.GRIDS["ik"], 100, bowl) == (1.0, LOWEST)
+    assert swerve_baselines.search(START, swerve_baselines.GRIDS["ik"], 100, bowl) == (1.0, LOWEST)
     assert len({tuple(g.items()) for g in bowl.tried}) == len(bowl.tried)  # nothing twice
 
 
 @pytest.mark.parametrize("sets", [1, 7, 20])
 def test_search_ends_after_so_many_sets(sets: int) -> None:
     bowl = Bowl()
-    best, gains = rivals.search(START, rivals.GRIDS["ik"], sets, bowl)
+    best, gains = swerve_baselines.search(START, swerve_baselines.GRIDS["ik"], sets, bowl)
     assert len(bowl.tried) == sets
     assert best == min(Bowl()(g) for g in bowl.tried) == Bowl()(gains)

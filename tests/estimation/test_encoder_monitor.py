@@ -147,7 +147,7 @@ def test_seldom_messages_end_a_run_after_three() -> None:
     assert lost == [False, False, True]
 
 
-def test_one_bad_message_of_the_inertial_unit_is_told_and_ends_nothing() -> None:
+def test_one_bad_message_of_the_inertial_unit_is_reported_and_ends_nothing() -> None:
     monitor = EncoderMonitor(3, JOINTS)
     for k in range(100):
         monitor.update(k * H, H, *swung(k * H), ("imu jumps",) if k == 40 else ())

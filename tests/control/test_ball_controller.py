@@ -1,4 +1,4 @@
-"""The ball robot's agent between MPC and drives. Truth: a linear plant that is stepped on and compared with what was predicted for
+"""The ball robot's controller between MPC and drives. Truth: a linear plant that is stepped on and compared with what was predicted for
 it, a linear program."""
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def linear_step(x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
 
 
 class LinearMpc:
-    """What the agent uses of an MPC."""
+    """What the controller uses of an MPC."""
 
     def __init__(self) -> None:
         self.parameters: list[dict[str, np.ndarray]] = []
@@ -56,9 +56,9 @@ def ball_agent(lag: float = 0.0, observer: bool = False, dead: int = 0) -> BallC
 
 
 def run_ball(
-    agent: BallController, late: int, lag: float, ticks: int = 40, dead: int = 0
+    controller: BallController, late: int, lag: float, ticks: int = 40, dead: int = 0
 ) -> tuple[list[np.ndarray], list]:  # type: ignore[type-arg]
-    """A plant with drives of a first-order lag (held over a tick), and ``dead`` ticks before it, under the agent: its states, and
+    """A plant with drives of a first-order lag (held over a tick), and ``dead`` ticks before it, under the controller: its states, and
     what was predicted.
 
     Predictions are (tick they are for, state); a new policy comes into force every tenth tick, four ticks late.
@@ -69,15 +69,15 @@ def run_ball(
     for k in range(ticks):
         states.append(x)
         age = min(late, k)
-        agent.measure(BallMeasurement(k * PERIOD, states[k - age], age * PERIOD))
+        controller.measure(BallMeasurement(k * PERIOD, states[k - age], age * PERIOD))
         t = k * PERIOD
         plans.activate(t)
         if k % 10 == 0:
             if plans.current is not None:
-                predictions.append((k + 4, agent.predict(t, t + 4 * PERIOD, plans)))
+                predictions.append((k + 4, controller.predict(t, t + 4 * PERIOD, plans)))
             plans.add(t + 4 * PERIOD, feedback_policy(k))
-        np.testing.assert_allclose(agent.state(), x, atol=1e-10)
-        command = agent.command(t, plans).torque
+        np.testing.assert_allclose(controller.state(), x, atol=1e-10)
+        command = controller.command(t, plans).torque
         way.append(command)
         torque = torque + blend * (way.pop(0) - torque)
         x = linear_step(x, torque, PERIOD)
@@ -100,13 +100,13 @@ def test_ball_robot_prediction_is_what_happens(late: int, dead: int, lag: float)
 def test_a_dead_time_of_many_ticks_is_predicted_over() -> None:
     """More of them than are remembered for late messages alone, and such a message. Truth: the same torques, step by step."""
     dead, late, x = 100, 5, 0.1 * np.ones(2 * N)
-    agent, sent = ball_agent(dead=dead), np.random.default_rng(3).normal(size=(120, TORQUES))
+    controller, sent = ball_agent(dead=dead), np.random.default_rng(3).normal(size=(120, TORQUES))
     for torque in sent:
-        agent._drive(torque)
-    agent.measure(BallMeasurement(1.0, x, late * PERIOD))
+        controller._drive(torque)
+    controller.measure(BallMeasurement(1.0, x, late * PERIOD))
     for torque in sent[-dead - late :]:
         x = linear_step(x, torque, PERIOD)
-    np.testing.assert_allclose(agent.ahead(), x, atol=1e-10)
+    np.testing.assert_allclose(controller.ahead(), x, atol=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -119,20 +119,20 @@ def test_a_dead_time_of_many_ticks_is_predicted_over() -> None:
         (np.nan, "must be finite"),
     ],
 )
-def test_a_dead_time_that_cannot_be_predicted_over_is_refused(dead: float, said: str) -> None:
-    with pytest.raises(InputError, match=f"drive_dead_time: .*{said}"):
+def test_a_dead_time_that_cannot_be_predicted_over_is_rejected(dead: float, said: str) -> None:
+    with pytest.raises(InputError, match=f"actuator_dead_time: .*{said}"):
         BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, DriveSettings(0.02, dead))  # type: ignore[arg-type]
 
 
 def test_ball_robot_clips_torques_and_stops_without() -> None:
-    agent, plans = ball_agent(), PolicyQueue()
-    agent.measure(BallMeasurement(0.0, np.zeros(2 * N), 0.0))
+    controller, plans = ball_agent(), PolicyQueue()
+    controller.measure(BallMeasurement(0.0, np.zeros(2 * N), 0.0))
     wild = feedback_policy(0)
     plans.add(0.0, Policy(wild.times, wild.x, 1e3 * np.sign(wild.u), wild.gain))
-    torque = agent.command(0.0, plans).torque
+    torque = controller.command(0.0, plans).torque
     np.testing.assert_allclose(np.abs(torque[3:]), [20, 20, 20])
     assert np.abs(torque[:3]).max() < 4.0 + 1e-9
-    np.testing.assert_array_equal(agent.stop().torque, np.zeros(TORQUES))
+    np.testing.assert_array_equal(controller.stop().torque, np.zeros(TORQUES))
 
 
 #: Torque about the vertical that wheel torques (3) do to the ball [N m] and its limit, by hand.
@@ -149,56 +149,56 @@ def largest_share(lean: np.ndarray) -> float:
 @pytest.mark.parametrize("size", [1.0, 3.0, 8.0, 100.0])
 def test_balance_comes_before_yaw(size: float) -> None:
     """What tilts keeps its direction and as much of its size as some spin allows; what is possible is not touched."""
-    agent, plans = ball_agent(), PolicyQueue()
-    agent.measure(BallMeasurement(0.0, np.zeros(2 * N), 0.0))
+    controller, plans = ball_agent(), PolicyQueue()
+    controller.measure(BallMeasurement(0.0, np.zeros(2 * N), 0.0))
     wild, rng, untouched = feedback_policy(0), np.random.default_rng(0), 0
     for _ in range(50):
         asked = size * rng.normal(size=3)
         u = np.tile(np.concatenate([asked, np.zeros(TORQUES - 3)]), (len(wild.u), 1))
         plans.current = Policy(wild.times, wild.x, u, 0.0 * wild.gain)
-        given = agent.command(0.0, plans).torque[:3]
+        given = controller.command(0.0, plans).torque[:3]
         assert np.abs(given).max() <= 4.0 + 1e-9 and abs(SPIN @ given) <= MOST + 1e-9
         lean, left = asked - asked.mean(), given - given.mean()
         np.testing.assert_allclose(left, largest_share(lean) * lean, atol=1e-6)
         if np.abs(asked).max() <= 4.0 and abs(SPIN @ asked) <= MOST:
             untouched += 1
             np.testing.assert_allclose(given, asked, atol=1e-12)
-        assert agent.clamped == bool(np.abs(given - asked).max() > 1e-6)  # rounding is no clamp
+        assert controller.clamped == bool(np.abs(given - asked).max() > 1e-6)  # rounding is no clamp
     assert untouched > 5 or size > 3.0
 
 
 def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
-    agent = ball_agent(observer=True)
+    controller = ball_agent(observer=True)
     state = np.zeros(2 * N)
     for k in range(3):
         state[N] = 0.01 * k  # it moves without a torque
-        agent.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
-    given = agent.mpc.parameters[-1]["disturbance"]  # type: ignore[attr-defined]
-    assert given is agent.disturbance and given[0] > 0.0
+        controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
+    given = controller.mpc.parameters[-1]["disturbance"]  # type: ignore[attr-defined]
+    assert given is controller.disturbance and given[0] > 0.0
     with pytest.raises(NotFinite, match="disturbance observer: 'state'"):
-        agent.measure(BallMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
+        controller.measure(BallMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
 
 
-def test_what_makes_the_disturbance_infinite_is_told() -> None:
+def test_what_makes_the_disturbance_infinite_is_reported() -> None:
     """A joint that turns at 17 rad/s (its limit is 4) in a state that the model has no answer to."""
-    agent, state = ball_agent(observer=True), np.zeros(2 * N)
-    agent.observer.step = lambda x, u, h: np.full(2 * N, np.nan)  # type: ignore[union-attr]
+    controller, state = ball_agent(observer=True), np.zeros(2 * N)
+    controller.observer.step = lambda x, u, h: np.full(2 * N, np.nan)  # type: ignore[union-attr]
     state[-1] = -17.0
     why = "the estimated disturbance is not finite: arm_elbow is believed to turn at 17 rad/s, and its limit is 4 rad/s"
     with pytest.raises(NotFinite, match=why):
-        agent.measure(BallMeasurement(0.0, state, 0.0))
+        controller.measure(BallMeasurement(0.0, state, 0.0))
 
 
 def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learnt() -> None:
-    """The shift of the limit is that of the disturbance just learnt (tests/control/test_leaning.py), beside a push's room."""
-    agent = ball_agent(observer=True)
-    agent.leaning = LeanControl(BALL, np.zeros(3), 0.6, 2.0)
+    """The shift of the limit is that of the disturbance just learnt (tests/control/test_lean_control.py), beside a push's room."""
+    controller = ball_agent(observer=True)
+    controller.lean_control = LeanControl(BALL, np.zeros(3), 0.6, 2.0)
     state = np.zeros(2 * N)
     for k in range(200):  # half of what 20 N along x would do: 26 kg
         state[N] = 0.9 * k * PERIOD
-        agent.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
-    given = agent.mpc.parameters[-1]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(given["push"], agent.leaning.centre(agent.disturbance, 0.0))
+        controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
+    given = controller.mpc.parameters[-1]  # type: ignore[attr-defined]
+    np.testing.assert_allclose(given["push"], controller.lean_control.centre(controller.disturbance, 0.0))
     assert given["push"][0] > 0.01
 
 
@@ -208,17 +208,17 @@ HEIGHT = (18.66 * 0.1956 + 1.2 * 0.48 + 1.4 * 0.63 + 1.1 * 0.94) / (18.66 + 1.2 
 
 def test_ball_robot_hands_a_push_that_it_feels_to_the_model() -> None:
     """What the model does not explain tilts it forward, ever faster: room is kept in front, for 0.2 s of that drift."""
-    agent, state = ball_agent(), np.zeros(2 * N)
-    agent.shoves = PushEstimator(BALL, np.zeros(3), 0.2)
+    controller, state = ball_agent(), np.zeros(2 * N)
+    controller.shoves = PushEstimator(BALL, np.zeros(3), 0.2)
     for k in range(40):
-        agent.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
+        controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
         state = linear_step(state, np.zeros(TORQUES), PERIOD)
         state[N + 3] += 8.0 * PERIOD  # rad/s of pitch
-    given = agent.mpc.parameters[-1]["push"]  # type: ignore[attr-defined]
+    given = controller.mpc.parameters[-1]["push"]  # type: ignore[attr-defined]
     drift = 8.0 * HEIGHT / Balance.of(BALL, np.zeros(3)).pole
     assert given == pytest.approx([0.2 * (drift - DEAD), 0.0], rel=0.02, abs=2e-3)
     with pytest.raises(NotFinite, match="push estimator: 'state' needs 16 finite numbers"):
-        agent.measure(BallMeasurement(0.1, np.full(2 * N, np.nan), 0.0))
+        controller.measure(BallMeasurement(0.1, np.full(2 * N, np.nan), 0.0))
 
 
 class Fixed:
@@ -230,25 +230,25 @@ class Fixed:
 
 
 def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
-    agent, fixed = ball_agent(), Fixed()
-    agent.estimator = fixed  # type: ignore[assignment]
+    controller, fixed = ball_agent(), Fixed()
+    controller.estimator = fixed  # type: ignore[assignment]
     readings = (np.ones(3), 2.0 * np.ones(3), 3.0 * np.ones(3), 4.0 * np.ones(3))
     acted = np.array([0.3, -0.1, 0.5, 9.0, 9.0, 9.0])  # two ticks ago, as old as the readings are
-    agent.sent._torques.extend([acted, np.zeros(6), np.zeros(6)])
-    agent.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 2.0 * PERIOD, *readings))
-    assert fixed.turning == pytest.approx(agent.robot.base.wheel_torque_map()[2] @ acted[:3])
-    agent.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))
-    np.testing.assert_array_equal(agent.state(), np.arange(2.0 * N))
+    controller.sent._torques.extend([acted, np.zeros(6), np.zeros(6)])
+    controller.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 2.0 * PERIOD, *readings))
+    assert fixed.turning == pytest.approx(controller.robot.base.wheel_torque_map()[2] @ acted[:3])
+    controller.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))
+    np.testing.assert_array_equal(controller.state(), np.arange(2.0 * N))
     assert fixed.given == (0.5, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, *[4.0] * 3)
 
 
 def test_a_measurement_later_than_all_known_torques_counts_as_from_the_first() -> None:
     """A machine that stalls hands over what is 0.2 s old at 400 Hz: 64 torques are known. Truth: the torques at the start."""
-    agent = ball_agent(observer=True)
-    agent.measure(BallMeasurement(0.0, 0.1 * np.ones(2 * N), 0.0))
+    controller = ball_agent(observer=True)
+    controller.measure(BallMeasurement(0.0, 0.1 * np.ones(2 * N), 0.0))
     x = 0.2 * np.ones(2 * N)
-    agent.measure(BallMeasurement(1.0, x, 1000 * PERIOD))
+    controller.measure(BallMeasurement(1.0, x, 1000 * PERIOD))
     expected = x
     for _ in range(63):
         expected = linear_step(expected, np.zeros(TORQUES), PERIOD)
-    np.testing.assert_allclose(agent.state(), expected)
+    np.testing.assert_allclose(controller.state(), expected)

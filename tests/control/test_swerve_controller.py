@@ -1,4 +1,4 @@
-"""The swerve robot's agent between MPC and drives. Truth: matrix exponentials, drives integrated by themselves, sums by hand."""
+"""The swerve robot's controller between MPC and drives. Truth: matrix exponentials, drives integrated by themselves, sums by hand."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from toys import robot
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
-from wbmpc.bases.swerve.brake_supervision import LOOK, SupervisionSettings
+from wbmpc.bases.swerve.brake_supervision import POLL_PERIOD, SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveMeasurement
@@ -61,12 +61,12 @@ def moved(pose: np.ndarray, twist: np.ndarray, seconds: float) -> np.ndarray:
 def test_swerve_prediction_integrates_what_will_be_commanded(open_brakes: bool) -> None:
     """Over the delay the policy in force counts, and from its time on the queued one."""
     pose = np.array([1.0, -2.0, 0.7])
-    agent = SwerveController(SWERVE, pose, PERIOD, brakes=lambda t: np.full(4, float(open_brakes)))
+    controller = SwerveController(SWERVE, pose, PERIOD, brakes=lambda t: np.full(4, float(open_brakes)))
     first, second, plans = swerve_input(1), swerve_input(2), PolicyQueue()
     plans.add(0.0, constant_policy(first, steer=0.3))
     plans.add(0.0150, constant_policy(second))
-    agent.measure(message())
-    observation = agent.predict(0.010, 0.020, plans)
+    controller.measure(message())
+    observation = controller.predict(0.010, 0.020, plans)
     assert observation.t == pytest.approx(0.020)
     given, got = SWERVE.input, SWERVE.state.split(observation.x)
     halfway = moved(pose, first[given["base"]], 0.005)
@@ -82,7 +82,7 @@ def test_swerve_prediction_integrates_what_will_be_commanded(open_brakes: bool) 
 @pytest.mark.parametrize("allow_side_slip", [True, False])
 def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(allow_side_slip: bool) -> None:
     """Three wheels roll 1 cm straight ahead, the fourth stands across. Truth: the base has come 1 cm."""
-    geometry, agent = (
+    geometry, controller = (
         SWERVE.base.geometry,
         SwerveController(
             SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(allow_side_slip=allow_side_slip), estimation=NO_GYRO
@@ -94,25 +94,28 @@ def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(allow_sid
     plan = constant_policy(u)
     plan.x[:, SWERVE.state["steer"]] = steer
     plans.add(0.0, plan)
-    agent.measure(message(0.0, steer=steer))
-    agent.command(0.0, plans)
-    agent.measure(message(0.025, steer=steer, wheel=0.01 / geometry.wheel_radius * (across == 0.0)))
-    error = np.abs(agent.estimator.odometry.pose - [0.01, 0.0, 0.0]).max()
+    controller.measure(message(0.0, steer=steer))
+    controller.command(0.0, plans)
+    controller.measure(message(0.025, steer=steer, wheel=0.01 / geometry.wheel_radius * (across == 0.0)))
+    error = np.abs(controller.estimator.odometry.pose - [0.01, 0.0, 0.0]).max()
     assert error < 1e-4 if allow_side_slip else error > 1e-3
 
 
-@pytest.mark.parametrize("odd_wheels", [True, False])
-def test_the_odometry_does_not_listen_to_a_wheel_that_hangs_in_the_air(odd_wheels: bool) -> None:
+@pytest.mark.parametrize("reject_lifted_wheels", [True, False])
+def test_the_odometry_does_not_listen_to_a_wheel_that_hangs_in_the_air(reject_lifted_wheels: bool) -> None:
     """Three wheels roll straight ahead at 0.3 m/s, the fourth turns 0.1 m/s faster. Truth: the base goes as the three do."""
     geometry = SWERVE.base.geometry
-    agent = SwerveController(
-        SWERVE, np.zeros(3), PERIOD, estimation=EstimatorSettings(use_gyro=False, odd_wheels=odd_wheels)
+    controller = SwerveController(
+        SWERVE,
+        np.zeros(3),
+        PERIOD,
+        estimation=EstimatorSettings(use_gyro=False, reject_lifted_wheels=reject_lifted_wheels),
     )
     speed = np.array([0.3, 0.3, 0.4, 0.3]) / geometry.wheel_radius
     for k in range(150):
-        agent.measure(message(k * PERIOD, steer=-geometry.wheel_heading, wheel=k * PERIOD * speed))
-    error = np.abs(agent.estimator.odometry.pose - [149 * PERIOD * 0.3, 0.0, 0.0]).max()
-    assert error < 1e-3 if odd_wheels else error > 5e-3
+        controller.measure(message(k * PERIOD, steer=-geometry.wheel_heading, wheel=k * PERIOD * speed))
+    error = np.abs(controller.estimator.odometry.pose - [149 * PERIOD * 0.3, 0.0, 0.0]).max()
+    assert error < 1e-3 if reject_lifted_wheels else error > 5e-3
 
 
 def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:
@@ -121,7 +124,7 @@ def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:
     Truth: arm joints behind first-order drives, integrated by themselves until they stand.
     """
     lag, u, plans = 0.030, swerve_input(3), PolicyQueue()
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=lag))
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=lag))
     plans.add(0.0, constant_policy(u))
     arm, position, speed = SWERVE.input["arm"], np.zeros(6), np.zeros(6)
 
@@ -132,11 +135,11 @@ def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:
         speed = command + (speed - command) * decay
 
     for k in range(8):  # still far from steady
-        agent.measure(message(k * PERIOD, arm=position.copy()))
-        drive(agent.command(k * PERIOD, plans).arm, PERIOD)
+        controller.measure(message(k * PERIOD, arm=position.copy()))
+        drive(controller.command(k * PERIOD, plans).arm, PERIOD)
     t = 8 * PERIOD
-    agent.measure(message(t, arm=position.copy()))
-    observation = agent.predict(t, t + 0.010, plans)
+    controller.measure(message(t, arm=position.copy()))
+    observation = controller.predict(t, t + 0.010, plans)
     assert observation.t == pytest.approx(t + 0.010 + lag)
     drive(u[arm], 0.010)
     drive(np.zeros(6), 50 * lag)
@@ -150,9 +153,9 @@ def test_swerve_commands_lead_by_the_lag_and_steer_to_the_plan() -> None:
     x[:, SWERVE.state["steer"]] = 0.2 * times[:, None]
     plans = PolicyQueue()
     plans.add(0.0, Policy(times, x, inputs, np.zeros((10, SWERVE.input.size, SWERVE.state.size))))
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=lag, steer_gain=4.0))
-    agent.measure(message(steer=np.full(4, 0.6)))
-    command = agent.command(2.7, plans)  # 3.2 s on the plan's clock: the fourth interval
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=lag, steer_gain=4.0))
+    controller.measure(message(steer=np.full(4, 0.6)))
+    command = controller.command(2.7, plans)  # 3.2 s on the plan's clock: the fourth interval
     np.testing.assert_allclose(command.wheel, 0.3)
     np.testing.assert_allclose(command.arm, 0.3)
     np.testing.assert_allclose(command.steer, 0.3 + 4.0 * (0.2 * 3.2 - 0.6))
@@ -165,14 +168,14 @@ def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
     times = np.linspace(0.0, 10.0, 11)
     x = np.zeros((11, SWERVE.state.size))
     plans.add(0.0, Policy(times, x, np.tile(u, (10, 1)), np.zeros((10, u.size, SWERVE.state.size))))
-    agent, steer, stood = SwerveController(SWERVE, np.zeros(3), PERIOD), np.array([0.5, 0.0, 0.0, 0.0]), 0
+    controller, steer, stood = SwerveController(SWERVE, np.zeros(3), PERIOD), np.array([0.5, 0.0, 0.0, 0.0]), 0
     for k in range(800):
-        agent.measure(message(k * PERIOD, steer=steer.copy(), arm=np.full(6, 0.2 * k * PERIOD)))
-        command = agent.command(k * PERIOD, plans)
-        if agent.tracking.aligning:
+        controller.measure(message(k * PERIOD, steer=steer.copy(), arm=np.full(6, 0.2 * k * PERIOD)))
+        command = controller.command(k * PERIOD, plans)
+        if controller.tracking.aligning:
             stood += 1
             np.testing.assert_array_equal(command.wheel, 0.0)
-            now = agent.predict(k * PERIOD, k * PERIOD + 0.01, plans)
+            now = controller.predict(k * PERIOD, k * PERIOD + 0.01, plans)
             np.testing.assert_array_equal(now.x[SWERVE.state["base"]], 0.0)
         np.testing.assert_allclose(command.arm, 0.2, rtol=1e-12)
         steer = steer + PERIOD * command.steer
@@ -188,26 +191,26 @@ def test_no_steering_command_is_beyond_what_the_description_allows() -> None:
     for own, most in (({}, 2.0), ({"steer_LF": 2.2}, 2.2)):
         d = SWERVE.description
         slow = {**d.limits.velocity, **{name: 2.0 for name in SWERVE.input.groups["steer"]}}
-        limits = d.limits.model_copy(update={"velocity": slow, "drive_velocity": own})
-        agent = SwerveController(RobotModel(d.model_copy(update={"limits": limits})), np.zeros(3), PERIOD)
+        limits = d.limits.model_copy(update={"velocity": slow, "actuator_velocity": own})
+        controller = SwerveController(RobotModel(d.model_copy(update={"limits": limits})), np.zeros(3), PERIOD)
         plans, largest = PolicyQueue(), 0.0
         plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size), steer=1.5))
         for k in range(100):
-            agent.measure(message(k * PERIOD))
-            largest = max(largest, float(np.abs(agent.command(k * PERIOD, plans).steer).max()))
+            controller.measure(message(k * PERIOD))
+            largest = max(largest, float(np.abs(controller.command(k * PERIOD, plans).steer).max()))
         assert largest == most
 
 
 def test_first_plan_starts_from_wheels_that_agree() -> None:
     """Wheels turned by hand: the state for the first plan has the nearest angles with a common centre, not the measured."""
     crooked = np.array([0.6, -0.3, 0.2, 0.9])
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD)
-    agent.measure(message(steer=crooked))
-    steer = agent.predict(0.0, 0.0, PolicyQueue()).x[SWERVE.state["steer"]]
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD)
+    controller.measure(message(steer=crooked))
+    steer = controller.predict(0.0, 0.0, PolicyQueue()).x[SWERVE.state["steer"]]
     np.testing.assert_allclose(steer, aligned_steering(SWERVE.base.geometry, np.zeros(4), crooked))
     nearly = 0.01 * crooked
-    agent.measure(message(steer=nearly))
-    np.testing.assert_array_equal(agent.predict(0.0, 0.0, PolicyQueue()).x[SWERVE.state["steer"]], nearly)
+    controller.measure(message(steer=nearly))
+    np.testing.assert_array_equal(controller.predict(0.0, 0.0, PolicyQueue()).x[SWERVE.state["steer"]], nearly)
 
 
 def test_swerve_wheels_are_slowed_together() -> None:
@@ -215,9 +218,9 @@ def test_swerve_wheels_are_slowed_together() -> None:
     limit = SWERVE.limits.input_upper[SWERVE.input["wheel"]]
     u[SWERVE.input["wheel"]] = limit * [0.5, 2.0, -1.0, 0.1]
     plans.add(0.0, constant_policy(u))
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD)
-    agent.measure(message())
-    np.testing.assert_allclose(agent.command(0.0, plans).wheel, limit * [0.25, 1.0, -0.5, 0.05])
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD)
+    controller.measure(message())
+    np.testing.assert_allclose(controller.command(0.0, plans).wheel, limit * [0.25, 1.0, -0.5, 0.05])
 
 
 def test_commands_change_by_what_accelerations_allow() -> None:
@@ -227,15 +230,15 @@ def test_commands_change_by_what_accelerations_allow() -> None:
     given = HURRIED.input
     u[given["wheel"]], u[given["steer"]], u[given["arm"]] = [1.0, -2.0, 3.0, 4.0], [0.3, 0.0, -0.3, 0.1], 0.2
     plans.add(0.0, constant_policy(u))
-    agent = SwerveController(
+    controller = SwerveController(
         HURRIED, np.zeros(3), PERIOD, tracking=TrackingSettings(planned_steering=False, steer_gain=0.0)
     )
     before, ticks, arm = np.zeros(u.size), 0, np.zeros(6)
-    agent.measure(message())
-    ahead = agent.predict(0.0, 8 * PERIOD, plans).x
+    controller.measure(message())
+    ahead = controller.predict(0.0, 8 * PERIOD, plans).x
     for k in range(60):
-        agent.measure(message(k * PERIOD, arm=arm.copy()))
-        command = agent.command(k * PERIOD, plans)
+        controller.measure(message(k * PERIOD, arm=arm.copy()))
+        command = controller.command(k * PERIOD, plans)
         arm += command.arm * PERIOD
         now = before.copy()
         now[given["wheel"]], now[given["steer"]], now[given["arm"]] = command.wheel, command.steer, command.arm
@@ -254,28 +257,28 @@ def test_commands_change_by_what_accelerations_allow() -> None:
 
 
 def test_swerve_stops_when_its_plan_has_run_out() -> None:
-    plans, agent = PolicyQueue(), SwerveController(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4))
+    plans, controller = PolicyQueue(), SwerveController(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4))
     plans.add(0.0, constant_policy(swerve_input(4)))
-    agent.measure(message())
-    for command in (agent.command(10.1, plans), agent.stop()):
+    controller.measure(message())
+    for command in (controller.command(10.1, plans), controller.stop()):
         for part in (command.wheel, command.steer, command.arm, command.brake):
             np.testing.assert_array_equal(part, 0.0)
-    assert np.abs(agent.command(9.9, plans).arm).max() > 0.0
+    assert np.abs(controller.command(9.9, plans).arm).max() > 0.0
 
 
 def test_gyro_bias_is_found_at_rest() -> None:
     """Wheels at rest show that the base does not turn: the yaw stays, and the bias is the mean of the readings."""
-    agent, deaf = (
+    controller, deaf = (
         SwerveController(SWERVE, np.zeros(3), PERIOD),
         SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=NO_GYRO),
     )
     rng = np.random.default_rng(0)
     readings = 0.008 + 2e-4 / np.sqrt(PERIOD) * rng.normal(size=2000)
     for k, reading in enumerate(readings):
-        for a in (agent, deaf):
+        for a in (controller, deaf):
             a.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), np.array([9.0, 9.0, reading])))
-    assert agent.estimator.odometry.gyro_bias == pytest.approx(readings[1:].mean(), abs=2e-5)
-    assert abs(agent.estimator.odometry.pose[2]) < 1e-6
+    assert controller.estimator.odometry.gyro_bias == pytest.approx(readings[1:].mean(), abs=2e-5)
+    assert abs(controller.estimator.odometry.pose[2]) < 1e-6
     assert deaf.estimator.odometry.gyro_bias == 0.0 and deaf.estimator.odometry.pose[2] == 0.0
 
 
@@ -285,24 +288,24 @@ def test_a_sagging_arm_is_learned_and_taken_off() -> None:
     rng, sag = np.random.default_rng(0), np.array([0.0, 0.03, -0.02, 0.0, 0.01, 0.0])
     u, given = 0.2 * swerve_input(1), SWERVE.input
     u[[i for i in range(u.size) if i not in range(u.size)[given["arm"]]]] = 0.0
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=0.02))
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=0.02))
     arm, rate, plans = np.zeros((2000, 6)), np.zeros(6), PolicyQueue()
     plans.add(0.0, constant_policy(u))
     for k in range(1, 2000):
         t = k * PERIOD
         old = rng.uniform(0.0, 0.8)
-        agent.measure(message(t, arm=old * arm[k - 2] + (1.0 - old) * arm[k - 1], steer=np.full(4, t)))
-        rate += (1.0 - np.exp(-PERIOD / 0.02)) * (agent.command(t, plans).arm - rate)
+        controller.measure(message(t, arm=old * arm[k - 2] + (1.0 - old) * arm[k - 1], steer=np.full(4, t)))
+        rate += (1.0 - np.exp(-PERIOD / 0.02)) * (controller.command(t, plans).arm - rate)
         arm[k] = arm[k - 1] + PERIOD * (rate + sag)
-    np.testing.assert_allclose(agent.tracking.arm.sag, sag, atol=2e-3)
+    np.testing.assert_allclose(controller.tracking.arm.sag, sag, atol=2e-3)
     np.testing.assert_allclose((arm[-1] - arm[-401]) / (400 * PERIOD), u[given["arm"]], atol=2e-3)
 
 
-def test_wheels_and_steering_are_told_what_friction_takes() -> None:
+def test_wheels_and_steering_are_reported_what_friction_takes() -> None:
     """Drives that lose 0.03 rad/s, as dry friction makes them. Truth: after a while they turn as planned."""
     u, given, lost, period = 0.2 * swerve_input(1), SWERVE.input, 0.03, 0.01
     u[given["wheel"]], u[given["steer"]] = 2.0, 1.0  # the plan's steering angles rise by 1 rad/s
-    agent, plans = (
+    controller, plans = (
         SwerveController(SWERVE, np.zeros(3), period, tracking=TrackingSettings(friction=True)),
         PolicyQueue(),
     )
@@ -310,8 +313,8 @@ def test_wheels_and_steering_are_told_what_friction_takes() -> None:
     wheel, steer, behind = np.zeros(4), np.zeros(4), []
     for k in range(300):
         t = k * period
-        agent.measure(message(t, wheel=wheel, steer=steer))
-        command = agent.command(t, plans)
+        controller.measure(message(t, wheel=wheel, steer=steer))
+        command = controller.command(t, plans)
         wheel, steer = wheel + period * (command.wheel - lost), steer + period * (command.steer - lost)
         behind.append(t + period - steer)
     np.testing.assert_allclose(command.wheel - lost, 2.0, atol=3e-3)
@@ -326,7 +329,7 @@ def test_smoothed_positions_are_those_of_the_moment() -> None:
     u[given["base"]], u[given["arm"]] = [0.3, 0.0, 0.0], 0.5
     plan, steer = constant_policy(u), -geometry.wheel_heading
     plan.x[:, SWERVE.state["steer"]] = steer
-    agent, plans = (
+    controller, plans = (
         SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=EstimatorSettings(use_gyro=False, smoothing=0.025)),
         PolicyQueue(),
     )
@@ -335,12 +338,12 @@ def test_smoothed_positions_are_those_of_the_moment() -> None:
     for k in range(400):
         t = k * PERIOD
         read = max(t - rng.uniform(0.0, 0.002), 0.0)
-        agent.measure(
+        controller.measure(
             message(t, steer=steer, wheel=np.full(4, 0.3 * read / geometry.wheel_radius), arm=np.full(6, 0.5 * read))
         )
-        agent.command(t, plans)
-        base.append(agent.pose[0] - 0.3 * t)
-        arm.append(agent.estimator.arm[0] - 0.5 * t)
+        controller.command(t, plans)
+        base.append(controller.pose[0] - 0.3 * t)
+        arm.append(controller.estimator.arm[0] - 0.5 * t)
     for off, speed in ((base, 0.3), (arm, 0.5)):
         assert np.std(off[100:]) < 0.3 * speed * 0.002 / np.sqrt(12.0)
         assert abs(np.mean(off[100:])) < 0.1 * speed * 0.001
@@ -349,122 +352,127 @@ def test_smoothed_positions_are_those_of_the_moment() -> None:
 def test_calibration_corrects_angles_and_wheel_speeds() -> None:
     """Zeros are taken off what the encoders say; a wheel of twice the radius turns half as fast for the same way."""
     geometry, rng = SWERVE.base.geometry, np.random.default_rng(5)
-    leg_zero, steer_zero = rng.normal(size=(2, 4))
+    leg_offset, steer_offset = rng.normal(size=(2, 4))
     known = WheelCalibration(
-        steer_zero, leg_zero, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8))
+        steer_offset, leg_offset, geometry.wheel_radius * np.array([1.0, 2.0, 1.0, 0.5]), np.zeros((8, 8))
     )
-    agent, plans = (
+    controller, plans = (
         SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=EstimatorSettings(calibration=known)),
         PolicyQueue(),
     )
-    agent.measure(message(leg=leg_zero + 0.1, steer=steer_zero + 0.2))
-    state = SWERVE.state.split(agent.state())
+    controller.measure(message(leg=leg_offset + 0.1, steer=steer_offset + 0.2))
+    state = SWERVE.state.split(controller.state())
     np.testing.assert_allclose(state["leg"], 0.1)
     np.testing.assert_allclose(state["steer"], 0.2)
     u = swerve_input(6)
     plans.add(0.0, constant_policy(u, steer=0.2))
-    command = agent.command(0.0, plans)
+    command = controller.command(0.0, plans)
     np.testing.assert_allclose(command.wheel, u[SWERVE.input["wheel"]] / [1.0, 2.0, 1.0, 0.5])
     np.testing.assert_allclose(command.steer, u[SWERVE.input["steer"]], atol=1e-12)
 
 
 def test_global_poses_reach_the_odometry() -> None:
-    agent, seen = SwerveController(SWERVE, np.zeros(3), PERIOD), np.array([0.002, -0.001, 0.003])
-    agent.estimator.odometry._state.p[:3, :3] = np.eye(3)
+    controller, seen = SwerveController(SWERVE, np.zeros(3), PERIOD), np.array([0.002, -0.001, 0.003])
+    controller.estimator.odometry._state.p[:3, :3] = np.eye(3)
     for k in range(5):
         place = GlobalPose(PERIOD, seen, 1e-8 * np.eye(3)) if k == 3 else None
-        agent.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), place=place))
-    np.testing.assert_allclose(agent.estimator.odometry.pose, seen, atol=1e-6)
+        controller.measure(SwerveMeasurement(k * PERIOD, *np.zeros((3, 4)), np.zeros(6), place=place))
+    np.testing.assert_allclose(controller.estimator.odometry.pose, seen, atol=1e-6)
 
 
 def test_after_a_stop_commands_rise_as_accelerations_allow() -> None:
     """A plan runs out at speed, and another comes. Truth: from rest, by the limit times the period."""
-    agent, plans = SwerveController(HURRIED, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=0.02)), PolicyQueue()
+    controller, plans = (
+        SwerveController(HURRIED, np.zeros(3), PERIOD, tracking=TrackingSettings(lag=0.02)),
+        PolicyQueue(),
+    )
     u = np.zeros(HURRIED.input.size)
     u[HURRIED.input["wheel"]] = 4.0
     plans.add(0.0, constant_policy(u))
-    agent.measure(message())
+    controller.measure(message())
     for k in range(100):
-        last = agent.command(k * PERIOD, plans).wheel
+        last = controller.command(k * PERIOD, plans).wheel
     assert last == pytest.approx(4.0)
     for _ in range(100):
-        agent.stop()
+        controller.stop()
     rise = HURRIED.limits.input_rate[HURRIED.input["wheel"]].min() * PERIOD
-    assert agent.command(0.3, plans).wheel == pytest.approx(rise)
-    assert agent.predict(0.3, 0.3, plans).x[HURRIED.state["wheel"]] == pytest.approx(0.02 * rise, abs=0.02 * rise)
+    assert controller.command(0.3, plans).wheel == pytest.approx(rise)
+    assert controller.predict(0.3, 0.3, plans).x[HURRIED.state["wheel"]] == pytest.approx(0.02 * rise, abs=0.02 * rise)
 
 
-def test_every_agent_of_hinged_legs_watches_their_brakes() -> None:
-    """A closed leg moves by 3 mrad each 10 ms; told to whoever listens, and kept as a sentence. Fixed legs have no brakes."""
-    told: list[object] = []
-    agent, plans = (
-        SwerveController(SWERVE, np.zeros(3), PERIOD, supervision=SupervisionSettings(report=told.append)),
+def test_every_controller_of_hinged_legs_watches_their_brakes() -> None:
+    """A closed leg moves by 3 mrad each 10 ms; told to whoever listens, and kept as a message. Fixed legs have no brakes."""
+    reported: list[object] = []
+    controller, plans = (
+        SwerveController(SWERVE, np.zeros(3), PERIOD, supervision=SupervisionSettings(report=reported.append)),
         PolicyQueue(),
     )
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
     for k in range(10):
-        agent.measure(message(0.01 * k, leg=np.array([0.0, 0.0, 3e-3 * k, 0.0])))
-        agent.command(0.01 * k, plans)
+        controller.measure(message(0.01 * k, leg=np.array([0.0, 0.0, 3e-3 * k, 0.0])))
+        controller.command(0.01 * k, plans)
     name = SWERVE.state.groups["leg"][2]
-    assert len(told) == len(agent.faults) == 1 and agent.faults[0].startswith(f"brake of {name} does not hold")
+    assert len(reported) == len(controller.faults) == 1 and controller.faults[0].startswith(
+        f"brake of {name} does not hold"
+    )
     fixed = robot("swerve-fixed-ur10")
     assert SwerveController(fixed, np.zeros(3), PERIOD).supervision.monitor is None
 
 
 def test_brakes_that_a_stop_closes_are_watched_as_closed() -> None:
     """Open ones would be said not to open after a plan has run out: the legs stand and nothing moves them."""
-    agent, plans = SwerveController(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4)), PolicyQueue()
+    controller, plans = SwerveController(SWERVE, np.zeros(3), PERIOD, brakes=lambda t: np.ones(4)), PolicyQueue()
     u = np.zeros(SWERVE.input.size)
     u[SWERVE.input["leg"]] = 0.4
     plans.add(0.0, constant_policy(u))
-    agent.measure(message())
-    agent.command(0.0, plans)
-    agent.command(11.0, plans)
-    assert agent.supervision.monitor is not None and not agent.supervision.monitor._open.any()  # type: ignore[union-attr]
-    agent.command(2.0, plans)
+    controller.measure(message())
+    controller.command(0.0, plans)
+    controller.command(11.0, plans)
+    assert controller.supervision.monitor is not None and not controller.supervision.monitor._open.any()  # type: ignore[union-attr]
+    controller.command(2.0, plans)
 
 
 def test_brakes_are_looked_at_every_10_ms(monkeypatch: pytest.MonkeyPatch) -> None:
     """A closed leg moves by 0.1 rad/s: told when it has gone by 10 mrad more than creeps, and at most a look later."""
-    agent, plans, looks = SwerveController(SWERVE, np.zeros(3), PERIOD), PolicyQueue(), []
+    controller, plans, looks = SwerveController(SWERVE, np.zeros(3), PERIOD), PolicyQueue(), []
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
-    assert agent.supervision.monitor is not None
-    update = agent.supervision.monitor.update
-    monkeypatch.setattr(agent.supervision.monitor, "update", lambda t, *more: looks.append(t) or update(t, *more))
+    assert controller.supervision.monitor is not None
+    update = controller.supervision.monitor.update
+    monkeypatch.setattr(controller.supervision.monitor, "update", lambda t, *more: looks.append(t) or update(t, *more))
     for k in range(60):
-        agent.measure(message(k * PERIOD, leg=np.array([0.0, 0.0, 0.1 * k * PERIOD, 0.0])))
-        agent.command(k * PERIOD, plans)
+        controller.measure(message(k * PERIOD, leg=np.array([0.0, 0.0, 0.1 * k * PERIOD, 0.0])))
+        controller.command(k * PERIOD, plans)
     assert looks == pytest.approx(0.01 * np.arange(15))
-    (fault,) = agent.supervision.monitor.faults
-    assert 0.0 <= fault.time - 0.01 / (0.1 - agent.supervision.monitor.creep) < 0.01 + PERIOD
+    (fault,) = controller.supervision.monitor.faults
+    assert 0.0 <= fault.time - 0.01 / (0.1 - controller.supervision.monitor.creep) < 0.01 + PERIOD
 
 
 def test_brakes_are_judged_when_a_new_run_begins_at_0() -> None:
     """A leg slips 0.1 s after the clock has gone back from 1000 s: told as in the first run."""
-    agent = SwerveController(SWERVE, np.zeros(3), PERIOD)
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD)
     still = np.zeros(4)
     for start in (1000.0, 0.0):
         for k in range(80):
-            agent.estimator.measured = message(start + k * PERIOD, leg=np.array([0.02 * (k > 40), 0.0, 0.0, 0.0]))
-            agent.watch(start + k * PERIOD, still, still)
-    assert agent.supervision.monitor is not None
-    assert [f.time for f in agent.supervision.monitor.faults] == pytest.approx([1000.11, 0.11], abs=0.01)
+            controller.estimator.measured = message(start + k * PERIOD, leg=np.array([0.02 * (k > 40), 0.0, 0.0, 0.0]))
+            controller.watch(start + k * PERIOD, still, still)
+    assert controller.supervision.monitor is not None
+    assert [f.time for f in controller.supervision.monitor.faults] == pytest.approx([1000.11, 0.11], abs=0.01)
 
 
-def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[BrakeFault]:
-    """What an agent tells until ``end`` [s] of a leg that is planned to turn by 0.2 rad/s and turns by ``leg`` [rad] within 50 ms:
+def brake_faults(leg: float, is_open: bool, end: float, how: str = "") -> list[BrakeFault]:
+    """What a controller tells until ``end`` [s] of a leg that is planned to turn by 0.2 rad/s and turns by ``leg`` [rad] within 50 ms:
     at once one that is closed, just before the end one that is open. ``how`` the run ends then: with "no plan" or a "stop".
     """
     monitor = BrakeMonitor(SWERVE.state.groups["leg"], expected=0.02, patience=0.1)
-    told: list[BrakeFault] = []
+    reported: list[BrakeFault] = []
     brakes = lambda t: np.full(4, float(is_open))
-    agent = SwerveController(
+    controller = SwerveController(
         SWERVE,
         np.zeros(3),
         PERIOD,
         brakes,
         tracking=TrackingSettings(planned_steering=False),
-        supervision=SupervisionSettings(monitor=monitor, report=told.append),
+        supervision=SupervisionSettings(monitor=monitor, report=reported.append),
     )
     u, plans = np.zeros(SWERVE.input.size), PolicyQueue()
     u[SWERVE.input["leg"].start] = 0.2
@@ -472,56 +480,56 @@ def brakes_told(leg: float, is_open: bool, end: float, how: str = "") -> list[Br
     last = round(end / PERIOD)
     for k in range(last + 1):
         share = np.clip((k * PERIOD - (end - 0.05 if is_open else 0.0)) / 0.05, 0.0, 1.0)
-        agent.measure(message(k * PERIOD, leg=np.array([leg * share, 0.0, 0.0, 0.0])))
+        controller.measure(message(k * PERIOD, leg=np.array([leg * share, 0.0, 0.0, 0.0])))
         if k == last and how == "stop":
-            agent.stop()
+            controller.stop()
         else:
-            agent.command(k * PERIOD, plans)
-    return told
+            controller.command(k * PERIOD, plans)
+    return reported
 
 
 @pytest.mark.parametrize("how", ["no plan", "stop"])
 def test_a_brake_is_taken_back_although_a_stop_comes_first(how: str) -> None:
     """In the tick in which the message would come. Truth: the same run without the stop, and 0.02 rad at 0.2 - 0.08 rad/s."""
-    slips, holds = brakes_told(0.1, False, 0.3)
+    slips, holds = brake_faults(0.1, False, 0.3)
     assert (slips.kind, holds.kind) == ("does not hold", "holds after all")
     assert holds.time == pytest.approx(0.05 + 0.02 / 0.12, abs=0.02)  # two looks
-    assert [f.kind for f in brakes_told(0.1, False, holds.time, how)] == ["does not hold", "holds after all"]
+    assert [f.kind for f in brake_faults(0.1, False, holds.time, how)] == ["does not hold", "holds after all"]
     # the stop closes an open brake, but the leg has moved under the command before: 10.1 mrad at the last tick
-    assert [f.kind for f in brakes_told(0.0101, True, 0.2525, how)] == ["does not open", "opens after all"]
+    assert [f.kind for f in brake_faults(0.0101, True, 0.2525, how)] == ["does not open", "opens after all"]
 
 
 def test_a_stop_that_lasts_costs_no_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    agent, plans, looks = SwerveController(SWERVE, np.zeros(3), PERIOD), PolicyQueue(), []
+    controller, plans, looks = SwerveController(SWERVE, np.zeros(3), PERIOD), PolicyQueue(), []
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size), start=-10.1))
-    assert agent.supervision.monitor is not None
-    monkeypatch.setattr(agent.supervision.monitor, "update", lambda t, *more: looks.append(t) or [])
+    assert controller.supervision.monitor is not None
+    monkeypatch.setattr(controller.supervision.monitor, "update", lambda t, *more: looks.append(t) or [])
     for k in range(40):
-        agent.measure(message(k * PERIOD))
-        agent.command(k * PERIOD, plans)
+        controller.measure(message(k * PERIOD))
+        controller.command(k * PERIOD, plans)
     assert len(looks) == 10
 
 
 @pytest.mark.parametrize("leg", [np.full(4, np.nan), np.zeros(3)])
 def test_a_stop_for_a_message_that_says_nothing_is_a_stop(leg: np.ndarray) -> None:
-    """The loop stops the agent after its odometry has refused the message."""
-    agent, plans = SwerveController(HURRIED, np.zeros(3), PERIOD, lambda t: np.ones(4)), PolicyQueue()
+    """The loop stops the controller after its odometry has rejected the message."""
+    controller, plans = SwerveController(HURRIED, np.zeros(3), PERIOD, lambda t: np.ones(4)), PolicyQueue()
     plans.add(0.0, constant_policy(swerve_input(3)))
     plans.activate(0.0)
-    agent.measure(message())
-    agent.command(0.0, plans)
+    controller.measure(message())
+    controller.command(0.0, plans)
     with pytest.raises(InputError, match="leg"):
-        agent.measure(message(PERIOD, leg=leg))
-    assert not agent.stop().brake.any() and agent.faults == []
+        controller.measure(message(PERIOD, leg=leg))
+    assert not controller.stop().brake.any() and controller.faults == []
 
 
 def test_a_plan_that_is_not_finite_does_not_end_in_the_monitor() -> None:
-    """What is commanded is refused by who commands it; the stop after it still looks at the legs."""
-    agent = SwerveController(HURRIED, np.zeros(3), PERIOD)
-    agent.measure(message())
-    agent.watch(0.0, np.zeros(4), np.full(4, 0.1))
-    agent.watch(LOOK, np.zeros(4), np.full(4, np.nan))
-    agent.measure(message(2.0 * LOOK, leg=np.array([0.02, 0.0, 0.0, 0.0])))
-    agent.stop()
-    (fault,) = agent.faults
+    """What is commanded is rejected by who commands it; the stop after it still looks at the legs."""
+    controller = SwerveController(HURRIED, np.zeros(3), PERIOD)
+    controller.measure(message())
+    controller.watch(0.0, np.zeros(4), np.full(4, 0.1))
+    controller.watch(POLL_PERIOD, np.zeros(4), np.full(4, np.nan))
+    controller.measure(message(2.0 * POLL_PERIOD, leg=np.array([0.02, 0.0, 0.0, 0.0])))
+    controller.stop()
+    (fault,) = controller.faults
     assert "does not hold" in fault

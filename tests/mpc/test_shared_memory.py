@@ -131,7 +131,7 @@ def test_a_message_half_written_is_not_seen_and_does_not_block() -> None:
     assert box.read() is None  # one that waited would wait for ever
 
 
-def test_a_wrong_checksum_is_refused() -> None:
+def test_a_wrong_checksum_is_rejected() -> None:
     box = Mailbox(FIELDS, checked=True)
     box.write(**message(1))
     box._data[1][5] += 1.0

@@ -1,6 +1,6 @@
-"""Gains of the rivals of `swerve-fixed` and `swerve-drive`: a coordinate search on tuning seeds, for the least rms position error.
+"""Gains of the baselines of `swerve-fixed` and `swerve-drive`: a coordinate search on tuning seeds, for the least rms position error.
 
-Usage: python benchmarks/rivals.py [--rival ik|four_wheel|tour] [--seeds 0-1] [--random 20] [--sets 31] [--out DIR]
+Usage: python benchmarks/swerve_baselines.py [--baseline ik|four_wheel|tour] [--seeds 0-1] [--random 20] [--sets 31] [--out DIR]
 Starts from the gains that the experiment has, and ends after so many sets of gains. The four-wheel base is judged by the motions
 that it can do (forward, turning); sideways ones would hide its gains. `tour`: the inverse kinematics on the tour of `swerve-drive`.
 DIR/NAME.md gets every trial and the best; trials that it has are not run again.
@@ -41,7 +41,7 @@ GRIDS: dict[str, dict[str, tuple[float, ...]]] = {
         "look_ahead": (0.0, 1.0),
     },
 }
-#: What each rival is judged by; ``None``: all motions, and random twists after them.
+#: What each baseline is judged by; ``None``: all motions, and random twists after them.
 MOTIONS: dict[str, tuple[Name, ...] | None] = {"ik": None, "four_wheel": ("forward", "turning")}
 #: The robot stands only so long [s] before a trial.
 REST = 2.0
@@ -56,16 +56,16 @@ def error(name: str, gains: dict[str, float], seeds: range, random: float) -> fl
 
 def _tour(gains: dict[str, float], seed: int) -> np.ndarray:
     """Squares [m²] of the position error on the tour."""
-    given = {f"rival_{key}": value for key, value in gains.items()}
-    settings = SwerveDriveSettings.model_validate({"rest": REST, **given})
-    error = swerve_drive.rival_on_tour(settings, seed)
+    given = {f"baseline_{key}": value for key, value in gains.items()}
+    settings = SwerveDriveSettings.model_validate({"settle_time": REST, **given})
+    error = swerve_drive.baseline_on_tour(settings, seed)
     return np.asarray(np.sum(error[:, :2] ** 2, axis=1))
 
 
 def _motions(name: str, gains: dict[str, float], seed: int, random: float) -> np.ndarray:
-    """Squares [m²] of the position error on the motions by which a rival is judged, infinite if it did not get through them."""
+    """Squares [m²] of the position error on the motions by which a baseline is judged, infinite if it did not get through them."""
     robot, motions = load_robot("swerve-fixed-ur10"), MOTIONS[name]
-    settings = SwerveFixedSettings(random=random, rest=REST)
+    settings = SwerveFixedSettings(random_time=random, settle_time=REST)
     if motions is not None:
         settings = settings.model_copy(update={"motions": motions, "random": 0.0})
     fixed.CONTROLLERS[name] = fixed.rival(KINDS[name], **gains)
@@ -80,33 +80,33 @@ def _start(name: str) -> dict[str, float]:
     if name != "tour":
         return dict(fixed.GAINS[name])
     settings = SwerveDriveSettings()
-    return {key: float(getattr(settings, f"rival_{key}")) for key in GRIDS[name]}
+    return {key: float(getattr(settings, f"baseline_{key}")) for key in GRIDS[name]}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rival", default="ik", choices=sorted(GRIDS))
+    parser.add_argument("--baseline", default="ik", choices=sorted(GRIDS))
     parser.add_argument("--seeds", default="0-1")
     parser.add_argument("--random", type=float, default=20.0)
     parser.add_argument("--sets", type=int, default=31, help="of gains that are tried")
-    parser.add_argument("--out", type=Path, default=Path("runs/rivals"))
+    parser.add_argument("--out", type=Path, default=Path("runs/baselines"))
     given = parser.parse_args()
     first, last = (int(v) for v in given.seeds.split("-"))
     given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / f"{given.rival}-{given.seeds}-{given.random:g}.jsonl"
+    path = given.out / f"{given.baseline}-{given.seeds}-{given.random:g}.jsonl"
     known = {tuple(e["gains"].items()): float(e["error"]) for e in map(json.loads, _lines(path))}
 
     def trial(gains: dict[str, float]) -> float:
         key = tuple(gains.items())
         if key not in known:
-            known[key] = error(given.rival, gains, range(first, last + 1), given.random)
+            known[key] = error(given.baseline, gains, range(first, last + 1), given.random)
             with path.open("a") as file:
                 file.write(json.dumps({"gains": gains, "error": known[key]}) + "\n")
-            print(f"{given.rival} {gains}: {1e3 * known[key]:.2f} mm", flush=True)
+            print(f"{given.baseline} {gains}: {1e3 * known[key]:.2f} mm", flush=True)
         return known[key]
 
-    grid = GRIDS[given.rival]
-    best, gains = search(_start(given.rival), grid, given.sets, trial)
+    grid = GRIDS[given.baseline]
+    best, gains = search(_start(given.baseline), grid, given.sets, trial)
     print(f"best of {len(known)} sets: {gains}: {1e3 * best:.2f} mm")
     path.with_suffix(".md").write_text(table(list(grid), known, gains))
 

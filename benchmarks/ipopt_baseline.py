@@ -33,7 +33,7 @@ class Found(NamedTuple):
     x: np.ndarray
     u: np.ndarray
     slack: float
-    told: str
+    kind: str
 
 
 def _closed(rows: list[Row]) -> list[int]:
@@ -41,7 +41,7 @@ def _closed(rows: list[Row]) -> list[int]:
     return [i for i, r in enumerate(rows) if r.kind is Kind.HARD and np.isfinite(r.penalty)]
 
 
-class Rival:
+class IpoptBaseline:
     """The problem as the solver has last seen it, from ``x0`` (nx).
 
     Unknowns: stages (x, u, slacks), then the end (x, slacks). Rows: start, stages [gap; equality; rows], rows of the end.

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
+from effort import draws
 from wbmpc.errors import InputError
 from wbmpc.estimation.fused_odometry import PATIENCE, FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
@@ -68,7 +69,7 @@ def test_derivatives_of_the_twist_are_finite_differences(geometry) -> None:  # t
         zeros[:, i] = (at(1) - at(-1)) / 2e-6
         of = lambda s, u=unit: fit_twist(geometry, radius * (1 + s * u), before, now).twist
         factors[:, i] = (of(1) - of(-1)) / 2e-6
-    np.testing.assert_allclose(moved.by_steer_zero(), zeros, atol=1e-10)
+    np.testing.assert_allclose(moved.by_steer_offset(), zeros, atol=1e-10)
     np.testing.assert_allclose(moved.by_radius(), factors, atol=1e-10)
     assert np.abs(moved.twist).max() > 1e-3
 
@@ -88,9 +89,9 @@ LEVELS = {
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_covariance_fits_the_errors(level: str) -> None:
-    """Slip is found from the wheels' contradiction alone: the filter is told nothing of its size."""
+    """Slip is found from the wheels' contradiction alone: the filter is reported nothing of its size."""
     pose, bias = [], []
-    for seed in range(40):
+    for seed in range(draws(10, 40)):
         base = Drawn(FOUR, seed, length=8.0, **LEVELS[level])
         odometry = filtered(base)
         pose.append(squared(base.poses[-1] - odometry.pose, odometry.covariance))
@@ -103,7 +104,7 @@ def test_covariance_fits_the_errors(level: str) -> None:
 @pytest.mark.parametrize("geometry", [ring(2), ring(3, hinged=False), ring(6)], ids=["2", "3 fixed", "6"])
 def test_covariance_fits_with_any_number_of_modules(geometry) -> None:  # type: ignore[no-untyped-def]
     pose = []
-    for seed in range(25):
+    for seed in range(draws(8, 25)):
         base = Drawn(geometry, seed, slip=2e-3, zero=2e-3, length=8.0)
         odometry = filtered(base)
         pose.append(squared(base.poses[-1] - odometry.pose, odometry.covariance))
@@ -163,7 +164,7 @@ def test_exact_data_give_the_pose() -> None:
 
 
 def test_gyro_takes_over_where_the_wheels_are_bad() -> None:
-    """Zeros of 10 mrad that nobody told: with the gyro, whose bias was known, the pose is far better than without."""
+    """Zeros of 10 mrad that nobody reported: with the gyro, whose bias was known, the pose is far better than without."""
     lost = {}
     for gyro in (2e-4, 0.0):
         errors = []
@@ -222,12 +223,12 @@ LIDAR = (5, 3, (0.005, 0.005, 0.002))
 def test_late_global_poses_bound_the_error() -> None:
     """10 Hz, 60 ms late, 5 mm and 2 mrad on a base that slips and is not calibrated: 10 mm rms; covariance consistent."""
     errors, pose = [], []
-    for seed in range(15):
+    for seed in range(draws(5, 15)):
         base = Drawn(FOUR, seed, slip=1e-3, zero=2e-3, radius=2e-3, length=20.0)
         odometry = filtered(base, lidar=LIDAR)
         errors.append(base.poses[-1] - odometry.pose)
         pose.append(squared(errors[-1], odometry.covariance))
-        assert odometry.refused == 0
+        assert odometry.rejected == 0
     assert np.sqrt(np.mean(np.sum(np.square(errors)[:, :2], axis=1))) < 0.010
     assert consistent(pose, 3), np.mean(pose)
 
@@ -249,7 +250,7 @@ def test_a_late_pose_counts_as_if_it_had_come_in_time() -> None:
     np.testing.assert_allclose(results[0].covariance, results[1].covariance, rtol=1e-3, atol=1e-10)
 
 
-def test_a_pose_that_cannot_be_is_refused_and_a_lost_filter_finds_back() -> None:
+def test_a_pose_that_cannot_be_is_rejected_and_a_lost_filter_finds_back() -> None:
     base = Drawn(FOUR, 4, length=4.0)
     odometry = FusedOdometry(FOUR, [0.4, -0.3, 0.2])
     small = np.diag([25e-6, 25e-6, 4e-6])
@@ -261,7 +262,7 @@ def test_a_pose_that_cannot_be_is_refused_and_a_lost_filter_finds_back() -> None
             np.testing.assert_array_equal(odometry.pose, before)
         if k >= 100 and k % 5 == 0:  # the world says again and again that the base was carried away
             odometry.correct(t, base.poses[-1] + [1.0, 0.0, 0.0], small)
-    assert odometry.refused == PATIENCE  # in a row: nothing was taken in between
+    assert odometry.rejected == PATIENCE  # in a row: nothing was taken in between
     np.testing.assert_allclose(odometry.pose, base.poses[-1] + [1.0, 0.0, 0.0], atol=0.01)
 
 
@@ -274,7 +275,7 @@ def test_a_pose_older_than_the_history_is_not_used() -> None:
     np.testing.assert_array_equal(odometry.pose, before)
 
 
-def test_bad_input_is_refused() -> None:
+def test_bad_input_is_rejected() -> None:
     odometry = FusedOdometry(FOUR)
     odometry.update(1.0, *np.zeros((3, 4)), 0.0)
     with pytest.raises(InputError, match="time must not go back"):
@@ -293,7 +294,7 @@ def test_bad_input_is_refused() -> None:
     "covariance",
     [-np.eye(3), np.diag([1.0, -1e-3, 1.0]), [[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]], np.eye(2)],
 )
-def test_what_is_no_covariance_is_refused(covariance: np.ndarray) -> None:
+def test_what_is_no_covariance_is_rejected(covariance: np.ndarray) -> None:
     """Eigenvalues by hand: -1, -0.001, and 1 - 2."""
     odometry = FusedOdometry(FOUR)
     odometry.update(1.0, *np.zeros((3, 4)), 0.0)
@@ -320,7 +321,7 @@ def test_poses_of_no_time_and_of_the_future_do_not_count() -> None:
 @pytest.mark.parametrize(
     "weights", [np.zeros(4), [1.0, 0.0, 0.0, 0.0], [1.0, 1.0, -1.0, 1.0], np.full(4, np.nan), np.ones(3)]
 )
-def test_weights_that_show_no_motion_are_refused(weights: np.ndarray) -> None:
+def test_weights_that_show_no_motion_are_rejected(weights: np.ndarray) -> None:
     odometry = FusedOdometry(FOUR)
     odometry.update(1.0, *np.zeros((3, 4)))
     with pytest.raises(InputError, match="weights"):
@@ -343,7 +344,7 @@ def test_a_certain_pose_against_a_certain_filter_loses_nothing(covariance: np.nd
         filter.update(0.05, *np.full((3, 4), 0.1))
     np.testing.assert_array_equal(odometry.pose, other.pose)
     np.testing.assert_array_equal(odometry.covariance, other.covariance)
-    assert (odometry.taken, odometry.refused) == (1, 0)
+    assert (odometry.taken, odometry.rejected) == (1, 0)
 
 
 def test_a_place_that_is_well_known_and_a_yaw_that_is_not_are_no_certain_pose() -> None:
@@ -375,7 +376,7 @@ def test_noise_that_cannot_be(given: dict) -> None:
 
 
 def test_brakes_that_are_not_numbers() -> None:
-    """They are refused before anything is taken in: the next message counts from the last good one."""
+    """They are rejected before anything is taken in: the next message counts from the last good one."""
     odometry, zero = FusedOdometry(FOUR), np.zeros(4)
     odometry.update(0.0, zero, zero, zero)
     with pytest.raises(InputError, match="'brake' needs 4 finite numbers"):

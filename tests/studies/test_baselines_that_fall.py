@@ -1,4 +1,4 @@
-"""Rivals and variants that do not get to the end are told, and not compared with. Truth: endings and logs by hand."""
+"""Baselines and variants that do not get to the end are reported, and not compared with. Truth: endings and logs by hand."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def no_mpc(*_: Any, **__: Any) -> Any:
 
 
 def driven() -> Log:
-    """Two seconds in which the MPC's base is off by 3 mm and the rival's by 4 mm."""
+    """Two seconds in which the MPC's base is off by 3 mm and the baseline's by 4 mm."""
     log, sizes = Log(), {"leg": 4, "leg_reference": 4, "brake": 4, "wheel_slip": 1, "wheel_force": 4, "base": 3}
     for name, off in (("tour", 3e-3), ("rival", 4e-3)):
         for t in (0.0, 1.0, 2.0):
@@ -53,19 +53,19 @@ def driven() -> Log:
     return log
 
 
-def test_the_figures_of_a_rival_that_fell_are_infinite_and_there_is_no_ratio() -> None:
+def test_the_figures_of_a_baseline_that_fell_are_infinite_and_there_is_no_ratio() -> None:
     found = {how: metrics(driven(), SWERVE, [], 0, None, how) for how in (Ending(), FELL, ENDED, None)}
     assert found[Ending()]["baseline_ratio"].value == pytest.approx(0.75)
     assert found[Ending()][BASELINE[0]].value == pytest.approx(4e-3)
     assert [found[FELL][name].value for name in BASELINE] == [np.inf] * 3
     assert np.isnan(found[FELL]["baseline_ratio"].value) and found[FELL]["baseline_ratio"].met is False
-    for how in (ENDED, None):  # what the user ended says nothing about the rival
+    for how in (ENDED, None):  # what the user ended says nothing about the baseline
         assert not [name for name in found[how] if name.startswith("baseline")]
     assert all(m["base_position_error_rms"].value == pytest.approx(3e-3) for m in found.values())
 
 
 @pytest.mark.parametrize(("how", "goes_on"), [(FELL, True), (ENDED, False)])
-def test_swerve_drive_tells_how_its_rival_ended(how: Ending, goes_on: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_swerve_drive_tells_how_its_baseline_ended(how: Ending, goes_on: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     parts: list[str] = []
     planned = lambda self, name, *_, **__: (
         parts.append(name) or (Outcome(controller=SimpleNamespace(faults=[], holds=0), mpc=no_mpc()), None)
@@ -74,22 +74,22 @@ def test_swerve_drive_tells_how_its_rival_ended(how: Ending, goes_on: bool, monk
     monkeypatch.setattr(experiment, "run_lockstep", lambda *_: how)
     for part in ("metrics", "plots"):
         monkeypatch.setattr(swerve_drive, part, lambda *_: {})
-    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(rest=0.0), 0)
+    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(settle_time=0.0), 0)
     # what the user ended was not found in the robot
     assert result.faults == ([f"rival: {FELL.reason}; nothing is compared with it"] if how is FELL else [])
     assert result.reason == ("" if how is FELL else ENDED.reason)
     assert (result.completed, result.interrupted, "knock" in parts) == (goes_on, not goes_on, goes_on)
 
 
-def test_a_real_fall_of_the_rival_is_its_ending(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plant that counts as fallen from its 20 ms on. The search of gains takes such a rival for infinitely bad."""
+def test_a_real_fall_of_the_baseline_is_its_ending(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plant that counts as fallen from its 20 ms on. The search of gains takes such a baseline for infinitely bad."""
     monkeypatch.setattr(SwervePlant, "fell", property(lambda plant: plant.time > 0.02))
-    settings = SwerveDriveSettings(rest=0.0)
+    settings = SwerveDriveSettings(settle_time=0.0)
     mission, _ = tour(SWERVE, 0.1)
     bench = swerve_drive._Run(settings, SWERVE, 0, Log())
     ending = bench.rival(mission, 1.0).ending
     assert ending.fell and bench.log.times("rival.base")[-1] < 0.03
-    assert np.isinf(swerve_drive.rival_on_tour(settings, 0)).all()
+    assert np.isinf(swerve_drive.baseline_on_tour(settings, 0)).all()
 
 
 def fixed(monkeypatch: pytest.MonkeyPatch, who: str, how: Ending) -> RunResult:
@@ -105,7 +105,7 @@ def fixed(monkeypatch: pytest.MonkeyPatch, who: str, how: Ending) -> RunResult:
     monkeypatch.setattr(swerve_fixed, "drive", drive)
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
     monkeypatch.setattr(swerve_fixed, "plots", lambda *_: [])
-    return swerve_fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("forward",), random=0.0), 0)
+    return swerve_fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("forward",), random_time=0.0), 0)
 
 
 @pytest.mark.parametrize("who", ["ik", "four_wheel", "mpc"])
@@ -113,11 +113,15 @@ def test_swerve_fixed_names_who_fell(who: str, monkeypatch: pytest.MonkeyPatch) 
     """The MPC's run decides whether it completed."""
     result = fixed(monkeypatch, who, FELL)
     value = {name: metric.value for name, metric in result.metrics.items()}
-    told = f"{who}: the robot fell at 3.50 s"
+    reported = f"{who}: the robot fell at 3.50 s"
     if who == "mpc":
-        assert (result.completed, result.reason, result.faults) == (False, told, [])
+        assert (result.completed, result.reason, result.faults) == (False, reported, [])
     else:
-        assert (result.completed, result.reason, result.faults) == (True, "", [f"{told}; nothing is compared with it"])
+        assert (result.completed, result.reason, result.faults) == (
+            True,
+            "",
+            [f"{reported}; nothing is compared with it"],
+        )
     ratio = {"four_wheel": OFF["mpc"] / OFF["ik"], "ik": np.nan, "mpc": None}[who]
     assert value.get("tracking_error_ratio") == (ratio if ratio is None else pytest.approx(ratio, nan_ok=True))
     assert who != "ik" or result.reached("tracking_error_ratio") is False
@@ -128,8 +132,8 @@ def test_swerve_fixed_names_who_fell(who: str, monkeypatch: pytest.MonkeyPatch) 
             assert value[f"tracking_error_rms_{name}"] == pytest.approx(away)
 
 
-def test_swerve_fixed_that_the_user_ends_in_a_rival(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It says nothing about the rival."""
+def test_swerve_fixed_that_the_user_ends_in_a_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says nothing about the baseline."""
     result = fixed(monkeypatch, "ik", ENDED)
     assert (result.completed, result.interrupted, result.reason) == (False, True, f"ik: {ENDED.reason}")
     assert not result.faults and "tracking_error_ratio" not in result.metrics
@@ -164,15 +168,17 @@ def ball_runs(module: Any, monkeypatch: pytest.MonkeyPatch, **endings: Ending) -
 
 
 @pytest.mark.parametrize(("how", "falls"), [(Ending(), 0.0), (LOST, 0.0), (FELL, 1.0)])
-def test_rezero_taskspace_tells_how_its_rival_ended(how: Ending, falls: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rezero_taskspace_tells_how_its_baseline_ended(
+    how: Ending, falls: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     result = ball_runs(rezero_taskspace, monkeypatch, taskspace=how)
     value = {name: metric.value for name, metric in result.metrics.items()}
-    told = [f"taskspace: {how.reason}; nothing is compared with it"] if how.reason else []
-    assert result.completed and result.faults == [f"mpc: {STANDS}", f"taskspace: {STANDS}", *told]
+    reported = [f"taskspace: {how.reason}; nothing is compared with it"] if how.reason else []
+    assert result.completed and result.faults == [f"mpc: {STANDS}", f"taskspace: {STANDS}", *reported]
     assert value["hand_error_integral_mpc"] == pytest.approx(0.17) and value["encoder_faults"] == 2.0
-    assert value["hand_error_integral_taskspace"] == (np.inf if told else pytest.approx(0.17))
+    assert value["hand_error_integral_taskspace"] == (np.inf if reported else pytest.approx(0.17))
     assert (
-        value.get("torque_squared_ratio") == (None if told else pytest.approx(4.0))
+        value.get("torque_squared_ratio") == (None if reported else pytest.approx(4.0))
         and value["falls_taskspace"] == falls
     )
 

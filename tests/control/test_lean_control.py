@@ -60,31 +60,31 @@ def test_the_heading_turns_it_all() -> None:
     np.testing.assert_allclose(turned, [-along[1], along[0]], atol=1e-12)
 
 
-def test_a_force_that_pushes_the_robot_away_is_told_and_ends_the_run(caplog: pytest.LogCaptureFixture) -> None:
-    leaning, x, n = LeanControl(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
+def test_a_force_that_pushes_the_robot_away_is_reported_and_ends_the_run(caplog: pytest.LogCaptureFixture) -> None:
+    lean_control, x, n = LeanControl(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
     x[n] = 1.9
-    leaning.check(1.0, pushed(20.0), x)
+    lean_control.check(1.0, pushed(20.0), x)
     x[n] = 0.5
-    leaning.check(1.0, pushed(50.0), x)
-    assert not leaning.told and not caplog.records
+    lean_control.check(1.0, pushed(50.0), x)
+    assert not lean_control.reported and not caplog.records
     for t in (1.5, 1.6):
-        leaning.check(t, pushed(90.0), x)
-    assert leaning.told == "a force of at least 90 N that lasts pushes the robot away (1.50 s)"
+        lean_control.check(t, pushed(90.0), x)
+    assert lean_control.reported == "a force of at least 90 N that lasts pushes the robot away (1.50 s)"
     assert len(caplog.records) == 1
     x[n] = 2.1
     for force in (50.0, 20.0, 50.0):  # who is driven fast by a goal is not pushed away
-        leaning.check(2.0, pushed(force), x)
-        leaning.check(2.25, pushed(force), x)
-    with pytest.raises(DisturbanceTooLarge, match=r"50 N .* faster than 2 m/s \(pushed_speed\); motors off"):
-        leaning.check(2.31, pushed(50.0), x)
+        lean_control.check(2.0, pushed(force), x)
+        lean_control.check(2.25, pushed(force), x)
+    with pytest.raises(DisturbanceTooLarge, match=r"50 N .* faster than 2 m/s \(max_pushed_speed\); motors off"):
+        lean_control.check(2.31, pushed(50.0), x)
 
 
 def test_a_fast_ball_that_rolls_back_against_the_force_or_not_for_long_goes_on() -> None:
-    leaning, x, n = LeanControl(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
+    lean_control, x, n = LeanControl(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
     for t, speed in ((1.0, -3.0), (1.5, -2.5), (2.0, 2.5), (2.2, 2.5), (2.25, 1.9), (2.4, 2.5), (2.6, 2.5)):
         x[n] = speed
-        leaning.check(t, pushed(50.0), x)
-    leaning.reset()
-    assert not leaning.told
-    leaning.check(0.1, pushed(50.0), x)
-    assert leaning.told.endswith("(0.10 s)")
+        lean_control.check(t, pushed(50.0), x)
+    lean_control.reset()
+    assert not lean_control.reported
+    lean_control.check(0.1, pushed(50.0), x)
+    assert lean_control.reported.endswith("(0.10 s)")

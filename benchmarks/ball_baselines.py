@@ -1,6 +1,6 @@
-"""The ball robot's MPC against its rivals: gains by the same search on tuning seeds, tables on reporting seeds.
+"""The ball robot's MPC against its baselines: gains by the same search on tuning seeds, tables on reporting seeds.
 
-Usage: python benchmarks/rezero_rivals.py [--search lqr … | all] [--draws 3] [--first 0]
+Usage: python benchmarks/ball_baselines.py [--search lqr … | all] [--draws 3] [--first 0]
        [--task pushes | square] [--seeds 200-203]
        [--runs NAME …] [--only CONTROLLER …] [--file FILE] [--report]
 Without --search: the table. Every run is kept in FILE (JSON lines) and is not done again, in the search too.
@@ -23,7 +23,7 @@ from wbmpc.studies.minniti2019.push_map import Point, simulated
 
 REGULATOR = {
     "hand": (1e-3, 1.0), "torque": (0.3, 1e3), "arm": (0.01, 30.0), "posture": (0.1, 300.0), "damping": (0.03, 30.0),
-    "most": (0.03, 3.0),
+    "max_error": (0.03, 3.0),
 }  # fmt: skip
 SEPARATE = {
     "ball": (3.0, 300.0), "ball_speed": (0.5, 30.0), "tilt_rate": (0.5, 30.0), "wheel": (0.01, 2.0), "pace": (4.0, 40.0),
@@ -120,8 +120,10 @@ def pushes_loss(store: Store, given: list[str], seed: int) -> float:
     """Of the steps (nobody sees one before it comes) and of pushes of 200 N while the hand is held, shortened, with the state of
     the simulator and noise: falls and pushes without recovery, rise time [s], powers of ten of the steady error over 1 mm, how
     far [m] the hand was pushed."""
-    steps = store.run("rezero-steps", seed, [*given, "preview=false", "hold=2", "settle=1", "rest=0"])
-    pushed = store.run("rezero-push-hand", seed, [*given, "forces=[200]", "settle=1", "pause=4"])
+    steps = store.run(
+        "rezero-steps", seed, [*given, "preview=false", "hold_time=2", "settle_time=1", "final_hold_time=0"]
+    )
+    pushed = store.run("rezero-push-hand", seed, [*given, "forces=[200]", "settle_time=1", "pause=4"])
     total = 4.0 * (value(steps, "fell") + value(pushed, "fell")) + min(value(steps, "rise_time_max"), 3.0)
     total += np.log10(np.clip(value(steps, "steady_position_error_max") / 1e-3, 1.0, 1e3))
     return float(total + value(pushed, "not_recovered") + min(value(pushed, "hand_error_max"), 2.0))
@@ -130,7 +132,7 @@ def pushes_loss(store: Store, given: list[str], seed: int) -> float:
 def square_loss(store: Store, given: list[str], seed: int) -> float:
     """Of the square with 1 kg that nobody knows of, shortened, with the state of the simulator and noise: falls, and the errors of
     ball and hand in units of 20 mm rms."""
-    run = store.run("rezero-wholebody", seed, [*given, "settle=4", "hold=1.5"])
+    run = store.run("rezero-wholebody", seed, [*given, "settle_time=4", "hold_time=1.5"])
     errors = (value(run, f"{what}_error_rms{which}") for what, which in (("ball", "_wholebody"), ("hand", "")))
     return float(20.0 * value(run, "fell") + sum(min(e / 0.02, 20.0) for e in errors))
 
@@ -148,7 +150,7 @@ def loss(store: Store, task: str, controller: str, gains: dict[str, float], seed
     key = controller.replace("-", "_")
     function, _, settings = TASKS[task]
     return function(
-        store, [f"controller={controller}", *settings, *(f"rival.{key}.{k}={v!r}" for k, v in gains.items())], seed
+        store, [f"controller={controller}", *settings, *(f"baseline.{key}.{k}={v!r}" for k, v in gains.items())], seed
     )
 
 
@@ -170,7 +172,7 @@ def search(store: Store, task: str, controller: str, seeds: list[int], draws: in
     far. Controllers with the same space get the same draws; another ``first`` gives others."""
     space, rng = SPACE[controller], np.random.default_rng(first)
     kind = REGISTRY[TASKS[task][1]].config_type()
-    own = getattr(kind.rival, controller.replace("-", "_"))
+    own = getattr(kind.baseline, controller.replace("-", "_"))
     best = {k: float(getattr(own, k)) for k in space}
     least = float("inf")
     for k in range(1 + 2 * draws):
@@ -229,7 +231,7 @@ def main() -> None:
     )
     parser.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS)[:3])
     parser.add_argument("--only", nargs="+", choices=list(CONTROLLERS), default=list(CONTROLLERS))
-    parser.add_argument("--file", type=Path, default=Path("rezero_rivals.jsonl"))
+    parser.add_argument("--file", type=Path, default=Path("ball_baselines.jsonl"))
     parser.add_argument("--report", action="store_true", help="run nothing, write the table of what there is")
     given = parser.parse_args()
     store = Store(given.file)

@@ -28,7 +28,9 @@ def rest(p: SwervePlant, seconds: float) -> None:
         p.step(SwerveCommand.stop(), 5)
 
 
-@pytest.mark.parametrize(("settings", "added"), [({}, 0.0), ({"payload": 10.0}, 10.0), ({"load": 150.0}, 150.0)])
+@pytest.mark.parametrize(
+    ("settings", "added"), [({}, 0.0), ({"payload": 10.0}, 10.0), ({"body_payload": 150.0}, 150.0)]
+)
 def test_the_ground_carries_what_the_robot_carries(settings: dict[str, float], added: float) -> None:
     p = plant(**settings)
     rest(p, 0.5)
@@ -53,13 +55,13 @@ def test_a_payload_pulls_the_arm_down_because_nobody_feeds_its_weight_forward() 
 
 
 def test_a_load_lies_in_the_middle_of_the_body_and_turns_with_it() -> None:
-    light, heavy = plant(), plant(load=150.0)
+    light, heavy = plant(), plant(body_payload=150.0)
     for p in (light, heavy):
         rest(p, 0.5)
     more = heavy.truth().wheel_force - light.truth().wheel_force
     # the tyres sink in, and an unsymmetrical load would show as different shares
     assert more == pytest.approx(np.full(4, 150.0 * G / 4), rel=0.05)
-    box = heavy.model.body("load").id
+    box = heavy.model.body("body_payload").id
     assert heavy.model.body_inertia[box] == pytest.approx(
         [150 / 12 * (0.5**2 + 0.2**2), 150 / 12 * (0.6**2 + 0.2**2), 150 / 12 * (0.6**2 + 0.5**2)]
     )
@@ -85,10 +87,20 @@ def test_every_seed_slopes_another_way() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["payload", "load", "slope", "steer_zero", "joint_loss", "brake_delay", "encoder_counts", "steer_noise"]
+    "name",
+    [
+        "payload",
+        "body_payload",
+        "slope",
+        "steer_offset",
+        "dry_friction",
+        "brake_delay",
+        "encoder_counts",
+        "steer_noise",
+    ],
 )
-def test_a_ball_robot_refuses_them(name: str) -> None:
-    """What it does not have; nothing of it (0) is what it has. Only a mass at the hand is told where it can be set."""
+def test_a_ball_robot_rejects_them(name: str) -> None:
+    """What it does not have; nothing of it (0) is what it has. Only a mass at the hand is reported where it can be set."""
     with pytest.raises(InputError, match=f"plant.{name}: is for swerve robots only") as error:
         BallPlant(
             load_description("rezero"), perturbation=Perturbation.none(**{name: 7 if name == "encoder_counts" else 0.4})
@@ -104,6 +116,6 @@ def test_rigid_drives_have_no_rotors(name: str) -> None:
 
 
 @pytest.mark.parametrize(("plant", "robot"), [(BallPlant, "rezero"), (SwervePlant, "swerve-ur10")])
-def test_a_refused_start_is_no_command(plant: Any, robot: str) -> None:
+def test_a_rejected_start_is_no_command(plant: Any, robot: str) -> None:
     with pytest.raises(InputError, match=r"^start: 'state"):
         plant(load_description(robot), np.zeros(3))

@@ -150,13 +150,13 @@ def test_solves_allocate_nothing(name: str) -> None:
 
 
 def test_the_limited_trolley_is_all_that_it_is_to_be() -> None:
-    """Within its solves limits are passed, multiplier rows held by limits, equalities missed, plans refused; and some are fine."""
+    """Within its solves limits are passed, multiplier rows held by limits, equalities missed, plans rejected; and some are fine."""
     solver, solve = limited()
     seen: dict[str, int] = dict.fromkeys(("passed", "held", "fine"), 0)
     status = set()
     run = solver.run
 
-    def told(*given: Any) -> tuple[int, int]:
+    def reported(*given: Any) -> tuple[int, int]:
         code, count = run(*given)
         status.add(solver.status(code))
         seen["passed"] += solver.limit_violation > 0.0
@@ -164,7 +164,7 @@ def test_the_limited_trolley_is_all_that_it_is_to_be() -> None:
         seen["fine"] += solver.limit_violation == 0.0 and code == 1
         return code, count
 
-    solver.run = told  # type: ignore[method-assign]
+    solver.run = reported  # type: ignore[method-assign]
     for _ in range(300):
         solve()
     assert min(seen.values()) > 20 and Status.EQUALITY_INFEASIBLE in status, (seen, status)

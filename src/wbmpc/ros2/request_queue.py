@@ -13,11 +13,11 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, Node
-from wbmpc.ros2.convert import planar, read_pose, read_vector, seconds, sentence_of, upright
+from wbmpc.ros2.bus import DEFAULT, LONG, Node
+from wbmpc.ros2.convert import error_message, planar, read_pose, read_vector, seconds, upright
 from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
-from wbmpc.ros2.multi_type_subscriber import Several
-from wbmpc.ros2.settings import ORDERS, RosSettings
+from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
+from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
@@ -33,8 +33,8 @@ _LATEST = 60.0
 _OFF_FLOOR = 0.5
 
 
-class Inbox:
-    """Listens to goals; the newest one counts, but paths of base and hand go together. ``refused``: why the last bad one was
+class RequestQueue:
+    """Listens to goals; the newest one counts, but paths of base and hand go together. ``rejected``: why the last bad one was
     not taken; empty when one has been taken since.
 
     ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
@@ -43,7 +43,7 @@ class Inbox:
 
     def __init__(self, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time) -> None:
         self.node, self.planner, self.settings, self.origin, self.now = node, planner, settings, origin, now
-        self.refused = self._limited = ""
+        self.rejected = self._limited = ""
         self.running: Task | None = None
         self._limited_log = RateLimit()
         self._requests: dict[str, Request] = {}
@@ -52,14 +52,18 @@ class Inbox:
         self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
-        self._speeds = Several(node, speeds, dict.fromkeys(_TWISTS, partial(self._try, speeds, self._take_speed)))
+        self._speeds = MultiTypeSubscriber(
+            node, speeds, dict.fromkeys(_TWISTS, partial(self._try, speeds, self._take_speed))
+        )
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
         for key, take in {
-            "goal_pose": self._goal_pose, "hand_goal": self._hand_goal, "base_path": self._base_path,
-            "hand_path": self._hand_path, "wrench": self._take_wrench,
+            "goal_pose": self._goal_pose, "end_effector_goal": self._hand_goal, "base_path": self._base_path,
+            "end_effector_path": self._hand_path, "wrench": self._take_wrench,
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
-                node.subscribe(topic, ORDERS[key], partial(self._try, topic, take), DEFAULT, deferred=True)
+                node.subscribe(
+                    topic, REQUEST_TYPES[key], partial(self._try, topic, take), DEFAULT, deferred=True, largest=LONG
+                )
 
     # ------------------------------------------------------------------ taken up
     def take(self) -> Request | None:
@@ -70,13 +74,13 @@ class Inbox:
             return self._requests.pop(next(iter(self._requests))) if self._requests else None
 
     def stop(self) -> None:
-        """The robot has stopped: what waits is refused, and a stream of speeds that goes on is no new goal: it counts again after
+        """The robot has stopped: what waits is rejected, and a stream of speeds that goes on is no new goal: it counts again after
         a zero, or after a pause as long as a speed holds."""
         with self._lock:
             waiting, self._requests = bool(self._requests), {}
         self._moving, self._latched = False, True
         if waiting:
-            self.refuse("a goal is refused: the robot has stopped meanwhile")
+            self.reject("a goal is rejected: the robot has stopped meanwhile")
 
     def wrench(self) -> Array:
         """What the hand is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
@@ -96,11 +100,11 @@ class Inbox:
                     )
         self._wrench, self._wrench_at = np.concatenate([force, torque]), self.now()
 
-    def refuse(self, sentence: str) -> None:
+    def reject(self, message: str) -> None:
         """Say once why a goal is not taken."""
-        if sentence != self.refused:
-            self._limited_log.log(_LOG, logging.WARNING, sentence.split(":")[0], sentence)
-        self.refused = sentence
+        if message != self.rejected:
+            self._limited_log.log(_LOG, logging.WARNING, message.split(":")[0], message)
+        self.rejected = message
 
     @property
     def limited(self) -> str:
@@ -112,16 +116,16 @@ class Inbox:
         """Which type of speeds is not heard, and why; empty if all are."""
         return self._speeds.fault
 
-    def look_for_speeds(self) -> None:
+    def detect_speed_inputs(self) -> None:
         """Subscribe to speeds in the types in which somebody publishes them (Twist, TwistStamped)."""
-        self._speeds.look()
+        self._speeds.update()
 
     # ------------------------------------------------------------------ messages
     def _try(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
         try:
             take(message)
         except Exception as error:
-            self.refuse(f"{topic}: {sentence_of(error)}")
+            self.reject(f"{topic}: {error_message(error)}")
 
     def _put(self, request: Request, kind: str = "") -> None:
         """``kind`` of paths: a path replaces what waits but for the other kind of path."""
@@ -194,10 +198,10 @@ class Inbox:
         was, self._limited = self.limited, ""
         if wanted is None:
             return
-        told = lambda v: f"{v[0]:.3g}, {v[1]:.3g} m/s, {v[2]:.3g} rad/s"
+        text = lambda v: f"{v[0]:.3g}, {v[1]:.3g} m/s, {v[2]:.3g} rad/s"
         topic = self.settings.topics.cmd_vel
-        most = told(self._fastest)
-        self._limited = f"{topic}: {told(wanted)} is faster than {most} (key 'cmd_vel'): scaled down to that"
+        most = text(self._fastest)
+        self._limited = f"{topic}: {text(wanted)} is faster than {most} (key 'cmd_vel'): scaled down to that"
         if not was:
             self._limited_log.log(_LOG, logging.WARNING, "limited", self._limited)
 

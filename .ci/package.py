@@ -1,0 +1,103 @@
+"""Builds the source distribution and, of that, the wheel; checks what is in them and runs tests of the unpacked source.
+
+Call it with the Python of an environment that has the test dependencies: ``.venv/bin/python .ci/package.py``.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tarfile
+import tempfile
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+#: What is run: seconds. All other tests must be importable there.
+TESTS = ("tests/test_public_api.py", "tests/test_documents.py", "tests/test_lie.py")
+#: What a wheel consists of, at its top.
+PARTS = {"wbmpc", "wbmpc-{version}.dist-info"}
+NEEDED = (
+    "wbmpc/py.typed",
+    "wbmpc/robots/data/rezero.yaml",
+    "wbmpc/robots/data/rezero.xml",
+    "wbmpc/studies/__init__.py",
+)
+FOREIGN = ("tests", "benchmarks", "docs", "examples")
+
+
+def run(*command: object, **options: object) -> None:
+    """A command that must succeed."""
+    subprocess.run([str(c) for c in command], check=True, **options)  # type: ignore[call-overload]
+
+
+def build(folder: Path) -> tuple[Path, Path]:
+    """Source distribution and wheel, made by `build`."""
+    environment = folder / "environment"
+    run(sys.executable, "-m", "venv", environment)
+    run(
+        environment / "bin/python",
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "build",
+        "setuptools>=77",
+    )
+    run(
+        environment / "bin/python", "-m", "build", "--no-isolation", "--outdir", folder / "dist", ROOT,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    return next((folder / "dist").glob("*.tar.gz")), next((folder / "dist").glob("*.whl"))
+
+
+def check_wheel(names: list[str], version: str) -> list[str]:
+    """What is wrong with the files of a wheel."""
+    tops = {name.split("/")[0] for name in names} - {p.format(version=version) for p in PARTS}
+    folders = {part for name in names for part in name.split("/")[:-1]}
+    return [
+        *(f"wheel: '{top}' does not belong in it" for top in sorted(tops)),
+        *(f"wheel: '{name}' is missing" for name in NEEDED if name not in names),
+        *(f"wheel: it has a folder '{name}'" for name in FOREIGN if name in folders),
+    ]
+
+
+def check_source(names: list[str]) -> list[str]:
+    """What of the checkout is not in the source distribution."""
+    tracked = subprocess.run(["git", "-C", ROOT, "ls-files"], check=True, capture_output=True, text=True).stdout.split()
+    packed = {name.partition("/")[2] for name in names}
+    return [f"source distribution: '{name}' is missing" for name in tracked if name not in packed]
+
+
+def test_source(archive: Path, folder: Path) -> None:
+    """All tests are collected and some are run, of the unpacked source and nothing else."""
+    with tarfile.open(archive) as tar:
+        tar.extractall(folder, filter="data")
+    unpacked = next(folder.iterdir())
+    environment = {**os.environ, "PYTHONPATH": str(unpacked / "src"), "OPENBLAS_NUM_THREADS": "1"}
+    pytest = (sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider")
+    run(*pytest, "--collect-only", "-q", cwd=unpacked, env=environment, stdout=subprocess.DEVNULL)
+    run(*pytest, *TESTS, cwd=unpacked, env=environment)
+
+
+def main() -> int:
+    """0 if all is well."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        source, wheel = build(folder)
+        version = wheel.name.split("-")[1]
+        with tarfile.open(source) as tar:
+            wrong = check_source(tar.getnames())
+        with zipfile.ZipFile(wheel) as archive:
+            wrong += check_wheel(archive.namelist(), version)
+        for line in wrong:
+            print(line, file=sys.stderr)
+        if not wrong:
+            test_source(source, folder / "unpacked")
+    return bool(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

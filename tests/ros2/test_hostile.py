@@ -1,0 +1,91 @@
+"""What somebody hostile can do on the bus. Truth: limits as they are written, what was sent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from needs import MISSING, needs_dds, private, wait_until
+
+from wbmpc.errors import InputError
+from wbmpc.ros2.bus import Qos
+from wbmpc.ros2.convert import LONGEST, error_message
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
+
+pytestmark = needs_dds
+if not MISSING:
+    from cyclonedds.internal import load_cyclonedds
+
+    from wbmpc.ros2 import dds
+
+NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "43"})
+STRING = "std_msgs/msg/String"
+
+
+@pytest.fixture
+def nodes() -> Iterator[tuple[Any, Any]]:
+    pair = open_node("one", "dds", NETWORK), open_node("other", "dds", NETWORK)
+    yield pair
+    for node in pair:
+        node.close()
+
+
+def connected(one: Any, topic: str) -> Any:
+    """A publisher whom somebody hears."""
+    publisher = one.publisher(topic, STRING, Qos(depth=1000))
+    assert wait_until(lambda: publisher._writer.get_matched_subscriptions())
+    return publisher
+
+
+def test_what_is_too_large_is_dropped_before_it_is_decoded(
+    nodes: tuple[Any, Any], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, other = nodes
+    got: list[str] = []
+    decoded, decode = [], other.types.decode
+    monkeypatch.setattr(other.types, "decode", lambda kind, data: decoded.append(len(data)) or decode(kind, data))
+    other.subscribe("/large", STRING, lambda m: got.append(m.data), Qos(depth=1000), largest=100)
+    publisher = connected(one, "/large")
+    for _ in range(30):
+        publisher.publish({"data": "x" * 1003})
+    publisher.publish({"data": "small"})
+    assert wait_until(lambda: got == ["small"])
+    assert max(decoded) <= 100
+    lines = [r.getMessage() for r in caplog.records if "/large" in r.getMessage()]
+    assert 1 <= len(lines) <= 5 and lines[0] == "/large: a message of 1012 bytes is dropped; valid: at most 100"
+
+
+def test_messages_that_wait_are_bounded_in_bytes(nodes: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    one, other = nodes
+    monkeypatch.setattr(dds, "_MOST_BYTES", 2500)
+    got: list[str] = []
+    other.subscribe("/wait", STRING, lambda m: got.append(m.data), Qos(depth=1000), deferred=True)
+    publisher = connected(one, "/wait")
+    for k in range(20):
+        publisher.publish({"data": f"{k}" + "x" * 1000})
+    assert wait_until(lambda: other._deferred and other._deferred[-1][1][8:10] == b"19")
+    assert [data[8:10] for _, data in other._deferred] == [b"18", b"19"]
+    other.work()
+    assert len(got) == 2
+
+
+@pytest.mark.parametrize(("level", "written"), [(4, False), (2, True)])
+def test_the_middleware_has_no_line_for_each_malformed_message(
+    nodes: tuple[Any, Any], capfd: pytest.CaptureFixture[str], level: int, written: bool
+) -> None:
+    """It warns (4) of each on stderr, however many there are; errors (2) are still said."""
+    log = load_cyclonedds().dds_log
+    log(level, b"a.c", 1, b"here", b"deserialization failed\n")
+    assert ("deserialization failed" in capfd.readouterr().err) is written
+
+
+@pytest.mark.parametrize("error", [InputError("frame '{}'; valid: odom"), ValueError("frame '{}'; valid: odom")])
+def test_what_is_quoted_is_one_short_line(error: Exception) -> None:
+    """Nobody writes lines into our log, or megabytes."""
+    quoted = type(error)(str(error).format("map\n\x1b[31mERROR" + "x" * 1_000_000))
+    said = error_message(quoted)
+    assert len(said) < LONGEST + 40 and said.isprintable()
+    assert "frame 'map??[31mERROR" in said and said.endswith("'; valid: odom")
+    assert error_message(InputError("short")) == "short"

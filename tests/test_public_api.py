@@ -1,0 +1,89 @@
+"""What users of the package hold: public names, their signatures, their types, and a program that uses nothing else."""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import public_api
+import user_program
+import wbmpc as wb
+
+SOURCE = Path(wb.__file__)
+
+
+def test_the_public_names_and_signatures_are_those_of_the_file() -> None:
+    kept, found = public_api.FILE.read_text().splitlines(), public_api.listing().splitlines()
+    changes = "\n".join(difflib.unified_diff(kept, found, "public_api.txt", "wbmpc", n=0, lineterm=""))
+    assert not changes, f"the public API has changed; if that is meant: python tests/public_api.py\n{changes}"
+
+
+def test_type_checkers_see_the_names_that_are_loaded_when_they_are_used() -> None:
+    blocks = [n for n in ast.parse(SOURCE.read_text()).body if isinstance(n, ast.If) and isinstance(n.test, ast.Name)]
+    seen = {
+        (alias.asname, node.module)
+        for block in blocks
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert seen == set(wb._MODULES.items())
+    assert (SOURCE.parent / "py.typed").is_file()
+
+
+def test_a_program_solves_and_controls_with_public_names_alone() -> None:
+    start = np.array([2.0, 0.0])
+    solution = user_program.solve(start)
+    assert solution.status is wb.Status.CONVERGED
+    # truth: with |a| ≤ 1 m/s², 2 m from rest to rest take at least 2 √2 s, so the limit is active at the start
+    np.testing.assert_allclose(solution.u[0], -1.0, atol=1e-4)
+    assert np.linalg.norm(user_program.control(start, 100)) < 1e-3
+
+
+def test_a_robot_takes_the_programs_problem() -> None:
+    robot = wb.load_robot("differential-ur10")
+    assert list(user_program.problem_of(robot).terms) == ["hand", "speed", "limits"]
+
+
+def test_a_program_runs_and_records_an_experiment_of_its_own(tmp_path: Path) -> None:
+    result, recording = user_program.recorded(tmp_path / "run.mcap")
+    assert result.completed and result.reached("moved")
+    assert recording.complete and recording.metadata["result"]["completed"] == "True"
+    # truth: the settings' 0.1 s
+    assert 0.08 <= recording.duration <= 0.1
+    assert recording["/joint_states"].times
+
+
+def test_the_program_imports_nothing_else_of_the_package() -> None:
+    tree = ast.parse(Path(user_program.__file__).read_text())
+    names = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    names |= {str(n.module) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    assert {n for n in names if n.startswith("wbmpc")} == {"wbmpc"}
+
+
+#: Dependencies of the command line, of reports, recordings and views.
+EXTRA = ("plotly", "typer", "rich", "mcap", "viser", "trimesh", "imageio", "pyarrow", "cyclonedds", "rosbags")
+PLANNING = f"""
+import sys
+import numpy as np
+import wbmpc as wb
+import user_program
+user_program.problem_of(wb.load_robot("differential-ur10"))
+user_program.solve(np.array([2.0, 0.0]))
+print([name for name in {EXTRA} if name in sys.modules])
+"""
+
+
+def test_a_robot_and_a_solve_load_no_library_of_reports_or_the_command_line() -> None:
+    paths = os.pathsep.join(str(p) for p in (SOURCE.parents[1], Path(__file__).parent))
+    environment = {**os.environ, "PYTHONPATH": paths}
+    done = subprocess.run(
+        [sys.executable, "-c", PLANNING], env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert (done.stdout, done.stderr) == ("[]\n", "")
