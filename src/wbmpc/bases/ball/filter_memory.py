@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState
-from wbmpc.bases.ball.filter_step import Noise, State, apply, explain, linearise, detect_stalled
+from wbmpc.bases.ball.filter_step import Noise, State, apply, detect_stalled, explain, linearise
 from wbmpc.kernel.step import Backend, bind
 
 Array = NDArray[np.float64]
