@@ -15,9 +15,10 @@ from scipy.stats import chi2
 from effort import draws
 from toys import robot
 from wbmpc import lie
-from wbmpc.bases.ball.estimator import BallEstimator, JointTracker
+from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState
+from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault

@@ -11,6 +11,7 @@ from wbmpc import lie
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_memory import FilterMemory
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState, rotation_of
+from wbmpc.bases.ball.joint_tracker import JointTracker
 
 H, GRAVITY = 0.0025, np.array([0.0, 0.0, 9.81])
 
@@ -143,3 +144,23 @@ def test_a_copy_goes_its_own_way() -> None:
     filter.update(H, *messages[4])
     np.testing.assert_array_equal(filter.state.position, other.state.position)
     assert np.abs(filter.state.position - position).max() > 0.0
+
+
+def test_joints_are_followed_the_same_by_both_back_ends() -> None:
+    """Random motions with jumps that are undone, arms that are flung and a gap; what counted is the same to the bit."""
+    rng = np.random.default_rng(6)
+    speed, angle = np.array([2.0, np.inf, 0.5]), rng.normal(size=3)
+    one, other = (JointTracker(angle, 1e-5, 1e-3, 7e-4, speed=speed, backend=b) for b in ("compiled", "interpreted"))
+    jumps = 0
+    for k in range(80):
+        angle = angle + 0.003 * rng.normal(size=3) + 0.3 * (rng.random(3) < 0.02)
+        reading = angle + rng.normal(size=3) * (rng.random(3) < 0.05)
+        for tracker in (one, other):
+            tracker.update(0.2 if k == 40 else H, reading)
+        np.testing.assert_array_equal(one.jumped, other.jumped)
+        np.testing.assert_array_equal(one.surprised, other.surprised)
+        np.testing.assert_array_equal(one.reading, other.reading)
+        np.testing.assert_allclose(one.angle, other.angle, atol=1e-9)
+        np.testing.assert_allclose(one.rate, other.rate, atol=1e-7)
+        jumps += int(one.jumped.sum())
+    assert 3 < jumps < 200

@@ -13,7 +13,7 @@ import numpy as np
 from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.library import Library
 
-LIBRARY = Library("ball filter", rooms=("bases/ball", "kernel"))
+LIBRARY = Library("ball filter", rooms=("bases/ball", "kernel"), modules=("wbmpc.bases.ball.joint_step",))
 compiled, step = LIBRARY.compiled, LIBRARY.step
 
 GRAVITY = 9.81
