@@ -54,7 +54,7 @@ class BallFilter:
     ``faults`` of the last update, each a part and what it does: where rolling contradicts the inertial unit beyond :data:`GATE`,
     or an encoder stands while its wheel turns, those rows count for nothing; a message of the inertial ``unit`` that cannot be
     true (``imu exceeds``, ``repeats``, ``jumps``) leaves its rates and forces at those of the last good one, to :data:`UNKNOWN`.
-    ``backend``: machine code (:mod:`wbmpc.bases.ball.filter_step`), or the same source as ordinary Python.
+    ``backend``: machine code (:mod:`wbmpc.bases.ball.filter_step`, :mod:`~wbmpc.bases.ball.filter_solve`), or the same source as ordinary Python.
     """
 
     def __init__(
@@ -197,7 +197,7 @@ class BallFilter:
         return rate, force
 
     def _named(self, choice: int) -> tuple[str, ...]:
-        """What slips in an explanation (:func:`wbmpc.bases.ball.filter_step.explain`)."""
+        """What slips in an explanation (:func:`wbmpc.bases.ball.filter_solve.explain`)."""
         if choice == 0:
             return ()
         return (("ball spins", *(f"wheel_{i} slips" for i in range(self._n)), "ball slips")[choice - 1],)

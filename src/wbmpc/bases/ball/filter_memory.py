@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.filter_solve import explain
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState
-from wbmpc.bases.ball.filter_step import Noise, State, apply, detect_stalled, explain, linearise
+from wbmpc.bases.ball.filter_step import Noise, State, apply, detect_stalled, linearise
 from wbmpc.kernel.step import Backend, bind
 
 Array = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wbmpc.bases.ball.filter_step import step
+from wbmpc.bases.ball.compilation import step
 from wbmpc.kernel.ir import Floats
 
 #: A joint's reading jumps if it is farther from the last one that counted, and from where the joint was going, than this often
