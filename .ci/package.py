@@ -33,7 +33,11 @@ def run(*command: object, **options: object) -> None:
 
 
 def build(folder: Path) -> tuple[Path, Path]:
-    """Source distribution and wheel, made by `build`."""
+    """Source distribution and wheel of the last commit, made by `build`."""
+    archive, checkout = folder / "commit.tar", folder / "checkout"
+    run("git", "-C", ROOT, "archive", "--output", archive, "HEAD")
+    with tarfile.open(archive) as tar:
+        tar.extractall(checkout, filter="data")
     environment = folder / "environment"
     run(sys.executable, "-m", "venv", environment)
     run(
@@ -47,7 +51,7 @@ def build(folder: Path) -> tuple[Path, Path]:
         "setuptools>=77",
     )
     run(
-        environment / "bin/python", "-m", "build", "--no-isolation", "--outdir", folder / "dist", ROOT,
+        environment / "bin/python", "-m", "build", "--no-isolation", "--outdir", folder / "dist", checkout,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     return next((folder / "dist").glob("*.tar.gz")), next((folder / "dist").glob("*.whl"))
@@ -65,8 +69,10 @@ def check_wheel(names: list[str], version: str) -> list[str]:
 
 
 def check_source(names: list[str]) -> list[str]:
-    """What of the checkout is not in the source distribution."""
-    tracked = subprocess.run(["git", "-C", ROOT, "ls-files"], check=True, capture_output=True, text=True).stdout.split()
+    """What of the last commit is not in the source distribution."""
+    tracked = subprocess.run(
+        ["git", "-C", ROOT, "ls-tree", "-r", "--name-only", "HEAD"], check=True, capture_output=True, text=True
+    ).stdout.split()
     packed = {name.partition("/")[2] for name in names}
     return [f"source distribution: '{name}' is missing" for name in tracked if name not in packed]
 

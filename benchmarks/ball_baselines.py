@@ -117,9 +117,9 @@ def value(row: dict[str, Any], metric: str) -> float:
 
 
 def pushes_loss(store: Store, given: list[str], seed: int) -> float:
-    """Of the steps (nobody sees one before it comes) and of pushes of 200 N while the hand is held, shortened, with the state of
+    """Of the steps (nobody sees one before it comes) and of pushes of 200 N while the end effector is held, shortened, with the state of
     the simulator and noise: falls and pushes without recovery, rise time [s], powers of ten of the steady error over 1 mm, how
-    far [m] the hand was pushed."""
+    far [m] the end effector was pushed."""
     steps = store.run(
         "rezero-steps", seed, [*given, "preview=false", "hold_time=2", "settle_time=1", "final_hold_time=0"]
     )
@@ -131,7 +131,7 @@ def pushes_loss(store: Store, given: list[str], seed: int) -> float:
 
 def square_loss(store: Store, given: list[str], seed: int) -> float:
     """Of the square with 1 kg that nobody knows of, shortened, with the state of the simulator and noise: falls, and the errors of
-    ball and hand in units of 20 mm rms."""
+    ball and end effector in units of 20 mm rms."""
     run = store.run("rezero-wholebody", seed, [*given, "settle_time=4", "hold_time=1.5"])
     errors = (value(run, f"{what}_error_rms{which}") for what, which in (("ball", "_wholebody"), ("hand", "")))
     return float(20.0 * value(run, "fell") + sum(min(e / 0.02, 20.0) for e in errors))

@@ -30,7 +30,7 @@ SCHEMES = {
     "a+b": (True, True, False),
     "a+b+c": (True, True, True),
 }
-#: Contact counts as lost when the hand is off the panel for more than this share of the push, or when the robot falls.
+#: Contact counts as lost when the end effector is off the panel for more than this share of the push, or when the robot falls.
 LOST = 0.02
 
 

@@ -1,4 +1,4 @@
-"""Torque tracking of elastic drives against how fast the hand is: heavier torques (plain) and filters (frequency-aware).
+"""Torque tracking of elastic drives against how fast the end effector is: heavier torques (plain) and filters (frequency-aware).
 
 Usage: python benchmarks/frequency.py [--seeds 200-202] [--out FOLDER]. Goes on where it was interrupted.
 """
@@ -77,7 +77,9 @@ def draw(found: dict[str, dict[str, list[Figures]]], seed: int, path: Path) -> N
             trade.plot(rise, rms, "o" if curve == "shaped" else "s-", label=names[curve])
             for label, x, y in zip(by, rise, rms, strict=True):
                 trade.annotate(label, (x, y), xytext=(6, -2), textcoords="offset points", fontsize=7)
-        trade.set(xlabel="rise time of the hand [s]", ylabel="rms torque error of the wheels [mN m]", ylim=(0, None))
+        trade.set(
+            xlabel="rise time of the end effector [s]", ylabel="rms torque error of the wheels [mN m]", ylim=(0, None)
+        )
         trade.legend(fontsize=7)
         for name in ("plain", "shaped"):
             t = log.times(f"asked_{name}")

@@ -1,9 +1,12 @@
 """Generated hostile inputs: every one is accepted, or rejected with one message and exit code 2, within 10 s.
 
-Usage: python benchmarks/fuzz.py [--cases 10000] [--seed 0] [--only KIND] [--json]
+Usage: python benchmarks/fuzz.py [--cases 10000] [--seed 0] [--kinds settings files …] [--first N] [--json] [--quiet]
 
 Cases are run in a process of their own, one after the other; one that hangs or takes its process down is counted, and the next
-begins in a fresh one. *Nonsense*: a case whose generator knows that it is wrong was accepted, or that it is right was rejected.
+begins in a fresh one. *Nonsense*: a case whose generator knows that it is wrong was accepted, or that it is right was rejected,
+or a message has characters that steer a terminal. Every bad case is printed with the command that runs it alone. Cases of the
+kind ``problems`` build an experiment and run it for a few ticks: they may take a minute, for some are compiled. Times are of the
+processor, so that a busy machine does not count as a hang; what waits is given six times as much.
 Exits with 1 if there are tracebacks, hangs or nonsense.
 """
 
@@ -17,6 +20,9 @@ import logging
 import multiprocessing
 import os
 import resource
+import shutil
+import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -28,11 +34,16 @@ from typing import Any
 
 sys.path.append(str(Path(__file__).parent))
 
-from fuzz_cases import KINDS, VALID, Accepted, Case, InputError, make, registry
+from fuzzing.case import INVALID, OPEN, VALID, Case
+from fuzzing.kinds import KINDS, Accepted, make, short, stand_ins
 
-#: Longest case [s]; how long a fresh process may take until it is there [s]; memory that it may have [bytes].
-LIMIT, START, MEMORY = 10.0, 120.0, 6 * 1024**3
+from wbmpc.errors import InputError
+
+#: Longest case [s], by kind and else; by how much longer one may wait; the longest start of a process [s]; its memory [bytes].
+LIMITS, LIMIT, WAIT, START, MEMORY = {"problems": 60.0}, 10.0, 6.0, 600.0, 6 * 1024**3
 COLUMNS = ("accepted", "rejected", "tracebacks", "hangs", "nonsense")
+#: Exit codes of a run that was rejected, that fell, and that was ended.
+_REJECTED, _ABORTED, _ENDED = 2, 1, 130
 
 
 @dataclass
@@ -48,9 +59,24 @@ class Tally:
     slowest: float = 0.0
     bad: list[str] = field(default_factory=list)
 
+    def count(self, name: str, how: str, said: str, case: Case | None, seconds: float) -> bool:
+        """Count a case; whether it was good. ``case``: None of one that took its process down."""
+        self.cases += 1
+        self.slowest = max(self.slowest, seconds)
+        setattr(self, how, getattr(self, how) + 1)
+        right = {"accepted": VALID, "rejected": INVALID}.get(how)
+        what, expected = ("", OPEN) if case is None else (case.what, case.expected)
+        if right is not None and expected not in (right, OPEN):
+            self.nonsense += 1
+            how = f"{expected} but {how}"
+        elif right is not None:
+            return True
+        self.bad.append(f"{name}: {how}: {what!r}: {said}")
+        return False
+
 
 def outcome(case: Case, experiments: Any) -> tuple[str, str]:
-    """``accepted``, ``rejected`` or ``tracebacks``, and what was said."""
+    """One of the columns but ``hangs``, and what was said."""
     from wbmpc.cli import main
 
     said = io.StringIO()
@@ -65,66 +91,92 @@ def outcome(case: Case, experiments: Any) -> tuple[str, str]:
     except Accepted:
         return "accepted", ""
     except InputError as error:
-        return ("rejected" if str(error).strip() else "tracebacks"), str(error)
+        return _message(str(error).strip(), plain=False)
     except BaseException:
         return "tracebacks", traceback.format_exc()[-1500:]
     text = said.getvalue().strip()
-    if code == 0:
+    if code == 0 or (case.real and code in (_ABORTED, _ENDED)):
         return "accepted", text
-    if code == 2 and text and "Traceback" not in text:
-        return "rejected", text
-    return "tracebacks", f"exit code {code}: {text[-600:]}"
+    return _message(text, plain=True) if code == _REJECTED else ("tracebacks", f"exit code {code}: {text[-600:]}")
 
 
-def work(pipe: Any, seed: int, folder: str) -> None:
+def _message(text: str, plain: bool) -> tuple[str, str]:
+    """What a message of an error makes of a case; ``plain``: it goes to a terminal."""
+    if not text or "Traceback (most" in text:
+        return "tracebacks", text[-1500:]
+    if plain and not all(c.isprintable() for c in text.replace("\n", "")):
+        return "nonsense", f"a character that cannot be printed in {text!r}"
+    return "rejected", text
+
+
+def work(pipe: Any, seed: int, folder: str, kinds: list[str]) -> None:
     """The process that runs cases as they are asked for."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     logging.disable(logging.CRITICAL)
     os.chdir(folder)
     with open(os.devnull, "w") as nowhere:  # what libraries in C print
         os.dup2(nowhere.fileno(), 2)
-    experiments = registry()
-    for kind in KINDS:  # what is loaded and cached once belongs to no case
+    experiments = {False: stand_ins(), True: short()}
+    for kind in kinds:  # what is loaded and cached once belongs to no case
         with contextlib.suppress(BaseException):
-            outcome(make(kind, seed, -1, Path(folder)), experiments)
+            outcome(make(kind, seed, -1, Path(folder)), experiments[False])
     pipe.send("ready")
     while True:
         kind, number = pipe.recv()
-        case = make(kind, seed, number, Path(folder))
-        start = time.perf_counter()
-        pipe.send((*outcome(case, experiments), case.what, case.expected, time.perf_counter() - start))
+        shutil.rmtree(Path(folder) / "run", ignore_errors=True)
+        start = time.process_time()
+        try:
+            case = make(kind, seed, number, Path(folder))
+        except BaseException:
+            pipe.send(("tracebacks", f"the generator: {traceback.format_exc()[-900:]}", None, 0.0))
+            continue
+        how, said = outcome(case, experiments[case.real])
+        case.call = None  # what cannot be sent
+        pipe.send((how, said, case, time.process_time() - start))
 
 
 class Worker:
     """A process that is begun anew after one that hung or died."""
 
-    def __init__(self, seed: int, folder: str) -> None:
-        self._seed, self._folder = seed, folder
+    def __init__(self, seed: int, folder: str, kinds: list[str]) -> None:
+        self._seed, self._folder, self._kinds = seed, folder, kinds
         self._begin()
 
     def _begin(self) -> None:
         self._pipe, other = multiprocessing.Pipe()
         context = multiprocessing.get_context("spawn")
-        self._process = context.Process(target=work, args=(other, self._seed, self._folder), daemon=True)
+        arguments = (other, self._seed, self._folder, self._kinds)
+        self._process = context.Process(target=work, args=arguments, daemon=False)
         self._process.start()
         other.close()
         if not self._pipe.poll(START):
             raise RuntimeError("the process that runs the cases does not begin")
         self._pipe.recv()
 
-    def run(self, kind: str, number: int) -> tuple[str, str, str, str, float]:
-        """What came of a case, what was said, what it was, what was expected, and how long it took [s]."""
+    def run(self, kind: str, number: int) -> tuple[str, str, Case | None, float]:
+        """What came of a case, what was said, the case, and how long it took [s]."""
+        limit = LIMITS.get(kind, LIMIT)
         self._pipe.send((kind, number))
+        busy, begun = self._processor_time(), time.monotonic()
         try:
-            if self._pipe.poll(LIMIT):
-                return self._pipe.recv()  # type: ignore[no-any-return]
+            while self._processor_time() - busy < limit and time.monotonic() - begun < WAIT * limit:
+                if self._pipe.poll(0.5):
+                    return self._pipe.recv()  # type: ignore[no-any-return]
             how = "hangs"
         except EOFError:
             how = "tracebacks"
         self.end()
         code = self._process.exitcode
         self._begin()
-        return how, f"the process ended with {code}", "", "", LIMIT
+        return how, f"the process ended with {code}", None, limit
+
+    def _processor_time(self) -> float:
+        """Of the process until now [s]; 0 when it is gone."""
+        try:
+            fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return 0.0
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def end(self) -> None:
         """Let go of the process."""
@@ -132,31 +184,39 @@ class Worker:
         self._process.join()
 
 
-def fuzz(cases: int, seed: int, only: str | None = None) -> dict[str, Tally]:
-    """Run cases of all kinds, or of one; figures by kind."""
-    parts = {k: share for k, (share, _) in KINDS.items() if only in (None, k)}
+def fuzz(given: argparse.Namespace) -> dict[str, Tally]:
+    """Run the cases; figures by kind."""
+    parts = {k: share for k, (share, _) in KINDS.items() if k in (given.kinds or KINDS)}
     tallies = {kind: Tally() for kind in parts}
     with tempfile.TemporaryDirectory() as folder:
-        worker = Worker(seed, folder)
+        worker = Worker(given.seed, folder, list(parts))
         try:
-            for kind, share in parts.items():
-                for number in range(max(1, round(cases * share / sum(parts.values())))):
-                    _count(tallies[kind], f"{kind} {number}", *worker.run(kind, number))
+            for done, (kind, number) in enumerate(order(parts, given.cases), 1):
+                number += given.first
+                good = tallies[kind].count(f"{kind} {number}", *worker.run(kind, number))
+                if not good:
+                    tallies[kind].bad[-1] += f"\n    {command(kind, number, given.seed)}"
+                    print(tallies[kind].bad[-1], file=sys.stderr, flush=True)
+                if done % 500 == 0 and not given.quiet:
+                    bad = sum(len(t.bad) for t in tallies.values())
+                    print(f"{done} of {given.cases} cases, {bad} bad", file=sys.stderr, flush=True)
+        except KeyboardInterrupt:
+            print("interrupted: figures of what was run", file=sys.stderr)
         finally:
             worker.end()
     return tallies
 
 
-def _count(tally: Tally, name: str, how: str, said: str, what: str, expected: str, seconds: float) -> None:
-    tally.cases += 1
-    setattr(tally, how, getattr(tally, how) + 1)
-    tally.slowest = max(tally.slowest, seconds)
-    right = {"accepted": VALID, "rejected": "invalid"}.get(how)
-    if right is None:
-        tally.bad.append(f"{name}: {how}: {what}: {said}")
-    elif expected not in (right, "open"):
-        tally.nonsense += 1
-        tally.bad.append(f"{name}: {expected} but {how}: {what}: {said}")
+def order(parts: dict[str, int], cases: int) -> list[tuple[str, int]]:
+    """Kind and number of each case: all kinds side by side, so that a part of the run says something about all of them."""
+    counts = {kind: max(1, round(cases * share / sum(parts.values()))) for kind, share in parts.items()}
+    found = [(number / count, kind, number) for kind, count in counts.items() for number in range(count)]
+    return [(kind, number) for _, kind, number in sorted(found)]
+
+
+def command(kind: str, number: int, seed: int) -> str:
+    """What runs one case alone."""
+    return f"python benchmarks/fuzz.py --kinds {kind} --seed {seed} --first {number} --cases 1"
 
 
 def table(tallies: dict[str, Tally]) -> str:
@@ -172,21 +232,31 @@ def table(tallies: dict[str, Tally]) -> str:
     return "\n".join([head, *rows, f"{'all':14}{total:8d}" + "".join(f"{s:12d}" for s in sums) + f"{slowest:13.2f}"])
 
 
+def commit() -> str:
+    """The commit of this file's repository, with a plus sign if files differ from it; empty without one."""
+    git = ["git", "-C", str(Path(__file__).parent)]
+    found = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+    changed = subprocess.run([*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=False)
+    return found.stdout.strip() + "+" * bool(changed.stdout.strip())
+
+
 def main() -> int:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", choices=list(KINDS))
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), help="default: all")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case of each kind")
+    parser.add_argument("--quiet", action="store_true", help="no progress, bad cases alone")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
-    tallies = fuzz(given.cases, given.seed, given.only)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    tallies = fuzz(given)
+    about = {"commit": commit(), "seed": given.seed}
     if given.json:
-        print(json.dumps({kind: vars(t) for kind, t in tallies.items()}))
+        print(json.dumps({**about, "kinds": {kind: vars(t) for kind, t in tallies.items()}}))
     else:
-        for t in tallies.values():
-            print(*t.bad, sep="\n", end="\n" if t.bad else "")
-        print(table(tallies))
+        print(f"commit {about['commit']}, seed {given.seed}", table(tallies), sep="\n")
     return int(any(t.bad for t in tallies.values()))
 
 

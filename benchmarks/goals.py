@@ -106,11 +106,11 @@ def publish(path: Path, mark: str, text: str, part: str = "") -> None:
     can be published anew.
     """
     first, last = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
-    before, _, rest = path.read_text().partition(first)
+    previous, _, rest = path.read_text().partition(first)
     old, end, after = rest.partition(last)
     if not end:
         raise InputError(f"{path}: has no lines '{first.strip()}' and '{last}' to put the table between")
-    path.write_text(before + first + (_renewed(old, text, part) if part else text) + end + after)
+    path.write_text(previous + first + (_renewed(old, text, part) if part else text) + end + after)
 
 
 def _renewed(old: str, new: str, part: str) -> str:

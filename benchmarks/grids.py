@@ -1,4 +1,4 @@
-"""Hand error and solve time of `swerve-track` over uniform and geometric grids of the same 10 s horizon.
+"""End effector error and solve time of `swerve-track` over uniform and geometric grids of the same 10 s horizon.
 
 Usage: python benchmarks/grids.py [--seed 200] [--periods 2] [--json FILE] [--png FILE]
 Joint offsets are set to zero: they would hide the planner's part of the error. Everything else as in the experiment. Times are the
@@ -22,7 +22,7 @@ CASES = [(0.0, n) for n in (50, 100, 200, 400)] + [(FIRST, n) for n in (15, 20, 
 
 
 def run(first: float, intervals: int, seed: int, periods: int) -> dict[str, float | int | str]:
-    """Mean and largest hand error [mm, estimated frame] and the median solve time [ms] of one run."""
+    """Mean and largest end effector error [mm, estimated frame] and the median solve time [ms] of one run."""
     experiment = REGISTRY["swerve-track"]
     base = experiment.config_type()
     settings = base.model_copy(
@@ -81,7 +81,9 @@ def draw(rows: list[dict], path: Path) -> None:
                 textcoords="offset points",
             )
     axes.set(
-        xlabel="time of a solve, quickest tenth [ms]", ylabel="mean hand error [mm]", title="swerve-track, 10 s horizon"
+        xlabel="time of a solve, quickest tenth [ms]",
+        ylabel="mean end effector error [mm]",
+        title="swerve-track, 10 s horizon",
     )
     for axis, ticks in ((axes.xaxis, (0.1, 0.2, 0.5, 1, 2, 5, 10)), (axes.yaxis, (0.3, 0.4, 0.5, 0.7, 1, 1.5, 2, 3))):
         axis.set_major_locator(FixedLocator(ticks))

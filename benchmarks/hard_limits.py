@@ -42,7 +42,7 @@ FIGURES: dict[str, tuple[str, str, float, float | None]] = {
     "return_time": ("states back after", "s", 1.0, 0.5),
     "clamped": ("ticks clamped", "%", 100.0, 0.01),
     "failed": ("failed", "", 1.0, 0.0),
-    "hand_error": ("hand error", "mm", 1e3, None),
+    "hand_error": ("end effector error", "mm", 1e3, None),
     "stalled": ("solves stalled", "%", 100.0, None),
     "iterations": ("iterations", "", 1.0, None),
 }
@@ -109,16 +109,16 @@ class Recorder:
         self._accelerate(command)
         self.state.append(self.x.excess(self._measured()))
         if len(self.times) % 4 == 0:
-            self.error.append(float(np.linalg.norm(self._hand() - rig.goal(t))))
+            self.error.append(float(np.linalg.norm(self._end_effector() - rig.goal(t))))
 
     def _accelerate(self, command: Any) -> None:
         """Excess of what the drives' commands change by from tick to tick over what accelerations allow (swerve robot)."""
         if not self.swerve:
             return
-        given, most = self.rig.robot.input, self.rig.robot.limits.input_rate * self.rig.timing.period
+        given, maximum = self.rig.robot.input, self.rig.robot.limits.input_rate * self.rig.timing.period
         now = np.concatenate([command.steer, command.wheel, command.arm])
         if self._last is not None:
-            allowed = np.concatenate([most[given[g]] for g in ("steer", "wheel", "arm")])
+            allowed = np.concatenate([maximum[given[g]] for g in ("steer", "wheel", "arm")])
             self.acceleration = max(self.acceleration, float(np.max(np.abs(now - self._last) / allowed)) - 1.0)
         self._last = now
 
@@ -126,20 +126,20 @@ class Recorder:
         """The plan's time: a swerve robot's runs ahead by the drives' lag."""
         return t + self.rig.controller.tracking.settings.lag if self.swerve else t
 
-    def _wanted(self) -> np.ndarray:
-        return self.rig.controller.wanted[: self.rig.robot.input.size]
+    def _target(self) -> np.ndarray:
+        return self.rig.controller.target[: self.rig.robot.input.size]
 
     def _cut(self, command: Any) -> float:
         """Share of the range by which the command differs from what feedback or steering servo asked for."""
         if self.swerve:
-            return float(self.drive.excess(self._wanted()).max())
+            return float(self.drive.excess(self._target()).max())
         width = (self.drive.upper - self.drive.lower)[: command.torque.size]
-        return float(np.max(np.abs(command.torque - self._wanted()[: command.torque.size]) / width))
+        return float(np.max(np.abs(command.torque - self._target()[: command.torque.size]) / width))
 
     def _sent(self, command: Any) -> np.ndarray:
         if not self.swerve:
             return command.torque
-        given, out = self.rig.robot.input, self._wanted().copy()
+        given, out = self.rig.robot.input, self._target().copy()
         out[given["wheel"]], out[given["steer"]], out[given["arm"]] = command.wheel, command.steer, command.arm
         return out
 
@@ -149,8 +149,8 @@ class Recorder:
             return self.rig.controller.state()
         return self.rig.plant.state() + self.rig.plant.offset
 
-    def _hand(self) -> np.ndarray:
-        """Hand position; of the swerve robot in its estimated frame."""
+    def _end_effector(self) -> np.ndarray:
+        """End effector position; of the swerve robot in its estimated frame."""
         truth = self.rig.plant.truth()
         if not self.swerve:
             return truth.tool
@@ -180,12 +180,12 @@ class Solves:
 
 def longest(outside: np.ndarray, period: float) -> float:
     """Longest time [s] that any column of (ticks, states) stays outside."""
-    most = 0
+    maximum = 0
     for column in outside.T:
         edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
         if edges.size:
-            most = max(most, int(np.max(edges[1::2] - edges[::2])))
-    return most * period
+            maximum = max(maximum, int(np.max(edges[1::2] - edges[::2])))
+    return maximum * period
 
 
 def run(scenario: str, variant: Variant, seed: int) -> dict[str, float]:
@@ -293,11 +293,11 @@ def kept(path: Path, code: str) -> dict[Job, dict[str, float]]:
     return found
 
 
-def results(wanted: list[Job], path: Path, workers: int) -> dict[Job, dict[str, float]]:
+def results(target: list[Job], path: Path, workers: int) -> dict[Job, dict[str, float]]:
     """Figures of all runs; those that the file has are read, the others done and appended."""
     code = source()
     found = kept(path, code)
-    left = [job for job in wanted if job not in found]
+    left = [job for job in target if job not in found]
     with multiprocessing.Pool(workers) as pool, path.open("a") as file:
         for n, (job, figures) in enumerate(pool.imap_unordered(do, left), 1):
             found[job] = figures
@@ -308,11 +308,11 @@ def results(wanted: list[Job], path: Path, workers: int) -> dict[Job, dict[str, 
     return found
 
 
-def grouped(found: dict[Job, dict[str, float]], wanted: Iterable[Job]) -> Runs:
+def grouped(found: dict[Job, dict[str, float]], target: Iterable[Job]) -> Runs:
     """By scenario, then variant, in the order of the tables above."""
-    wanted = sorted(wanted, key=lambda j: (list(SCENARIOS).index(j[0]), list(VARIANTS).index(j[1]), j[2]))
+    target = sorted(target, key=lambda j: (list(SCENARIOS).index(j[0]), list(VARIANTS).index(j[1]), j[2]))
     out: Runs = {}
-    for scenario, variant, seed in wanted:
+    for scenario, variant, seed in target:
         out.setdefault(scenario, {}).setdefault(variant, []).append(found[scenario, variant, seed])
     return out
 
@@ -329,10 +329,10 @@ def main() -> None:
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     first, last = (int(s) for s in given.seeds.split("-"))
-    wanted = jobs(given.scenarios, given.variants, range(first, last + 1), given.few)
+    target = jobs(given.scenarios, given.variants, range(first, last + 1), given.few)
     path = given.out / "runs.jsonl"
-    done = kept(path, source()) if given.report else results(wanted, path, given.workers)
-    found = grouped(done, [job for job in wanted if job in done])
+    done = kept(path, source()) if given.report else results(target, path, given.workers)
+    found = grouped(done, [job for job in target if job in done])
     times = iteration_times()
     console = Console(width=None if sys.stdout.isatty() else 220)
     console.print(table(found, given.seeds))

@@ -13,10 +13,10 @@ PANELS = (
     ("plan_state_excess", "planned states over [%]", 100.0, 0.1, True),
     ("return_time", "states back after [s]", 1.0, 0.5, False),
     ("clamped", "ticks clamped [%]", 100.0, 1.0, True),
-    ("hand_error", "mean hand error [mm]", 1e3, None, True),
+    ("hand_error", "mean end effector error [mm]", 1e3, None, True),
 )
 #: What is drawn for less than this on a logarithmic axis [unit of the axis].
-LEAST = 1e-3
+MINIMUM = 1e-3
 COLOURS = ("#1f5fa8", "#4aa3c7", "#8a5fbf", "#d1495b", "#2a9d6f")
 SIZE = (1200, 1500)
 
@@ -31,7 +31,7 @@ def _points(found: Runs, figure: str, factor: float, variant: int, log: bool) ->
         values = np.array([run[figure] for run in by[names[variant]]]) * factor
         width = 0.8 / len(COLOURS)
         x.append(k - 0.4 + width * (variant + np.linspace(0.15, 0.85, values.size)))
-        y.append(np.maximum(values, LEAST) if log else values)
+        y.append(np.maximum(values, MINIMUM) if log else values)
     return np.concatenate(x), np.concatenate(y)
 
 
@@ -81,7 +81,7 @@ def _png(found: Runs, path: Path) -> None:
             axis.axhline(goal, color="0.3", linestyle="--", linewidth=1)
         if log:
             axis.set_yscale("log")
-            axis.yaxis.set_major_formatter(lambda v, _: f"≤ {LEAST:g}" if v <= 1.001 * LEAST else f"{v:g}")
+            axis.yaxis.set_major_formatter(lambda v, _: f"≤ {MINIMUM:g}" if v <= 1.001 * MINIMUM else f"{v:g}")
             axis.yaxis.set_minor_formatter(NullFormatter())
         for k in range(1, len(names)):
             axis.axvline(k - 0.5, color="0.8", linewidth=0.8)

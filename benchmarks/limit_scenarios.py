@@ -24,11 +24,11 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Mode, ModeSchedule, Reference
-from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.solver import SQP
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
+from wbmpc.studies.paths import SinePath
 
 Array = np.ndarray
 Event = tuple[float, Callable[[], None]]
@@ -71,7 +71,7 @@ BALL_COST = STEPS_AND_PUSHES.model_copy(update={"speed_slack": 1e3})
 
 @dataclass
 class Rig:
-    """One run before it starts. ``goal(t)``: where the hand is to be [m]; ``events``: (time [s], action), in order."""
+    """One run before it starts. ``goal(t)``: where the end effector is to be [m]; ``events``: (time [s], action), in order."""
 
     robot: RobotModel
     mpc: MPC
@@ -117,7 +117,7 @@ def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cos
 
 
 def _hold_goals(rig: Rig, goals: list[tuple[float, Array]]) -> None:
-    """Sudden goals of the hand: (time [s], shift from home [m]); the MPC does not see them before they come."""
+    """Sudden goals of the end effector: (time [s], shift from home [m]); the MPC does not see them before they come."""
     position, quaternion = rig.robot.pose(rig.robot.home)
     rig.goal = lambda t: position + next(shift for start, shift in reversed(goals) if start <= t)
 
@@ -139,7 +139,7 @@ def _push(rig: Rig, start: float, force: Array, body: str | None = None) -> list
 
 
 def rezero_push(variant: Variant, seed: int) -> Rig:
-    """Two pushes of the base, 0.2 s, 100 to 150 N, any horizontal direction, while the hand holds its place."""
+    """Two pushes of the base, 0.2 s, 100 to 150 N, any horizontal direction, while the end effector holds its position."""
     rng = np.random.default_rng([seed, 1])
     rig = _rezero(load_robot("rezero"), variant, seed, 5.0)
     for start in (0.5, 2.75):
@@ -148,7 +148,7 @@ def rezero_push(variant: Variant, seed: int) -> Rig:
 
 
 def rezero_step(variant: Variant, seed: int) -> Rig:
-    """The hand's goal jumps by 0.3 to 0.4 m in a horizontal direction, unseen, and back: wheel torques saturate.
+    """The end effector's goal jumps by 0.3 to 0.4 m in a horizontal direction, unseen, and back: wheel torques saturate.
 
     (With weights that pull harder the farther the goal is, and not those of the experiments, which spare the wheels.)
     """
@@ -197,11 +197,11 @@ def _swerve(
     return Rig(robot, mpc, plant, controller, timing, duration)
 
 
-def _follow(rig: Rig, t: Array, hand: Array, base: Array, leg: Array | None = None) -> None:
-    """The hand goes along ``hand`` (n, 3) from home [m], the base along ``base`` (n, 2), the legs along ``leg`` (n, 4)."""
+def _follow(rig: Rig, t: Array, end_effector: Array, base: Array, leg: Array | None = None) -> None:
+    """The end effector goes along ``end_effector`` (n, 3) from home [m], the base along ``base`` (n, 2), the legs along ``leg`` (n, 4)."""
     robot = rig.robot
     position, quaternion = robot.pose(robot.home)
-    rig.mpc.reference["hand"] = Reference.poses(t, position + hand, quaternion)
+    rig.mpc.reference["hand"] = Reference.poses(t, position + end_effector, quaternion)
     states = np.tile(robot.home, (t.size, 1))
     states[:, :2] += base
     if leg is not None:
@@ -209,13 +209,13 @@ def _follow(rig: Rig, t: Array, hand: Array, base: Array, leg: Array | None = No
     inputs = np.zeros((t.size, robot.input.size))
     inputs[:, :2] = np.gradient(base, t, axis=0)
     rig.mpc.reference["state"], rig.mpc.reference["input"] = Reference(t, states), Reference(t, inputs)
-    rig.goal = lambda now: position + np.array([np.interp(now, t, hand[:, i]) for i in range(3)])
+    rig.goal = lambda now: position + np.array([np.interp(now, t, end_effector[:, i]) for i in range(3)])
 
 
 def _sine(
     speed: float, amplitude: float, length: float, duration: float, periods: float = 1.0
 ) -> tuple[Array, Array, Array]:
-    """Times, hand and base of a sine beside the base's line; the speed rises within 1 s."""
+    """Times, end effector and base of a sine beside the base's line; the speed rises within 1 s."""
     path = SinePath(amplitude, length * periods, periods, speed, start=0.3, ramp=1.0)
     t = np.arange(0.0, duration + 12.0, 0.02)
     along, across = path.point(t)
@@ -234,7 +234,7 @@ def swerve_fast(variant: Variant, seed: int) -> Rig:
 
 
 def swerve_jump(variant: Variant, seed: int) -> Rig:
-    """Corrections of the estimated pose by 0.15 to 0.3 m and 0.1 to 0.2 rad while the hand follows a sine."""
+    """Corrections of the estimated pose by 0.15 to 0.3 m and 0.1 to 0.2 rad while the end effector follows a sine."""
     rng = np.random.default_rng([seed, 5])
     rig = _swerve(load_robot("swerve-ur10"), variant, seed, 5.0)
     _follow(rig, *_sine(0.255, 0.3, 2.66, 5.0))
@@ -253,7 +253,7 @@ def swerve_jump(variant: Variant, seed: int) -> Rig:
 
 
 def swerve_push(variant: Variant, seed: int) -> Rig:
-    """Two pushes of the base, 0.2 s, 300 to 500 N, any horizontal direction, while the hand follows a sine."""
+    """Two pushes of the base, 0.2 s, 300 to 500 N, any horizontal direction, while the end effector follows a sine."""
     rng = np.random.default_rng([seed, 8])
     rig = _swerve(load_robot("swerve-ur10"), variant, seed, 5.0)
     _follow(rig, *_sine(0.255, 0.3, 2.66, 5.0))
@@ -277,17 +277,17 @@ def swerve_brakes(variant: Variant, seed: int) -> Rig:
     rig = _swerve(
         load_robot("swerve-ur10"), variant, seed, 6.0, ModeSchedule(tuple(modes), tuple(events)), leg_weight=100.0
     )
-    t, hand, base = _sine(0.2, 0.1, 2.66, 6.0)
+    t, end_effector, base = _sine(0.2, 0.1, 2.66, 6.0)
     leg, home = np.zeros((t.size, 4)), rig.robot.home[rig.robot.state["leg"]]
     for begin, end, legs in windows:
         for i in legs:
             leg[:, i] += -np.sign(home[i]) * 0.48 * np.clip(t - begin, 0.0, end - begin)
-    _follow(rig, t, hand, base, leg)
+    _follow(rig, t, end_effector, base, leg)
     return rig
 
 
 def swerve_reach(variant: Variant, seed: int) -> Rig:
-    """Arm joints held to ±0.35 rad about home; the hand's goal jumps by 0.3 to 0.5 m in any direction, unseen, and back."""
+    """Arm joints held to ±0.35 rad about home; the end effector's goal jumps by 0.3 to 0.5 m in any direction, unseen, and back."""
     rng = np.random.default_rng([seed, 7])
     robot = load_robot("swerve-ur10")
     home = {n: robot.description.home.get(n, 0.0) for n in robot.description.arm.joints}

@@ -1,10 +1,10 @@
 """The push map of the ball robot: impulses from which it recovers, or after which it still stands, over directions and lengths.
 
-Usage: python benchmarks/push_map.py [--modes hand ball] [--directions 16] [--lengths 0.05 0.1 0.2 0.4] [--seed 200]
+Usage: python benchmarks/push_map.py [--modes end effector ball] [--directions 16] [--lengths 0.05 0.1 0.2 0.4] [--seed 200]
 [--controllers mpc lqr scheduled-lqr …] [--criteria recovers stands] [--set KEY=VALUE] [--fine 5] [--processes 2] [--out FOLDER];
 ``--draw`` only draws what FOLDER has. Every push is kept when it is done: Ctrl-C, and the same command goes on. Without
 ``--criteria`` only recovering is looked for. To recover, it has to be back and at rest 7 s after the push begins (``--set
-pause=``). Rivals have the gains of push_map_gains.json, or of another file (``--gains``; push_map_standing.json has those of a
+pause=``). Baselines have the gains of push_map_gains.json, or of another file (``--gains``; push_map_standing.json has those of a
 regulator that only has to stand, and rolls away). Of several controllers the first is compared with each of the others,
 direction by direction.
 """
@@ -41,7 +41,7 @@ from wbmpc.studies.minniti2019.push_map import (
     push_map,
     read,
     simulated,
-    wanted,
+    target,
 )
 
 #: Gains of baselines by what is held and controller, found by benchmarks/regulator_search.py on tuning seeds.
@@ -49,7 +49,7 @@ GAINS = Path(__file__).with_name("push_map_gains.json")
 
 
 def gains(mode: str, controller: str, file: Path | None = None) -> dict[str, float]:
-    """Those found for a controller with hand or ball held; none where none were searched. Raises :class:`InputError` for a file of
+    """Those found for a controller with end effector or ball held; none where none were searched. Raises :class:`InputError` for a file of
     something else."""
     file = file or GAINS
     try:
@@ -90,7 +90,7 @@ def todo_of(given: argparse.Namespace) -> dict[str, list[Point]]:
 def run(todo: list[Point], file: Path, workers: Workers, processes: int, fine: float, criteria: Sequence[str]) -> None:
     """All pushes, each written and reported when it is done. Ctrl-C (or SIGTERM) ends the program with a message."""
     started, done = time.time(), read(file)
-    left = {p.key for p in todo if wanted(done.get(p.key, {}), fine, criteria) is not None}
+    left = {p.key for p in todo if target(done.get(p.key, {}), fine, criteria) is not None}
     push = partial(workers.submit, simulated)
     with terminable() as termination:
         try:
@@ -98,7 +98,7 @@ def run(todo: list[Point], file: Path, workers: Workers, processes: int, fine: f
                 for point, impulse, outcome in push_map(todo, file, push, processes, fine, criteria):
                     found = done.setdefault(point.key, {})
                     found[impulse] = outcome
-                    if wanted(found, fine, criteria) is None:
+                    if target(found, fine, criteria) is None:
                         left.discard(point.key)
                     said = f"{impulse:g} N s: {outcome_text(outcome)} ({', '.join(limits(found, c) for c in criteria)})"
                     print(
@@ -124,7 +124,7 @@ def limits(found: Outcomes, criterion: str) -> str:
 
 def passed(chosen: list[Point], done: dict[str, Outcomes], criterion: str, fine: float = FINE) -> dict[float, float]:
     """The largest impulse [N s] that passes, by direction, of the pushes that were measured to ``fine`` [N s]."""
-    ready = [p for p in chosen if wanted(done.get(p.key, {}), fine, (criterion,)) is None]
+    ready = [p for p in chosen if target(done.get(p.key, {}), fine, (criterion,)) is None]
     return {p.direction: (bracket(done[p.key], criterion) or (0.0, np.inf))[0] for p in ready}
 
 
@@ -245,7 +245,7 @@ def main() -> None:
     if given.gains is not None and not given.gains.is_file():
         parser.error(f"--gains: there is no file '{given.gains}'")
     file = given.out / "pushes.json"
-    try:  # told here, before any process starts
+    try:  # reported here, before any process starts
         todo = todo_of(given)
         everything = [p for chosen in todo.values() for p in chosen]
         for point in {(p.mode, p.length, p.given): p for p in everything}.values():

@@ -1,4 +1,4 @@
-"""What the MPC's rate does to the ball robot: push recovery and hand error at 80, 200, 400 and 1000 Hz, in one figure.
+"""What the MPC's rate does to the ball robot: push recovery and end effector error at 80, 200, 400 and 1000 Hz, in one figure.
 
 Usage: python benchmarks/rates.py [--seeds 200-200] [--same-delay] [--out FOLDER]. Goes on where it was interrupted. The computation
 takes one period (what a faster MPC is for); with ``--same-delay`` there is a second line with 10 ms, as in the protocol. Everything
@@ -18,7 +18,7 @@ from wbmpc.studies.minniti2019.push_map import Point, bracket, measure
 
 RATES = (80.0, 200.0, 400.0, 1000.0)
 DELAYS = {"delay of one period": None, "same delay, 10 ms": 0.010}
-#: One step of the hand, 0.2 m and back, with the protocol's rigid drives.
+#: One step of the end effector, 0.2 m and back, with the protocol's rigid drives.
 STEP = (
     "variants=['plain']", "plant.wheel_spring=0", "plant.arm_spring=0", "plant.actuator_time_constant=0.02", "actuator_time_constant=0.02",
     "settle_time=1.5", "hold_time=3.5",
@@ -61,9 +61,9 @@ def measured(kept: Kept, rate: float, delay: float | None, seeds: list[int]) -> 
 
 PANELS = (
     ("impulse", "impulse of 0.2 s that it stands [N s]\n(45°)"),
-    ("pushed", "largest hand error, pushes of 100 and 200 N [mm]"),
-    ("rms", "rms hand error in the same runs [mm]"),
-    ("steady", "steady hand error after a step of 0.2 m [mm]"),
+    ("pushed", "largest end effector error, pushes of 100 and 200 N [mm]"),
+    ("rms", "rms end effector error in the same runs [mm]"),
+    ("steady", "steady end effector error after a step of 0.2 m [mm]"),
 )
 
 

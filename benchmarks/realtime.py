@@ -34,7 +34,6 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.paths import SinePath
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
@@ -42,24 +41,25 @@ from wbmpc.runtime.shared_memory import Sizes
 from wbmpc.settings import MpcSettings
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.step_goals import STEPS, target
+from wbmpc.studies.paths import SinePath
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0
 BALL = RezeroSettings(cost=RezeroCost())
 PATH = SinePath(0.498, 15.96, 6, 0.255, start=0.5, ramp=2.0)
-HAND_ORIENTATION = lie.rotation_to_quaternion(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
+END_EFFECTOR_ORIENTATION = lie.rotation_to_quaternion(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
 
 
 @dataclass(frozen=True)
 class Case:
-    """A robot with its task: ``hand`` (n, 3) [m] over times is what it is to follow; ``judged``: at which times it counts."""
+    """A robot with its task: ``end_effector`` (n, 3) [m] over times is what it is to follow; ``judged``: at which times it counts."""
 
     rate: float
     make_mpc: Callable[[float], MPC]
     make_plant: Callable[[], Any]
     make_controller: Callable[[MPC, Any, float], Any]
     stop: Any
-    hand: Callable[[np.ndarray], np.ndarray]
+    end_effector: Callable[[np.ndarray], np.ndarray]
     judged: Callable[[np.ndarray], np.ndarray]
     note: str
 
@@ -92,7 +92,7 @@ def make_rezero_plant() -> BallPlant:
     return BallPlant(robot.description, *robot.base.numeric.equilibrium(robot.home[robot.state["arm"]]), None, 0)
 
 
-def make_rezero_agent(own: MPC, plant: BallPlant, rate: float) -> BallController:
+def make_rezero_controller(own: MPC, plant: BallPlant, rate: float) -> BallController:
     """The experiments' controller with an MPC of its own as its model, on the simulator's state."""
     robot = load_robot("rezero")
     arm = robot.home[robot.state["arm"]]
@@ -108,9 +108,9 @@ def rezero_case() -> Case:
     times, positions, _ = rezero_poses()
     index = lambda t: np.searchsorted(times, t, side="right") - 1
     return Case(
-        1000.0, make_rezero_mpc, make_rezero_plant, make_rezero_agent, BallCommand(np.zeros(6)),
+        1000.0, make_rezero_mpc, make_rezero_plant, make_rezero_controller, BallCommand(np.zeros(6)),
         lambda t: positions[index(t)], lambda t: np.abs(t - times[index(t)] - 3.0) < 0.5,
-        "hand error from 2.5 to 3.5 s after each step: later the hand already leans into the next one, which it sees coming",
+        "end effector error from 2.5 to 3.5 s after each step: later the end effector already leans into the next one, which it sees coming",
     )  # fmt: skip
 
 
@@ -125,7 +125,7 @@ def make_swerve_mpc(rate: float, intervals: int = 50) -> MPC:
     robot = load_robot("swerve-ur10")
     mpc = swerve_mpc(robot, MpcSettings(rate=rate, horizon=10.0, intervals=intervals), SwerveCost())
     t = np.arange(0.0, PATH.end + 0.5, 0.02)
-    mpc.reference["hand"] = Reference.poses(t, swerve_hand(t), HAND_ORIENTATION)
+    mpc.reference["hand"] = Reference.poses(t, swerve_hand(t), END_EFFECTOR_ORIENTATION)
     s, speed = PATH.arc(t)
     share = PATH.length / PATH.arc_length
     states, inputs = np.tile(robot.home, (t.size, 1)), np.zeros((t.size, robot.input.size))
@@ -142,7 +142,7 @@ def make_swerve_plant() -> SwervePlant:
     return SwervePlant(robot.description, robot.state.split(robot.home), None, 0)
 
 
-def make_swerve_agent(own: MPC, plant: SwervePlant, rate: float) -> SwerveController:
+def make_swerve_controller(own: MPC, plant: SwervePlant, rate: float) -> SwerveController:
     """The experiments' controller, odometry of the wheels alone."""
     return SwerveController(
         load_robot("swerve-ur10"), plant.truth().pose, 1.0 / rate, tracking=TrackingSettings(lag=0.020)
@@ -151,8 +151,8 @@ def make_swerve_agent(own: MPC, plant: SwervePlant, rate: float) -> SwerveContro
 
 def swerve_case(intervals: int) -> Case:
     return Case(
-        200.0, partial(make_swerve_mpc, intervals=intervals), make_swerve_plant, make_swerve_agent,
-        SwerveCommand.stop(), swerve_hand, lambda t: t > 3.0, "hand error along the sine from 3 s on",
+        200.0, partial(make_swerve_mpc, intervals=intervals), make_swerve_plant, make_swerve_controller,
+        SwerveCommand.stop(), swerve_hand, lambda t: t > 3.0, "end effector error along the sine from 3 s on",
     )  # fmt: skip
 
 
@@ -191,10 +191,10 @@ def cpu_seconds(pid: int) -> float:
     return (int(parts[11]) + int(parts[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def errors(case: Case, times: np.ndarray, hand: np.ndarray) -> np.ndarray:
+def errors(case: Case, times: np.ndarray, end_effector: np.ndarray) -> np.ndarray:
     """Distances [m] to the reference where they count."""
     use = (times >= 0.0) & case.judged(np.maximum(times, 0.0))
-    return np.linalg.norm(hand[use] - case.hand(times[use]), axis=1)
+    return np.linalg.norm(end_effector[use] - case.end_effector(times[use]), axis=1)
 
 
 def run(
@@ -220,17 +220,20 @@ def run(
     runner.start()
     parts = {"physics": robot.process.pid, "controller" if process else "controller and MPC": os.getpid()}
     parts |= {"MPC": runner.process_id} if process else {}
-    began, before = clock.now(), {part: cpu_seconds(pid) for part, pid in parts.items()}
+    began, previous = clock.now(), {part: cpu_seconds(pid) for part, pid in parts.items()}
     while clock.now() < seconds and not runner.stopped:
         clock.wait(min(clock.now() + 0.05, seconds))
-    load = {p: (cpu_seconds(pid) - before[p]) / (clock.now() - began) for p, pid in parts.items()}
+    load = {p: (cpu_seconds(pid) - previous[p]) / (clock.now() - began) for p, pid in parts.items()}
     report = runner.report()
     runner.shutdown()
     robot.close()
     gc.enable()
     model = load_robot("rezero" if name == "rezero" else "swerve-ur10")
     estimated = np.array([model.pose(x)[0] for x in controller.states])
-    figures = {"estimated": errors(case, np.array(controller.times), estimated), "world": errors(case, *robot.hand())}
+    figures = {
+        "estimated": errors(case, np.array(controller.times), estimated),
+        "world": errors(case, *robot.end_effector()),
+    }
     return {
         "robot": name, "mpc": "process" if process else "thread", "fifo": fifo, "wanted_rate": rate, "control_rate": control,
         "fell": bool(robot.board["fell"]), "largest_tilt": robot.board["tilt"], "physics_behind": int(robot.board["behind"]),
@@ -260,7 +263,7 @@ def show(r: dict[str, Any]) -> None:
         ("tick takes: p50, p99, max [ms]", ms(r["tick"], ("median", "p99", "max"))),
         ("clamped ticks", str(r["clamped"])),
         ("fell; largest tilt [rad]", f"{'yes' if r['fell'] else 'no'}; {r['largest_tilt']:.3f}"),
-        ("mean hand error, estimated; world [mm]", f"{error['estimated']}; {error['world']}"),
+        ("mean end effector error, estimated; world [mm]", f"{error['estimated']}; {error['world']}"),
         ("physics too slow for real time", f"{r['physics_behind']} times"),
         ("share of a core", ", ".join(f"{k} {100 * v:.0f} %" for k, v in r["load"].items())),
     ]

@@ -1,9 +1,9 @@
 """Gains of the ball robot's regulators (LQR, gain-scheduled LQR) for its push map: searched on the model, then in simulation.
 
-Usage: python benchmarks/regulator_search.py [--modes hand ball] [--only lqr scheduled-lqr] [--walks 3] [--sets 50] [--best 3]
+Usage: python benchmarks/regulator_search.py [--modes end effector ball] [--only lqr scheduled-lqr] [--walks 3] [--sets 50] [--best 3]
        [--first 0] [--seeds 0 3] [--write] [--file FILE]
 First random walks on the model alone (no noise, slip or perturbed masses; slower drives than believed): about the best set of
-gains so far, made small is how far hand or ball are from their place when the next push would come, or how early the robot falls,
+gains so far, made small is how far end effector or ball are from their place when the next push would come, or how early the robot falls,
 over five directions; the push (0.2 s) gets harder whenever all five are recovered from. Then a race of the walks' best sets, and
 of those that there are, as the push map measures them, in four other directions on tuning seeds. Simulated pushes are kept in
 FILE (JSON lines) and are not simulated again. With ``--write`` the winner goes to benchmarks/push_map_gains.json, where the push
@@ -43,7 +43,7 @@ MODELLED = tuple(np.deg2rad([90.0, 0.0, 180.0, 45.0, 135.0]).tolist())
 SIMULATED = tuple(np.deg2rad([22.5, 112.5, 202.5, 292.5]).tolist())
 #: The first impulse [N s] of a walk, and what it is raised by; what a race raises it by.
 GENTLE, RAISE, HARDER = 10.0, 4.0, 10.0
-#: How near [m] hand or ball have to be on the model, where nothing disturbs them: half of what is asked in simulation.
+#: How near [m] end effector or ball have to be on the model, where nothing disturbs them: half of what is asked in simulation.
 NEARER = 0.5 * NEAR
 
 
@@ -89,7 +89,7 @@ class ModelledRobot:
         return out
 
     def loss(self, controller: LqrController, direction: float, impulse: float) -> float:
-        """How bad a push [N s] ends, when the push experiments would push again: e/(1 + e) for a largest error e [m] of hand or
+        """How bad a push [N s] ends, when the push experiments would push again: e/(1 + e) for a largest error e [m] of end effector or
         ball, 1 to 2 for a fall, more the earlier."""
         states = self.pushed(controller, direction, impulse, self.settings.pause)
         steps = round(self.settings.pause / self.period)
@@ -97,16 +97,16 @@ class ModelledRobot:
             return 2.0 - len(states) / steps
         last = states[-round(LAST / self.period) :]
         place = self.robot.poses(last)[:, :3] if self.mode == "hand" else last[:, :2]
-        wanted = self.robot.pose(self.home)[0] if self.mode == "hand" else self.home[:2]
-        error = float(np.linalg.norm(place - wanted, axis=1).max())
+        target = self.robot.pose(self.home)[0] if self.mode == "hand" else self.home[:2]
+        error = float(np.linalg.norm(place - target, axis=1).max())
         return error / (1.0 + error)
 
-    def losses(self, controller: LqrController, impulse: float, most: float = np.inf) -> list[float]:
-        """Over the directions, until their sum is beyond ``most``."""
+    def losses(self, controller: LqrController, impulse: float, maximum: float = np.inf) -> list[float]:
+        """Over the directions, until their sum is beyond ``maximum``."""
         found: list[float] = []
         for direction in MODELLED:
             found.append(self.loss(controller, direction, impulse))
-            if sum(found) > most:
+            if sum(found) > maximum:
                 break
         return found
 
@@ -121,8 +121,8 @@ class ModelledRobot:
             if t < LENGTH + self.period:
                 force = self.generalised(x[:n], push) if t < LENGTH else np.zeros(n)
                 self.mpc.solver.set_parameters({"disturbance": force})
-            wanted = controller.limits.possible(controller._law(t, x, None)[1])
-            torque = torque + blend * (wanted - torque)
+            target = controller.limits.possible(controller._law(t, x, None)[1])
+            torque = torque + blend * (target - torque)
             x = controller._step(x, torque, self.period)
             if not np.isfinite(x).all() or np.hypot(x[3], x[4]) > FALLEN:
                 break
@@ -182,20 +182,20 @@ def race(
 
     ``recovers``: from an impulse, in a task. From ``first`` on the impulse is raised whenever one set has done all tasks; a set
     that cannot do more than the best is left."""
-    impulse, most, best = first, -1, sets[0]
+    impulse, maximum, best = first, -1, sets[0]
     for tried in sets:
         while True:
             done = failed = 0
-            while done + failed < tasks and tasks - failed > most:
+            while done + failed < tasks and tasks - failed > maximum:
                 passed = recovers(tried, impulse, done + failed)
                 done, failed = done + passed, failed + (not passed)
-            if done <= most:
+            if done <= maximum:
                 break
-            most, best = done, tried
+            maximum, best = done, tried
             if done < tasks:
                 break
-            impulse, most = impulse + HARDER, -1
-    return impulse, most, best
+            impulse, maximum = impulse + HARDER, -1
+    return impulse, maximum, best
 
 
 def simulated(store: Store, mode: str, controller: str, seeds: list[int]) -> Callable[[Gains, float, int], bool]:

@@ -31,8 +31,8 @@ DOCS = Path(__file__).parents[1] / "docs"
 #: What the robot carries and where it stands, by name: settings besides those of the protocol (friction 0.6 to 0.9, 10 ms).
 SWERVE: dict[str, tuple[str, ...]] = {
     "protocol": (),
-    "hand 5 kg": ("plant.payload=5",),
-    "hand 10 kg": ("plant.payload=10",),
+    "end effector 5 kg": ("plant.payload=5",),
+    "end effector 10 kg": ("plant.payload=10",),
     "body 75 kg": ("plant.body_payload=75",),
     "body 150 kg": ("plant.body_payload=150",),
     "slope 3 deg": ("plant.slope=0.05236",),
@@ -44,8 +44,8 @@ BALL: dict[str, tuple[str, ...]] = {
     "protocol": (),
     "floor 0.4": ("plant.friction=0.4",),
     "floor 1.1": ("plant.friction=1.1",),
-    "hand 0.5 kg": ("payload=0.5",),
-    "hand 1 kg": ("payload=1.0",),
+    "end effector 0.5 kg": ("payload=0.5",),
+    "end effector 1 kg": ("payload=1.0",),
     "cables 5 mm": ("plant.floor_cables=0.005",),
     "late 2 ms": ("plant.actuator_dead_time=0.002",),
     "late 8 ms": ("plant.actuator_dead_time=0.008",),

@@ -22,33 +22,33 @@ from wbmpc.bases.ball.ros_settings import BallRosSettings
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
-from wbmpc.paths import SinePath
 from wbmpc.registry import REGISTRY
 from wbmpc.ros2.bus import DEFAULT
 from wbmpc.ros2.convert import header, path, upright
 from wbmpc.studies.minniti2019.step_figures import progress_of, rise_time
 from wbmpc.studies.minniti2019.step_goals import STEADY, STEPS
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings, Schedule
-from wbmpc.studies.pankert2022.track_references import HAND_ORIENTATION, PERIOD_LENGTH, SwerveTrackSettings
+from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION, PERIOD_LENGTH, SwerveTrackSettings
+from wbmpc.studies.paths import SinePath
 
-#: Offsets of the hand's path [m], as in the experiment; a path begins this long after it was sent [s].
+#: Offsets of the end effector's path [m], as in the experiment; a path begins this long after it was sent [s].
 AHEAD, SIDE, HEIGHT, LEAD = 0.30, 0.65, 0.80, 2.0
 
 
 def sine(settings: SwerveTrackSettings) -> SinePath:
-    """The hand's path of the experiment; it begins at 0.5 s."""
+    """The end effector's path of the experiment; it begins at 0.5 s."""
     s = settings
     return SinePath(s.amplitude, PERIOD_LENGTH * s.periods, s.periods, s.speed, start=0.5, ramp=2.0)
 
 
-def hand_of(way: SinePath, t: np.ndarray) -> np.ndarray:
-    """Positions (n, 3) [m] of the hand's reference at times t (n) [s]."""
+def end_effector_of(way: SinePath, t: np.ndarray) -> np.ndarray:
+    """Positions (n, 3) [m] of the end effector's reference at times t (n) [s]."""
     along, across = way.point(t)
     return np.stack([along + AHEAD, SIDE + across, np.full_like(along, HEIGHT)], axis=1)
 
 
 def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
-    """Let the hand follow the sine on the bus: mean error [m] in the estimated frame, 2 s after the beginning and later."""
+    """Let the end effector follow the sine on the bus: mean error [m] in the estimated frame, 2 s after the beginning and later."""
     recorder, way = Recorder(bus.node), sine(settings)
     goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
     paths = {n: bus.node.publisher(f"/{n}_path", "nav_msgs/msg/Path", DEFAULT) for n in ("hand", "base")}
@@ -64,14 +64,16 @@ def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
     paths["base"].publish(
         path(start, "odom", np.array([p for p, _ in base]), np.array([q for _, q in base]), start + t)
     )
-    paths["hand"].publish(path(start, "odom", hand_of(way, t), np.tile(HAND_ORIENTATION, (t.size, 1)), start + t))
+    paths["hand"].publish(
+        path(start, "odom", end_effector_of(way, t), np.tile(END_EFFECTOR_ORIENTATION, (t.size, 1)), start + t)
+    )
     bus.wait_for(lambda: "path" in bus.said, 60.0)
     bus.wait_for(lambda: recorder.time > start + way.end + 0.4 or "stopped" in bus.said, 600.0)
     if "running" not in bus.said:
         raise RuntimeError(f"{bus.said}\n{bus.output()}")
-    times, hand = recorder.hand_in_estimate()
+    times, end_effector = recorder.end_effector_in_estimate()
     use = (times > start + 2.0) & (times < start + way.end + 0.4)
-    return float(np.linalg.norm(hand[use] - hand_of(way, times[use] - start), axis=1).mean())
+    return float(np.linalg.norm(end_effector[use] - end_effector_of(way, times[use] - start), axis=1).mean())
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def steps_inside(settings: RezeroStepsSettings, seed: int) -> Steps:
 
 def steps(bus: Bus, settings: RezeroStepsSettings, count: int = len(STEPS)) -> Steps:
     """The same on the bus, or the first ``count`` steps: the schedule of poses is sent as one path of the
-    hand; a step is two poses 1 ms apart."""
+    end effector; a step is two poses 1 ms apart."""
     robot = load_robot("rezero")
     schedule, lift = Schedule.of(settings, robot), np.array([0.0, 0.0, robot.base.radius])
     recorder, node = Recorder(bus.node), bus.node
@@ -121,10 +123,10 @@ def steps(bus: Bus, settings: RezeroStepsSettings, count: int = len(STEPS)) -> S
 def judged(recorder: Recorder, schedule: Schedule, settings: RezeroStepsSettings, start: float, count: int) -> Steps:
     """The figures of `rezero-steps` from what was seen on the bus."""
     lift, lead = np.array([0.0, 0.0, load_robot("rezero").base.radius]), settings.lead
-    hand = np.array(sorted(recorder.poses["hand"]))
-    t, felt = recorder.hand_in_estimate()
+    end_effector = np.array(sorted(recorder.poses["hand"]))
+    t, felt = recorder.end_effector_in_estimate()
     log = Log()
-    for row in hand:
+    for row in end_effector:
         log.add("hand", row[0] - start, row[1:4] - lift)
         log.add("hand_quaternion", row[0] - start, row[4:8])
     rises, steady = [], []
@@ -179,7 +181,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robot", choices=["swerve", "rezero"], nargs="+", default=["swerve", "rezero"])
     parser.add_argument("--periods", type=int, default=1)
-    parser.add_argument("--speed", type=float, default=0.255, help="of the hand [m/s]")
+    parser.add_argument("--speed", type=float, default=0.255, help="of the end effector [m/s]")
     parser.add_argument("--rest", type=float, default=20.0, help="standing before [s]")
     parser.add_argument("--seed", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=60.0, help="of the command stream; 0: none")

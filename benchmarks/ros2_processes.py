@@ -22,7 +22,7 @@ from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.convert import planar, read_pose, seconds
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.opening import open_node
-from wbmpc.ros2.sim import TRUTH_HAND, TRUTH_ODOM
+from wbmpc.ros2.sim import TRUTH_END_EFFECTOR, TRUTH_ODOM
 
 
 def private(domain: int) -> dict[str, str]:
@@ -113,7 +113,7 @@ def open_bus(
 
 
 class Recorder:
-    """Poses from the bus over their stamps: true base and hand, estimated base. ``rows``: time [s], x, y, yaw (``base``,
+    """Poses from the bus over their stamps: true base and end effector, estimated base. ``rows``: time [s], x, y, yaw (``base``,
     ``odom``); ``poses``: time [s], position (3) [m], quaternion (4)."""
 
     def __init__(self, node: Any) -> None:
@@ -122,8 +122,8 @@ class Recorder:
         take = lambda name: lambda m: self._take(name, m.header, m.pose.pose)
         node.subscribe(TRUTH_ODOM, "nav_msgs/msg/Odometry", take("base"), Qos(depth=100))
         node.subscribe("/odom", "nav_msgs/msg/Odometry", take("odom"), Qos(depth=100))
-        hand = lambda m: self._take("hand", m.header, m.pose)
-        node.subscribe(TRUTH_HAND, "geometry_msgs/msg/PoseStamped", hand, Qos(depth=100))
+        end_effector = lambda m: self._take("hand", m.header, m.pose)
+        node.subscribe(TRUTH_END_EFFECTOR, "geometry_msgs/msg/PoseStamped", end_effector, Qos(depth=100))
 
     def _take(self, name: str, head: Any, given: Any) -> None:
         position, turned = read_pose(given, name)
@@ -136,11 +136,11 @@ class Recorder:
         """The newest stamp [s]."""
         return self.rows["base"][-1][0] if self.rows["base"] else 0.0
 
-    def hand_in_estimate(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times (n) [s] and positions (n, 3) of the hand in the estimated frame: estimated base, true hand in the base."""
-        base, hand, odom = (np.array(sorted(self.poses[n])) for n in ("base", "hand", "odom"))
-        t = hand[(hand[:, 0] > odom[0, 0]) & (hand[:, 0] < odom[-1, 0]), 0]
-        true, tool, seen = (_at(rows, t) for rows in (base, hand, odom))
+    def end_effector_in_estimate(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n) [s] and positions (n, 3) of the end effector in the estimated frame: estimated base, true end effector in the base."""
+        base, end_effector, odom = (np.array(sorted(self.poses[n])) for n in ("base", "hand", "odom"))
+        t = end_effector[(end_effector[:, 0] > odom[0, 0]) & (end_effector[:, 0] < odom[-1, 0]), 0]
+        true, tool, seen = (_at(rows, t) for rows in (base, end_effector, odom))
         turned = [
             lie.quaternion_to_rotation(s[3:]) @ lie.quaternion_to_rotation(b[3:]).T @ (h[:3] - b[:3]) + s[:3]
             for b, h, s in zip(true, tool, seen, strict=True)

@@ -78,8 +78,8 @@ def stream(bus: Bus, seconds_: float, send: Callable[[], None], fifo: bool) -> d
     if fifo:
         for thread in os.listdir("/proc/self/task"):
             os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
-    before = bus.figures
-    bus.wait_for(lambda: bus.figures is not before, 60.0)
+    previous = bus.figures
+    bus.wait_for(lambda: bus.figures is not previous, 60.0)
     if not bus.said.startswith("running"):
         raise RuntimeError(f"the stream ended: {bus.said}\n{bus.output()}")
     sent, received = int(bus.figures["commands sent"]), len(arrivals["command"])
@@ -123,7 +123,7 @@ def drive(bus: Bus, seconds_: float) -> Callable[[], None]:
 
 
 def balance(bus: Bus) -> Callable[[], None]:
-    """A goal for the ball robot's hand: 0.2 m ahead."""
+    """A goal for the ball robot's end effector: 0.2 m ahead."""
     robot = load_robot("rezero")
     position, turned = robot.pose(robot.home)
     goal = bus.node.publisher("/end_effector_goal", "geometry_msgs/msg/PoseStamped")

@@ -21,8 +21,8 @@ from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.paths import SinePath
 from wbmpc.settings import MpcSettings
+from wbmpc.studies.paths import SinePath
 from wbmpc.types import Observation
 
 #: Between two solves [s]; the spread of what the state is off its plan.
@@ -30,7 +30,7 @@ PERIOD, NOISE = 0.005, 1e-3
 
 
 def rezero(seconds: float) -> MPC:
-    """The ball robot's hand goes to and fro by 0.1 m every three seconds; 20 intervals over 1 s."""
+    """The ball robot's end effector goes to and fro by 0.1 m every three seconds; 20 intervals over 1 s."""
     robot = load_robot("rezero")
     mpc = rezero_mpc(robot, MpcSettings(horizon=1.0, intervals=20, first_interval=0.0, barrier_mu=1e-2), RezeroCost())
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])

@@ -68,7 +68,7 @@ def _motions(name: str, gains: dict[str, float], seed: int, random: float) -> np
     settings = SwerveFixedSettings(random_time=random, settle_time=REST)
     if motions is not None:
         settings = settings.model_copy(update={"motions": motions, "random": 0.0})
-    fixed.CONTROLLERS[name] = fixed.rival(KINDS[name], **gains)
+    fixed.CONTROLLERS[name] = fixed.baseline(KINDS[name], **gains)
     log, reference = Log(), Motion.of(settings, seed)
     if fixed.drive(name, settings, seed, robot, reference, None, log).ending.reason:
         return np.full(1, np.inf)
@@ -121,7 +121,7 @@ def search(
     tried = {tuple(gains.items())}
     best = trial(gains)
     while True:
-        before = best
+        previous = best
         for key, values in grid.items():
             for value in values:
                 candidate = {**gains, key: value}
@@ -133,7 +133,7 @@ def search(
                 found = trial(candidate)
                 if found < best:
                     best, gains = found, candidate
-        if best > 0.98 * before:
+        if best > 0.98 * previous:
             return best, gains
 
 

@@ -106,8 +106,8 @@ def measure(compiler: str, name: str, data: Path) -> dict[str, Any]:
 
 def save_memory(path: Path) -> None:
     """Memory and table of a solver after a few iterations."""
-    from wbmpc.benchmark.problems import swerve_bench
     from wbmpc.solver import SQP
+    from wbmpc.studies.race.robots import swerve_bench
 
     problem = swerve_bench(100, SQP.real_time(3))
     problem.solver.run(problem.x0)

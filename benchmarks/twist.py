@@ -1,7 +1,7 @@
-"""What the weight of the hand's twist does to a step of the ball robot's hand: rise time against lean, torque and steady error.
+"""What the weight of the end effector's twist does to a step of the ball robot's end effector: rise time against lean, torque and steady error.
 
 Usage: python benchmarks/twist.py [--seeds 200-200] [--out FOLDER]. Goes on where it was interrupted. Minniti et al. 2019 (section
-IV-B, at Fig. 4) say that a smaller penalty of the twist makes the hand quicker. One step of 0.2 m and back with the protocol's
+IV-B, at Fig. 4) say that a smaller penalty of the twist makes the end effector quicker. One step of 0.2 m and back with the protocol's
 rigid drives and the weights of steps and pushes; linear and angular weights are scaled together.
 """
 
@@ -20,15 +20,15 @@ from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 FACTORS = (0.1, 1.0, 10.0, 100.0)
 PANELS = (
     ("rise_time_plain", 1.0, "rise time, 10 to 90 % [s]"),
-    ("steady_error_plain", 1e3, "steady error of the hand [mm]"),
+    ("steady_error_plain", 1e3, "steady error of the end effector [mm]"),
     ("tilt_max_plain", 180.0 / np.pi, "largest tilt [deg]"),
 )
 
 
 def settings(factor: float) -> list[str]:
     """Of a run with the twist's weights times a factor."""
-    hand = RezeroFrequencySettings().cost.end_effector
-    return [f"cost.end_effector.{k}={factor * getattr(hand, k):g}" for k in ("twist", "angular")]
+    end_effector = RezeroFrequencySettings().cost.end_effector
+    return [f"cost.end_effector.{k}={factor * getattr(end_effector, k):g}" for k in ("twist", "angular")]
 
 
 def main() -> None:
@@ -46,7 +46,7 @@ def main() -> None:
         with drawing(given.out / "twist.png", len(PANELS)) as axes:
             for axis, (key, scale, title) in zip(axes, PANELS, strict=True):
                 axis.semilogx(FACTORS, [scale * np.median([r[key] for r in row]) for row in rows], "o-")
-                axis.set(title=title, xlabel="weight of the hand's twist over the default", ylim=(0, None))
+                axis.set(title=title, xlabel="weight of the end effector's twist over the default", ylim=(0, None))
                 axis.title.set_fontsize(9)
     except ImportError:
         print("matplotlib is not installed: no figure")

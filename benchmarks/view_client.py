@@ -18,12 +18,12 @@ import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-#: How often a camera that is being turned tells where it is [Hz].
+#: How often a camera that is being turned reports where it is [Hz].
 CAMERA = 20.0
 
 
 def camera(angle: float) -> bytes:
-    """A camera on a circle around the robot, as the viewer tells it."""
+    """A camera on a circle around the robot, as the viewer reports it."""
     message = {
         "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "fov": 1.3, "near": 0.01, "far": 1000.0,
         "position": (3.0 * math.cos(angle), 3.0 * math.sin(angle), 1.5), "image_height": 700, "image_width": 1000,

@@ -107,7 +107,7 @@ def measure(view: Measured, runner: RealTimeRunner, guests: Guests, seconds: flo
     for part in PARTS:
         guests.change(part, seconds)
         time.sleep(SETTLING)
-        first, before = len(view.late), cpu(view.process.pid)
+        first, previous = len(view.late), cpu(view.process.pid)
         time.sleep(seconds - SETTLING)
         if runner.stopped:
             raise SystemExit(runner.state)
@@ -117,13 +117,13 @@ def measure(view: Measured, runner: RealTimeRunner, guests: Guests, seconds: flo
             "late: median [us]": float(1e6 * np.median(late)),
             "late: 99 % [us]": float(1e6 * np.percentile(late, 99)),
             "watching: mean [us]": float(cost.mean()),
-            "server's processor time [%]": 100.0 * (cpu(view.process.pid) - before) / (seconds - SETTLING),
+            "server's processor time [%]": 100.0 * (cpu(view.process.pid) - previous) / (seconds - SETTLING),
         }
     return found
 
 
 def circle(runner: RealTimeRunner, seconds: float) -> None:
-    """The hand goes round and round, so that there is something to see."""
+    """The end effector goes round and round, so that there is something to see."""
     mpc: Any = runner.mpc
     home, t = mpc.reference["hand"].values[0], np.arange(0.0, seconds, 0.05)
     around = np.stack([np.cos(t) - 1.0, np.sin(t), 0.0 * t], axis=1)

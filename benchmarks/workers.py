@@ -21,11 +21,11 @@ class Workers:
 
     def submit(self, work: Callable[..., T], *given: object) -> Future[T]:
         """Have it done. Processes start in here, and a signal that is blocked then stays so for them."""
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return self._pool.submit(work, *given)
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
     def __enter__(self) -> Workers:
         return self

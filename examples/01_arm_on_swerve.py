@@ -1,4 +1,4 @@
-"""Plan and replan with a swerve robot: the hand moves 1 m ahead, the base follows. The model itself is the plant here.
+"""Plan and replan with a swerve robot: the end effector moves 1 m ahead, the base follows. The model itself is the plant here.
 
 Run: python examples/01_arm_on_swerve.py
 """
@@ -12,8 +12,8 @@ import wbmpc as wb
 robot = wb.load_robot("swerve-ur10")
 state, given, limits = robot.state, robot.input, robot.limits
 ocp = wb.OptimalControlProblem(robot.dynamics(), horizon=5.0, intervals=40, first_interval=0.02)
-hand = wb.residuals.FramePose(robot, robot.tool)
-ocp.add(wb.Cost("hand", hand, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
+end_effector = wb.residuals.FramePose(robot, robot.tool)
+ocp.add(wb.Cost("hand", end_effector, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
 ocp.add(
     wb.Cost(
         "posture", wb.residuals.State(robot), {"base": [1.0, 1.0, 5.0], "leg": 1.0, "arm": 0.05}, at="path+terminal"
@@ -45,11 +45,11 @@ for k in range(300):
     if k == 0:
         print(f"first policy after {time.perf_counter() - start:.2f} s (compiled code is kept for the next start)")
     x = mpc.solver.simulate(x, policy(t, x), mpc.period)
-    wanted = [np.interp(t + mpc.period, times, path[:, i]) for i in range(3)]
-    errors.append(np.linalg.norm(robot.pose(x)[0] - wanted))
+    target = [np.interp(t + mpc.period, times, path[:, i]) for i in range(3)]
+    errors.append(np.linalg.norm(robot.pose(x)[0] - target))
 
 solve = 1e3 * np.array(mpc.statistics.solve_times)
 print(
-    f"base at x = {x[0]:.3f} m, hand error: mean {1e3 * np.mean(errors):.2f} mm, largest {1e3 * np.max(errors):.2f} mm"
+    f"base at x = {x[0]:.3f} m, end effector error: mean {1e3 * np.mean(errors):.2f} mm, largest {1e3 * np.max(errors):.2f} mm"
 )
 print(f"solve time: median {np.median(solve):.3f} ms, largest {solve.max():.3f} ms at {mpc.rate:.0f} Hz")

@@ -30,16 +30,16 @@ mpc.reset(home, torque)
 plant = BallPlant(robot.description, home, torque, seed=1)  # masses, friction, drive lag … differ from the model
 timing = Timing.of(plant.timestep, control_rate=400.0, mpc_rate=settings.rate, delay=settings.computation_delay)
 controller = BallController(robot, mpc, torque, timing.period, DriveSettings(lag=0.02))
-hand: list[np.ndarray] = []
+end_effector: list[np.ndarray] = []
 
 
 def record(t: float, command: object, plans: PolicyQueue) -> None:
-    """Keep the hand's true position at every controller tick."""
-    hand.append(plant.truth().tool)
+    """Keep the end effector's true position at every controller tick."""
+    end_effector.append(plant.truth().tool)
 
 
 ending = run_lockstep(plant, controller, mpc, timing, 6.0, record)
-last = np.array(hand[-400:])
+last = np.array(end_effector[-400:])
 print(ending.reason or "the robot stood for 6 s")
-print(f"hand error in the last second: {1e3 * np.linalg.norm(last - aside, axis=1).mean():.2f} mm")
+print(f"end effector error in the last second: {1e3 * np.linalg.norm(last - aside, axis=1).mean():.2f} mm")
 print(f"solve time: median {1e3 * np.median(mpc.statistics.solve_times):.3f} ms at {mpc.rate:.0f} Hz")

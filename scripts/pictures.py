@@ -28,7 +28,7 @@ def save(name: str, picture: np.ndarray) -> None:
 
 
 def draw(plant: SwervePlant | BallPlant, camera: Camera, line: np.ndarray) -> np.ndarray:
-    """The plant with the way that its hand is asked to go."""
+    """The plant with the way that its end effector is asked to go."""
     with Renderer(plant, SIZE[0] * FINER, SIZE[1] * FINER) as renderer:
         return renderer.frame(camera, line)
 

@@ -43,7 +43,7 @@ def check_track(track, folder: Path) -> None:  # type: ignore[no-untyped-def]
 
 def check_steps(steps, folder: Path) -> None:  # type: ignore[no-untyped-def]
     m, log = archive(steps, folder)
-    t, hand, s = log["hand.time"], log["hand"], steps.settings
+    t, end_effector, s = log["hand.time"], log["hand"], steps.settings
     ball = robot("rezero")
     home = ball.pose(ball.home)[0]
     lead, worst, rises = s["mpc"]["horizon"], [], []
@@ -53,9 +53,9 @@ def check_steps(steps, folder: Path) -> None:  # type: ignore[no-untyped-def]
         last = (t >= leave - 1.0) & (t < leave)
         worst.append(np.linalg.norm(log["hand_estimated"][last] - goal, axis=1).mean())
         if any(step.move):
-            before = home + np.array(STEPS[k - 1].move if k else (0, 0, 0))
+            previous = home + np.array(STEPS[k - 1].move if k else (0, 0, 0))
             window = (t >= leave - s["hold_time"]) & (t < leave)
-            gone = (hand[window] - before) @ (goal - before) / np.sum((goal - before) ** 2)
+            gone = (end_effector[window] - previous) @ (goal - previous) / np.sum((goal - previous) ** 2)
             first = lambda level, g=gone, w=window: t[w][np.argmax(g > level)]
             rises.append(first(0.9) - first(0.1))
     assert m["steady_position_error_max"] == pytest.approx(max(worst), rel=1e-9)

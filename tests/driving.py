@@ -77,7 +77,7 @@ def drive(
     planned_steering: bool = True,
     rest: float = 1.0,
 ) -> Drive:
-    """Follow the base motion with the hand riding along; MPC at 50 Hz, controller at 400 Hz, 10 ms delay."""
+    """Follow the base motion with the end effector riding along; MPC at 50 Hz, controller at 400 Hz, 10 ms delay."""
     robot = load_robot(name)
     state = robot.state
     home = robot.home.copy()
@@ -91,9 +91,9 @@ def drive(
     mpc = swerve_mpc(robot, settings, cost, guess=SteeringGuess(robot, motion.preview) if guess else None)
     t = np.arange(0.0, motion.end + rest + 0.02, 0.02)
     poses = motion.poses(t)
-    hand, orientation = robot.pose(home)
+    end_effector, orientation = robot.pose(home)
     turned = [lie.quaternion_about((0, 0, 1), p[2]) for p in poses]
-    place = [[*lie.se2_compose(p, [hand[0], hand[1], 0.0])[:2], hand[2]] for p in poses]
+    place = [[*lie.se2_compose(p, [end_effector[0], end_effector[1], 0.0])[:2], end_effector[2]] for p in poses]
     mpc.reference["hand"] = Reference.poses(t, place, [lie.quaternion_multiply(q, orientation) for q in turned])
     states = np.tile(home, (t.size, 1))
     states[:, state["base"]] = poses

@@ -64,7 +64,7 @@ def run(settings: FakeSettings, seed: int, progress: Callable[[float, str], None
         log.add("error", t, abs(2e-3 * rng.normal()))
     if progress is not None:
         progress(1.0, "done")
-    hand, error = log.array("hand"), log.array("error")
+    end_effector, error = log.array("hand"), log.array("error")
     metrics = {
         "hand_error_mean_odometry": Metric(float(error.mean()), "m", paper=0.0167, goal=0.003),
         "hand_error_max_odometry": Metric(
@@ -75,10 +75,11 @@ def run(settings: FakeSettings, seed: int, progress: Callable[[float, str], None
         "fell": Metric(float(fell), "1", goal=0.0),
     }
     plots = [
-        Plot("Hand path and its reference", "x [m]", "y [m]", [
-            Series("hand", hand[:, 0], hand[:, 1]), Series("reference", hand[:, 0], np.sin(hand[:, 0] / 2), dashed=True),
+        Plot("End effector path and its reference", "x [m]", "y [m]", [
+            Series("hand", end_effector[:, 0], end_effector[:, 1]),
+            Series("reference", end_effector[:, 0], np.sin(end_effector[:, 0] / 2), dashed=True),
         ], equal_axes=True),
-        Plot("Hand error", "time [s]", "error [mm]", [Series("estimated frame", times, 1e3 * error)]),
+        Plot("End effector error", "time [s]", "error [mm]", [Series("estimated frame", times, 1e3 * error)]),
         Plot("Joint speeds over their limits", "time [s]", "|speed| / limit", [
             Series(n, times, np.abs(np.sin(times + k))) for k, n in enumerate(("shoulder_pan", "elbow", "wrist_1"))
         ]),

@@ -87,10 +87,10 @@ def ideal_plant(robot: RobotModel) -> PlanarPlant:
 
 def drive(plant: PlanarPlant, wheel: np.ndarray, seconds: float) -> np.ndarray:
     """How the base (dx, dy, dyaw) moved in its own axes in the world while the wheels turned at rates (n) [rad/s], and stopped."""
-    before, arm = plant.truth().pose, len(plant.description.arm.joints)
+    previous, arm = plant.truth().pose, len(plant.description.arm.joints)
     plant.step(PlanarCommand(wheel, np.zeros(arm)), round(seconds / plant.timestep))
     plant.step(PlanarCommand(np.zeros(len(wheel)), np.zeros(arm)), round(0.2 / plant.timestep))
-    return lie.se2_log(before, plant.truth().pose)
+    return lie.se2_log(previous, plant.truth().pose)
 
 
 def kinematics_error(robot: RobotModel) -> float:

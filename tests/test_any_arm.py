@@ -1,5 +1,5 @@
 """The swerve base with another arm, from its description only. Truth: the release's joint limits (Pankert et al. 2022);
-the arm's forward kinematics multiplied by hand; MuJoCo's true pose of base and hand after a drive."""
+the arm's forward kinematics multiplied by hand; MuJoCo's true pose of base and end effector after a drive."""
 
 from __future__ import annotations
 

@@ -95,12 +95,12 @@ def test_what_a_base_with_few_modules_cannot_do_is_said(tmp_path: Path) -> None:
         assess(two)
     with pytest.raises(InputError, match=r"stands on 2 wheels.*casters are not simulated"):
         SwervePlant(two.description)
-    with pytest.raises(InputError, match=r"stands on 2 wheels.*3 modules or more"):  # no advice about leg_goal
+    with pytest.raises(InputError, match=r"stands on 2 wheels.*3 modules or more"):  # no advice about legs.goal
         swerve_unified.EXPERIMENT.run(SwerveUnifiedSettings(robot=str(tmp_path / "ring.yaml")), 0)
     five = write_base(tmp_path, 5, True)
     with pytest.raises(InputError, match=r"two front and two rear legs, one on each side"):
         leg_angles(load_robot(five), "X")
-    with pytest.raises(InputError, match=r"two front and two rear.*leg_goal: angles, as \[0.2, 0.2, 0.2, 0.2, 0.2\]"):
+    with pytest.raises(InputError, match=r"two front and two rear.*legs\.goal: angles, as \[0.2, 0.2, 0.2, 0.2, 0.2\]"):
         swerve_unified.EXPERIMENT.run(SwerveUnifiedSettings(robot=str(five)), 0)
     with pytest.raises(InputError, match=r"two front and two rear"):
         swerve_brakes.EXPERIMENT.run(swerve_brakes.SwerveBrakesSettings(robot=str(five)), 0)

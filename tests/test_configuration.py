@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import pytest
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from fake_experiment import FakeSettings
-from wbmpc.configuration import OnlyWith, configure, keys
+from wbmpc.configuration import POSITIVE, OnlyWith, Rules, configure, keys, kind_alone, unused, with_all
 from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
 from wbmpc.settings import Settings
 
 
 def value_at(tree: Any, key: str) -> Any:
-    """What a nested mapping has at a dotted key; None inside of a section that is left out, the tree at no key."""
+    """What a nested mapping has at a dotted key; None inside of a section that is left out or of another kind, the tree at no key."""
     for part in key.split(".") if key else ():
-        tree = tree and tree[part]
+        tree = tree and (tree.get(part) if "kind" in tree else tree[part])
     return tree
 
 
@@ -147,7 +147,7 @@ def test_every_setting_of_every_experiment_can_be_given(name: str) -> None:
     for key in keys(model):
         value = value_at(dumped, key)
         if value is None and "." in key:
-            continue  # a section that is not there by default
+            continue  # a section that is not there by default, or a key of another kind
         text = "null" if value is None else str(value)
         assert configure(model, [f"{key}={text}"], name).model_dump(mode="json") == dumped
 
@@ -180,3 +180,107 @@ def test_what_no_choice_reads_is_an_error(given: list[str], message: str) -> Non
         return
     with pytest.raises(InputError, match=f"toy: --set {message}"):
         configure(Chosen, given, "toy")
+
+
+class Gains(Settings):
+    """``second`` is read only where ``first`` is above 0."""
+
+    first: float = 1.0
+    second: Annotated[float, OnlyWith(first=POSITIVE)] = 2.0
+
+
+class Rigid(Settings):
+    kind: Literal["rigid"] = "rigid"
+
+
+class Elastic(Settings):
+    kind: Literal["elastic"] = "elastic"
+    stiffness: float = Field(40.0, gt=0)
+    gains: Gains = Gains()
+
+
+class Machine(Settings):
+    """``drives``: one of two models. ``gain`` is read with drives that are elastic and without noise; ``rate`` by nothing."""
+
+    drives: Annotated[Rigid | Elastic, Field(discriminator="kind"), BeforeValidator(kind_alone)] = Rigid()
+    noise: Literal["none", "white"] = "none"
+    gain: float = 1.0
+    rate: float = 1.0
+
+    only_with: ClassVar[Rules] = {
+        "gain": OnlyWith({"drives.kind": "elastic"}) & OnlyWith(noise="none"),
+        **unused("rate"),
+    }
+
+
+def test_keys_of_a_choice_are_those_of_all_its_models() -> None:
+    assert keys(Machine) == [
+        "drives.kind", "drives.stiffness", "drives.gains.first", "drives.gains.second", "noise", "gain", "rate",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["drives=elastic", "drives.stiffness=3"],
+        ["drives.stiffness=3", "drives.kind=elastic"],
+        ["drives=rigid", "drives.stiffness=3", "drives=elastic"],
+    ],
+)
+def test_a_kind_and_its_settings_are_given_in_any_order(given: list[str]) -> None:
+    assert configure(Machine, given, "toy").drives == Elastic(stiffness=3.0)
+    assert configure(Machine, [*given, "gain=2"], "toy").gain == 2.0
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["drives.stiffness=3"], "drives.stiffness: nothing uses it without drives.kind=elastic"),
+        (["drives=stiff"], "drives.kind='stiff': valid: rigid, elastic"),
+        (["drives=elastic", "drives.stiffness=-3"], "drives.stiffness=-3: input should be greater than 0"),
+        (["drives=elastic", "drives.stifness=3"], "unknown key 'drives.stifness' (did you mean 'drives.stiffness'?)"),
+        (
+            ["drives=elastic", "drives.gains.first=0", "drives.gains.second=3"],
+            "drives.gains.second: nothing uses it without drives.gains.first > 0",
+        ),
+        (["gain=3"], "gain: nothing uses it without drives.kind=elastic"),
+        (["gain=3", "drives=elastic", "noise=white"], "gain: nothing uses it without noise=none"),
+        (["rate=3"], "rate: this experiment does not use it"),
+    ],
+)
+def test_what_another_kind_reads_is_an_error(given: list[str], message: str) -> None:
+    """Truth: the docstrings of the settings. The message has the whole key, and what would read it."""
+    with pytest.raises(InputError) as error:
+        configure(Machine, given, "toy")
+    assert message in str(error.value)
+
+
+def test_rules_where_several_choices_are_made_at_once() -> None:
+    """What one of them reads is read; a second condition stays."""
+    rules = {
+        "a": OnlyWith(kind="one"),
+        "b": OnlyWith(kind="three"),
+        "c": OnlyWith(kind="one") & OnlyWith(more=True),
+        "d": OnlyWith(kind="three") | OnlyWith(more=True),
+    }
+    left = with_all(rules, "kind", "one", "two")
+    assert list(left) == ["b", "c", "d"]
+    assert left["c"].clauses == ({"more": (True,)},)
+    assert left["d"].clauses == ({"kind": ("three",), "more": (True,)},)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("swerve-track", "cost.end_effector.weight=1e300", "less than or equal to 1000000000"),
+        ("swerve-track", "cost.terminal=2e9", "less than or equal to 1000000000"),
+        ("rezero-steps", "cost.end_effector.limit=1e300", "less than or equal to 1000000000"),
+        ("rezero-steps", "cost.speed_slack=1e-300", "greater than or equal to"),
+        ("rezero-steps", "max_pushed_speed=1e300", "less than or equal to 100"),
+    ],
+)
+def test_weights_and_thresholds_have_limits(name: str, given: str, message: str) -> None:
+    """Squares of 1e300 are no numbers any more, and products with 1e-300 are 0."""
+    with pytest.raises(InputError) as error:
+        configure(REGISTRY[name].config_type, [given], name)
+    assert f"{name}: --set {given.partition('=')[0]}=" in str(error.value) and message in str(error.value)

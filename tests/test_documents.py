@@ -1,4 +1,5 @@
-"""The documents that are written by hand: README.md and docs/. Truth: the files that links and images name, the list of words below."""
+"""The documents that are written by hand (README.md and docs/), and the words of the code. Truth: the files that links and images
+name, the list of words below."""
 
 from __future__ import annotations
 
@@ -9,11 +10,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 #: Words by hand in README and docs, tables and code blocks included.
-MOST_WORDS = 25_000
+MAX_WORDS = 25_000
 #: Words that only this project's authors would understand, and what the field says.
 PRIVATE = {
     r"\btold\b": "reported",
-    r"\btells\b": "reports, shows",
+    r"\btells?\b": "reports, shows, informs",
     r"\brefuse[sd]?\b": "rejects, rejected",
     r"\bsentences?\b": "message",
     r"\brivals?\b": "baseline",
@@ -21,11 +22,26 @@ PRIVATE = {
     r"\bwish(es)?\b": "soft constraint",
     r"\bzoo\b": "test problems",
     r"\bverdicts?\b": "diagnostics",
+    r"\bagents?\b": "controller",
+    r"\bpilots?\b": "adapter",
+    r"\bdied of\b": "the cause of failure",
     r"\bearlier version": "nothing: documents have no history",
     r"\bversion before": "nothing: documents have no history",
     r"\bno longer\b": "nothing: documents have no history",
     r"\bnotebook\.md\b": "nothing",
 }
+#: The same for code: names (``told_apart``, ``Teller``, ``TOLD``), comments, docstrings and messages. A file's ``tell`` method and
+#: the settings keys ``rival``, ``rival_…`` are not among them.
+CODE = (
+    "told", "teller", "tells", "refuse", "refuses", "refused", "refusal", "sentence", "sentences", "rivals", "verdict", "burden",
+    "wish", "wishes", "zoo", "agent", "agents", "pilot", "inbox", "breathe", "leaning",
+)  # fmt: skip
+PRIVATE_IN_CODE = re.compile(
+    "|".join(rf"(?<![A-Za-z])(?:{w}|{w.upper()})(?![A-Za-z])|(?<![A-Z]){w.capitalize()}(?![a-z])" for w in CODE)
+    + r"|(?<![.\w])[Tt]ell\b(?!\()|(?<![A-Za-z])_tell(?![a-z])|\b(?:[Tt]he|[Aa]|each|every|its) rival\b|\bdied of\b"
+)
+#: What the operating system calls it.
+NOT_PRIVATE = re.compile(r"[Cc]onnection ?[Rr]efused(Error)?")
 GENERATED = re.compile(r"<!-- (?P<mark>[a-z ]+) -->\n.*?<!-- end of (?P=mark) -->", re.DOTALL)
 LINK = re.compile(r"(!?)\[[^\]]*\]\(<?([^)\s>]*)>?\)")
 #: Pages that the build writes.
@@ -65,13 +81,39 @@ IDS = [p.relative_to(ROOT).as_posix() for p in pages()]
 def test_the_documents_are_short() -> None:
     words = {p.relative_to(ROOT).as_posix(): len(by_hand(p).split()) for p in pages()}
     longest = sorted(words, key=words.__getitem__)[-5:]
-    assert sum(words.values()) <= MOST_WORDS, {n: words[n] for n in longest}
+    assert sum(words.values()) <= MAX_WORDS, {n: words[n] for n in longest}
 
 
 @pytest.mark.parametrize("page", pages(), ids=IDS)
 def test_words_are_the_fields(page: Path) -> None:
     found = {w: [m[0] for m in re.finditer(w, prose(page), re.IGNORECASE)] for w in PRIVATE}
     assert not any(found.values()), {m[0]: PRIVATE[w] for w, m in found.items() if m}
+
+
+def private_words(text: str) -> list[str]:
+    lines = (NOT_PRIVATE.sub("", line) for line in text.splitlines())
+    return [f"{i}: {m[0]}" for i, line in enumerate(lines, start=1) for m in PRIVATE_IN_CODE.finditer(line)]
+
+
+@pytest.mark.parametrize("folder", ["src", "examples", "benchmarks", "scripts"])
+def test_words_of_the_code_are_the_fields(folder: str) -> None:
+    files = sorted((ROOT / folder).rglob("*.py"))
+    found = {f.relative_to(ROOT).as_posix(): private_words(f.read_text()) for f in files}
+    assert files and not {name: words for name, words in found.items() if words}
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["def _tell(self):", "class Teller:", "told_apart = 1", "BusAgent(robot)", "# it is refused", "REFUSED = 0.1", "#: Tell it",
+     "'the rival fell'", "x._told_at"],
+)  # fmt: skip
+def test_a_private_word_in_code_is_found(line: str) -> None:
+    assert private_words(line)
+
+
+@pytest.mark.parametrize("line", ["file.tell()", "ConnectionRefusedError", "settings.rival.lqr", "agenda", "wisher"])
+def test_other_words_in_code_are_not(line: str) -> None:
+    assert not private_words(line)
 
 
 @pytest.mark.parametrize("page", pages(), ids=IDS)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from driving import CONFIGURATIONS, Motion, drive
-from wbmpc.bases.swerve.defaults import HandCost, StateCost, SwerveCost, swerve_problem
+from wbmpc.bases.swerve.defaults import EndEffectorCost, StateCost, SwerveCost, swerve_problem
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
@@ -88,13 +88,15 @@ def test_goal_from_rest(goal: str, start: float) -> None:
 def test_sideways_is_stationary_without_the_guess() -> None:
     """Straight wheels at rest are an exact stationary point of a sideways goal: the solver says "converged" and stays."""
     robot = load_robot("swerve-ur10")
-    cost = SwerveCost(end_effector=HandCost(weight=0.0, orientation=0.0), state=StateCost(position=20.0, yaw=20.0))
+    cost = SwerveCost(
+        end_effector=EndEffectorCost(weight=0.0, orientation=0.0), state=StateCost(position=20.0, yaw=20.0)
+    )
     ocp = swerve_problem(robot, MpcSettings(horizon=6.0, intervals=40, limits="soft"), cost)
     solver = Solver(ocp, SQP(iterations=200))
     goal = robot.home.copy()
     goal[robot.state["base"]] = [0.0, 1.0, 0.0]
-    hand, orientation = robot.pose(robot.home)
-    solver.set_reference("hand", Reference.poses([0.0], [hand], orientation))
+    end_effector, orientation = robot.pose(robot.home)
+    solver.set_reference("hand", Reference.poses([0.0], [end_effector], orientation))
     solver.set_reference("state", Reference.constant(goal))
     solver.set_reference("input", Reference.constant(np.zeros(robot.input.size)))
     solver.warm_start(robot.home)

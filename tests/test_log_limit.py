@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from wbmpc.logs import MOST_CAUSES, RateLimit
+from wbmpc.logs import MAX_CAUSES, RateLimit
 
 LOG = logging.getLogger("wbmpc")
 
@@ -33,5 +33,5 @@ def test_causes_do_not_take_each_others_lines(caplog: pytest.LogCaptureFixture) 
 
 def test_causes_without_end_do_not_take_memory_without_end() -> None:
     limit = RateLimit(lines=1, clock=lambda: 0.0)
-    assert [limit.left_out(i) for i in range(5 * MOST_CAUSES)] == [0] * (5 * MOST_CAUSES)
-    assert len(limit._seen) == MOST_CAUSES
+    assert [limit.left_out(i) for i in range(5 * MAX_CAUSES)] == [0] * (5 * MAX_CAUSES)
+    assert len(limit._seen) == MAX_CAUSES

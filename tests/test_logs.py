@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from wbmpc.logs import MOST_CAUSES, RateLimitFilter
+from wbmpc.logs import MAX_CAUSES, RateLimitFilter
 
 
 class Lines(logging.Handler):
@@ -57,7 +57,7 @@ def test_many_causes_do_not_fill_the_memory() -> None:
     limit = RateLimitFilter(5.0, lambda: 0.0)
     for k in range(10_000):
         assert limit.limit.left_out(k) == 0
-    assert len(limit.limit._seen) <= MOST_CAUSES
+    assert len(limit.limit._seen) <= MAX_CAUSES
 
 
 def test_brief_lines_name_the_exception_without_its_traceback() -> None:

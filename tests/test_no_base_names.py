@@ -18,7 +18,7 @@ NAMES = re.compile(
 )
 ROOMS = (
     "model", "ocp", "kernel", "solver", "mpc", "runtime", "simulation", "estimation", "control", "stability", "recording", "view",
-    "ros2", "cli", "robots", "types.py", "compare.py",
+    "ros2", "cli", "robots", "benchmark", "types.py", "compare.py",
 )  # fmt: skip
 
 

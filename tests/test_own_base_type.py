@@ -329,7 +329,7 @@ def test_its_robot_follows_a_goal_dragged_in_the_view(gantry: Path, monkeypatch:
     goal = start + [1.0, 0.0, 0.0]
 
     class Dragged:
-        """The panel's part: the hand's goal at 0.1 s."""
+        """The panel's part: the end effector's goal at 0.1 s."""
 
         def begin(self, running: Running) -> None:
             self.running, self.given = running, False

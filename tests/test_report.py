@@ -14,7 +14,7 @@ import pytest
 
 from fake_experiment import FakeSettings, run
 from wbmpc.log import Log
-from wbmpc.report import MOST_POINTS, _legend_rows, _thin, number, page, to_json, versions, write_run
+from wbmpc.report import MAX_POINTS, _legend_rows, _thin, number, page, to_json, versions, write_run
 from wbmpc.result import Metric, MpcStatistics
 
 CHROMIUM = shutil.which("chromium")
@@ -149,7 +149,7 @@ def test_thinning_keeps_the_extremes_and_the_ends() -> None:
     y[123] = np.nan
     for path in (False, True):
         tx, ty = _thin(x, y, path)
-        assert tx.size <= MOST_POINTS
+        assert tx.size <= MAX_POINTS
         assert (tx[0], tx[-1]) == (x[0], x[-1])
         assert np.all(np.diff(tx) > 0)
         np.testing.assert_array_equal(ty, y[tx.astype(int)])

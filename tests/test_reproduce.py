@@ -30,8 +30,8 @@ FAKE = (
 )
 
 
-def fake(job: Job, before: str = "", *more: str) -> list[str]:
-    code = f"{FAKE}{before}\nsys.exit(main(sys.argv[1:], REGISTRY))"
+def fake(job: Job, previous: str = "", *more: str) -> list[str]:
+    code = f"{FAKE}{previous}\nsys.exit(main(sys.argv[1:], REGISTRY))"
     arguments = ["run", "fake", "--seed", str(job.seed), "--out", str(job.directory), "--json"]
     return [sys.executable, "-c", code, *arguments, "--set", "duration=0.2", *more]
 
@@ -65,7 +65,7 @@ def test_runs_that_crash_lose_only_themselves(site) -> None:  # type: ignore[no-
 
 def test_what_is_finished_is_not_run_again(site) -> None:  # type: ignore[no-untyped-def]
     _, jobs, _, _ = site
-    before = {j.seed: (j.directory / "metrics.json").stat().st_mtime_ns for j in jobs if j.done}
+    previous = {j.seed: (j.directory / "metrics.json").stat().st_mtime_ns for j in jobs if j.done}
     again: list[int] = []
 
     def make(job: Job) -> list[str]:
@@ -74,7 +74,7 @@ def test_what_is_finished_is_not_run_again(site) -> None:  # type: ignore[no-unt
 
     failed = run_all(jobs, 2, None, make)
     assert sorted(again) == [1, 2] and sorted(j.seed for j in failed) == [1, 2]
-    assert before == {j.seed: (j.directory / "metrics.json").stat().st_mtime_ns for j in jobs if j.done}
+    assert previous == {j.seed: (j.directory / "metrics.json").stat().st_mtime_ns for j in jobs if j.done}
 
 
 def test_runs_go_on_beside_each_other(tmp_path: Path) -> None:

@@ -226,7 +226,7 @@ def aligned_copy(array: np.ndarray) -> np.ndarray:
 
 
 def swerve_solver(n: int = 15, horizon: float = 6.0, first: float = 0.05, **sqp: object) -> Solver:
-    """The swerve experiments' problem; the hand is to follow a sine that moves, the base its mean line."""
+    """The swerve experiments' problem; the end effector is to follow a sine that moves, the base its mean line."""
     model = robot("swerve-ur10")
     settings = MpcSettings(horizon=horizon, intervals=n, first_interval=first)
     solver = Solver(swerve_problem(model, settings, SwerveCost()), SQP(**{"iterations": 300, **sqp}))
@@ -244,7 +244,7 @@ def swerve_solver(n: int = 15, horizon: float = 6.0, first: float = 0.05, **sqp:
 
 
 def rezero_solver(n: int = 15, step: float = 0.1, **sqp: object) -> Solver:
-    """The ball robot's problem: the hand is to go ``step`` [m] forward."""
+    """The ball robot's problem: the end effector is to go ``step`` [m] forward."""
     model = robot("rezero")
     settings = MpcSettings(horizon=0.05 * n, intervals=n, first_interval=0.0, barrier_mu=1e-2)
     solver = Solver(rezero_problem(model, settings, RezeroCost()), SQP(**{"iterations": 300, **sqp}))

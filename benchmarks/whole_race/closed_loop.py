@@ -19,11 +19,12 @@ import numpy as np
 from wbmpc.benchmark.child import within
 from wbmpc.benchmark.ours import ONE_ITERATION, single_iteration
 from wbmpc.benchmark.peers import TOLERANCE, Prepared, nlp_solver, prepare
-from wbmpc.benchmark.problems import Problem, rezero_bench
+from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
+from wbmpc.studies.race.robots import rezero_bench
 
 BUDGETS_MS = (0.4, 1.0, 3.0, 10.0)
-PERIODS, EVERY, KICK, MOST = 150, 25, 0.15, 20
+PERIODS, EVERY, KICK, MAXIMUM = 150, 25, 0.15, 20
 SECONDS = 300.0
 Plan = tuple[np.ndarray, np.ndarray]
 #: (state, guess, iterations) to a plan.
@@ -59,8 +60,8 @@ def peer_planner(name: str, prepared: Prepared, counts: list[int]) -> Planner:
     def plan(x0: np.ndarray, guess: Plan, iterations: int) -> Plan:
         if iterations not in solvers:
             # Fatrop does none or at least two, one more than it is reported: it gets the second one for nothing
-            most = max(iterations - 1, 1) if name == "fatrop" else iterations
-            solvers[iterations] = nlp_solver(name, prepared, most, TOLERANCE)
+            maximum = max(iterations - 1, 1) if name == "fatrop" else iterations
+            solvers[iterations] = nlp_solver(name, prepared, maximum, TOLERANCE)
         start = np.concatenate([np.hstack([guess[0][:-1], guess[1]]).ravel(), guess[0][-1]])
         found = solvers[iterations](x0=start, p=x0, lbg=0.0, ubg=above)
         counts.append(int(solvers[iterations].stats()["iter_count"]))
@@ -145,7 +146,7 @@ def _means(
     first = further if alone else first
     out = []
     for budget in budgets:
-        iterations = min(1 + max(int((budget - first) / further), 0), MOST)
+        iterations = min(1 + max(int((budget - first) / further), 0), MAXIMUM)
         late = 0 if first <= budget else math.ceil(first / budget)
         costs = [drive(problem, planner, iterations, late, seed, kicked=kicked) for seed in seeds]
         fell = sum(not math.isfinite(c) for c in costs)

@@ -42,7 +42,7 @@ def weighted(weights: list[float]) -> Any:
 
 
 def action(spec: Spec, state: Any, model: Any, step: float, terminal: bool) -> Any:
-    """One node: ½ Σ w r² of hand, state and torque as in the library's problem; free forward dynamics."""
+    """One node: ½ Σ w r² of end effector, state and torque as in the library's problem; free forward dynamics."""
     actuation = crocoddyl.ActuationModelFull(state)
     costs = crocoddyl.CostModelSum(state, actuation.nu)
     tip, hand = model.getFrameId("tip"), spec["hand"]

@@ -3,7 +3,7 @@
 It takes no symbolic functions: a model of ours would run in Python, which is no race. So:
 torque arm: the same links, goal, weights and grid; its RK2 also integrates the costs at the interval's middle.
 Ball robot: the same links with virtual joints of the base; all eight joints are actuated (in place of three wheels, three
-arm joints and a hand force), quadratic hand costs, no limits. Swerve: it has no kinematic model with rolling rows, so only
+arm joints and an end effector force), quadratic end effector costs, no limits. Swerve: it has no kinematic model with rolling rows, so only
 linear-quadratic problems of the same size, without equality rows: a lower bound.
 """
 
@@ -18,11 +18,19 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.benchmark.test_problems.torque_arm import ANGLE, ARMATURE, HAND, LENGTH, RATE, TORQUE, torque_arm_links
-from wbmpc.benchmark.test_problems.torque_arm import torque_arm as arm
 from wbmpc.kernel.cache import UntrustedCache, trusted_file, trusted_folder
 from wbmpc.model.robot import load_robot
 from wbmpc.model.tree import Link
+from wbmpc.studies.race.torque_arm import (
+    ANGLE,
+    ARMATURE,
+    END_EFFECTOR_WEIGHT,
+    LENGTH,
+    RATE,
+    TORQUE,
+    torque_arm_links,
+)
+from wbmpc.studies.race.torque_arm import torque_arm as arm
 
 REQUIREMENTS = ("crocoddyl", "pin<4.1")
 
@@ -56,7 +64,7 @@ def _links(links: Sequence[Link]) -> list[dict[str, Any]]:
 
 
 def torque_arm_spec(joints: int, intervals: int, integrator: str = "rk2", repeat: int = 30) -> dict[str, Any]:
-    """:func:`wbmpc.benchmark.test_problems.torque_arm` for the child."""
+    """:func:`wbmpc.studies.race.torque_arm` for the child."""
     problem = arm(joints, intervals)
     hand, state = problem.references["hand"].values[0], problem.references["state"].values[0]
     return {
@@ -65,7 +73,7 @@ def torque_arm_spec(joints: int, intervals: int, integrator: str = "rk2", repeat
         "links": _links(torque_arm_links(joints)),
         "armature": ARMATURE,
         "tip": {"link": joints - 1, "position": [0.0, 0.0, LENGTH / joints], "rotation": np.eye(3).tolist()},
-        "hand": {"position": hand.tolist(), "weight": [HAND] * 3},
+        "hand": {"position": hand.tolist(), "weight": [END_EFFECTOR_WEIGHT] * 3},
         "reference": state.tolist(),
         "state_weight": [ANGLE] * joints + [RATE] * joints,
         "torque": [0.0] * joints,
@@ -79,7 +87,7 @@ def torque_arm_spec(joints: int, intervals: int, integrator: str = "rk2", repeat
 
 
 def ball_robot_spec(intervals: int, integrator: str = "rk2", repeat: int = 30) -> dict[str, Any]:
-    """The ball robot's links with every joint actuated, a step of the hand."""
+    """The ball robot's links with every joint actuated, a step of the end effector."""
     robot = load_robot("rezero")
     home, _ = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     tree = robot.tree

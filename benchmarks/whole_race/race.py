@@ -46,7 +46,7 @@ def run_whole_race(repeat: int = 200, progress: race.Progress | None = None) -> 
         figures["crocoddyl"] = crocoddyl_race()
         done = 1
         figures |= {"quadratic": [], "yardstick": [], "floor": []}
-        for make in race.ROBOTS:
+        for make in race.race_problems().robots:
             problem = make(limits="soft")
             note(f"{problem.name}: a quadratic problem")
             figures["quadratic"] += quadratic_race(problem)

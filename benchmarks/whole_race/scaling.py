@@ -10,11 +10,12 @@ import numpy as np
 
 from wbmpc.benchmark.ours import ours
 from wbmpc.benchmark.peers import peer_statistics, prepare
-from wbmpc.benchmark.problems import Problem, rezero_bench, suite_bench, swerve_bench
-from wbmpc.benchmark.test_problems.multibody import Multibody
-from wbmpc.benchmark.test_problems.torque_arm import torque_arm
+from wbmpc.benchmark.problems import Problem, suite_bench
 from wbmpc.model.tree import Frame
 from wbmpc.ocp import Constraint, residuals, sets
+from wbmpc.studies.race.multibody import Multibody
+from wbmpc.studies.race.robots import rezero_bench, swerve_bench
+from wbmpc.studies.race.torque_arm import torque_arm
 from whole_race.crocoddyl_peer import crocoddyl_figures, torque_arm_spec
 
 INTERVALS = (25, 50, 100, 200, 400)

@@ -141,11 +141,26 @@ def _rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = N
     """Key, type and default of every field; ``values``: an instance whose values are the defaults."""
     for name, info in model.model_fields.items():
         value = info.get_default(call_default_factory=True) if values is None else getattr(values, name)
-        if isinstance(value, BaseModel):
+        kinds = _kinds(info.annotation)
+        if kinds:
+            own = [row for m in kinds for row in _rows(m, f"{prefix}{name}.", value if type(value) is m else None)]
+            yield f"{prefix}{name}.kind", ", ".join(f"`{k}`" for m in kinds for k in _kind_names(m)), f"`{value.kind}`"
+            yield from (row for row in own if row[0] != f"{prefix}{name}.kind")
+        elif isinstance(value, BaseModel):
             yield from _rows(type(value), f"{prefix}{name}.", value)
         else:
             bounds = ", ".join(_bound(m) for m in info.metadata if _bound(m))
             yield prefix + name, _kind(info.annotation) + (f", {bounds}" if bounds else ""), _default(value)
+
+
+def _kinds(annotation: Any) -> list[type[BaseModel]]:
+    """The models of a setting that is one of several, told apart by their ``kind``."""
+    models = [m for m in get_args(annotation) if isinstance(m, type) and issubclass(m, BaseModel)]
+    return models if len(models) > 1 else []
+
+
+def _kind_names(model: type[BaseModel]) -> tuple[str, ...]:
+    return get_args(model.model_fields["kind"].annotation)
 
 
 def _kind(annotation: Any) -> str:

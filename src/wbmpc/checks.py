@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from wbmpc.errors import InputError, NotFinite
 
 #: More units than this in one period or delay are a mistake in the settings.
-_MOST = 1_000_000
+_MAXIMUM = 1_000_000
 _FEW = 16
 
 
@@ -98,7 +98,7 @@ def whole(key: str, length: float, unit: float, name: str, least: int = 1, rate:
     Raises :class:`InputError` for what is no whole number of them, or fewer than ``least``."""
     if length != math.inf:
         finite(key, time=length)
-    if length / unit >= _MOST:
+    if length / unit >= _MAXIMUM:
         raise InputError(f"{key}: {length:g} s is too long, more than a million {name} of {unit * 1e3:g} ms")
     count = round(length / unit)
     if count < least or abs(length - count * unit) > 1e-9:

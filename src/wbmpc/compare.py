@@ -19,7 +19,7 @@ from wbmpc.robots import load_description
 from wbmpc.run_files import check_metric, read_log, read_metrics
 
 #: Components of a channel, at most, that are drawn.
-MOST_LINES = 6
+MAX_LINES = 6
 #: What the components of channels are called, by the first word of their names; those of wheels are the robot's.
 _PLACES = {"base": ("x", "y", "yaw"), "hand": ("x", "y", "z", "qw", "qx", "qy", "qz"), "force": ("x", "y", "z")}
 _WHEELS = ("leg", "brake", "steer", "wheel")
@@ -182,7 +182,7 @@ def _lines(channel: str, runs: Sequence[Run], names: list[str], modules: tuple[s
         log = run.log
         rows = np.atleast_2d(log[channel].T)
         parts = run.labels.get(channel) or _components(channel, len(rows), modules)
-        for i, row in enumerate(rows[:MOST_LINES]):
+        for i, row in enumerate(rows[:MAX_LINES]):
             label = f"{name} {parts[i]}" if len(rows) > 1 else name
             lines.append(Series(label, log[f"{channel}.time"], row, dashed=k == 1, colour=i))
     return lines

@@ -5,55 +5,137 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from functools import reduce
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import PydanticCustomError
 
 from wbmpc.errors import InputError, did_you_mean
 from wbmpc.yaml_file import parse_yaml
 
+#: The choice of an :class:`OnlyWith` that is made by any number above 0.
+POSITIVE = "> 0"
+#: The discriminator of settings that are one of several models.
+KIND = "kind"
+
 
 class OnlyWith:
-    """Beside a setting's type: which choices of other settings read it, one of them is enough. Changed without any of them, the
-    setting is an error (:func:`reject_unread`)::
+    """Which choices of other settings read a setting: one of them is enough. Set without any of them, the setting is an error
+    (:func:`reject_unread`). No choice at all: nothing reads it.
+
+    It stands beside the setting's type, or under the setting's dotted key in the class variable ``only_with`` of its model or of a
+    model that contains it. A choice is a value, several, or :data:`POSITIVE`; of a setting that is a tuple, one of its entries.
+    ``rule & rule``: both are needed; ``rule | rule``: one is::
 
         amplitude: Annotated[float, OnlyWith(variant=("horizontal", "vertical"))] = 0.5
+        only_with = {"plant.gyro_noise": OnlyWith(estimator="filter")}
     """
 
-    def __init__(self, **choices: Any) -> None:
-        self.choices = {name: value if isinstance(value, tuple) else (value,) for name, value in choices.items()}
+    def __init__(self, choices: Mapping[str, Any] | None = None, **more: Any) -> None:
+        given = {**(choices or {}), **more}
+        self.clauses: tuple[dict[str, tuple[Any, ...]], ...] = (
+            {name: value if isinstance(value, tuple) else (value,) for name, value in given.items()},
+        )
 
-    def reads(self, settings: BaseModel) -> bool:
-        """Whether one of the choices is made."""
-        return any(getattr(settings, name) in values for name, values in self.choices.items())
+    def __and__(self, other: OnlyWith) -> OnlyWith:
+        both = OnlyWith()
+        both.clauses = self.clauses + other.clauses
+        return both
 
-    def __str__(self) -> str:
-        text = lambda value: str(value).lower() if isinstance(value, bool) else str(value)
-        return " or ".join(f"{name}={text(value)}" for name, values in self.choices.items() for value in values)
+    def __or__(self, other: OnlyWith) -> OnlyWith:
+        one = OnlyWith()
+        one.clauses = tuple({**mine, **theirs} for mine in self.clauses for theirs in other.clauses)
+        return one
+
+    def missing(self, settings: BaseModel) -> list[tuple[str, Any]] | None:
+        """The choices (dotted key, value) of which one is needed and none is made; None where nothing is missing."""
+        for clause in self.clauses:
+            if not any(_chosen(reduce(getattr, name.split("."), settings), values) for name, values in clause.items()):
+                return [(name, value) for name, values in clause.items() for value in values]
+        return None
+
+    def given(self, name: str, *values: Any) -> OnlyWith | None:
+        """What is left of the rule where ``name`` has all of these values at once; None: nothing is."""
+        left = OnlyWith()
+        left.clauses = tuple(c for c in self.clauses if not set(values) & set(c.get(name, ())))
+        return left if left.clauses else None
+
+
+#: Rules by dotted key.
+Rules = Mapping[str, OnlyWith]
+
+
+def unused(*names: str) -> dict[str, OnlyWith]:
+    """Rules for settings that nothing reads whatever is chosen."""
+    return dict.fromkeys(names, OnlyWith())
+
+
+def with_all(rules: Rules, name: str, *values: Any) -> dict[str, OnlyWith]:
+    """What is left of rules where ``name`` has all of these values at once."""
+    left = {key: rule.given(name, *values) for key, rule in rules.items()}
+    return {key: rule for key, rule in left.items() if rule is not None}
+
+
+def _chosen(value: Any, choices: tuple[Any, ...]) -> bool:
+    if choices == (POSITIVE,):
+        return bool(value > 0)
+    return any(v in choices for v in (value if isinstance(value, tuple) else (value,)))
+
+
+def _choice(prefix: str, name: str, value: Any) -> str:
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    return f"{prefix}{name} {text}" if value == POSITIVE else f"{prefix}{name}={text}"
 
 
 def reject_unread(settings: BaseModel) -> None:
-    """Raise :class:`ValueError` for the first setting that is not its default and that nothing reads, see :class:`OnlyWith`."""
-    for name, info in type(settings).model_fields.items():
-        for rule in (m for m in info.metadata if isinstance(m, OnlyWith)):
-            if getattr(settings, name) != info.default and not rule.reads(settings):
-                raise ValueError(f"{name}: nothing uses it without {rule}")
+    """Raise an error of pydantic's type "unread" for the first setting that is neither its default nor 0 (nothing of it) and that
+    nothing reads, see :class:`OnlyWith`."""
+    kind = type(settings)
+    beside = [
+        (n, rule) for n, info in kind.model_fields.items() for rule in info.metadata if isinstance(rule, OnlyWith)
+    ]
+    for name, rule in (*getattr(kind, "only_with", {}).items(), *beside):
+        missing = rule.missing(settings) if _is_set(settings, name) else None
+        if missing is not None:
+            raise PydanticCustomError(
+                "unread", "{text}", {"text": unread_text(name, missing), "name": name, "missing": missing}
+            )
 
 
-def _model_of(annotation: Any) -> type[BaseModel] | None:
-    for candidate in (annotation, *get_args(annotation)):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return None
+def unread_text(name: str, missing: list[tuple[str, Any]], prefix: str = "") -> str:
+    """The message for a setting that nothing reads; ``prefix``: of all keys."""
+    if not missing:
+        return f"{prefix}{name}: this experiment does not use it"
+    return f"{prefix}{name}: nothing uses it without " + " or ".join(_choice(prefix, *choice) for choice in missing)
+
+
+def _is_set(settings: BaseModel, name: str) -> bool:
+    """Whether a setting is neither as by default nor 0; false counts."""
+    first, *rest = name.split(".")
+    usual = reduce(getattr, rest, type(settings).model_fields[first].get_default(call_default_factory=True))
+    value = reduce(getattr, rest, getattr(settings, first))
+    return bool(value != usual) and (value is False or value != 0)
+
+
+def kind_alone(value: Any) -> Any:
+    """``legs: support`` for ``legs: {kind: support}``: a validator of settings that are one of several models."""
+    return {KIND: value} if isinstance(value, str) else value
+
+
+def _models_of(annotation: Any) -> list[type[BaseModel]]:
+    """The models that a field may hold: one, or several that its ``kind`` tells apart."""
+    found = [c for c in (annotation, *get_args(annotation)) if isinstance(c, type) and issubclass(c, BaseModel)]
+    return found if len(found) < 2 or all(KIND in m.model_fields for m in found) else found[:1]
 
 
 def keys(model: type[BaseModel], prefix: str = "") -> list[str]:
-    """All dotted keys of a nested model."""
+    """All dotted keys of a nested model; where a setting is one of several models, those of all."""
     out = []
     for name, info in model.model_fields.items():
-        inner = _model_of(info.annotation)
-        out += keys(inner, f"{prefix}{name}.") if inner else [f"{prefix}{name}"]
-    return out
+        inner = [key for m in _models_of(info.annotation) for key in keys(m, f"{prefix}{name}.")]
+        out += inner or [f"{prefix}{name}"]
+    return list(dict.fromkeys(out))
 
 
 def _unknown(key: str, valid: list[str], where: str) -> InputError:
@@ -72,18 +154,26 @@ def _unknown(key: str, valid: list[str], where: str) -> InputError:
     return InputError(f"{where}: --set: unknown key '{key}'{hint}; {place}: {', '.join(choices)}")
 
 
-def _finite(value: Any) -> bool:
+#: No setting has a number beyond this: the largest are counts of encoders (2^40).
+LARGEST = 2.0**41
+
+
+def _largest(value: Any) -> float:
+    """The largest absolute number in a value; infinite if one is not finite."""
     if isinstance(value, Mapping):
-        return all(map(_finite, value.values()))
+        return max(map(_largest, value.values()), default=0.0)
     if isinstance(value, (list, tuple)):
-        return all(map(_finite, value))
+        return max(map(_largest, value), default=0.0)
     if isinstance(value, str):
         # YAML reads nan, inf and 1e3 as text; pydantic would make numbers of them
         try:
             value = float(value)
         except ValueError:
-            return True
-    return not isinstance(value, float) or math.isfinite(value)
+            return 0.0
+    if not isinstance(value, int | float):
+        return 0.0
+    # no comparison holds of NaN; a whole number may be beyond all floats
+    return float(abs(value)) if abs(value) <= LARGEST else math.inf
 
 
 def _parse(assignment: str, where: str) -> tuple[str, Any]:
@@ -91,8 +181,9 @@ def _parse(assignment: str, where: str) -> tuple[str, Any]:
     if not equals or not key.strip() or not text.strip():
         raise InputError(f"{where}: --set '{assignment}': the form is key=value, e.g. mpc.rate=100")
     value = parse_yaml(text, f"{where}: --set {key.strip()}={text.strip()[:80]}")
-    if not _finite(value):
-        raise InputError(f"{where}: --set {key.strip()}={text.strip()}: the value must be a finite number")
+    if math.isinf(_largest(value)):
+        shown = f"{key.strip()}={text.strip()[:80]}"
+        raise InputError(f"{where}: --set {shown}: the value must be a finite number, at most {LARGEST:.3g}")
     return key.strip(), _numbers(value)
 
 
@@ -106,13 +197,21 @@ def _numbers(value: Any) -> Any:
     return value
 
 
-def _types(model: type[BaseModel], key: str) -> tuple[Any, ...]:
-    """The types in the annotation of a dotted key."""
-    *parents, last = key.split(".")
-    for parent in parents:
-        model = _model_of(model.model_fields[parent].annotation) or model
-    annotation = model.model_fields[last].annotation
-    return (annotation, *get_args(annotation))
+def _types(model: type[BaseModel], key: str) -> list[Any]:
+    """The types in the annotations of a dotted key."""
+    first, _, rest = key.partition(".")
+    info = model.model_fields.get(first)
+    if info is None:
+        return []  # of another one of several models
+    if rest:
+        return [kind for inner in _models_of(info.annotation) for kind in _types(inner, rest)]
+    return [info.annotation, *get_args(info.annotation)]
+
+
+def _kinds(model: type[BaseModel], key: str) -> dict[str, type[BaseModel]]:
+    """The models by kind that a setting is one of; empty for other settings."""
+    found = [m for kind in _types(model, key) for m in _models_of(kind)]
+    return {k: m for m in found if KIND in m.model_fields for k in get_args(m.model_fields[KIND].annotation)}
 
 
 def _truths(value: Any) -> bool:
@@ -127,17 +226,74 @@ def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
         if tree.get(parent) is None:
             tree[parent] = {}
         tree = tree[parent]
+    if last == KIND and tree.get(KIND) != value:
+        tree.clear()  # what is there is of another kind
     tree[last] = value
 
 
-def describe(error: ValidationError) -> str:
-    """All faults of a validation as one message, without web links: ``key=value: what is wrong; ...``."""
-    faults, found = [], error.errors(include_url=False, include_context=False)
+def _check_kind(model: type[BaseModel], key: str, settings: Mapping[str, Any], where: str) -> None:
+    """Raise :class:`InputError` for a key of a section that is of another kind."""
+    parts = key.split(".")
+    for depth in range(1, len(parts)):
+        section, name = ".".join(parts[:depth]), parts[depth]
+        kinds = _kinds(model, section)
+        kind = reduce(lambda tree, part: tree[part], parts[:depth], settings).get(KIND) if kinds else None
+        if kind in kinds and name not in kinds[kind].model_fields:
+            owners = [(f"{section}.{KIND}", k) for k, m in kinds.items() if name in m.model_fields]
+            raise InputError(f"{where}: --set {unread_text(key, owners)}")
+
+
+def _pairs(model: type[BaseModel], assignments: Iterable[str], where: str) -> list[tuple[str, Any]]:
+    """Keys and values, checked one by one; kinds first, for the keys of a section depend on it."""
+    valid, pairs = keys(model), []
+    for assignment in assignments:
+        key, value = _parse(assignment, where)
+        if key not in valid and isinstance(value, str) and _kinds(model, key):
+            key = f"{key}.{KIND}"
+        if key not in valid:
+            raise _unknown(key, valid, where)
+        if _truths(value) and bool not in _types(model, key):
+            raise InputError(f"{where}: --set {assignment.strip()}: a number or text is needed, not true or false")
+        pairs.append((key, value))
+    return sorted(pairs, key=lambda pair: pair[0].rpartition(".")[2] != KIND)
+
+
+def _keys_of(place: tuple[int | str, ...], model: type[BaseModel] | None) -> tuple[int | str, ...]:
+    """The keys of a fault's place: pydantic puts the kind of a section that is one of several models among them."""
+    keys_, models = [], [] if model is None else [model]
+    for part in place:
+        kinds = {k: m for m in models if KIND in m.model_fields for k in get_args(m.model_fields[KIND].annotation)}
+        if len(models) > 1 and part in kinds:
+            models = [kinds[str(part)]]
+            continue
+        keys_.append(part)
+        models = [
+            inner
+            for m in models
+            if part in m.model_fields
+            for inner in _models_of(m.model_fields[str(part)].annotation)
+        ]
+    return tuple(keys_)
+
+
+def describe(error: ValidationError, model: type[BaseModel] | None = None) -> str:
+    """All faults of a validation as one message, without web links: ``key=value: what is wrong; ...``. ``model``: what was
+    validated, where it has sections that are one of several models."""
+    faults, found = [], error.errors(include_url=False)
     for fault in found:
         place = fault["loc"]
+        names = _keys_of(place, model)
+        context = fault.get("ctx", {})
+        if fault["type"] == "unread":
+            faults.append(unread_text(context["name"], context["missing"], "".join(f"{k}." for k in names)))
+            continue
+        if fault["type"] == "union_tag_invalid":
+            expected = context["expected_tags"].replace("'", "")
+            faults.append(".".join(map(str, (*names, KIND))) + f"={context['tag']!r}: valid: {expected}")
+            continue
         if fault["type"] == "too_short" and any(f["loc"][: len(place)] == place != f["loc"] for f in found):
             continue  # what is left when its bad entries are taken away
-        key = ".".join(str(k) for k in fault["loc"])
+        key = ".".join(map(str, names))
         # a fault between several settings carries its whole section, and a missing one has no value of its own
         shown = (
             ""
@@ -161,18 +317,16 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str) ->
     Values are written as in YAML: ``100``, ``true``, ``[0.6, 0.9]``.
     Raises :class:`InputError` naming ``where`` (the experiment), the key and the valid choices.
     """
-    valid, settings = keys(model), model().model_dump()
-    for assignment in assignments:
-        key, value = _parse(assignment, where)
-        if key not in valid:
-            raise _unknown(key, valid, where)
-        if _truths(value) and bool not in _types(model, key):
-            raise InputError(f"{where}: --set {assignment.strip()}: a number or text is needed, not true or false")
+    settings = model().model_dump()
+    pairs = _pairs(model, assignments, where)
+    for key, value in pairs:
         _insert(settings, key, value)
+    for key, _ in pairs:
+        _check_kind(model, key, settings, where)
     try:
         return model.model_validate(settings)
     except ValidationError as error:
-        raise InputError(f"{where}: --set {describe(error)}") from error
+        raise InputError(f"{where}: --set {describe(error, model)}") from error
 
 
 def reject_truths(model: type[BaseModel], data: Any) -> Any:

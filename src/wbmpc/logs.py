@@ -9,7 +9,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 #: Causes that are known at a time; of more the oldest is forgotten.
-MOST_CAUSES = 1000
+MAX_CAUSES = 1000
 
 
 @dataclass
@@ -36,7 +36,7 @@ class RateLimit:
         with self._lock:
             seen = self._seen.pop(cause, None) or _Seen(now)
             self._seen[cause] = seen  # the newest is the last
-            if len(self._seen) > MOST_CAUSES:
+            if len(self._seen) > MAX_CAUSES:
                 del self._seen[next(iter(self._seen))]
             if now - seen.since >= self.period:
                 seen.since, seen.written = now, 0

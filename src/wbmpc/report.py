@@ -26,7 +26,7 @@ RECORDING = "run.mcap"
 #: All files of a run.
 RUN_FILES = ("metrics.json", "log.npz", "report.html", RECORDING, "run-1.mcap")
 #: More points than this per line are thinned out (min and max of each bin are kept).
-MOST_POINTS = 1500
+MAX_POINTS = 1500
 #: Width of a legend in the narrowest card [pixels], of an entry's mark, and of a letter, about.
 _LEGEND, _MARK, _LETTER = 360, 45, 6.3
 _COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
@@ -234,15 +234,15 @@ def _elsewhere(result: RunResult, text: str) -> str:
 
 # ---------------------------------------------------------------------- the page
 def _thin(x: np.ndarray, y: np.ndarray, path: bool) -> tuple[np.ndarray, np.ndarray]:
-    """At most MOST_POINTS points: the extremes of every bin of a signal over time, or every n-th point of a path."""
-    if x.size <= MOST_POINTS:
+    """At most MAX_POINTS points: the extremes of every bin of a signal over time, or every n-th point of a path."""
+    if x.size <= MAX_POINTS:
         return x, y
     if path:
-        index = np.linspace(0, x.size - 1, MOST_POINTS).round().astype(int)
+        index = np.linspace(0, x.size - 1, MAX_POINTS).round().astype(int)
         return x[index], y[index]
     low, high = np.nan_to_num(y, nan=np.inf), np.nan_to_num(y, nan=-np.inf)
     keep = {0, x.size - 1}
-    for part in np.array_split(np.arange(x.size), MOST_POINTS // 2 - 1):
+    for part in np.array_split(np.arange(x.size), MAX_POINTS // 2 - 1):
         keep |= {int(part[np.argmin(low[part])]), int(part[np.argmax(high[part])])}
     index = np.array(sorted(keep))
     return x[index], y[index]

@@ -24,7 +24,7 @@ from wbmpc.result import Metric
 from wbmpc.run_files import read_metrics
 
 #: Seeds of one call, at most: the ball robot's take about a minute each, in every experiment.
-MOST_SEEDS = 1000
+MAX_SEEDS = 1000
 _SEEDS = re.compile(r"\s*(?P<first>[0-9]{1,9})(-(?P<last>[0-9]{1,9}))?\s*")
 #: Exit codes after which there is a result: completed, or ended early with its figures.
 _FINISHED = (0, 1)
@@ -53,16 +53,16 @@ class Job:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """``200-219``, ``3`` or ``1,5-7`` as numbers, :data:`MOST_SEEDS` at most. Raises :class:`InputError`."""
+    """``200-219``, ``3`` or ``1,5-7`` as numbers, :data:`MAX_SEEDS` at most. Raises :class:`InputError`."""
     seeds: dict[int, None] = {}
     for part in text.split(","):
         found = _SEEDS.fullmatch(part)
         if found is None or int(found["last"] or found["first"]) < int(found["first"]):
             raise InputError(f"--seeds: '{text}': valid: 200-219, 3 or 1,5-7, numbers of up to nine digits")
-        wanted = range(int(found["first"]), int(found["last"] or found["first"]) + 1)
-        if len(seeds) + len(wanted) > MOST_SEEDS:
-            raise InputError(f"--seeds: '{text}': these are more than {MOST_SEEDS} seeds; give fewer in one call")
-        seeds |= dict.fromkeys(wanted)
+        target = range(int(found["first"]), int(found["last"] or found["first"]) + 1)
+        if len(seeds) + len(target) > MAX_SEEDS:
+            raise InputError(f"--seeds: '{text}': these are more than {MAX_SEEDS} seeds; give fewer in one call")
+        seeds |= dict.fromkeys(target)
     return list(seeds)
 
 
@@ -260,10 +260,10 @@ def _experiment_page(name: str, entry: dict[str, Any], lost: dict[int, str], cli
     return document(name, body, plots=False)
 
 
-def _clip(jobs: list[Job], name: str, out: Path, wanted: bool) -> str:
+def _clip(jobs: list[Job], name: str, out: Path, target: bool) -> str:
     """The clip of the first finished run, drawn once; or why there is none."""
     path, job = out / name / "clip.mp4", next(j for j in jobs if j.name == name and j.done)
-    if wanted and not (path.is_file() and path.stat().st_mtime >= job.mark.stat().st_mtime):
+    if target and not (path.is_file() and path.stat().st_mtime >= job.mark.stat().st_mtime):
         from wbmpc.recording.reader import read_recording
         from wbmpc.view.render import render
         from wbmpc.view.replay import Film

@@ -11,7 +11,7 @@ import numpy as np
 from wbmpc.log import Log
 
 #: A run in which a larger share of the solves gave no new plan was not controlled by the MPC: it is not completed.
-MOST_FAILED = 0.1
+MAX_FAILED = 0.1
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,11 @@ class MpcStatistics:
     @property
     def fault(self) -> str:
         """Why a run with these statistics does not count as completed; empty when it does."""
-        if self.failed_share <= MOST_FAILED:
+        if self.failed_share <= MAX_FAILED:
             return ""
         return (
             f"{100 * self.failed_share:.0f} % of the MPC's {self.solves} solves gave no new plan "
-            f"({self.failures} failed, {self.no_step} without a step); at most {100 * MOST_FAILED:.0f} % may"
+            f"({self.failures} failed, {self.no_step} without a step); at most {100 * MAX_FAILED:.0f} % may"
         )
 
 

@@ -75,7 +75,10 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: there is no such file; give a run's folder or its log.npz")
     try:
         with zipfile.ZipFile(path) as archive:
-            size = sum(member.file_size for member in archive.infolist())
+            members = archive.infolist()
+        size, names = sum(member.file_size for member in members), {member.filename for member in members}
+        if len(names) < len(members):
+            raise InputError(f"{path}: two of its arrays have one name")
         if size > LARGEST_LOG:
             raise InputError(f"{path}: its arrays have {size} bytes; at most {LARGEST_LOG} are read")
         with np.load(path, allow_pickle=False) as log:

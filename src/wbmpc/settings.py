@@ -11,7 +11,11 @@ from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
 
-Weight = Annotated[float, Field(ge=0)]
+#: Weights, gains and thresholds are numbers up to this: squares and products of larger ones leave the range of numbers.
+LARGEST = 1e9
+Weight = Annotated[float, Field(ge=0, le=LARGEST)]
+#: A gain or a threshold: what is not there at 0.
+Positive = Annotated[float, Field(gt=0, ge=1e-9, le=LARGEST)]
 
 
 class Settings(BaseModel):

@@ -17,7 +17,7 @@ import yaml
 from wbmpc.errors import InputError
 
 #: Bytes of a text, levels of nesting, keys and values, and digits of a whole number, at most.
-LARGEST, DEEPEST, MOST_VALUES, MOST_DIGITS = 256 * 1024, 32, 8_000, 300
+LARGEST, DEEPEST, MAX_VALUES, MAX_DIGITS = 256 * 1024, 32, 8_000, 300
 #: Numbers as in YAML 1.2, which takes 1e-3 without a point, too.
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _OCTAL = re.compile(r"[-+]?0[0-9_]+")
@@ -123,8 +123,8 @@ class _Reader:
 
     def _check(self, event: Any, path: tuple[str, ...]) -> None:
         self._count += 1
-        if self._count > MOST_VALUES:  # each takes the parser a fraction of a millisecond
-            self._fail(event, path[:3], f"more than {MOST_VALUES} keys and values; at most so many are read")
+        if self._count > MAX_VALUES:  # each takes the parser a fraction of a millisecond
+            self._fail(event, path[:3], f"more than {MAX_VALUES} keys and values; at most so many are read")
         if isinstance(event, yaml.AliasEvent):
             self._fail(event, path, f"an alias (*{event.anchor}) is not allowed; write the value once more")
         if event.anchor is not None:
@@ -136,6 +136,8 @@ class _Reader:
         text = event.value
         if _UNPRINTABLE.search(text):
             self._fail(event, path, f"{text[:40]!r} has a character that cannot be printed")
+        if _foreign_number(text):
+            self._fail(event, path, f"'{text[:40]}' is a number in other digits than 0 to 9")
         if not event.implicit[0]:  # quoted
             return text
         kind = self._loader.resolve(yaml.ScalarNode, text, event.implicit).rpartition(":")[2]
@@ -147,8 +149,8 @@ class _Reader:
             self._fail(
                 event, path, f"'{text}' may be read as a number to the base of 60; write it out, or quote a text"
             )
-        if kind in ("int", "float") and len(text) > MOST_DIGITS:
-            self._fail(event, path, f"a number of {len(text)} characters; at most {MOST_DIGITS} are read")
+        if kind in ("int", "float") and len(text) > MAX_DIGITS:
+            self._fail(event, path, f"a number of {len(text)} characters; at most {MAX_DIGITS} are read")
         value = _plain(kind, text)
         if isinstance(value, float) and math.isinf(value) and "inf" not in text.lower():
             self._fail(event, path, f"{text} is too large for a number")
@@ -159,6 +161,17 @@ class _Reader:
         place = [f"line {event.start_mark.line + 1}"] if self._lines and event.start_mark is not None else []
         place += [f"key '{key}'"] if key else []
         raise InputError(": ".join(part for part in (self._where, ", ".join(place), text) if part))
+
+
+def _foreign_number(text: str) -> bool:
+    """Whether Python takes a text for a number, and pydantic does then, that YAML takes for a text."""
+    if text.isascii():
+        return False
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _plain(kind: str, text: str) -> Any:

@@ -19,13 +19,13 @@ import push_map
 from workers import Workers
 
 from wbmpc.errors import InputError
-from wbmpc.studies.minniti2019.push_map import MOST, Point
+from wbmpc.studies.minniti2019.push_map import MAXIMUM, Point
 from wbmpc.studies.minniti2019.push_once import Outcome
 
 
 def made_up(point: Point, impulse: float) -> Outcome:
-    """Falls at ``MOST``; anything weaker goes on for a minute."""
-    if impulse < MOST:
+    """Falls at ``MAXIMUM``; anything weaker goes on for a minute."""
+    if impulse < MAXIMUM:
         time.sleep(60.0)
     return Outcome(False, False, 1.0)
 
@@ -54,7 +54,7 @@ def test_ctrl_c_ends_the_map_with_a_message_and_keeps_what_is_done(
     reported = capsys.readouterr()
     assert reported.err == f"interrupted: what is done is in {file}; the same command goes on from there\n"
     assert "1 of 1 left" in reported.out and "320 N s: no" in reported.out
-    assert {k: list(v) for k, v in json.loads(file.read_text()).items()} == {point.key: [str(MOST)]}
+    assert {k: list(v) for k, v in json.loads(file.read_text()).items()} == {point.key: [str(MAXIMUM)]}
     assert not multiprocessing.active_children()
 
 

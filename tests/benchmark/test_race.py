@@ -24,11 +24,11 @@ from wbmpc.benchmark.child import within
 from wbmpc.benchmark.machine_speed import peak_gflops
 from wbmpc.benchmark.ours import ours
 from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
-from wbmpc.benchmark.problems import Problem, suite_bench
+from wbmpc.benchmark.problems import Problem, RaceProblems, suite_bench
 from wbmpc.benchmark.program import Program, compiler
-from wbmpc.benchmark.test_problems.ballbot import ballbot
-from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
 from wbmpc.kernel.compiled import Sizes
+from wbmpc.studies.race.ballbot import ballbot
+from wbmpc.studies.race.small import cartpole, double_integrator
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -271,7 +271,7 @@ def test_goals_compare_with_the_fastest_peer() -> None:
 
 def test_the_run_is_one_object_of_known_structure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     make = lambda limits="soft": suite_bench(double_integrator(6, hard=limits == "hard"))
-    monkeypatch.setattr(race, "ROBOTS", (make,))
+    monkeypatch.setattr(race, "race_problems", lambda: RaceProblems((make,), {}, {}))
     monkeypatch.setattr(race, "iteration_times", lambda: {"p": {"hard_ms": 1.1, "unlimited_ms": 1.0, "ratio": 1.1}})
     size = {
         "problem": "p",

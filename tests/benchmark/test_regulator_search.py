@@ -42,7 +42,7 @@ class Known:
     def away(self, gains: dict[str, float]) -> float:
         return float(np.sqrt(sum(np.log(v / 0.5) ** 2 for v in gains.values())))
 
-    def losses(self, gains: dict[str, float], impulse: float, most: float = np.inf) -> list[float]:
+    def losses(self, gains: dict[str, float], impulse: float, maximum: float = np.inf) -> list[float]:
         error = 1e-3 * impulse * self.away(gains)
         return [error / (1.0 + error)] * len(MODELLED)
 
@@ -64,7 +64,7 @@ def test_walks_go_downhill_and_their_pushes_get_harder(robot: ModelledRobot) -> 
 def test_a_robot_that_falls_later_or_rests_nearer_loses_less(
     robot: ModelledRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fall after 1.4 of 7 s is 1.8; a hand 0.25 m off is 0.25/1.25 = 0.2; five directions, until it is too much."""
+    """A fall after 1.4 of 7 s is 1.8; an end effector 0.25 m off is 0.25/1.25 = 0.2; five directions, until it is too much."""
     states = np.tile(robot.home, (2800, 1))
     monkeypatch.setattr(robot, "pushed", lambda controller, direction, impulse, seconds: states)
     monkeypatch.setattr(regulator_search, "MODELLED", (0.0, 1.0))
@@ -72,7 +72,7 @@ def test_a_robot_that_falls_later_or_rests_nearer_loses_less(
     assert robot.losses(controller, 10.0) == [0.0, 0.0]
     states[-1, 0] += 0.25
     assert robot.losses(controller, 10.0) == pytest.approx([0.2, 0.2])
-    assert len(robot.losses(controller, 10.0, most=0.1)) == 1
+    assert len(robot.losses(controller, 10.0, maximum=0.1)) == 1
     states = states[:560]
     assert robot.losses(controller, 10.0) == pytest.approx([1.8, 1.8])
 
@@ -124,7 +124,7 @@ ROLLS_AWAY = {"hand": 2.92e-4, "torque": 4220.0, "arm": 0.039, "posture": 60.0, 
 
 
 def test_to_stand_is_not_to_come_back(robot: ModelledRobot) -> None:
-    """40 N s are 1.7 m/s for 23 kg; the hand is back within 5 cm after 7 s, or the robot is metres away. No wheels stop 320 N s at
+    """40 N s are 1.7 m/s for 23 kg; the end effector is back within 5 cm after 7 s, or the robot is metres away. No wheels stop 320 N s at
     once: that is 14 m/s."""
     controller = robot.controller(False, ROLLS_AWAY)
     pushed = robot.pushed(controller, 0.0, 40.0, 0.2)
@@ -172,12 +172,12 @@ def test_the_summary_compares_direction_by_direction() -> None:
     }
     lines = push_map.summary(todo, done)
     assert lines == [
-        "hand held, 0.2 s, mpc recovers: median 80, least 80, most 90 N s (4 of 4 directions)",
-        "hand held, 0.2 s, mpc stands: median 160, least 90, most 200 N s (4 of 4 directions)",
+        "end effector held, 0.2 s, mpc recovers: median 80, least 80, most 90 N s (4 of 4 directions)",
+        "end effector held, 0.2 s, mpc stands: median 160, least 90, most 200 N s (4 of 4 directions)",
         "  its ball goes 3.0 m at most where it recovers",
-        "hand held, 0.2 s, lqr recovers: median 20, least 0, most 40 N s (3 of 4 directions)",
+        "end effector held, 0.2 s, lqr recovers: median 20, least 0, most 40 N s (3 of 4 directions)",
         "  mpc over lqr: median 3.00, least 2.00 (2), 1 where lqr never does",
-        "hand held, 0.2 s, lqr stands: median 100, least 100, most 150 N s (3 of 4 directions)",
+        "end effector held, 0.2 s, lqr stands: median 100, least 100, most 150 N s (3 of 4 directions)",
         "  mpc over lqr: median 1.00, least 0.90 (3)",
         "  its ball goes 3.0 m at most where it recovers",
     ]

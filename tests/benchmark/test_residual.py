@@ -12,7 +12,7 @@ from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
 from wbmpc.benchmark.problems import suite_bench
 from wbmpc.benchmark.program import Program
 from wbmpc.benchmark.residual import EQUAL, Measure, least_squares, to_equal_residual
-from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
+from wbmpc.studies.race.small import cartpole, double_integrator
 
 
 def test_multipliers_of_signed_rows_are_those_of_scipy() -> None:
@@ -110,8 +110,10 @@ def test_the_race_to_an_equal_residual() -> None:
     problem = suite_bench(cartpole(10))
     prepared = prepare(problem, compile_functions=False)
     measure = Measure(prepared.program)
-    most = ours(problem, 2)[2]["iterations"]
-    own = to_equal_residual(lambda k: several_iterations(problem, k, 1), most, lambda x, u: measure(x, u, problem.x0))
+    maximum = ours(problem, 2)[2]["iterations"]
+    own = to_equal_residual(
+        lambda k: several_iterations(problem, k, 1), maximum, lambda x, u: measure(x, u, problem.x0)
+    )
     ms, x, u = several_iterations(problem, own["equal_iterations"], 1)
     assert ms > 0.0 and measure(x, u, problem.x0).largest <= EQUAL
     if own["equal_iterations"] > 1:

@@ -73,7 +73,10 @@ def test_tables_say_what_is_missed(study: dict[robustness.Job, str], tmp_path: P
 def test_every_condition_changes_the_settings_of_its_experiment(name: str) -> None:
     kind = REGISTRY[name].config_type
     for condition, settings in robustness.conditions_of(name).items():
-        as_it_is = condition == "protocol" or (name, condition) == ("rezero-wholebody", "hand 1 kg")  # its own protocol
+        as_it_is = condition == "protocol" or (name, condition) == (
+            "rezero-wholebody",
+            "end effector 1 kg",
+        )  # its own protocol
         assert (configure(kind, settings, name) == kind()) == as_it_is, condition
 
 
@@ -126,7 +129,7 @@ def test_table_of_goals(study: dict[robustness.Job, str], tmp_path: Path) -> Non
 
 def test_conditions_mean_what_they_are_called() -> None:
     given = {c: configure(SwerveUnifiedSettings, s, "") for c, s in robustness.SWERVE.items()}
-    assert (given["hand 10 kg"].plant.payload, given["body 150 kg"].plant.body_payload) == (10.0, 150.0)
+    assert (given["end effector 10 kg"].plant.payload, given["body 150 kg"].plant.body_payload) == (10.0, 150.0)
     assert given["slope 3 deg"].plant.slope == pytest.approx(3.0 * 3.141592653589793 / 180.0, rel=1e-4)
     assert (given["delay 5 ms"].mpc.computation_delay, given["delay 25 ms"].mpc.computation_delay) == (0.005, 0.025)
     assert given["protocol"] == SwerveUnifiedSettings()

@@ -15,10 +15,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "solver"))
 import ipopt
 
 from toys import rezero_solver, robot
-from wbmpc.benchmark.test_problems import MAKERS
-from wbmpc.benchmark.test_problems.problem import SampleProblem
+from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.ocp import Constraint, Reference
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
+from wbmpc.studies.race import MAKERS
 
 SOLVERS = {
     "sqp-merit": SQP(iterations=400),
@@ -40,7 +40,7 @@ def hardened(problem: SampleProblem) -> SampleProblem:
 
 
 def rezero_with_a_force() -> SampleProblem:
-    """The ball robot pushes with 5 N while its hand stays."""
+    """The ball robot pushes with 5 N while its end effector stays."""
     base = rezero_solver(10)
     model = robot("rezero", contact="force")
     from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem

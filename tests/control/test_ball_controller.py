@@ -136,13 +136,13 @@ def test_ball_robot_clips_torques_and_stops_without() -> None:
 
 
 #: Torque about the vertical that wheel torques (3) do to the ball [N m] and its limit, by hand.
-SPIN, MOST = 0.125 / 0.064 * np.sin(np.pi / 4) * np.ones(3), 2.0
+SPIN, MAXIMUM = 0.125 / 0.064 * np.sin(np.pi / 4) * np.ones(3), 2.0
 
 
 def largest_share(lean: np.ndarray) -> float:
     """By linear programming: the most of ``lean`` that the wheels can do, with whatever spin the floor allows."""
     rows = np.column_stack([np.vstack([lean, -lean]).reshape(2, 3).ravel(), np.repeat([1.0, -1.0], 3)])
-    reach = MOST / SPIN.sum()
+    reach = MAXIMUM / SPIN.sum()
     return float(linprog([-1.0, 0.0], A_ub=rows, b_ub=np.full(6, 4.0), bounds=[(0.0, 1.0), (-reach, reach)]).x[0])
 
 
@@ -157,10 +157,10 @@ def test_balance_comes_before_yaw(size: float) -> None:
         u = np.tile(np.concatenate([asked, np.zeros(TORQUES - 3)]), (len(wild.u), 1))
         plans.current = Policy(wild.times, wild.x, u, 0.0 * wild.gain)
         given = controller.command(0.0, plans).torque[:3]
-        assert np.abs(given).max() <= 4.0 + 1e-9 and abs(SPIN @ given) <= MOST + 1e-9
+        assert np.abs(given).max() <= 4.0 + 1e-9 and abs(SPIN @ given) <= MAXIMUM + 1e-9
         lean, left = asked - asked.mean(), given - given.mean()
         np.testing.assert_allclose(left, largest_share(lean) * lean, atol=1e-6)
-        if np.abs(asked).max() <= 4.0 and abs(SPIN @ asked) <= MOST:
+        if np.abs(asked).max() <= 4.0 and abs(SPIN @ asked) <= MAXIMUM:
             untouched += 1
             np.testing.assert_allclose(given, asked, atol=1e-12)
         assert controller.clamped == bool(np.abs(given - asked).max() > 1e-6)  # rounding is no clamp

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.control.drives import LEARNED_IN, MOST, DryFriction, Smoothing
+from wbmpc.control.drives import LEARNED_IN, MAXIMUM, DryFriction, Smoothing
 
 PERIOD, LAG = 0.0025, 0.02
 
 
-def drive(friction: DryFriction, lost: np.ndarray, wanted, seconds: float, seed: int = 0) -> np.ndarray:  # type: ignore[no-untyped-def]
+def drive(friction: DryFriction, lost: np.ndarray, target, seconds: float, seed: int = 0) -> np.ndarray:  # type: ignore[no-untyped-def]
     """Speeds (k, n) of drives that lose ``lost`` (n) [rad/s] while they turn; messages are up to 2 ms old."""
     rng, n = np.random.default_rng(seed), lost.size
     rate, angle, seen, speeds = np.zeros(n), np.zeros(n), np.zeros(n), []
@@ -21,7 +21,7 @@ def drive(friction: DryFriction, lost: np.ndarray, wanted, seconds: float, seed:
         now = angle - rng.uniform(0.0, 0.002) * speed
         friction.learn(now - seen, PERIOD)
         seen = now
-        reported = friction.command(wanted(k * PERIOD), np.inf, np.inf)
+        reported = friction.command(target(k * PERIOD), np.inf, np.inf)
         rate = rate + (1.0 - np.exp(-PERIOD / LAG)) * (reported - rate)
     return np.array(speeds)
 
@@ -48,7 +48,7 @@ def test_a_drive_that_stands_learns_nothing_and_gets_nothing() -> None:
 def test_a_blocked_drive_is_not_pushed_beyond_reason() -> None:
     friction = DryFriction(1, PERIOD, LAG)
     drive(friction, np.array([9.0]), lambda t: np.array([1.0]), 5.0 * LEARNED_IN)
-    assert friction.droop == pytest.approx(MOST)
+    assert friction.droop == pytest.approx(MAXIMUM)
 
 
 def test_commands_stay_within_speed_and_step() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.bases.ball.lean_control import MOST, LeanControl
+from wbmpc.bases.ball.lean_control import MAXIMUM, LeanControl
 from wbmpc.errors import DisturbanceTooLarge
 
 ROBOT = robot("rezero")
@@ -50,7 +50,7 @@ def test_the_limit_is_about_where_the_robot_stands_as_far_as_the_reach_allows() 
     weak, strong = pushed(10.0), pushed(60.0)
     np.testing.assert_allclose(LEANING.centre(weak, 0.0), -stand(weak), atol=1e-12)  # in the middle of the limit
     margin = 0.6 * LEANING.reach - np.abs(stand(strong) + LEANING.centre(strong, 0.0))[0]
-    left = MOST * LEANING.reach - np.abs(LEANING._borne(strong, 0.0))[0]
+    left = MAXIMUM * LEANING.reach - np.abs(LEANING._borne(strong, 0.0))[0]
     assert margin == pytest.approx(left, abs=1e-9) and left > 0.0
 
 

@@ -37,7 +37,7 @@ def slopes(function, x: np.ndarray, step: float = 1e-5) -> np.ndarray:  # type: 
 
 
 def place_and_turn(robot: RobotModel, q: np.ndarray) -> np.ndarray:
-    """Of the hand against that at home (6): position, rotation vector in the world."""
+    """Of the end effector against that at home (6): position, rotation vector in the world."""
     x = np.concatenate([q, np.zeros(q.size)])
     position, quaternion = robot.pose(x)
     turn = lie.quaternion_multiply(quaternion, lie.quaternion_conjugate(robot.pose(robot.home)[1]))
@@ -55,10 +55,10 @@ def test_no_other_gain_costs_less(robot: RobotModel, gains: RegulatorGains) -> N
     both = slopes(rate, np.concatenate([x, u]))
     ab = expm(PERIOD * np.vstack([both, np.zeros((u.size, x.size + u.size))]))
     a, b = ab[: x.size, : x.size], ab[: x.size, x.size :]
-    hand, w = slopes(lambda q: place_and_turn(robot, q), x[:n]), gains.weights
+    end_effector, w = slopes(lambda q: place_and_turn(robot, q), x[:n]), gains.weights
     q = np.diag(w.state).copy()
-    q[:n, :n] += hand.T @ np.diag(w.hand) @ hand
-    q[n:, n:] += hand.T @ np.diag(w.twist) @ hand
+    q[:n, :n] += end_effector.T @ np.diag(w.end_effector) @ end_effector
+    q[n:, n:] += end_effector.T @ np.diag(w.twist) @ end_effector
 
     def cost(k: np.ndarray) -> float:
         loop = a - b @ k
@@ -83,11 +83,11 @@ def test_rest_under_a_force_to_first_command(robot: RobotModel, gains: Regulator
 
 
 def controller(
-    robot: RobotModel, gains: RegulatorGains, scheduled: bool, wanted: np.ndarray, most: float
+    robot: RobotModel, gains: RegulatorGains, scheduled: bool, target: np.ndarray, maximum: float
 ) -> LqrController:
     u = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
     out = LqrController(robot, None, u, PERIOD, DriveSettings(0.02), observer=False)  # type: ignore[arg-type]
-    out.regulate(gains, lambda t: wanted, scheduled, most)
+    out.regulate(gains, lambda t: target, scheduled, maximum)
     return out
 
 
@@ -95,7 +95,7 @@ def asked(controller: LqrController, x: np.ndarray) -> np.ndarray:
     """Torques that the law asks for at x, before they are cut."""
     controller.measure(BallMeasurement(0.0, x, 0.0))
     controller.command(0.0, PolicyQueue())
-    return controller.wanted
+    return controller.target
 
 
 def test_scheduled_gains_turn_with_the_heading(robot: RobotModel, gains: RegulatorGains) -> None:

@@ -18,11 +18,11 @@ from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.ros import BusSwerveController, DeferredMonitor
 from wbmpc.control.protocols import Estimator, Fault, Monitor
-from wbmpc.estimation.force import ForceMonitor
+from wbmpc.studies.minniti2019.force import ForceMonitor
 from wbmpc.studies.pankert2022.rolling import RollingController
 
 #: Constructor arguments that a controller may have.
-MOST = 8
+MAXIMUM = 8
 SWERVE, BALL = robot("swerve-ur10"), robot("rezero")
 
 
@@ -30,7 +30,7 @@ SWERVE, BALL = robot("swerve-ur10"), robot("rezero")
     "kind", [SwerveController, BusSwerveController, RollingController, BallController, BusBallController]
 )
 def test_a_controller_has_few_arguments(kind: type) -> None:
-    assert 3 <= len(inspect.signature(kind).parameters) <= MOST
+    assert 3 <= len(inspect.signature(kind).parameters) <= MAXIMUM
 
 
 def found_by_brakes(monitor: Monitor) -> object:
@@ -61,7 +61,7 @@ def found_by_lean(monitor: Monitor) -> object:
 
 
 def found_by_motion(monitor: Monitor) -> object:
-    """A sensor of a hand that touches feels 8 N, the motion says 20 N, for half a second."""
+    """A sensor of an end effector that touches feels 8 N, the motion says 20 N, for half a second."""
     return [fault for k in range(200) for fault in monitor.update(0.0025 * k, 0.0025, True, 8.0, 20.0)]
 
 

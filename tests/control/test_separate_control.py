@@ -13,7 +13,7 @@ from wbmpc import lie
 from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.held_arm import ServoedArm
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
-from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse
+from wbmpc.studies.minniti2019.separate import ArmLoop, EndEffectorInverse
 
 BALL = robot("rezero")
 N = BALL.base.nq
@@ -65,7 +65,10 @@ def test_an_arm_at_its_goal_stays_there() -> None:
 
 
 def test_inverse_kinematics_takes_the_hand_there() -> None:
-    inverse, rng = HandInverse(BALL, np.array([300.0, 300.0, 300.0, 0.0, 0.0, 0.0]), 1e-6), np.random.default_rng(0)
+    inverse, rng = (
+        EndEffectorInverse(BALL, np.array([300.0, 300.0, 300.0, 0.0, 0.0, 0.0]), 1e-6),
+        np.random.default_rng(0),
+    )
     for _ in range(5):
         there = BALL.home.copy()
         there[:5] += 0.1 * rng.normal(size=5)
@@ -78,12 +81,12 @@ def test_inverse_kinematics_takes_the_hand_there() -> None:
 
 def test_a_hand_out_of_reach_points_there() -> None:
     """The nearest point of the sphere of 0.6 m about the shoulder, 0.5 m up in the base."""
-    inverse = HandInverse(BALL, np.array([300.0] * 3 + [0.0] * 3), 1e-3)
+    inverse = EndEffectorInverse(BALL, np.array([300.0] * 3 + [0.0] * 3), 1e-3)
     place, quaternion = BALL.pose(BALL.home)
     far, found = place + [1.5, 0.3, 0.0], BALL.home[5:N]
     for _ in range(100):
-        before, found = found, inverse(BALL.home, np.concatenate([far, quaternion]), BALL.home[5:N], found)
-    np.testing.assert_allclose(found, before, atol=1e-3)  # and it stays there
+        previous, found = found, inverse(BALL.home, np.concatenate([far, quaternion]), BALL.home[5:N], found)
+    np.testing.assert_allclose(found, previous, atol=1e-3)  # and it stays there
     arm, state = BALL.state["arm"], BALL.home.copy()
     assert np.all(found >= BALL.limits.state_lower[arm]) and np.all(found <= BALL.limits.state_upper[arm])
     state[arm] = found

@@ -180,15 +180,15 @@ def test_swerve_base_stands_while_its_wheels_are_aligned() -> None:
         np.testing.assert_allclose(command.arm, 0.2, rtol=1e-12)
         steer = steer + PERIOD * command.steer
     # as fast as the servo may until 15 / s asks for less, then an exponential of 15 / s to 0.1 rad
-    most = 5.75
-    slow = most / 15.0
-    assert stood == pytest.approx(((0.5 - slow) / most + np.log(slow / 0.1) / 15.0) / PERIOD, abs=3)
+    maximum = 5.75
+    slow = maximum / 15.0
+    assert stood == pytest.approx(((0.5 - slow) / maximum + np.log(slow / 0.1) / 15.0) / PERIOD, abs=3)
     np.testing.assert_allclose(command.wheel, 0.2)
 
 
 def test_no_steering_command_is_beyond_what_the_description_allows() -> None:
     """Planner's limit 2.0 rad/s, wheels 1.5 rad off: the largest command is the drive's own limit, or the planner's without one."""
-    for own, most in (({}, 2.0), ({"steer_LF": 2.2}, 2.2)):
+    for own, maximum in (({}, 2.0), ({"steer_LF": 2.2}, 2.2)):
         d = SWERVE.description
         slow = {**d.limits.velocity, **{name: 2.0 for name in SWERVE.input.groups["steer"]}}
         limits = d.limits.model_copy(update={"velocity": slow, "actuator_velocity": own})
@@ -198,7 +198,7 @@ def test_no_steering_command_is_beyond_what_the_description_allows() -> None:
         for k in range(100):
             controller.measure(message(k * PERIOD))
             largest = max(largest, float(np.abs(controller.command(k * PERIOD, plans).steer).max()))
-        assert largest == most
+        assert largest == maximum
 
 
 def test_first_plan_starts_from_wheels_that_agree() -> None:
@@ -226,34 +226,34 @@ def test_swerve_wheels_are_slowed_together() -> None:
 def test_commands_change_by_what_accelerations_allow() -> None:
     """From rest to a plan: no drive changes faster than its limit, wheels and arm keep to the straight way between two motions,
     and the slowest of them decides when it is there (truth: speed over acceleration)."""
-    u, plans, most = np.zeros(HURRIED.input.size), PolicyQueue(), HURRIED.limits.input_rate
+    u, plans, maximum = np.zeros(HURRIED.input.size), PolicyQueue(), HURRIED.limits.input_rate
     given = HURRIED.input
     u[given["wheel"]], u[given["steer"]], u[given["arm"]] = [1.0, -2.0, 3.0, 4.0], [0.3, 0.0, -0.3, 0.1], 0.2
     plans.add(0.0, constant_policy(u))
     controller = SwerveController(
         HURRIED, np.zeros(3), PERIOD, tracking=TrackingSettings(planned_steering=False, steer_gain=0.0)
     )
-    before, ticks, arm = np.zeros(u.size), 0, np.zeros(6)
+    previous, ticks, arm = np.zeros(u.size), 0, np.zeros(6)
     controller.measure(message())
     ahead = controller.predict(0.0, 8 * PERIOD, plans).x
     for k in range(60):
         controller.measure(message(k * PERIOD, arm=arm.copy()))
         command = controller.command(k * PERIOD, plans)
         arm += command.arm * PERIOD
-        now = before.copy()
+        now = previous.copy()
         now[given["wheel"]], now[given["steer"]], now[given["arm"]] = command.wheel, command.steer, command.arm
-        assert np.all(np.abs(now - before) <= most * PERIOD * (1.0 + 1e-12))
+        assert np.all(np.abs(now - previous) <= maximum * PERIOD * (1.0 + 1e-12))
         share = now[given["wheel"]] / u[given["wheel"]]
         np.testing.assert_allclose(share, share[0])
-        alone = np.minimum(np.abs(u), (k + 1) * most * PERIOD) * np.sign(u)  # each steering axis by itself
+        alone = np.minimum(np.abs(u), (k + 1) * maximum * PERIOD) * np.sign(u)  # each steering axis by itself
         np.testing.assert_allclose(now[given["steer"]], alone[given["steer"]], atol=1e-12)
         ticks += int(share[0] < 1.0 - 1e-9)
-        before = now
+        previous = now
         if k == 7:  # the prediction knew: eight ticks of ramp
-            ramp = PERIOD * np.sum(np.arange(1, 9) * most[given["wheel"]][0] * PERIOD) * u[given["wheel"]] / 4.0
+            ramp = PERIOD * np.sum(np.arange(1, 9) * maximum[given["wheel"]][0] * PERIOD) * u[given["wheel"]] / 4.0
             np.testing.assert_allclose(ahead[HURRIED.state["wheel"]], ramp)
-    assert ticks == round(4.0 / most[given["wheel"]][0] / PERIOD) - 1
-    np.testing.assert_allclose(before, u, atol=1e-12)
+    assert ticks == round(4.0 / maximum[given["wheel"]][0] / PERIOD) - 1
+    np.testing.assert_allclose(previous, u, atol=1e-12)
 
 
 def test_swerve_stops_when_its_plan_has_run_out() -> None:

@@ -12,13 +12,13 @@ from toys import robot
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, TrackingController
 
 BALL = robot("rezero")
 N, PERIOD = BALL.base.nq, 0.0025
@@ -84,9 +84,9 @@ def test_drives_close_the_loop_between_commands() -> None:
     )  # fmt: skip
     plant = BallPlant(BALL.description, home, torque, still, 0)
     now = np.concatenate([np.zeros(3), home[5:N]])
-    wanted = now + [0.0, 0.0, 0.0, 0.0, 0.0, 0.05]
+    target = now + [0.0, 0.0, 0.0, 0.0, 0.0, 0.05]
     stiffness, damping = np.array([0.0] * 3 + [40.0] * 3), np.array([0.0] * 3 + [2.0] * 3)
-    plant.step(BallCommand(torque, wanted, np.zeros(6), stiffness, damping), 300)
+    plant.step(BallCommand(torque, target, np.zeros(6), stiffness, damping), 300)
     moved = plant.state()[5:N] - home[5:N]
     assert moved[2] == pytest.approx(0.05, abs=0.01)  # gravity's torque changes a little on the way
     assert np.abs(moved[:2]).max() < 0.01

@@ -22,14 +22,14 @@ from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.contact import ContactMonitor
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.fused_odometry import AHEAD, FusedOdometry
-from wbmpc.estimation.momentum import MomentumObserver
-from wbmpc.estimation.rocking import rockings
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import ReleaseOdometry, WheelOdometry
+from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
+from wbmpc.studies.minniti2019.momentum import MomentumObserver
+from wbmpc.studies.pankert2022.rocking import rockings
 
 H, NAN = 0.0025, float("nan")
 ROBOT = robot("rezero")
@@ -151,9 +151,9 @@ CASES = [
 def test_a_message_that_cannot_be_is_rejected_and_leaves_nothing(make: Any, good: Any, bad: Any, name: str) -> None:
     (update, estimate), (other, twin) = make(), make()
     kind = NotFinite if any(not np.isfinite(part).all() for part in bad) else InputError
-    for before in good[:-1]:
-        update(*before)
-        other(*before)
+    for previous in good[:-1]:
+        update(*previous)
+        other(*previous)
     for _ in range(2):
         with pytest.raises(kind, match=name):
             update(*bad)
@@ -177,8 +177,8 @@ def test_an_older_message_is_ignored_whole() -> None:
         for estimator in (late, twin):
             estimator.update(k * H, *rolling(k))
         if k % 2:
-            before = late.state
-            np.testing.assert_array_equal(late.update((k - 1) * H, *rolling(k - 1)), before)
+            previous = late.state
+            np.testing.assert_array_equal(late.update((k - 1) * H, *rolling(k - 1)), previous)
     np.testing.assert_array_equal(late.state, twin.state)
     assert late.state[8] > 0.0
 
@@ -257,7 +257,7 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
             "'hold' must not be negative",
         ),
         (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, rate=-1.0), "'rate' must not be negative"),
-        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, most=-3.0), "'most' must not be negative"),
+        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, maximum=-3.0), "'most' must not be negative"),
         (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, spread=(0.0, 1.0)), "'spread' must be positive"),
         (lambda: DoorNoise(rate=NAN), "door filter's noise: 'rate' must be finite"),
         (lambda: DoorNoise(walk=-1.0), "door filter's noise: 'walk' must not be negative"),

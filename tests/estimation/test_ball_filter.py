@@ -148,9 +148,9 @@ class Balancing:
             m = self.plant.measure()
             self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel)
             self.seen += [(m.time, name) for name in self.estimator.filter.faults]
-            wanted = HOME.copy()
-            wanted[0], wanted[2] = amplitude * np.sin(2.0 * m.time), amplitude * np.sin(1.5 * m.time)
-            torque = TORQUE - gain @ (self.plant.state() - wanted)
+            target = HOME.copy()
+            target[0], target[2] = amplitude * np.sin(2.0 * m.time), amplitude * np.sin(1.5 * m.time)
+            torque = TORQUE - gain @ (self.plant.state() - target)
             self.plant.step(BallCommand(np.clip(torque, -limit, limit)), 5)
         m = self.plant.measure()
         self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel)
@@ -198,7 +198,7 @@ def twisted(seed: int, reported: float) -> Balancing:
 
 
 def test_a_ball_that_creeps_under_a_lasting_twist_is_no_bias_of_the_gyro() -> None:
-    """As before a door: the hand's force twists the robot for seconds. Yaw and the gyro's bias about the vertical stay within their
+    """As before a door: the end effector's force twists the robot for seconds. Yaw and the gyro's bias about the vertical stay within their
     covariance (99 %); without the torque they do not."""
     part = np.array([8, 11])
     wrong = lambda run: normalised(run.error(), run.estimator.filter.covariance, part)
@@ -280,11 +280,11 @@ def test_a_pose_from_elsewhere_is_weighed_by_its_covariance() -> None:
     estimator = BallEstimator(ROBOT, HOME, replace(BallNoise(), start=0.1))
     still = (np.zeros(3), HOME[ROBOT.state["arm"]], np.zeros(3), np.array([0.0, 0.0, 9.81]))
     for k in range(3):
-        before = estimator.update(k * H, *still)
+        previous = estimator.update(k * H, *still)
     prior = estimator.filter.covariance
-    state = estimator.correct(2 * H, before[:3] + [0.2, -0.1, 0.06], 0.1**2 * np.eye(3))
-    np.testing.assert_allclose(state[:3] - before[:3], [0.1, -0.05, 0.03], rtol=2e-2)
-    np.testing.assert_allclose(state[3:8], before[3:8], atol=2e-3)  # its lean is not a question of its place
+    state = estimator.correct(2 * H, previous[:3] + [0.2, -0.1, 0.06], 0.1**2 * np.eye(3))
+    np.testing.assert_allclose(state[:3] - previous[:3], [0.1, -0.05, 0.03], rtol=2e-2)
+    np.testing.assert_allclose(state[3:8], previous[3:8], atol=2e-3)  # its lean is not a question of its place
     now = estimator.filter.covariance
     np.testing.assert_allclose(np.diag(now)[:2], 0.5 * np.diag(prior)[:2], rtol=2e-2)
     state = estimator.correct(2 * H, [1.0, 2.0, 0.5 + 2.0 * np.pi], np.zeros((3, 3)))
@@ -301,9 +301,9 @@ def test_a_late_pose_counts_where_the_robot_was_then() -> None:
     wrong[:3] += offset
     run.estimator = BallEstimator(ROBOT, wrong, replace(BallNoise(), start=1.0))
     run.run(1.0)
-    past, before = run.plant.state()[:3].copy(), run.plant.time
+    past, previous = run.plant.state()[:3].copy(), run.plant.time
     run.run(0.1)
-    run.estimator.correct(before, past, np.zeros((3, 3)))
+    run.estimator.correct(previous, past, np.zeros((3, 3)))
     truth = run.plant.state()
     np.testing.assert_allclose(run.estimator.state[:2], truth[:2], atol=0.02)
     assert abs(run.estimator.state[2] - truth[2]) < 0.01

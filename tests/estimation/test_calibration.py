@@ -346,10 +346,10 @@ def test_a_survey_before_and_after_the_drive_counts_as_one_within() -> None:
 
 
 # ---------------------------------------------------------------------- wheels that are far off
-def far_off(seed: int, most: float, length: float = 12.0) -> tuple[Drawn, WheelRecord]:
-    """A base whose zeros are up to ``most`` [rad] off and whose radii up to 2 %, on paper."""
+def far_off(seed: int, maximum: float, length: float = 12.0) -> tuple[Drawn, WheelRecord]:
+    """A base whose zeros are up to ``maximum`` [rad] off and whose radii up to 2 %, on paper."""
     base = Drawn(ring(4, hinged=False), seed, motion=everywhere, length=length, period=0.04)
-    base.zeros, base.factors = base.rng.uniform(-most, most, 4), 1.0 + base.rng.uniform(-0.02, 0.02, 4)
+    base.zeros, base.factors = base.rng.uniform(-maximum, maximum, 4), 1.0 + base.rng.uniform(-0.02, 0.02, 4)
     return base, record(base, (0.005, 0.005, 0.002))
 
 
@@ -381,7 +381,7 @@ def test_a_survey_of_two_poses_shows_errors_that_nobody_expected(zero: float, ra
     weights, left = fit.hidden()["steer zeros"]
     assert len(left) >= 2
     np.testing.assert_allclose(weights.sum(axis=1), 0.0, atol=0.05)
-    np.testing.assert_allclose(left, fit.before.std[0].max(), rtol=0.06)
+    np.testing.assert_allclose(left, fit.previous.std[0].max(), rtol=0.06)
 
 
 @pytest.mark.parametrize("factor", [-1.0, 180.0 / np.pi])

@@ -53,13 +53,13 @@ def push(t: float) -> np.ndarray:
 def test_a_push_is_not_taken_for_a_constant_disturbance() -> None:
     """From the moment the innovation shows the push, and for the hold after its last sign, the estimate stays."""
     estimates = observed(8.0, push)
-    before, after = estimates[round(3.0 / H) - 1], estimates[round(3.0 / H) :]
-    assert np.abs(after - before).max() < 20.0  # one or two samples of the onset
+    previous, after = estimates[round(3.0 / H) - 1], estimates[round(3.0 / H) :]
+    assert np.abs(after - previous).max() < 20.0  # one or two samples of the onset
     held = estimates[round(3.1 / H) : round(4.1 / H)]
     np.testing.assert_array_equal(held, np.tile(held[0], (len(held), 1)))
     np.testing.assert_allclose(estimates[-1], CONSTANT, atol=1e-3)  # and then it looks again
     fooled = observed(8.0, push, gate=np.full(N, np.inf))
-    assert np.abs(fooled - before).max() > 100.0
+    assert np.abs(fooled - previous).max() > 100.0
 
 
 @pytest.mark.parametrize("hold", [0.5, 2.0])

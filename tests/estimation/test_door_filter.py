@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from wbmpc.errors import InputError
-from wbmpc.estimation.contact import ContactMonitor
+from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 
 H, TRUTH = 0.0025, np.array([4.0, 8.0, 5.0])
@@ -21,9 +21,9 @@ def door(seconds: float, torque, noise: DoorNoise | None, seed: int = 0, truth=T
     for k in range(round(seconds / H)):
         known = torque(k * H)
         real = known + (0.0 if noise is None else noise.torque / np.sqrt(H) * rng.normal())
-        before = rate
+        previous = rate
         rate += H * (real - damping * rate - resistance) / inertia
-        angle += H * before
+        angle += H * previous
         wrong = (0.0, 0.0) if noise is None else (noise.angle * rng.normal(), noise.rate * rng.normal())
         out.append((known, angle + wrong[0], rate + wrong[1]))
     assert rate > 0.0

@@ -9,9 +9,17 @@ import pytest
 
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.contact import ContactMonitor
-from wbmpc.estimation.force import CONFIRMED, UNFELT, UNFELT_TIME, ZERO_LEFT, ZERO_MOST, ZERO_TIME, ForceMonitor
+from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_control import DoorController
+from wbmpc.studies.minniti2019.force import (
+    CONFIRMED,
+    MAX_ZERO,
+    UNFELT,
+    UNFELT_TIME,
+    ZERO_LEFT,
+    ZERO_TIME,
+    ForceMonitor,
+)
 
 H, PUSH = 0.0025, np.array([0.0, 0.0, 8.0])
 
@@ -94,7 +102,7 @@ def test_bad_messages_are_rejected() -> None:
         monitor.update(0.0, H, True, 8.0, np.nan)
 
 
-@pytest.mark.parametrize("off", [0.0, 0.9 * ZERO_LEFT, 2.6, 0.9 * ZERO_MOST, 1.1 * ZERO_MOST])
+@pytest.mark.parametrize("off", [0.0, 0.9 * ZERO_LEFT, 2.6, 0.9 * MAX_ZERO, 1.1 * MAX_ZERO])
 def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
     """Noise of 0.1 N about a zero that is off; it was right until it jumped there, four averages before. What an ordinary
     zeroing leaves is not touched, to the bit; what no sound sensor has is reported, not taken out."""
@@ -103,9 +111,9 @@ def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
     for k in range(round(8.0 * ZERO_TIME / H)):
         monitor.rest(H, (k * H > 4.0 * ZERO_TIME) * wrong + 0.1 * rng.normal(size=3))
     fault = monitor.tare()
-    assert fault == monitor.fault and bool(fault) == (off > ZERO_MOST)
-    assert ("5.4 N where nothing touches" in fault) == (off > ZERO_MOST)  # 98 % of it by now
-    if off <= ZERO_MOST:
+    assert fault == monitor.fault and bool(fault) == (off > MAX_ZERO)
+    assert ("5.4 N where nothing touches" in fault) == (off > MAX_ZERO)  # 98 % of it by now
+    if off <= MAX_ZERO:
         np.testing.assert_allclose(monitor.judge(H, PUSH + wrong), PUSH + (off < ZERO_LEFT) * wrong, atol=0.1)
     if off < ZERO_LEFT:
         np.testing.assert_array_equal(monitor.judge(H, PUSH), PUSH)
@@ -115,7 +123,7 @@ def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
 
 @pytest.mark.parametrize(("felt", "found", "reported"), [(2.6, 0.5, True), (2.1, 0.5, True), (2.6, 1.6, False)])
 def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float, reported: bool) -> None:
-    """A zero that moves by more than a touch's threshold, and by less than what contradicts the motion: the hand ran against the
+    """A zero that moves by more than a touch's threshold, and by less than what contradicts the motion: the end effector ran against the
     panel with 45 N 0.3 s later. The motion's numbers swing by 1.5 N (as recorded), about their truth."""
     monitor, first = ForceMonitor(), np.inf
     for k in range(200):
@@ -127,7 +135,7 @@ def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float
 
 
 def agent_that_stands(begin: float) -> DoorController:
-    """A hand at rest with a level forearm, the panel above it; it starts at ``begin`` [s]."""
+    """An end effector at rest with a level forearm, the panel above it; it starts at ``begin`` [s]."""
     controller = DoorController.__new__(DoorController)
     controller.phase, controller.period, controller.door, controller.measured = "approach", H, np.zeros(2), None
     controller.force, controller.monitor, controller.lean_control, controller._found = np.zeros(3), None, None, []
@@ -154,7 +162,7 @@ def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> N
 
 @pytest.mark.parametrize("phase", ["approach", "push", "release"])
 def test_an_controller_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
-    """A hand at rest with a level forearm; its sensor stands at 8 N. Told once; neither force nor contact then, in any phase."""
+    """An end effector at rest with a level forearm; its sensor stands at 8 N. Told once; neither force nor contact then, in any phase."""
     controller = agent_that_stands(0.0)
     controller.phase = phase
     touched = False

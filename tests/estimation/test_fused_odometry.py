@@ -55,19 +55,19 @@ def consistent(values: list[float], degrees: int, level: float = 0.998) -> bool:
 @pytest.mark.parametrize("geometry", [FOUR, ring(2), ring(3, hinged=False), ring(6)], ids=["4", "2", "3 fixed", "6"])
 def test_derivatives_of_the_twist_are_finite_differences(geometry) -> None:  # type: ignore[no-untyped-def]
     rng, n = np.random.default_rng(1), geometry.modules
-    before = tuple(rng.normal(size=(3, n)))
-    now = tuple(b + 0.05 * rng.normal(size=n) for b in before)
+    previous = tuple(rng.normal(size=(3, n)))
+    now = tuple(b + 0.05 * rng.normal(size=n) for b in previous)
     radius = geometry.wheel_radius * (1.0 + 0.01 * rng.normal(size=n))
-    moved = fit_twist(geometry, radius, before, now)
+    moved = fit_twist(geometry, radius, previous, now)
     zeros, factors = np.empty((3, n)), np.empty((3, n))
     for i, unit in enumerate(1e-6 * np.eye(n)):
         at = lambda s, u=unit: (
             fit_twist(
-                geometry, radius, (before[0], before[1] - s * u, before[2]), (now[0], now[1] - s * u, now[2])
+                geometry, radius, (previous[0], previous[1] - s * u, previous[2]), (now[0], now[1] - s * u, now[2])
             ).twist
         )
         zeros[:, i] = (at(1) - at(-1)) / 2e-6
-        of = lambda s, u=unit: fit_twist(geometry, radius * (1 + s * u), before, now).twist
+        of = lambda s, u=unit: fit_twist(geometry, radius * (1 + s * u), previous, now).twist
         factors[:, i] = (of(1) - of(-1)) / 2e-6
     np.testing.assert_allclose(moved.by_steer_offset(), zeros, atol=1e-10)
     np.testing.assert_allclose(moved.by_radius(), factors, atol=1e-10)
@@ -117,17 +117,17 @@ def lasting_slip(geometry: ModuleGeometry, seed: int, speed: float, lasts: float
     h, n, rng = 0.01, geometry.modules, np.random.default_rng(seed)
     keep, slip = np.exp(-h / lasts), speed * rng.normal(size=(n, 2))
     odometry = FusedOdometry(geometry, noise=calm(), calibration=WheelCalibration.exact(geometry))
-    wheel, bias, before = np.zeros(n), 0.01 * rng.normal(), None
+    wheel, bias, previous = np.zeros(n), 0.01 * rng.normal(), None
     for k in range(501):
         ground = slip + [0.4, 0.0]
         angle = np.arctan2(ground[:, 1], ground[:, 0])
-        if before is not None:
-            middle = 0.5 * (ground + before[0])
-            along = 0.5 * (angle + before[1])
+        if previous is not None:
+            middle = 0.5 * (ground + previous[0])
+            along = 0.5 * (angle + previous[1])
             wheel = wheel + h * (middle[:, 0] * np.cos(along) + middle[:, 1] * np.sin(along)) / geometry.wheel_radius
         gyro = bias + 2e-4 / np.sqrt(h) * rng.normal()
         odometry.update(k * h, np.zeros(n), angle - geometry.wheel_heading, wheel, gyro)
-        before = ground, angle
+        previous = ground, angle
         slip = keep * slip + speed * np.sqrt(1.0 - keep**2) * rng.normal(size=(n, 2))
     return squared(odometry.pose - [2.0, 0.0, 0.0], odometry.covariance)
 
@@ -257,9 +257,9 @@ def test_a_pose_that_cannot_be_is_rejected_and_a_lost_filter_finds_back() -> Non
     for k, (t, *encoders) in enumerate(base):
         odometry.update(t, *encoders)
         if k == 50:
-            before = odometry.pose.copy()
+            previous = odometry.pose.copy()
             assert not odometry.correct(t, base.poses[-1] + [1.0, 0.0, 0.0], small)
-            np.testing.assert_array_equal(odometry.pose, before)
+            np.testing.assert_array_equal(odometry.pose, previous)
         if k >= 100 and k % 5 == 0:  # the world says again and again that the base was carried away
             odometry.correct(t, base.poses[-1] + [1.0, 0.0, 0.0], small)
     assert odometry.rejected == PATIENCE  # in a row: nothing was taken in between
@@ -270,9 +270,9 @@ def test_a_pose_older_than_the_history_is_not_used() -> None:
     odometry = FusedOdometry(FOUR, history=0.1)
     for t, *encoders in Drawn(FOUR, 0, length=1.0):
         odometry.update(t, *encoders)
-    before = odometry.pose.copy()
-    assert not odometry.correct(0.5, before + 0.001, np.eye(3))
-    np.testing.assert_array_equal(odometry.pose, before)
+    previous = odometry.pose.copy()
+    assert not odometry.correct(0.5, previous + 0.001, np.eye(3))
+    np.testing.assert_array_equal(odometry.pose, previous)
 
 
 def test_bad_input_is_rejected() -> None:

@@ -53,11 +53,11 @@ def started(**noise: float) -> Turning:
 def test_a_gap_is_what_the_wheels_did_over_it(seconds: float, turning: float) -> None:
     """The base turns, goes on, stands or turns back unheard, and is heard again with the gyro of before."""
     base = started()
-    before = base.odometry.covariance.copy()
+    previous = base.odometry.covariance.copy()
     base.go(seconds, read=False, turning=turning)
     base.read(1.0)  # it turns again at the end of the gap
     np.testing.assert_allclose(base.odometry.pose, base.pose, atol=1e-3)
-    grown = np.sqrt(np.diag(base.odometry.covariance) - np.diag(before))
+    grown = np.sqrt(np.diag(base.odometry.covariance) - np.diag(previous))
     assert np.all(grown > 0.02 * seconds * np.array([0.9, 0.9, 0.5]))
     base.go(1.0)
     np.testing.assert_allclose(base.odometry.pose, base.pose, atol=2e-3)
@@ -99,11 +99,11 @@ def test_encoders_that_count_anew_move_nobody() -> None:
     base.wheel = base.wheel + 300.0
     base.odometry.restart_clock()
     base.read(0.0)
-    before = base.odometry.pose.copy()
+    previous = base.odometry.pose.copy()
     base.wheel = base.zero
     base.t += PERIOD
     base.read(0.0)
-    np.testing.assert_allclose(base.odometry.pose, before, atol=1e-9)
+    np.testing.assert_allclose(base.odometry.pose, previous, atol=1e-9)
     assert np.all(np.diag(base.odometry.covariance)[:2] > 0.09**2)
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from wbmpc import stability
 from wbmpc.errors import InputError
-from wbmpc.estimation.mass_offset import MassOffset, Tipping, estimate_mass_offset
+from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping, estimate_mass_offset
 
 FEET = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])
 MIDDLE, REACH, TALL, STEP = np.array([-0.01, 0.01]), 0.2, 0.5, 0.05
@@ -41,8 +41,8 @@ def tippings(foot: int, base: np.ndarray, arm: np.ndarray) -> list[Tipping]:
     heights, found = switches(foot, base, arm)
     out = []
     for s in found:
-        edge = FEET[sorted(set(s.before) & set(s.after))]
-        point = model(stability.upright(FEET, heights, s.before), np.array([s.time]))[0]
+        edge = FEET[sorted(set(s.previous) & set(s.after))]
+        point = model(stability.upright(FEET, heights, s.previous), np.array([s.time]))[0]
         out.append(Tipping(edge, point, s.time))
     return out
 

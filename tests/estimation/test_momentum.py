@@ -1,4 +1,4 @@
-"""The force at the hand without a sensor. Truth: a force that MuJoCo applies to the simulated robot's hand."""
+"""The force at the end effector without a sensor. Truth: a force that MuJoCo applies to the simulated robot's end effector."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from toys import robot
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
-from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.door_control import SensorlessForce
+from wbmpc.studies.minniti2019.momentum import MomentumObserver
 
 ROBOT, PUSHED = robot("rezero"), load_robot("rezero", contact="force")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
@@ -20,7 +20,7 @@ FORCE = np.array([6.0, -3.0, 4.0])
 
 
 def felt(perturbation: Perturbation, seed: int = 0) -> np.ndarray:
-    """Estimates (n, 3) at 400 Hz: 0.1 s free, then 0.15 s under the force at the hand, while the arm's torques vary."""
+    """Estimates (n, 3) at 400 Hz: 0.1 s free, then 0.15 s under the force at the end effector, while the arm's torques vary."""
     plant = BallPlant(ROBOT.description, HOME, TORQUE, perturbation, seed)
     sensorless, out = SensorlessForce(PUSHED), []
     torque = TORQUE

@@ -171,8 +171,8 @@ def test_what_open_legs_show_is_no_slip(closed: tuple[int, ...]) -> None:
     at, nor does the base's own motion; all else is looked at: 8 components less 3 of the motion less those forces."""
     leg, is_open = CLOSED, np.isin(np.arange(4), closed, invert=True)
     odometry = WheelOdometry(GEOMETRY)
-    before = odometry.checked(leg, np.full(4, 0.3), np.zeros(4))
-    moved = fit_twist(GEOMETRY, odometry.radius, before, odometry.checked(leg, np.full(4, 0.3), np.full(4, 0.1)))
+    previous = odometry.checked(leg, np.full(4, 0.3), np.zeros(4))
+    moved = fit_twist(GEOMETRY, odometry.radius, previous, odometry.checked(leg, np.full(4, 0.3), np.full(4, 0.1)))
     axes = GEOMETRY.steer_axes(leg)
     arms = axes - GEOMETRY.hinge
     rows = moved.shown_by_legs(arms, is_open)
@@ -192,13 +192,13 @@ def test_a_wheel_that_is_known_to_slip_does_not_count() -> None:
     """Truth: the same samples before one wheel's angles were spoilt."""
     _, samples = roll_out(FIXED, 1.0, 0.1, *MOTIONS["fixed legs"][1:])
     radius, weights = np.full(4, FIXED.wheel_radius), np.array([1.0, 1e-9, 1.0, 1.0])
-    for before, now in pairwise(samples):
+    for previous, now in pairwise(samples):
         spoilt = now[0], now[1] + [0.0, 0.5, 0.0, 0.0], now[2] + [0.0, 0.1, 0.0, 0.0]
-        true = fit_twist(FIXED, radius, before, now).twist
-        np.testing.assert_allclose(fit_twist(FIXED, radius, before, spoilt, weights).twist, true, atol=1e-5)
-        assert np.abs(fit_twist(FIXED, radius, before, spoilt).twist - true).max() > 1e-3
-        same = fit_twist(FIXED, radius, before, spoilt, np.ones(4)).twist
-        np.testing.assert_allclose(same, fit_twist(FIXED, radius, before, spoilt).twist, atol=1e-15)
+        true = fit_twist(FIXED, radius, previous, now).twist
+        np.testing.assert_allclose(fit_twist(FIXED, radius, previous, spoilt, weights).twist, true, atol=1e-5)
+        assert np.abs(fit_twist(FIXED, radius, previous, spoilt).twist - true).max() > 1e-3
+        same = fit_twist(FIXED, radius, previous, spoilt, np.ones(4)).twist
+        np.testing.assert_allclose(same, fit_twist(FIXED, radius, previous, spoilt).twist, atol=1e-15)
 
 
 @pytest.mark.parametrize("odd", range(4))

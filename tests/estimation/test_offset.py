@@ -207,11 +207,11 @@ def test_what_cannot_be_distinguished_is_rejected(system: Ode, measured: list[st
 )
 def test_what_is_no_measurement_changes_nothing(y: object, u: object, h: float, message: str) -> None:
     observer = OffsetObserver(mass_point(), "d", [0, 0], [0], noise=1e-3)
-    before = observer.mean.copy(), observer.covariance.copy()
+    previous = observer.mean.copy(), observer.covariance.copy()
     with pytest.raises(InputError, match=message):
         observer.update(y, u, h)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(observer.mean, before[0])
-    np.testing.assert_array_equal(observer.covariance, before[1])
+    np.testing.assert_array_equal(observer.mean, previous[0])
+    np.testing.assert_array_equal(observer.covariance, previous[1])
 
 
 def test_drift_of_a_swerve_base() -> None:

@@ -1,4 +1,4 @@
-"""The mass in the hand. Truth: weights of known masses at the tool, and torques of a robot that has them in MuJoCo's place."""
+"""The mass in the end effector. Truth: weights of known masses at the tool, and torques of a robot that has them in MuJoCo's place."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_no_mass_is_negative_and_none_is_beyond_what_can_be() -> None:
     lifted, rest = weighed(-0.5 * weight)
     assert lifted.mass == 0.0
     np.testing.assert_array_equal(rest, -0.5 * weight)
-    heavy, rest = weighed(9.0 * weight, most=2.0)
+    heavy, rest = weighed(9.0 * weight, maximum=2.0)
     assert heavy.mass == 2.0
     np.testing.assert_allclose(rest, 7.0 * weight, atol=1e-9)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
-from wbmpc.estimation.rocking import Rocking, rockings
+from wbmpc.studies.pankert2022.rocking import Rocking, rockings
 
 T = np.arange(0.0, 8.0, 1.0 / 400.0)
 #: Noise [rad/s] of a gyro with 2e-4 rad/s/√Hz at 400 Hz.

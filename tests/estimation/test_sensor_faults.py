@@ -43,9 +43,9 @@ def sound() -> Sound:
         else:
             messages.append(m)
             states.append(plant.state())
-        wanted = HOME.copy()
-        wanted[0] = 0.05 * np.sin(4.0 * m.time)
-        plant.step(BallCommand(np.clip(TORQUE - regulator() @ (plant.state() - wanted), -limit, limit)), 5)
+        target = HOME.copy()
+        target[0] = 0.05 * np.sin(4.0 * m.time)
+        plant.step(BallCommand(np.clip(TORQUE - regulator() @ (plant.state() - target), -limit, limit)), 5)
     return Sound(estimator, messages, states)
 
 
@@ -135,7 +135,7 @@ def test_an_inertial_unit_that_stays_off_is_reported_so(field: str, by: float) -
 
 @pytest.mark.parametrize(("rate", "reported"), [(0.0, True), (6.0, True), (30.0, False)])
 def test_an_arm_that_is_flung_explains_what_the_unit_says(rate: float, reported: bool) -> None:
-    """A hand that hits a door throws the arm through its stops, faster than the drives can (4 rad/s), and the base turns: the unit
+    """An end effector that hits a door throws the arm through its stops, faster than the drives can (4 rad/s), and the base turns: the unit
     was blamed. Here the roll rate changes by 3 rad/s after 50 ms in which the first joint goes at ``rate``."""
 
     def flung(m: dict[str, np.ndarray], k: int) -> None:

@@ -78,8 +78,8 @@ class Drawn:
             if k:
                 twist = self.motion(t - 0.5 * h)
                 pose = lie.se2_step(pose, twist * h)
-                before, after = self.legs(t - h)[0], leg
-                middle = self.velocities(0.5 * (before + after), (after - before) / h, twist)
+                previous, after = self.legs(t - h)[0], leg
+                middle = self.velocities(0.5 * (previous + after), (after - previous) / h, twist)
                 way = np.abs(middle) * h
                 gyro = twist[2] + self.drift + self.gyro / np.sqrt(h) * self.rng.normal()
                 # slip across: the wheel points beside its way; slip along: it rolls farther or less far than it goes

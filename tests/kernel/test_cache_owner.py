@@ -46,12 +46,12 @@ def test_what_is_made_is_the_users_alone_whatever_the_umask(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, umask: int
 ) -> None:
     monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "cache"))
-    before = os.umask(umask)
+    previous = os.umask(umask)
     try:
         cache.save("key", CODE, {})
         below = cache.trusted_folder("below")
     finally:
-        os.umask(before)
+        os.umask(previous)
     assert mode(tmp_path / "cache") == mode(below) == 0o700
     assert mode(tmp_path / "cache" / "key.bin") == 0o600
     assert cache.load("key") == (CODE, {})
@@ -84,11 +84,11 @@ def test_a_directory_that_others_can_change_is_neither_read_nor_written(
     folder: Path, spoil: Callable[[Path], None], reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     spoil(folder)
-    before = sorted(p.name for p in folder.iterdir())
+    previous = sorted(p.name for p in folder.iterdir())
     assert cache.load("key") is None
     cache.save("other", CODE, {})
     assert cache.load("other") is None
-    assert sorted(p.name for p in folder.iterdir()) == before
+    assert sorted(p.name for p in folder.iterdir()) == previous
     assert len(caplog.records) == 1  # once
     assert str(folder) in caplog.text and reason in caplog.text and "compiled in memory" in caplog.text
 

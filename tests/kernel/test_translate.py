@@ -324,11 +324,11 @@ def test_the_driver_is_compiled_once_and_reloaded(tmp_path, monkeypatch: pytest.
     first = library()
     first.build()
     (entry,) = tmp_path.glob("*.bin")
-    before = entry.stat().st_mtime_ns
+    previous = entry.stat().st_mtime_ns
     second = library()
     monkeypatch.setattr(second, "source", lambda: pytest.fail("translated again"))
     second.build()
-    assert entry.stat().st_mtime_ns == before
+    assert entry.stat().st_mtime_ns == previous
     entry.write_bytes(entry.read_bytes()[:-50])
     third = library()
     third.build()  # damaged: built again

@@ -11,7 +11,7 @@ import pytest
 from toys import robot
 from wbmpc.bases.ball.balance import Balance, divergent
 from wbmpc.bases.ball.balance import load_offset as offset_of
-from wbmpc.bases.ball.defaults import HandCost, RezeroCost, rezero_problem
+from wbmpc.bases.ball.defaults import EndEffectorCost, RezeroCost, rezero_problem
 from wbmpc.bases.ball.residuals import CapturePoint, JointEffort
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
@@ -90,7 +90,7 @@ def test_pole_and_reach_of_a_planar_pendulum() -> None:
     lean = torque * (m12 / RADIUS + m11) / (m11 * mass * 9.81 * height)
     assert found.reach[0] == pytest.approx(height * lean, rel=0.03)
     assert found.reach[0] == pytest.approx(found.reach[2], rel=1e-6)
-    # a force f on the hand at height z: m g h θ + f z = M12 ẍ with M11 ẍ = f holds the lean
+    # a force f on the end effector at height z: m g h θ + f z = M12 ẍ with M11 ẍ = f holds the lean
     z = data.site("tool").xpos[2] - data.body("ball").xipos[2]
     assert found.answer == pytest.approx((z - m12 / m11) / (mass * 9.81), rel=0.02)
 
@@ -109,8 +109,8 @@ def test_capture_point_is_the_offset_and_its_rate() -> None:
     rng = np.random.default_rng(3)
     for _ in range(3):
         x = np.concatenate([rng.uniform(-0.5, 0.5, 8), rng.uniform(-1.0, 1.0, 8)])
-        later, before = (np.concatenate([x[:8] + h * x[8:], x[8:]]) for h in (1e-6, -1e-6))
-        rate = (load_offset(later) - load_offset(before)) / 2e-6
+        later, previous = (np.concatenate([x[:8] + h * x[8:], x[8:]]) for h in (1e-6, -1e-6))
+        rate = (load_offset(later) - load_offset(previous)) / 2e-6
         want = (load_offset(x) + rate / 4.7)[:2]
         found = evaluated(CapturePoint(ROBOT, 4.7), x, np.zeros(6), np.zeros(ROBOT.parameters.size))
         along = np.array([want[0], (want[0] + want[1]) / np.sqrt(2), want[1], (want[1] - want[0]) / np.sqrt(2)])
@@ -168,10 +168,10 @@ def test_effort_is_what_exceeds_the_holding_torque() -> None:
 
 
 def test_the_plan_keeps_the_lean_within_its_limit() -> None:
-    """A far goal of the hand: with the limit the plan's divergent lean stays inside; without it the same plan passes it."""
+    """A far goal of the end effector: with the limit the plan's divergent lean stays inside; without it the same plan passes it."""
     lean = {}
     for share in (0.0, 0.3):
-        cost = RezeroCost(end_effector=HandCost(limit=10.0), lean=share)
+        cost = RezeroCost(end_effector=EndEffectorCost(limit=10.0), lean=share)
         settings = MpcSettings(horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-3)
         solver = Solver(
             rezero_problem(ROBOT, settings, cost), SQP(iterations=60, interior_point=InteriorPoint(barrier=1e-3))

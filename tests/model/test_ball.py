@@ -164,11 +164,11 @@ def test_equations_of_motion_equal_mujoco_with_exact_rolling(seed: int) -> None:
     rng = np.random.default_rng(seed)
     x = random_state(rng)
     u = np.concatenate([rng.uniform(-8, 8, 3), rng.uniform(-10, 10, 3)])
-    hand = rng.uniform(-20, 20, 3)
-    truth = FLOATING.accelerations(x, u, hand, seed)
+    end_effector = rng.uniform(-20, 20, 3)
+    truth = FLOATING.accelerations(x, u, end_effector, seed)
     for derivative, arguments in (
-        (DERIVATIVE, (x, u, ROBOT.parameters.vector({"force": hand}), [])),
-        (CONTACT, (x, [*u, *hand], np.zeros(N + 2), [])),
+        (DERIVATIVE, (x, u, ROBOT.parameters.vector({"force": end_effector}), [])),
+        (CONTACT, (x, [*u, *end_effector], np.zeros(N + 2), [])),
     ):
         (f,) = derivative(*arguments)
         np.testing.assert_allclose(f.ravel()[:N], x[N:], atol=0)
@@ -235,7 +235,7 @@ def test_wheel_torque_map_equals_the_contacts() -> None:
 
 
 def test_moment_on_the_hand_does_the_work_of_its_turning() -> None:
-    """Virtual work, with the hand's turning by differences of its orientation."""
+    """Virtual work, with the end effector's turning by differences of its orientation."""
     q, moment, h = ROBOT.home[:N] + 0.1 * np.sin(np.arange(N)), np.array([0.7, -1.1, 0.4]), 1e-6
     work = []
     for k in range(N):
@@ -338,7 +338,7 @@ def test_layouts_and_frames() -> None:
     assert {"base", "tool"} <= set(ROBOT.frames)
     loaded = load_robot("rezero", payload=True)
     assert loaded.parameters.groups["payload"] == ("mass",) and loaded.parameters.size == 14
-    with pytest.raises(InputError, match="no mass at the hand"):
+    with pytest.raises(InputError, match="no mass at the end effector"):
         ServoedArm(loaded)
     with pytest.raises(InputError, match="did you mean 'tool'"):
         ROBOT.frame_pose(ca.SX.sym("x", 16), "tol")

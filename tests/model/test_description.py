@@ -84,6 +84,10 @@ def test_a_urdf_without_its_meshes_equals_pinocchio(tmp_path: Path) -> None:
     ("changes", "words"),
     [
         ({"model": "amr.urdf"}, ("'model'", "amr.urdf")),
+        ({"name": ""}, ("key 'name'", "letters, digits, - and _", "got ''")),
+        ({"name": "../amr"}, ("key 'name'", "letters, digits, - and _", "got '../amr'")),
+        ({"name": "-amr"}, ("key 'name'", "begins with a letter or digit")),
+        ({"name": "a" * 65}, ("key 'name'", "at most 64 characters")),
         ({"arm": {"joints": ["one", "tow"], "tool": "hand"}}, ("'tow'", "did you mean 'two'", "arm.joints")),
         ({"arm": {"joints": ["one", "two"], "tool": "hnad"}}, ("'hnad'", "did you mean 'hand'", "arm.tool")),
         ({"arm": {"joint": ["one"], "tool": "hand"}}, ("'arm.",)),
@@ -194,7 +198,7 @@ def test_swerve_files_that_the_equations_do_not_describe(tmp_path: Path) -> None
         load_robot(path)
     data["base"]["modules"][1]["hinge"], data["fixed_joints"] = "leg_RF", {}
     path.write_text(yaml.safe_dump(data))
-    for wanted, old, new in (
+    for target, old, new in (
         ("under the axis", '<body name="wheel_LF" pos="0 0 -0.2746">', '<body name="wheel_LF" pos="0.03 0 -0.2746">'),
         (r"\+z axis", '<default class="steer"><joint axis="0 0 1"', '<default class="steer"><joint axis="0 0 -1"'),
         ("horizontal", '<default class="wheel"><joint axis="0 1 0"', '<default class="wheel"><joint axis="0 1 1"'),
@@ -203,7 +207,7 @@ def test_swerve_files_that_the_equations_do_not_describe(tmp_path: Path) -> None
         (file,) = [f for f in (tmp_path / "swerve.xml", tmp_path / "swerve-legs.xml") if old in f.read_text()]
         text = file.read_text()
         file.write_text(text.replace(old, new))
-        with pytest.raises(InputError, match=wanted):
+        with pytest.raises(InputError, match=target):
             load_robot(path)
         file.write_text(text)
 

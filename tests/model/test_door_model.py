@@ -38,12 +38,14 @@ def some_state(seed: int) -> tuple[np.ndarray, np.ndarray]:
 def test_touching_hand_tells_the_angle(opening: float) -> None:
     g = geometry(opening)
     for angle in (0.0, 0.4, 1.2):
-        hand = g.place(angle, 0.65, 0.7)
-        assert g.angle(hand) == pytest.approx(angle, abs=1e-12)
-        assert g.lever(hand, angle) == pytest.approx(0.65) and g.gap(hand, angle) == pytest.approx(0.0, abs=1e-12)
+        end_effector = g.place(angle, 0.65, 0.7)
+        assert g.angle(end_effector) == pytest.approx(angle, abs=1e-12)
+        assert g.lever(end_effector, angle) == pytest.approx(0.65) and g.gap(end_effector, angle) == pytest.approx(
+            0.0, abs=1e-12
+        )
         ahead = (g.place(angle + 1e-6, 0.65, 0.7) - g.place(angle - 1e-6, 0.65, 0.7)) / 2e-6
-        assert g.rate(hand, 0.3 * ahead, angle) == pytest.approx(0.3, rel=1e-6)
-        assert g.directions(angle)[1] @ (g.place(angle + 1e-3, 0.65, 0.7) - hand) > 0.0  # it opens that way
+        assert g.rate(end_effector, 0.3 * ahead, angle) == pytest.approx(0.3, rel=1e-6)
+        assert g.directions(angle)[1] @ (g.place(angle + 1e-3, 0.65, 0.7) - end_effector) > 0.0  # it opens that way
     with pytest.raises(InputError, match="cannot touch"):
         g.angle([*g.hinge, 0.0])
 
@@ -51,10 +53,10 @@ def test_touching_hand_tells_the_angle(opening: float) -> None:
 def test_door_obeys_its_equation() -> None:
     _, f, _ = system()
     x, u = some_state(1)
-    g, hand = geometry(1.0), ROBOT.pose(x[:16])[0]
+    g, end_effector = geometry(1.0), ROBOT.pose(x[:16])[0]
     push = -g.directions(x[16])[1] @ u[6:]
     resistance = 3.0 * np.tanh(x[17] / max(0.05, 0.03 * 3.0 / 2.5))
-    moving = (g.lever(hand, x[16]) * push - 10.0 * x[17] - resistance) / 2.5
+    moving = (g.lever(end_effector, x[16]) * push - 10.0 * x[17] - resistance) / 2.5
     assert np.array(f(x, u, 1.0)).ravel()[16:] == pytest.approx([x[17], moving])
     assert np.array(f(x, u, 0.0)).ravel()[16:] == pytest.approx([x[17], -x[17] / 0.05])
 
@@ -68,8 +70,8 @@ def test_contact_rows_are_the_derivatives_of_the_place_on_the_panel(opening: flo
     motion = ca.Function("c", [sx, su, sm], list(door.contact_motion(sx, su, ca.DM(w), sm)))
 
     def place(x: np.ndarray) -> np.ndarray:
-        hand = ROBOT.pose(x[:16])[0]
-        return np.array([g.gap(hand, x[16]), g.lever(hand, x[16]), hand[2]])
+        end_effector = ROBOT.pose(x[:16])[0]
+        return np.array([g.gap(end_effector, x[16]), g.lever(end_effector, x[16]), end_effector[2]])
 
     x, u = some_state(2)
     rate = lambda x: np.array(f(x, u, 1.0)).ravel()
@@ -81,11 +83,11 @@ def test_contact_rows_are_the_derivatives_of_the_place_on_the_panel(opening: flo
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
 
     h = 1e-3
-    now, before, after = place(x), place(moved(-h)), place(moved(h))
+    now, previous, after = place(x), place(moved(-h)), place(moved(h))
     found = [np.array(v).ravel() for v in motion(x, u, 1.0)]
     assert found[0] == pytest.approx(now, abs=1e-12)
-    assert found[1] == pytest.approx((after - before) / (2 * h), rel=1e-3, abs=1e-4)
-    assert found[2] == pytest.approx((after - 2 * now + before) / h**2, rel=2e-3, abs=1e-2)
+    assert found[1] == pytest.approx((after - previous) / (2 * h), rel=1e-3, abs=1e-4)
+    assert found[2] == pytest.approx((after - 2 * now + previous) / h**2, rel=2e-3, abs=1e-2)
 
 
 def test_jacobian_is_the_derivative() -> None:

@@ -131,7 +131,7 @@ def fixed_robot(folder: Path, name: str, text: str, **keys: object) -> Path:
 
 
 def test_the_fingers_of_a_urdf_are_held_with_their_coupling(tmp_path: Path) -> None:
-    """A finger that mimics the other one, held: the hand is where MuJoCo has it with both at these values."""
+    """A finger that mimics the other one, held: the end effector is where MuJoCo has it with both at these values."""
     text = rejection(fixed_robot(tmp_path, "r.urdf", GRIPPER))
     assert "'finger', 'other'" in text and "fixed_joints: {finger: 0, other: 0}" in text
     robot = load_robot(fixed_robot(tmp_path, "r.urdf", GRIPPER, fixed_joints={"finger": 0.03, "other": -0.03}))
@@ -183,7 +183,7 @@ def test_a_base_that_floats_in_its_own_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("joint", ["lift", "m0_steer", "m0_leg"])
 def test_a_joint_that_does_not_count_from_its_drawing(joint: str, tmp_path: Path) -> None:
-    """MuJoCo takes ``ref`` off every value: with the lift's 0.5 its hand was 17 cm from the planner's."""
+    """MuJoCo takes ``ref`` off every value: with the lift's 0.5 its end effector was 17 cm from the planner's."""
     text = rejection(ring(tmp_path, (f'name="{joint}"', f'name="{joint}" ref="0.5"')))
     assert all(w in text for w in (f"base.xml: joint '{joint}'", "'ref' of 0.5")), text
 

@@ -28,7 +28,7 @@ def narrow(width: float) -> RobotModel:
 
 
 def test_plans_follow_each_other_within_accelerations_and_stop_in_time() -> None:
-    """The hand's goal jumps by 0.6 m, out of the arm's range: speeds rise and fall as fast as they may, never faster."""
+    """The end effector's goal jumps by 0.6 m, out of the arm's range: speeds rise and fall as fast as they may, never faster."""
     model = narrow(0.25)
     mpc = swerve_mpc(model, SETTINGS, SwerveCost())
     position, quaternion = model.pose(model.home)
@@ -44,14 +44,14 @@ def test_plans_follow_each_other_within_accelerations_and_stop_in_time() -> None
     lower, upper = limits.state_lower[at], limits.state_upper[at]
     for k in range(60):
         t = k * mpc.period
-        before = np.zeros(model.input.size) if policy is None else policy.feedforward(t)
+        previous = np.zeros(model.input.size) if policy is None else policy.feedforward(t)
         policy = mpc.update(Observation(t, x))
-        used = np.maximum(used, np.abs(policy.u[0] - before) / (limits.input_rate * mpc.period))
+        used = np.maximum(used, np.abs(policy.u[0] - previous) / (limits.input_rate * mpc.period))
         u, q = policy.u[0][limited], x[at]
-        most = limits.input_rate[limited] / limits.input_upper[limited]
+        maximum = limits.input_rate[limited] / limits.input_upper[limited]
         bounded = np.isfinite(upper)
-        assert np.all((u - most * (upper - q))[bounded] < 1e-3)
-        assert np.all((-u - most * (q - lower))[bounded] < 1e-3)
+        assert np.all((u - maximum * (upper - q))[bounded] < 1e-3)
+        assert np.all((-u - maximum * (q - lower))[bounded] < 1e-3)
         nearest = min(nearest, float(np.min(np.minimum(upper - q, q - lower)[bounded])))
         x = mpc.solver.simulate(x, policy.u[0], 0.017)
         x = mpc.solver.simulate(x, policy.feedforward(t + 0.0185), mpc.period - 0.017)

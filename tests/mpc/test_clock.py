@@ -71,10 +71,10 @@ def test_the_wall_clock_is_never_early() -> None:
         clock.wait(0.004 * k)
         assert clock.now() >= 0.004 * k
     clock.wait(clock.now() - 1.0)  # a time that has passed: waiting for it would never end
-    before = time.perf_counter()
-    assert before <= WallClock(origin=0.0).now() <= time.perf_counter()
+    previous = time.perf_counter()
+    assert previous <= WallClock(origin=0.0).now() <= time.perf_counter()
     clock.restart()
-    assert clock.origin > before
+    assert clock.origin > previous
 
 
 @pytest.mark.wallclock

@@ -72,7 +72,7 @@ def run(mpc: MPC, steps: int, push: float = 0.0, noise: float = 1e-3) -> list[st
 
 
 def make(terms: list[Constraint], event: float = 1.5) -> MPC:
-    mpc = MPC(problem(*terms), rate=50.0)
+    mpc = MPC(problem(*terms), rate=50.0, plan_only_limits=True)
     mpc.set_schedule(ModeSchedule((Mode("one"), Mode("both")), (event,)))
     mpc.reset(np.array([0.1, 0.0]))
     return mpc

@@ -263,14 +263,14 @@ def test_a_plan_that_is_stuck_at_the_end_of_a_range_is_written_on_with_a_stop() 
     turned = lambda t: 0.7 * (t - begin)
     around = lambda t, pose: 0.2 * np.stack([np.cos(turned(t)), np.sin(turned(t)), 0.0 * t], axis=1)
     high = model.limits.state_upper[part]
-    wanted = model.home[part] + 0.7 * plan.grid[:, None]
-    plan.x[:, part], plan.u[:, model.input["base"]] = np.minimum(wanted, high), around(plan.grid[:-1], None)
-    before, guess = plan.x.copy(), SteeringGuess(model, around)
+    target = model.home[part] + 0.7 * plan.grid[:, None]
+    plan.x[:, part], plan.u[:, model.input["base"]] = np.minimum(target, high), around(plan.grid[:-1], None)
+    previous, guess = plan.x.copy(), SteeringGuess(model, around)
     guess(0.0, model.home, plan)
-    stuck = int(np.argmax((wanted > high).any(axis=1)))
+    stuck = int(np.argmax((target > high).any(axis=1)))
     assert 0 < stuck < 200
     # a direction is lost at 0.3 rad; nothing is touched long before
-    assert np.array_equal(plan.x[: stuck - 30], before[: stuck - 30])
+    assert np.array_equal(plan.x[: stuck - 30], previous[: stuck - 30])
     steer, base = plan.x[:, part], plan.u[:, model.input["base"]]
     assert np.all((steer >= model.limits.state_lower[part] - 1e-9) & (steer <= high + 1e-9))
     rolls = np.hypot(*base[:, :2].T) > 1e-9

@@ -54,11 +54,11 @@ def test_after_a_push_the_policy_is_at_its_bound(mpc: MPC) -> None:
     for push in ([2.0, 8.0], [-2.0, -8.0], [0.0, 1e-3]):
         x = policy.x[0] + np.array(push)
         asked = policy.u[0] + policy.gain[0] @ (x - policy.x[0])
-        before = mpc.limits.count
+        previous = mpc.limits.count
         given = policy(0.0, x)
         np.testing.assert_allclose(policy.law(0.0, x), asked, atol=1e-12)
         np.testing.assert_allclose(given, [np.clip(asked[0], LOWER, UPPER), asked[1]], atol=1e-12)
-        assert mpc.limits.count - before == (not LOWER <= asked[0] <= UPPER) == (abs(push[1]) > 1.0)
+        assert mpc.limits.count - previous == (not LOWER <= asked[0] <= UPPER) == (abs(push[1]) > 1.0)
 
 
 def test_bounds_in_any_spelling_but_not_wishes_or_modes() -> None:
@@ -169,9 +169,39 @@ def planes() -> OptimalControlProblem:
     )
 
 
+#: By name: rows of inputs, whether a policy can hold them, and where that is so the input at which the row ends as seen from 0.
+HELD = {
+    "square": (lambda s: 25.0 - s.u[0] ** 2, 0, False),
+    "two sides": (lambda s: 5.0 - ca.fabs(s.u[0]), 0, False),
+    "saturation": (lambda s: 0.9 - ca.tanh(s.u[0]), 0, False),
+    "disc": (lambda s: 9.0 - ca.sumsqr(s.u), 0, False),
+    "product": (lambda s: 1.0 - s.u[0] * s.u[1], 0, False),
+    "around a sine": (lambda s: 5.0 - s.u[0] + ca.sin(s.reference), 1, False),
+    "around a reference": (lambda s: 5.0 - s.u[0] + 2.0 * s.reference, 1, True),
+    "plane": (lambda s: 5.0 - s.u[0] - 2.0 * s.u[1], 0, True),
+    "square in disguise": (lambda s: 5.0 - s.u[0] * ((s.u[0] + 1.0) - s.u[0]), 0, True),
+    "with a state": (lambda s: 5.0 - s.u[0] * s.x[0], 0, True),
+}
+
+
+@pytest.mark.parametrize("name", HELD)
+@pytest.mark.parametrize("modes", [None, ("narrow",)])
+def test_rows_that_no_policy_can_hold_are_an_error_that_names_them(name: str, modes: tuple[str, ...] | None) -> None:
+    """Truth: whether the row's slope by the inputs and references is a constant, by hand."""
+    row, width, held = HELD[name]
+    ocp = trolley(Constraint("row", Rows(1, row, width), NonNegative(), hard=True, modes=modes))
+    interpreted = SQP.real_time(backend="interpreted")
+    if held:
+        MPC(ocp, interpreted)
+        return
+    with pytest.raises(InputError, match=r"hard row 'row.all\[0\]' limits inputs .*plan_only_limits=True"):
+        MPC(ocp, interpreted)
+    MPC(ocp, interpreted, plan_only_limits=True)
+
+
 @pytest.fixture(scope="module")
 def several() -> MPC:
-    found = MPC(planes(), rate=50.0, first_iterations=10)
+    found = MPC(planes(), rate=50.0, first_iterations=10, plan_only_limits=True)
     found.set_schedule(ModeSchedule((Mode("wide"), Mode("narrow")), (0.5,)))
     found.reset(START)
     return found
@@ -199,9 +229,9 @@ def test_feedback_is_scaled_back_to_rows_of_several_inputs(several: MPC, t: floa
         x = policy.state(t) + np.array(push)
         asked = np.clip(policy.law(t, x), [LOWER, -np.inf], [UPPER, np.inf])
         outside = slacks(asked, narrow).min() < -1e-9
-        before, given = several.limits.count, policy(t, x)
+        previous, given = several.limits.count, policy(t, x)
         assert slacks(given, narrow).min() > -1e-9
-        assert several.limits.count - before == (outside or not np.allclose(asked, policy.law(t, x)))
+        assert several.limits.count - previous == (outside or not np.allclose(asked, policy.law(t, x)))
         cut += outside
         shares = (given - policy.u[k])[asked != policy.u[k]] / (asked - policy.u[k])[asked != policy.u[k]]
         np.testing.assert_allclose(shares, shares[0], rtol=1e-9)  # along the line from the plan
@@ -214,10 +244,10 @@ def test_feedback_is_scaled_back_to_rows_of_several_inputs(several: MPC, t: floa
 
 def test_the_plan_itself_is_not_cut(several: MPC) -> None:
     policy = several.update(Observation(0.0, START))
-    before = several.limits.count
+    previous = several.limits.count
     for t in np.linspace(0.0, 1.0, 30):
         np.testing.assert_array_equal(policy(t), policy.feedforward(t))
-    assert several.limits.count == before
+    assert several.limits.count == previous
 
 
 def test_rows_travel_with_the_policy(several: MPC) -> None:
@@ -310,9 +340,9 @@ def test_terms_that_come_too_late_are_rejected_by_name(mpc: MPC) -> None:
     with pytest.raises(InputError, match="term 'late': added, replaced or removed after"):
         mpc.update(Observation(100.0, START))
     del solver.ocp.terms["late"]
-    before = solver.ocp.terms["bounds"]
+    previous = solver.ocp.terms["bounds"]
     solver.ocp.terms["bounds"] = late
     with pytest.raises(InputError, match="term 'late'"):
         solver.run(START)
-    solver.ocp.terms["bounds"] = before
+    solver.ocp.terms["bounds"] = previous
     solver.run(START)

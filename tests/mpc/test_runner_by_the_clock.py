@@ -85,8 +85,8 @@ def test_a_tick_that_hangs_is_stopped_from_outside() -> None:
     runner = real(fault=at(20, lambda robot: release.wait(120.0) and None), watchdog=1.0)
     with runner:
         assert wait_for(lambda: runner.stopped)
-        before = runner.robot.stops
-        assert wait_for(lambda: runner.robot.stops > before + 3)
+        previous = runner.robot.stops
+        assert wait_for(lambda: runner.robot.stops > previous + 3)
         writes = len(runner.robot.writes)
         release.set()
     assert re.search(r"a tick of the controller has not ended for \d+\.\d+ s, the limit is 1 s", runner.state)

@@ -42,14 +42,14 @@ def pendulum() -> Ode:
     return Ode({"x": ["angle", "rate"]}, {"u": ["torque"]}, lambda x, u: ca.vertcat(x[1], u - 5.0 * ca.sin(x[0])))
 
 
-def problem(dynamics, target, rest, most: float = np.inf, intervals: int = 40) -> OptimalControlProblem:
-    """State and input against a target; the input within ``most``."""
+def problem(dynamics, target, rest, maximum: float = np.inf, intervals: int = 40) -> OptimalControlProblem:
+    """State and input against a target; the input within ``maximum``."""
     ocp = OptimalControlProblem(dynamics, 2.0, intervals, integrator="rk4")
     n, m = dynamics.state.size, dynamics.input.size
     ocp.add(Cost("state", residuals.Expression(n, lambda s: s.x - ca.DM(target)), 10.0, at="path+terminal"))
     ocp.add(Cost("effort", residuals.Expression(m, lambda s: s.u - ca.DM(rest)), 0.3))
-    if np.isfinite(most):
-        ocp.add(Constraint("limits", residuals.Expression(m, lambda s: s.u), sets.Box(-most, most), hard=True))
+    if np.isfinite(maximum):
+        ocp.add(Constraint("limits", residuals.Expression(m, lambda s: s.u), sets.Box(-maximum, maximum), hard=True))
     return ocp
 
 
@@ -98,14 +98,14 @@ def test_loop_shaped_regulator() -> None:
 
 def test_a_filter_that_cancels_changes_nothing() -> None:
     """Pole = zero: the same plan of a pendulum at its torque limit, over a swing."""
-    plain = problem(pendulum(), [2.0, 0.0], [0.0], most=4.0)
+    plain = problem(pendulum(), [2.0, 0.0], [0.0], maximum=4.0)
     aware = frequency_aware(plain, {"u": InputFilter(7.0, 7.0)})
-    before = Solver(plain, SQP(iterations=200)).solve(np.zeros(2))
+    previous = Solver(plain, SQP(iterations=200)).solve(np.zeros(2))
     after = Solver(aware, SQP(iterations=200)).solve(np.zeros(3))
-    assert before.status is after.status is Status.CONVERGED
-    assert np.abs(before.u).max() > 3.9  # the limit is felt
-    np.testing.assert_allclose(after.u, before.u, atol=1e-5)
-    np.testing.assert_allclose(after.x[:, :2], before.x, atol=1e-5)
+    assert previous.status is after.status is Status.CONVERGED
+    assert np.abs(previous.u).max() > 3.9  # the limit is felt
+    np.testing.assert_allclose(after.u, previous.u, atol=1e-5)
+    np.testing.assert_allclose(after.x[:, :2], previous.x, atol=1e-5)
     assert list(plain.dynamics.state.groups) == ["x"]  # the problem that was given is as it was
 
 
@@ -151,7 +151,7 @@ def test_closed_loop_asks_for_less_that_is_fast() -> None:
     def torques(aware: bool) -> np.ndarray:
         angle, h = 0.5, 0.01
         torque = np.array([5.0 * np.sin(angle)])
-        plain = problem(pendulum(), [angle, 0.0], torque, most=6.0, intervals=20)
+        plain = problem(pendulum(), [angle, 0.0], torque, maximum=6.0, intervals=20)
         ocp = frequency_aware(plain, {"u": InputFilter(5.0, 50.0)}) if aware else plain
         mpc, x, rng, seen = MPC(ocp, rate=100.0), np.array([angle, 0.0]), np.random.default_rng(1), []
         memory = FilterMemory(ocp.dynamics, torque) if aware else None

@@ -342,10 +342,10 @@ def test_a_weight_changed_is_a_weight_given() -> None:
     lower, changed = pendulum("interpreted"), pendulum("interpreted")
     x0 = np.array([0.1, 0.3, 0.0, 0.0])
     assert isinstance(changed, Solver)
-    before = lower.solve(x0)
+    previous = lower.solve(x0)
     changed.set_weight("input", 5.0)
     after = changed.solve(x0)
-    assert np.abs(after.u).sum() < 0.8 * np.abs(before.u).sum()
+    assert np.abs(after.u).sum() < 0.8 * np.abs(previous.u).sum()
 
 
 def test_a_cost_of_the_input_at_the_end_is_rejected() -> None:

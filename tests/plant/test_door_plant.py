@@ -58,11 +58,11 @@ def test_sticking_door_gives_way_once_and_locked_one_never() -> None:
 
 
 def test_leaning_robot_pushes_the_door_and_the_sensor_reads_it() -> None:
-    """At the model's equilibrium under 8 N on its hand the robot presses 8 N on a locked door; the sensor's reading is that
+    """At the model's equilibrium under 8 N on its end effector the robot presses 8 N on a locked door; the sensor's reading is that
     force and the tip's weight; the panel feels the opposite."""
     state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
-    hand = ROBOT.pose(state)[0]
-    door = Door((hand[0] + 0.0395, hand[1] + 0.7), locked=True)
+    end_effector = ROBOT.pose(state)[0]
+    door = Door((end_effector[0] + 0.0395, end_effector[1] + 0.7), locked=True)
     ideal = Perturbation.none(actuator_time_constant=0.0)
     p = DoorPlant(ROBOT.description, door, state, torque, ideal, sensor=ForceSensor(0.0, 0.0))
     p.step(BallCommand(torque), 300)
@@ -71,15 +71,15 @@ def test_leaning_robot_pushes_the_door_and_the_sensor_reads_it() -> None:
     assert reading + [0.0, 0.0, 0.05 * 9.81] == pytest.approx(-force, abs=0.1)
 
 
-def computed_anew(p: DoorPlant, before: mujoco.MjData) -> np.ndarray:
+def computed_anew(p: DoorPlant, previous: mujoco.MjData) -> np.ndarray:
     """MuJoCo's force (3) on the panel in the state before a step, under what acted in it."""
-    before.ctrl[:], before.qfrc_applied[:] = p.data.ctrl, p.data.qfrc_applied
-    mujoco.mj_forward(p.model, before)
+    previous.ctrl[:], previous.qfrc_applied[:] = p.data.ctrl, p.data.qfrc_applied
+    mujoco.mj_forward(p.model, previous)
     total, local = np.zeros(3), np.zeros(6)
-    for c in range(before.ncon):
-        contact = before.contact[c]
+    for c in range(previous.ncon):
+        contact = previous.contact[c]
         if {contact.geom1, contact.geom2} == {p._tip, p._panel}:
-            mujoco.mj_contactForce(p.model, before, c, local)
+            mujoco.mj_contactForce(p.model, previous, c, local)
             total += (1.0 if contact.geom2 == p._panel else -1.0) * contact.frame.reshape(3, 3).T @ local[:3]
     return total
 
@@ -87,22 +87,22 @@ def computed_anew(p: DoorPlant, before: mujoco.MjData) -> np.ndarray:
 def test_force_on_the_panel_is_that_of_the_last_step_from_the_first_touch_on() -> None:
     """Whatever is asked of the plant in between: that looks for the contacts of the next step, which have no forces yet."""
     state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
-    hand = ROBOT.pose(state)[0]
+    end_effector = ROBOT.pose(state)[0]
     p = DoorPlant(
         ROBOT.description,
-        Door((hand[0] + 0.0405, hand[1] + 0.7)),
+        Door((end_effector[0] + 0.0405, end_effector[1] + 0.7)),
         state,
         torque,
         Perturbation.none(actuator_time_constant=0.0),
     )
     assert not p.contact_force().any()
-    before, found = mujoco.MjData(p.model), []
+    previous, found = mujoco.MjData(p.model), []
     for _ in range(120):
-        mujoco.mj_copyState(p.model, p.data, before, int(mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_copyState(p.model, p.data, previous, int(mujoco.mjtState.mjSTATE_INTEGRATION))
         p.step(BallCommand(torque))
         p.measure(), p.truth()
         found.append(p.contact_force())
-        assert found[-1] == pytest.approx(computed_anew(p, before), abs=1e-3)
+        assert found[-1] == pytest.approx(computed_anew(p, previous), abs=1e-3)
     touches = np.linalg.norm(found, axis=1) > 0.0
     assert not touches[0] and touches[-1]
 

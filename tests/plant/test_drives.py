@@ -54,8 +54,8 @@ def test_against_two_collinear_hinges() -> None:
     truth = []
     for i in range(6000):
         t = fine * i
-        wanted, spring = command(STEP * (i // 10)), -K * data.qpos[1]
-        data.ctrl[0] = wanted + GAIN * (wanted - spring) + loop * data.qvel[1]
+        target, spring = command(STEP * (i // 10)), -K * data.qpos[1]
+        data.ctrl[0] = target + GAIN * (target - spring) + loop * data.qvel[1]
         mujoco.mj_step(model, data)
         if i % 10 == 9:
             truth.append(data.qvel.sum())
@@ -90,7 +90,7 @@ def test_limits_and_lag() -> None:
     drive = drives(1, limit=3.0, lag=0.02)
     for _ in range(round(0.02 / STEP)):
         drive.step([5.0], [0.0])
-    assert drive.wanted[0] == pytest.approx(3.0 * (1.0 - np.exp(-1.0)))
+    assert drive.target[0] == pytest.approx(3.0 * (1.0 - np.exp(-1.0)))
     for _ in range(round(2.0 / STEP)):
         drive.step([5.0], [0.0])
     assert drive.torque[0] == pytest.approx(3.0, rel=1e-6)
@@ -117,13 +117,13 @@ def slipping(traction: float, command: Callable[[float], float], seconds: float)
     ours, truth, speed, each = [], [], 0.0, np.ones(1)
     drive = ElasticDrives(K * each, J * each, ZETA, GAIN, LOOP, limit * each, 0.0 * each, STEP, traction)
     for i in range(round(seconds / STEP)):
-        wanted = float(np.clip(command(STEP * i), -limit, limit))
+        target = float(np.clip(command(STEP * i), -limit, limit))
         for _ in range(10):
-            asked = wanted + GAIN * (wanted + K * data.qpos[1]) + loop * (data.qvel[1] + data.qvel[2])
+            asked = target + GAIN * (target + K * data.qpos[1]) + loop * (data.qvel[1] + data.qvel[2])
             data.ctrl[0] = np.clip(asked, -HEAD_ROOM * limit, HEAD_ROOM * limit)
             mujoco.mj_step(model, data)
         truth.append(data.qvel.sum())
-        speed += STEP * drive.step([wanted], [speed])[0] / 0.04
+        speed += STEP * drive.step([target], [speed])[0] / 0.04
         ours.append(speed)
         assert abs(drive.torque[0]) <= traction
     return np.array(ours), np.array(truth)
@@ -154,9 +154,9 @@ def test_balls_get_no_more_than_the_traction() -> None:
     for k in range(240):
         plant.step(BallCommand(np.where(k // 80 % 2, -1.0, 1.0) * np.array([4.0] * 3 + [20.0] * 3)), 1)
         seen.append(np.abs(plant.torque))
-    most = np.max(seen, axis=0)
-    assert most[:3].max() == pytest.approx(4.0, abs=1e-12)
-    assert most[3:].max() > 20.0
+    maximum = np.max(seen, axis=0)
+    assert maximum[:3].max() == pytest.approx(4.0, abs=1e-12)
+    assert maximum[3:].max() > 20.0
 
 
 def test_a_robot_at_rest_does_not_notice_its_springs() -> None:

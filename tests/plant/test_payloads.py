@@ -1,4 +1,4 @@
-"""Masses at the hand and on the body, a sloping floor. Truth: statics by hand; the arm's lever by the planner's kinematics."""
+"""Masses at the end effector and on the body, a sloping floor. Truth: statics by hand; the arm's lever by the planner's kinematics."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_every_seed_slopes_another_way() -> None:
     ],
 )
 def test_a_ball_robot_rejects_them(name: str) -> None:
-    """What it does not have; nothing of it (0) is what it has. Only a mass at the hand is reported where it can be set."""
+    """What it does not have; nothing of it (0) is what it has. Only a mass at the end effector is reported where it can be set."""
     with pytest.raises(InputError, match=f"plant.{name}: is for swerve robots only") as error:
         BallPlant(
             load_description("rezero"), perturbation=Perturbation.none(**{name: 7 if name == "encoder_counts" else 0.4})

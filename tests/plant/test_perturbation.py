@@ -36,10 +36,10 @@ def test_draws_fill_their_ranges():
         "steer": (span(d.steer_offset for d in many), (-0.003, 0.003)),
         "lag": (span([*d.wheel_lag, *d.steer_lag, *d.arm_lag] for d in many), (0.014, 0.026)),
     }
-    for name, ((low, high), (least, most)) in expected.items():
-        width = most - least
+    for name, ((low, high), (least, maximum)) in expected.items():
+        width = maximum - least
         assert least <= low < least + 0.05 * width, name
-        assert most - 0.05 * width < high <= most, name
+        assert maximum - 0.05 * width < high <= maximum, name
 
 
 def test_the_radius_factor_is_common_unless_asked_otherwise():

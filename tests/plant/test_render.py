@@ -19,12 +19,12 @@ def test_a_picture_shows_the_robot(name, kind):
         renderer = Renderer(plant, 320, 180, shadows=False)
     except WbmpcError as error:
         pytest.skip(str(error))
-    before = plant.data.qpos.copy()
+    previous = plant.data.qpos.copy()
     with renderer:
         still = renderer.frame(Camera(follow=False))
         again = renderer.frame(Camera(follow=False))
         line = renderer.frame(Camera(follow=False), lines=[[-1, 0, 1], [1, 0, 1]])
-        assert np.array_equal(plant.data.qpos, before)
+        assert np.array_equal(plant.data.qpos, previous)
         plant.data.qpos[0] += 30.0
         empty = renderer.frame(Camera(follow=False))
     assert still.shape == (180, 320, 3) and still.dtype == np.uint8

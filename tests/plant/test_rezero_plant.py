@@ -209,14 +209,14 @@ def test_planner_and_plant_share_no_numbers() -> None:
     """Doubling the plant's masses leaves the planner's mass matrix as it was; the plant's were not the planner's before."""
     robot = load_robot("rezero")
     home, torque = robot.base.numeric.equilibrium([0.0, 1.0, 0.8])
-    before = robot.base.numeric.mass_matrix(home[:8])
+    previous = robot.base.numeric.mass_matrix(home[:8])
     plant = BallPlant(robot.description, home, torque, seed=3)
     planned = sum(link.mass for link in robot.tree.links)
     assert abs(float(plant.model.body_mass.sum()) - planned) > 1e-3
     plant.model.body_mass[:] *= 2.0
     plant.model.body_inertia[:] *= 2.0
-    np.testing.assert_array_equal(robot.base.numeric.mass_matrix(home[:8]), before)
-    np.testing.assert_array_equal(load_robot("rezero").base.numeric.mass_matrix(home[:8]), before)
+    np.testing.assert_array_equal(robot.base.numeric.mass_matrix(home[:8]), previous)
+    np.testing.assert_array_equal(load_robot("rezero").base.numeric.mass_matrix(home[:8]), previous)
 
 
 def test_inertial_unit_reads_what_mujocos_own_sensors_read() -> None:

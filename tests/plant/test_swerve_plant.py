@@ -146,8 +146,8 @@ def test_measuring_is_of_the_state_before_the_command_and_changes_nothing():
     command = replace(STOP, wheel=np.full(4, 2.0), arm=np.full(6, 0.2))
     watched, unwatched = plant(), plant()
     for _ in range(20):
-        before = watched.measure()
-        assert watched.measure() is before
+        previous = watched.measure()
+        assert watched.measure() is previous
         watched.truth()
         watched.step(command, 5)
         unwatched.step(command, 5)
@@ -182,12 +182,12 @@ def test_steps_may_be_taken_singly():
 def test_plant_and_planner_share_no_numbers():
     p, other = plant(Perturbation(), 1), plant(Perturbation(), 1)
     robot = load_robot("swerve-ur10")
-    before = [(link.mass, link.com.copy(), link.inertia.copy()) for link in robot.tree.links]
+    previous = [(link.mass, link.com.copy(), link.inertia.copy()) for link in robot.tree.links]
     home = robot.pose(robot.home)[0]
     kept = other.model.body_mass.copy()
     p.model.body_mass[:] = p.model.body_inertia[:] = p.model.body_ipos[:] = p.model.body_pos[:] = 7.0
     after = [(link.mass, link.com, link.inertia) for link in robot.tree.links]
-    assert all(a == b[0] and np.array_equal(c, b[1]) for (a, c, _), b in zip(after, before, strict=True))
+    assert all(a == b[0] and np.array_equal(c, b[1]) for (a, c, _), b in zip(after, previous, strict=True))
     assert np.array_equal(robot.pose(robot.home)[0], home)
     assert np.array_equal(other.model.body_mass, kept)
     arrays = [a for link in robot.tree.links for a in (link.com, link.inertia, link.position, link.rotation)]
@@ -256,10 +256,10 @@ def test_drives_clip_at_their_limits():
 )
 def test_bad_commands_are_rejected(part, values):
     p = plant(settle=0.0)
-    before = p.data.qpos.copy()
+    previous = p.data.qpos.copy()
     with pytest.raises(InputError, match=part):
         p.step(replace(STOP, **{part: values}), 5)
-    assert np.array_equal(p.data.qpos, before) and p.time == 0.0
+    assert np.array_equal(p.data.qpos, previous) and p.time == 0.0
 
 
 def test_brakes_switch_dry_friction():

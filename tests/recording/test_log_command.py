@@ -128,7 +128,7 @@ def test_plots(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "plot", "."]) == 0
     page = (run / "plots.html").read_text()
     body = page[page.index("<body>") :]
-    for title in ("Hand from above", "Hand error, estimated frame", "Joint speeds", "Solve times"):
+    for title in ("End effector from above", "End effector error, estimated frame", "Joint speeds", "Solve times"):
         assert f"<h3>{title}" in body
     assert body.count("Plotly.newPlot") == 4
     assert main(["log", "plot", ".", "/mpc/solve_time", "--out", "one.html"]) == 0

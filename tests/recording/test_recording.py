@@ -128,7 +128,7 @@ def test_frames_are_those_of_the_archive(track: Path) -> None:
 def test_recorded_frames_and_the_description_are_one_tree(
     run: str, points: set[str], request: pytest.FixtureRequest
 ) -> None:
-    """A stand-in for robot_state_publisher beside the recording gives no frame another parent; the hand is where it was."""
+    """A stand-in for robot_state_publisher beside the recording gives no frame another parent; the end effector is where it was."""
     folder = request.getfixturevalue(run)
     text = next(m.data for _, m in messages(folder, "/robot_description"))  # type: ignore[attr-defined]
     fixed, moved = ([m for _, m in messages(folder, t)] for t in ("/tf_static", "/tf"))
@@ -150,12 +150,12 @@ def test_recorded_frames_and_the_description_are_one_tree(
 
 
 def test_plans_go_ahead_of_the_hand(track: Path) -> None:
-    """The plan's hand starts where the hand is soon after, and ends where it is a horizon later."""
+    """The plan's end effector starts where the end effector is soon after, and ends where it is a horizon later."""
     with np.load(track / "log.npz") as log:
-        times, hand = log["hand.time"], log["hand_odometry"]
+        times, end_effector = log["hand.time"], log["hand_odometry"]
     t, plan = next((t, m) for t, m in messages(track, "/plan/hand") if t > 2.0)
     first, last = plan.poses[0].pose.position, plan.poses[-1].pose.position  # type: ignore[attr-defined]
-    at = lambda when: np.array([np.interp(when, times, hand[:, i]) for i in range(3)])
+    at = lambda when: np.array([np.interp(when, times, end_effector[:, i]) for i in range(3)])
     assert np.linalg.norm([first.x, first.y, first.z] - at(t + 0.03)) < 0.02
     assert np.linalg.norm([last.x, last.y, last.z] - at(t + 0.03)) > 0.5
     assert len(plan.poses) <= 31  # type: ignore[attr-defined]
@@ -178,9 +178,9 @@ def test_contacts_agree_with_the_force_sensors() -> None:
     for _ in range(100):
         plant.step(SwerveCommand.stop(), 5)
     truth = plant.truth()
-    before = plant.data.qacc.copy()
+    previous = plant.data.qacc.copy()
     contacts = {c.body: c for c in reader.contacts(plant.data)}
-    np.testing.assert_array_equal(plant.data.qacc, before)  # the plant is left alone
+    np.testing.assert_array_equal(plant.data.qacc, previous)  # the plant is left alone
     forces = np.array([contacts[f"wheel_{leg}"].force[2] for leg in ("LF", "RF", "LB", "RB")])
     np.testing.assert_allclose(forces, truth.wheel_force, rtol=2e-3)
     assert all(abs(c.point[2]) < 1e-3 for c in contacts.values())
@@ -189,9 +189,9 @@ def test_contacts_agree_with_the_force_sensors() -> None:
 def test_the_ball_robot_is_recorded_from_the_floor_up(ball: Path) -> None:
     radius = 0.125
     with np.load(ball / "log.npz") as log:
-        t, hand = poses(ball, "/hand/pose")
+        t, end_effector = poses(ball, "/hand/pose")
         every = np.isin(np.round(log["hand.time"], 9), np.round(t, 9))
-        np.testing.assert_allclose(hand - [0, 0, radius], log["hand"][every], atol=1e-12)
+        np.testing.assert_allclose(end_effector - [0, 0, radius], log["hand"][every], atol=1e-12)
         torque = np.array([m.data for _, m in messages(ball, "/command/torque")])  # type: ignore[attr-defined]
         np.testing.assert_array_equal(torque, log["torque"][every])
     plant = BallPlant(load_description("rezero"), None, None, None, 3)
@@ -264,14 +264,14 @@ def test_a_killed_run_leaves_a_readable_file(tmp_path: Path) -> None:
     assert not recording.complete and recording.duration > 0.5
     assert recording.metadata["run"]["experiment"] == "swerve-track" and "result" not in recording.metadata
     # the same by mcap's own reader for streams, payloads by rosbags
-    hand = []
+    end_effector = []
     with path.open("rb") as file, pytest.raises(Exception):  # noqa: B017 - the end is missing
         for schema, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
             assert schema is not None
             if channel.topic == "/hand/pose":
-                hand.append(STORE.deserialize_cdr(message.data, schema.name).pose.position.x)
+                end_effector.append(STORE.deserialize_cdr(message.data, schema.name).pose.position.x)
     ours = recording.table("/hand/pose").columns["pose.position.x"]
-    np.testing.assert_array_equal(ours, hand)
+    np.testing.assert_array_equal(ours, end_effector)
 
 
 @pytest.mark.parametrize("share", [0.9999, 0.9, 0.5, 0.02, 0.004])

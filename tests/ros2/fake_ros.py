@@ -1,5 +1,5 @@
 """A stand-in for rclpy and rosidl, as far as the back end uses them: messages with typed fields as rosidl generates them, a node
-whose publishers hand messages to the subscriptions of the same process.
+whose publishers end effector messages to the subscriptions of the same process.
 
 Names, what is positional and what a keyword, enumerations, checks of types and exceptions are those of rclpy's sources
 (github.com/ros2/rclpy, Humble to Kilted: __init__.py, node.py, qos.py, event_handler.py, executors.py, topic_endpoint_info.py).

@@ -96,8 +96,8 @@ class Simulated:
         publisher.publish(values)
         time.sleep(0.05)
 
-    def hand(self, dx: float = 0.0, dz: float = 0.0) -> None:
-        """A goal for the hand, from where it is."""
+    def end_effector(self, dx: float = 0.0, dz: float = 0.0) -> None:
+        """A goal for the end effector, from where it is."""
         position, turned = self.control.robot.pose(self.control.adapter.snapshot()[1])  # type: ignore[index]
         position = position + [dx, 0.0, dz + self.control.adapter.planner.lift]
         pose = {"position": dict(zip("xyz", position)), "orientation": dict(zip("wxyz", turned))}

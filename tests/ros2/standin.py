@@ -51,7 +51,7 @@ class Standin:
 
     def tick(self, wait: bool) -> None:
         """A period: state, time, and with ``wait`` the commands to them."""
-        before = dict(self.counts)
+        previous = dict(self.counts)
         message = {
             "header": header(self.time, ""),
             "name": [n for g in GROUPS for n in self.names[g]],
@@ -62,7 +62,7 @@ class Standin:
             self._joints.publish(changed)
         self._clock.publish({"clock": stamp(self.time)})
         end = time.monotonic() + self.answers
-        while wait and any(self.counts[g] == before[g] for g in before) and time.monotonic() < end:
+        while wait and any(self.counts[g] == previous[g] for g in previous) and time.monotonic() < end:
             time.sleep(1e-4)
         for group, rates in self.commands.items():
             self.joints[group] = self.joints[group] + PERIOD * rates

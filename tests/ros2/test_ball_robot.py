@@ -23,7 +23,7 @@ if not MISSING:
 
     from wbmpc.bases.ball.ros import POSTURES, BallMessage, BallRosAdapter, bodies
     from wbmpc.bases.ball.ros_settings import BallRosSettings
-    from wbmpc.ros2.goals import HandTrack, Planner
+    from wbmpc.ros2.goals import EndEffectorTrack, Planner
     from wbmpc.ros2.settings import Speeds
 
 ROBOT = load_robot("rezero")
@@ -47,7 +47,7 @@ def made(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[..., Any]]:
 def balancing(s: Any) -> None:
     """Bring a robot to balance."""
     s.ready()
-    s.hand()
+    s.end_effector()
     assert s.until(lambda: s.control.state.startswith("running:")), s.control.state
     s.run(0.5)
 
@@ -92,7 +92,7 @@ def test_it_is_held_until_a_goal_comes_and_then_balances(made: Callable[..., Any
     s.ready()
     s.run(0.3)
     assert not any(s.sim._count.values()) and s.sim.plant.time == 0.0
-    s.hand(dx=0.1)
+    s.end_effector(dx=0.1)
     s.run(3.0)
     assert not s.why and s.control.running
     truth = s.truth()
@@ -132,7 +132,7 @@ def test_an_mpc_that_gives_no_plan_for_a_while(made: Callable[..., Any], caplog:
     assert "the policy is 0.5" in s.control.state and errors(caplog, "running on the last policy") == 1
     assert not s.why and s.truth().tilt < 0.25
     s.control.adapter.mpc.advance = solve
-    assert s.until(lambda: s.control.state == "running: hand to a goal"), s.control.state
+    assert s.until(lambda: s.control.state == "running: end effector to a goal"), s.control.state
     standing(s)
 
 
@@ -153,11 +153,11 @@ def test_somebody_else_on_the_drives_topic_is_reported_and_it_holds_its_place(
     s = made()
     balancing(s)
     somebody = s.other.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
-    assert s.until(lambda: "holds its place: somebody else publishes on /arm" in s.control.state)
-    s.hand(dx=0.2)
+    assert s.until(lambda: "holds its position: another node publishes on /arm" in s.control.state)
+    s.end_effector(dx=0.2)
     standing(s)
-    assert "a goal is rejected: somebody else" in s.control.request_queue.rejected
-    assert errors(caplog, "somebody else publishes") == 1 and any("somebody" in m for m in s.messages(2))
+    assert "a goal is rejected: another node" in s.control.request_queue.rejected
+    assert errors(caplog, "another node publishes") == 1 and any("another node" in m for m in s.messages(2))
     s.other._writers.remove(somebody._writer)
     somebody._writer.__del__()
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
@@ -243,7 +243,7 @@ def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], capl
         s.control.adapter.mpc.advance = solve
         back.set()
         hung.clear()
-    assert s.until(lambda: s.control.state == "running: hand to a goal"), s.control.state
+    assert s.until(lambda: s.control.state == "running: end effector to a goal"), s.control.state
     s.run(1.0)
     assert not s.why and s.truth().tilt < 0.25
 
@@ -260,14 +260,14 @@ def test_time_that_goes_back_is_another_clocks(simulated: bool) -> None:
     for t in (17.0, 17.0025):
         adapter.controller.follow(BallMessage(t, t, wheel, arm, *still))
     adapter.stand(BallMessage(17.005, 17.005, wheel, arm, *still))
-    t, before = adapter.snapshot()
-    assert t == pytest.approx(17.005) and before[:3] == pytest.approx(x[:3], abs=1e-3)
+    t, previous = adapter.snapshot()
+    assert t == pytest.approx(17.005) and previous[:3] == pytest.approx(x[:3], abs=1e-3)
     for t in (1.0, 1.0025):
         adapter.stand(BallMessage(t, t, wheel, arm + 0.1, *still))
         found = adapter.snapshot()
         assert found[0] == pytest.approx(t)
         np.testing.assert_allclose(found[1][ROBOT.state["arm"]], arm + 0.1, atol=1e-9)
-        np.testing.assert_allclose(found[1][:3], np.zeros(3) if simulated else before[:3], atol=1e-9)
+        np.testing.assert_allclose(found[1][:3], np.zeros(3) if simulated else previous[:3], atol=1e-9)
         np.testing.assert_allclose(
             found[1], [*found[1][:3], *ROBOT.base.numeric.equilibrium(arm + 0.1)[0][3:]], atol=1e-9
         )
@@ -281,7 +281,7 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
     source = Localisation(s)
     source.offset[:] = offset = np.array([3.0, -1.0])
     balancing(s)
-    s.hand(dx=0.2)
+    s.end_effector(dx=0.2)
     s.run(3.0)
     truth = s.truth()
     seen = s.control.adapter.snapshot()[1]
@@ -289,8 +289,8 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
     np.testing.assert_allclose(truth.tool, ROBOT.pose(ROBOT.home)[0] + [0.2, 0.0, 0.0], atol=0.02)
     assert np.sqrt(s.control.adapter.estimate().covariance[0, 0]) < 3e-3
     source.sending = False
-    assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
-    s.hand(dx=0.2)
+    assert s.until(lambda: "holds its position: the pose on /localisation is" in s.control.state), s.control.state
+    s.end_effector(dx=0.2)
     standing(s)
     assert "a goal is rejected: the pose on /localisation" in s.control.request_queue.rejected
     assert errors(caplog, "the pose on /localisation") == 1 and any("/localisation" in m for m in s.messages(2))
@@ -301,18 +301,18 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
 def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
     made: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One pose that is off by 1 m is left out; when they stay there it holds its place and takes no goals until they are back."""
+    """One pose that is off by 1 m is left out; when they stay there it holds its position and takes no goals until they are back."""
     s = made(topics={"pose": "/localisation"})
     source = Localisation(s)
     balancing(s)
     source.offset[0] = 1.05
     assert s.until(lambda: "jumped by 1.0" in s.control.source.fault)
     source.offset[0] = 0.0
-    assert s.until(lambda: not s.control.source.fault) and s.control.state == "running: hand to a goal"
+    assert s.until(lambda: not s.control.source.fault) and s.control.state == "running: end effector to a goal"
     assert errors(caplog, "jumped by 1.0") == 1
     source.offset[0] = 1.05
-    assert s.until(lambda: "holds its place: the pose on /localisation is" in s.control.state), s.control.state
-    s.hand(dx=0.2)
+    assert s.until(lambda: "holds its position: the pose on /localisation is" in s.control.state), s.control.state
+    s.end_effector(dx=0.2)
     standing(s)
     assert "jumped by 1.0" in s.control.state and "a goal is rejected: the pose on" in s.control.request_queue.rejected
     assert any("jumped by 1.0" in m for m in s.messages(2)) and np.abs(s.truth().pose[:2]).max() < 0.1
@@ -358,20 +358,20 @@ def test_a_wrench_counts_beside_the_observers_disturbance(made: Callable[..., An
 
 
 def test_the_bodys_posture_moves_no_hand() -> None:
-    """Forward kinematics of the body's references is where the hand is led, at rest: on a way, at steps and when it is carried."""
+    """Forward kinematics of the body's references is where the end effector is led, at rest: on a way, at steps and when it is carried."""
     planner, x = Planner(ROBOT, Speeds()), ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])[0]
     position, turned = ROBOT.pose(x)
     goal = position + [0.3, 0.1, 0.08]
-    way = planner.to_hand(x, 1.0, goal, turned)
+    way = planner.to_end_effector(x, 1.0, goal, turned)
     body = bodies(way, ROBOT, x)
-    assert body.times[0] == 1.0 and body.times[-1] == way.hand.times[-1] and body.times.size == POSTURES
+    assert body.times[0] == 1.0 and body.times[-1] == way.end_effector.times[-1] and body.times.size == POSTURES
     for t in body.times:
-        at = np.array([np.interp(t, way.hand.times, c) for c in way.hand.positions.T])
+        at = np.array([np.interp(t, way.end_effector.times, c) for c in way.end_effector.positions.T])
         np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], at, atol=2e-3)
-    steps = HandTrack(
+    steps = EndEffectorTrack(
         np.array([0.0, 2.0, 2.001, 4.0]), np.array([position, position, goal, goal]), np.tile(turned, (4, 1))
     )
-    body = bodies(planner.along_hand(x, 0.0, steps, None), ROBOT, x)
+    body = bodies(planner.along_end_effector_path(x, 0.0, steps, None), ROBOT, x)
     for t, where in ((0.5, position), (1.99, position), (2.01, goal), (3.9, goal)):
         np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], where, atol=2e-3)
     folded = x.copy()
@@ -392,12 +392,12 @@ def test_an_encoder_that_stands_still_is_reported_and_one_of_the_arm_ends_it(mad
     balancing(s)
     now = s.sim.plant.time
     s.sim.plant.sensors.faults = (SensorFault("stalled", 0, now, np.inf),)
-    s.hand(dx=0.1)
+    s.end_effector(dx=0.1)
     s.run(0.6)
     said = "the encoder of wheel_0 stands still"
     assert s.control.running and any(said in f for f in s.control.adapter.faults)
     assert any(said in m for m in s.messages(1))
     s.sim.plant.sensors.faults += (SensorFault("stalled", 1, s.sim.plant.time, np.inf, of="arm"),)
-    s.hand(dx=-0.1)
+    s.end_effector(dx=-0.1)
     assert s.until(lambda: not s.control.running)
     assert "the encoder of arm_shoulder stands still; motors off" in s.control.state

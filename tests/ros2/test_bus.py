@@ -17,7 +17,7 @@ import pytest
 from needs import MISSING, everything, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError, RunAborted
-from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Qos
+from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Qos, full_name
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.opening import open_node
@@ -148,7 +148,7 @@ def test_what_is_on_the_wire_goes_into_a_bag_and_comes_out_of_it(nodes: tuple[An
 
 
 # ---------------------------------------------------------------------- topics
-def test_all_messages_come_in_command(nodes: tuple[Any, Any]) -> None:
+def test_all_messages_come_in_order(nodes: tuple[Any, Any]) -> None:
     one, other = nodes
     got: list[float] = []
     other.subscribe("/count", "std_msgs/msg/Float64", lambda m: got.append(m.data), Qos(depth=1000))
@@ -424,3 +424,16 @@ def test_a_flood_of_messages_that_nobody_can_use_is_a_few_lines(
     publisher.publish({"data": "a good one"})
     assert wait_until(lambda: got == ["a good one"])
     assert 1 <= sum("/flood: " in r.getMessage() for r in caplog.records) <= 5
+
+
+@pytest.mark.parametrize("name", ["", "/", "a b", "/4/w", "a__b", "/a/", "a" * 248, "é"])
+def test_names_that_ros_does_not_have_are_errors(nodes: tuple[Any, Any], name: str) -> None:
+    """Truth: the design article on names of topics and services."""
+    for make in (
+        lambda: nodes[0].publisher(name, "std_msgs/msg/Float64"),
+        lambda: nodes[0].subscribe(name, "std_msgs/msg/Float64", print),
+        lambda: nodes[0].subscribers(name),
+    ):
+        with pytest.raises(InputError, match=f"topic or service {re.escape(repr(name))}: such a name "):
+            make()
+    assert full_name("a/_b_2") == "/a/_b_2"

@@ -190,7 +190,7 @@ def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: An
     )
     assert not any(t == "/end_effector_path" for t, _ in f)
     assert ("/arm_controller/commands", "it offers volatile, transient local is asked for") in f
-    assert ("/steer_controller/commands", "somebody else publishes on it ('robot'): the controller will not start") in f
+    assert ("/steer_controller/commands", "another node publishes on it ('robot'): the controller will not start") in f
 
 
 def test_ones_own_controller_is_no_conflict_but_two_of_them_are(robot: Any, looker: Any) -> None:

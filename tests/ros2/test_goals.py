@@ -1,4 +1,4 @@
-"""From goals to references. Truth: straight lines and arcs by hand, rigid motion of the hand with the base, speed limits."""
+"""From goals to references. Truth: straight lines and arcs by hand, rigid motion of the end effector with the base, speed limits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from wbmpc import lie
 from wbmpc.bases.swerve.ros import references_of
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
-from wbmpc.ros2.goals import LEASH, STEP, HandTrack, Planner, Task, Track, base_track, hand_track
+from wbmpc.ros2.goals import LEASH, STEP, EndEffectorTrack, Planner, Task, Track, base_track, end_effector_track
 from wbmpc.ros2.settings import Goals, Speeds
 
 ROBOT, BALL = load_robot("swerve-ur10"), load_robot("rezero")
@@ -27,11 +27,11 @@ def at(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> np.ndarray:
 
 
 def check_rigid(task: Task) -> None:
-    """The hand of a carried task is where the base, standing there, has it."""
+    """The end effector of a carried task is where the base, standing there, has it."""
     for k in (0, len(task.base.poses) // 2, -1):
         position, turned = ROBOT.pose(at(*task.base.poses[k]))
-        np.testing.assert_allclose(task.hand.positions[k], position, atol=1e-9)
-        assert abs(task.hand.orientations[k] @ turned) == pytest.approx(1.0, abs=1e-12)
+        np.testing.assert_allclose(task.end_effector.positions[k], position, atol=1e-9)
+        assert abs(task.end_effector.orientations[k] @ turned) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_a_base_goal_is_a_straight_way_within_the_speeds() -> None:
@@ -94,7 +94,7 @@ def test_the_same_speed_again_moves_no_reference() -> None:
     for t in (5.0, 8.0, 10.0):
         np.testing.assert_allclose(task.base.at(t)[0], once.base.at(t)[0], atol=2e-3)
         np.testing.assert_allclose(task.base.at(t)[1], twist, atol=1e-9)
-    check_rigid(task)  # the hand too is where the first message found it in the base
+    check_rigid(task)  # the end effector too is where the first message found it in the base
 
 
 def test_the_reference_waits_for_a_robot_that_is_held() -> None:
@@ -118,10 +118,10 @@ def test_slowing_down_ends_after_half_the_way() -> None:
 
 @pytest.mark.parametrize(("way", "moved"), [(0.2, 0.0), (1.0, 1.0 - LEASH)])
 def test_a_far_hand_takes_the_base_along(way: float, moved: float) -> None:
-    task = PLANNER.to_hand(at(), 0.0, HAND + [way, 0.0, 0.1], TURNED)
-    np.testing.assert_allclose(task.hand.positions[[0, -1]], [HAND, HAND + [way, 0.0, 0.1]], atol=1e-12)
+    task = PLANNER.to_end_effector(at(), 0.0, HAND + [way, 0.0, 0.1], TURNED)
+    np.testing.assert_allclose(task.end_effector.positions[[0, -1]], [HAND, HAND + [way, 0.0, 0.1]], atol=1e-12)
     np.testing.assert_allclose(task.base.poses[-1], [moved, 0.0, 0.0], atol=1e-9)
-    speed = np.linalg.norm(np.diff(task.hand.positions, axis=0), axis=1) / np.diff(task.hand.times)
+    speed = np.linalg.norm(np.diff(task.end_effector.positions, axis=0), axis=1) / np.diff(task.end_effector.times)
     assert speed.max() <= 0.2 + 1e-9 and not task.carried
 
 
@@ -129,17 +129,17 @@ def test_too_high_is_rejected() -> None:
     """The UR10 stands on the base: its data sheet's reach of 1.3 m, the wrist and the tool from a shoulder at 0.64 m."""
     assert 0.5 < PLANNER.shoulder < 0.8 and 1.3 < PLANNER.reach < 1.9
     with pytest.raises(InputError, match=r"out of reach: height 2.60 m"):
-        PLANNER.to_hand(at(), 0.0, HAND + [0.0, 0.0, 1.8], TURNED)
+        PLANNER.to_end_effector(at(), 0.0, HAND + [0.0, 0.0, 1.8], TURNED)
 
 
 @pytest.mark.parametrize("height", [-0.4, -0.01])
 def test_under_the_floor_is_rejected(height: float) -> None:
     with pytest.raises(InputError, match=rf"height {height:.2f} m, possible 0.00 to"):
-        PLANNER.to_hand(at(), 0.0, np.array([HAND[0], HAND[1], height]), TURNED)
+        PLANNER.to_end_effector(at(), 0.0, np.array([HAND[0], HAND[1], height]), TURNED)
     ball = Planner(BALL, SPEEDS)  # heights of its tasks are above the ball's middle
     with pytest.raises(InputError, match=r"height -0.01 m, possible 0.00 to"):
-        ball.to_hand(BALL.home, 0.0, np.array([0.3, 0.0, -ball.lift - 0.01]), TURNED)
-    ball.to_hand(BALL.home, 0.0, np.array([0.3, 0.0, -ball.lift]), TURNED)
+        ball.to_end_effector(BALL.home, 0.0, np.array([0.3, 0.0, -ball.lift - 0.01]), TURNED)
+    ball.to_end_effector(BALL.home, 0.0, np.array([0.3, 0.0, -ball.lift]), TURNED)
 
 
 @pytest.mark.parametrize("far", [1e3, 1e9, 1e200])
@@ -148,14 +148,14 @@ def test_too_far_is_rejected_at_once(far: float) -> None:
     with pytest.raises(InputError, match=r"the base's goal is .* m away, valid: 0 to 100 m \(key 'goals.base'\)"):
         PLANNER.to_base(at(), 0.0, pose)
     with pytest.raises(InputError, match=r"the base's goal is"):
-        PLANNER.along_base(at(), 0.0, Track(np.array([0.0, 1.0]), np.stack([np.zeros(3), pose])), None)
+        PLANNER.along_base_path(at(), 0.0, Track(np.array([0.0, 1.0]), np.stack([np.zeros(3), pose])), None)
     with pytest.raises(
         InputError, match=r"the end effector's goal is .* m away, valid: 0 to 100 m \(key 'goals.end_effector'\)"
     ):
-        PLANNER.to_hand(at(), 0.0, HAND + pose, TURNED)
-    path = HandTrack(np.array([0.0, 1.0]), np.stack([HAND, HAND + pose]), np.tile(TURNED, (2, 1)))
+        PLANNER.to_end_effector(at(), 0.0, HAND + pose, TURNED)
+    path = EndEffectorTrack(np.array([0.0, 1.0]), np.stack([HAND, HAND + pose]), np.tile(TURNED, (2, 1)))
     with pytest.raises(InputError, match=r"the end effector's goal is"):
-        PLANNER.along_hand(at(), 0.0, path, None)
+        PLANNER.along_end_effector_path(at(), 0.0, path, None)
 
 
 def test_a_long_way_has_few_samples() -> None:
@@ -165,17 +165,21 @@ def test_a_long_way_has_few_samples() -> None:
     assert base.times.size < 3000 and base.times[0] == 3.0
     assert base.times[-1] == pytest.approx(3.0 + 0.5 * np.pi * 9e3 / 0.4)
     assert 0.99 * 0.4 < (np.diff(base.poses[:, 0]) / np.diff(base.times)).max() <= 0.4 + 1e-9
-    assert planner.to_hand(at(), 0.0, HAND + [9e3, 0.0, 0.0], TURNED).hand.times.size < 3000
+    assert planner.to_end_effector(at(), 0.0, HAND + [9e3, 0.0, 0.0], TURNED).end_effector.times.size < 3000
 
 
 def test_paths_keep_their_times_or_get_them_from_the_speeds() -> None:
     positions = np.array([[0.0, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.4, 0.4]])
     quaternions = np.tile(TURNED, (3, 1))
     given = np.array([11.0, 11.5, 14.0])
-    np.testing.assert_array_equal(hand_track(positions, quaternions, given, 10.0, SPEEDS).times, given)
-    np.testing.assert_allclose(hand_track(positions, quaternions, given, 100.0, SPEEDS).times, [100.0, 100.5, 103.0])
+    np.testing.assert_array_equal(end_effector_track(positions, quaternions, given, 10.0, SPEEDS).times, given)
+    np.testing.assert_allclose(
+        end_effector_track(positions, quaternions, given, 100.0, SPEEDS).times, [100.0, 100.5, 103.0]
+    )
     for useless in (None, np.zeros(3)):
-        np.testing.assert_allclose(hand_track(positions, quaternions, useless, 10.0, SPEEDS).times, [10.0, 12.0, 14.0])
+        np.testing.assert_allclose(
+            end_effector_track(positions, quaternions, useless, 10.0, SPEEDS).times, [10.0, 12.0, 14.0]
+        )
     turning = base_track(np.array([[0.0, 0.0, 3.0], [0.0, 0.0, -3.0]]), None, 0.0, SPEEDS)
     assert turning.poses[1, 2] == pytest.approx(2 * np.pi - 3.0)  # the shorter way round
     assert turning.times[1] == pytest.approx((2 * np.pi - 6.0) / 0.5)
@@ -183,12 +187,14 @@ def test_paths_keep_their_times_or_get_them_from_the_speeds() -> None:
 
 def test_a_path_begins_where_the_robot_is() -> None:
     path = Track(np.array([1.0, 2.0]), np.array([[1.0, 0.0, 0.0], [1.2, 0.0, 0.0]]))
-    task = PLANNER.along_base(at(), 1.0, path, None)
+    task = PLANNER.along_base_path(at(), 1.0, path, None)
     np.testing.assert_allclose(task.base.poses[[0, -1]], [[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]], atol=1e-12)
     approach = 0.5 * np.pi * 1.0 / 0.4
     assert task.base.times[0] == 1.0 and task.base.times[-1] == pytest.approx(1.0 + approach + 1.0, abs=0.03)
     assert np.all(np.diff(task.base.times) > 0.0)
-    hand = HandTrack(np.array([0.0, 1.0]), np.stack([HAND, HAND + [0.1, 0.0, 0.0]]), np.tile(TURNED, (2, 1)))
-    both = PLANNER.along_hand(at(), 0.0, hand, path)
-    np.testing.assert_allclose(both.hand.positions, hand.positions, atol=1e-12)
+    end_effector = EndEffectorTrack(
+        np.array([0.0, 1.0]), np.stack([HAND, HAND + [0.1, 0.0, 0.0]]), np.tile(TURNED, (2, 1))
+    )
+    both = PLANNER.along_end_effector_path(at(), 0.0, end_effector, path)
+    np.testing.assert_allclose(both.end_effector.positions, end_effector.positions, atol=1e-12)
     assert both.base is path

@@ -95,7 +95,7 @@ def test_a_ball_robot_that_is_stopped_says_why_it_fell() -> None:
     s = Simulated(load_robot("rezero"), Network.of(private()))
     try:
         s.ready()
-        s.hand()
+        s.end_effector()
         assert s.until(lambda: s.control.state.startswith("running:")), s.control.state
         s.run(0.2)
         s.control.runner.halt("the battery is empty")

@@ -95,11 +95,11 @@ def test_the_true_odometrys_twist_is_the_derivative_of_its_pose(robot: Any) -> N
     array = lambda v, names: np.array([v[n] for n in names])
     rotation = lambda m: lie.quaternion_to_rotation(array(m["pose"]["pose"]["orientation"], lie.PARTS))
     place = lambda m: array(m["pose"]["pose"]["position"], "xyz")
-    before, now, after = reported[-3:]
-    turned = rotation(before).T @ rotation(after)
+    previous, now, after = reported[-3:]
+    turned = rotation(previous).T @ rotation(after)
     rate = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]) / 2.0
     h, twist = 2.0 * sim.period, now["twist"]["twist"]
-    speed = (place(after) - place(before)) / h
+    speed = (place(after) - place(previous)) / h
     # what is reported of the height is that of a flat floor: not its derivative
     np.testing.assert_allclose((rotation(now) @ array(twist["linear"], "xyz"))[:2], speed[:2], atol=0.01)
     np.testing.assert_allclose(array(twist["angular"], "xyz")[2], rate[2] / h, atol=0.02)
@@ -107,7 +107,7 @@ def test_the_true_odometrys_twist_is_the_derivative_of_its_pose(robot: Any) -> N
 
 
 def test_the_arm_by_trajectories_and_what_is_reported(made: Callable[..., Any], watcher: Any) -> None:
-    """The hand reaches its goal over a joint_trajectory_controller; footprint, odometry, description and sensors' frames."""
+    """The end effector reaches its goal over a joint_trajectory_controller; footprint, odometry, description and sensors' frames."""
     controllers = {g: {"topic": f"/{g}/commands", "joints": ROBOT.input.groups[g]} for g in ("wheel", "steer")} | {
         "arm": {"topic": "/arm/joint_trajectory", "joints": ARM, "takes": "trajectory"}
     }
@@ -123,7 +123,7 @@ def test_the_arm_by_trajectories_and_what_is_reported(made: Callable[..., Any], 
         watcher.subscribe(topic, kind, lambda m, t=topic: got.__setitem__(t, m), LATCHED)
     s.ready()
     goal = ROBOT.pose(ROBOT.home)[0] + [0.1, 0.0, 0.05]
-    s.hand(dx=0.1, dz=0.05)
+    s.end_effector(dx=0.1, dz=0.05)
     away = lambda: float(np.linalg.norm(s.truth().tool - goal))
     assert s.until(lambda: s.control.running and away() < 0.01), (away(), s.control.state)
     assert list(got["/arm/joint_trajectory"].joint_names) == list(ARM)
@@ -156,7 +156,7 @@ def test_a_wrench_that_is_announced_moves_the_hand_less(made: Callable[..., Any]
     for announced in (False, True):
         s = made(BALL, estimate_disturbance=False, topics={"wrench": f"/wrench_{announced}"})
         s.ready()
-        s.hand()
+        s.end_effector()
         assert s.until(lambda s=s: s.control.state.startswith("running:"))
         s.run(0.5)
         start = s.truth().tool.copy()

@@ -60,20 +60,20 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_reported(pair: Calla
     p.standin.node.subscribe("/parameter_events", kind, reported.append, Qos(depth=100))
     drive(p)
     solver = p.control.adapter.mpc.solver
-    before = solver.constants.copy()
+    previous = solver.constants.copy()
     results = ask(
         p, "set_parameters", "SetParameters", parameters=[number(HAND, 500.0), number("cost.state.yaw", 7.0)]
     ).results
     assert [(r.successful, r.reason) for r in results] == [(True, ""), (True, "")]
-    assert p.until(lambda: np.any(solver.constants != before))
-    wanted = SwerveCost()
-    wanted = wanted.model_copy(
+    assert p.until(lambda: np.any(solver.constants != previous))
+    target = SwerveCost()
+    target = target.model_copy(
         update={
-            "end_effector": wanted.end_effector.model_copy(update={"weight": 500.0}),
-            "state": wanted.state.model_copy(update={"yaw": 7.0}),
+            "end_effector": target.end_effector.model_copy(update={"weight": 500.0}),
+            "state": target.state.model_copy(update={"yaw": 7.0}),
         }
     )
-    fresh = swerve_problem(ROBOT, p.settings.mpc, wanted, accelerations=True)
+    fresh = swerve_problem(ROBOT, p.settings.mpc, target, accelerations=True)
     for cost in fresh.costs:
         for place, weight in (("path", cost.weight), ("terminal", cost.terminal_weight)):
             if f"{place}.{cost.name}" in solver.problem.constant.slices:

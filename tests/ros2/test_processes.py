@@ -55,13 +55,13 @@ def test_a_killed_controller_and_a_killed_simulator(bus: Bus) -> None:
     bus.wait_for(lambda: recorder.rows["base"], 60.0)
     go(2.0)
     silent = lambda: bus.output().count("no commands on /")
-    before = silent()  # a busy machine may have made a pause
+    previous = silent()  # a busy machine may have made a pause
     bus.control.kill()
     bus.control.wait()
-    bus.wait_for(lambda: silent() > before, 60.0)
+    bus.wait_for(lambda: silent() > previous, 60.0)
     stopped_at = len(recorder.rows["base"])
     bus.wait_for(lambda: len(recorder.rows["base"]) > stopped_at + 60, 60.0)
-    assert silent() == before + 1
+    assert silent() == previous + 1
     rows = np.array(recorder.rows["base"])[-20:]
     assert np.ptp(rows[:, 1:3], axis=0).max() < 1e-3
 
@@ -110,10 +110,10 @@ def test_the_ball_robot_takes_a_step_and_outlives_its_simulator_but_not_its_cont
         begin = seen.time
         bus.wait_for(lambda: seen.time > begin + 2.0 or bus.sim.poll() is not None, 60.0)
         assert seen.tilt() < 0.25 and bus.said.startswith("running"), bus.said
-        before = bus.output().count("no commands on /")
+        previous = bus.output().count("no commands on /")
         bus.control.kill()
         bus.wait_for(lambda: bus.sim.poll() is not None, 60.0)
-        assert bus.sim.returncode == 0 and bus.output().count("no commands on /") == before + 1
+        assert bus.sim.returncode == 0 and bus.output().count("no commands on /") == previous + 1
         assert "the robot fell at" in bus.output()
 
 

@@ -42,6 +42,18 @@ def test_asked_for_but_not_there() -> None:
 
 
 @needs_dds
+def test_types_are_found_where_rclpy_is_alone(made: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation of rclpy and messages need not have rosidl_runtime_py. Truth: a class of Python's own, by its path."""
+    monkeypatch.setitem(sys.modules, "rosidl_runtime_py.utilities", None)
+    monkeypatch.delitem(sys.modules, "wbmpc.ros2.ros", raising=False)
+    from collections.abc import Mapping
+
+    from wbmpc.ros2.ros import get_message
+
+    assert get_message("collections/abc/Mapping") is Mapping
+
+
+@needs_dds
 def test_every_kind_of_field_is_written_with_its_type(made: list[Any]) -> None:
     from wbmpc.ros2.ros import fill
 
@@ -126,12 +138,12 @@ def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
 
     def tick() -> None:
         """A period of a robot that does not get anywhere: its state, the time, and then the command."""
-        now, before = stamp(ticks[0] / 50.0), len(sent)
+        now, previous = stamp(ticks[0] / 50.0), len(sent)
         ticks[0] += 1
         imu.publish({"header": {"stamp": now}})
         joints.publish({"header": {"stamp": now}, "name": names, "position": robot.home[3:]})
         clock.publish({"clock": now})
-        assert wait_until(lambda: not control.running or len(sent) > before)
+        assert wait_until(lambda: not control.running or len(sent) > previous)
         control.step()
 
     moves = lambda: tick() or (bool(sent) and max(map(abs, sent[-1].data)) > 0.1)

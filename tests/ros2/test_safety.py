@@ -113,14 +113,14 @@ def test_a_driver_that_repeats_itself_is_stale(pair: Callable[..., Any], caplog:
 def test_a_stop_is_a_ramp(pair: Callable[..., Any]) -> None:
     p = pair(safety={"ramp": 1.0})
     drive(p)
-    before = p.standin.commands["wheel"].copy()
+    previous = p.standin.commands["wheel"].copy()
     p.standin.change = lambda m: {**m, "position": m["position"] * np.nan}
     seen = []
     end = time.monotonic() + 60.0
     while p.standin.speed > 0.0 and time.monotonic() < end:
         p.standin.tick(wait=True)
         seen.append(p.standin.commands["wheel"].copy())
-    shares = np.array([np.abs(w).max() / np.abs(before).max() for w in seen])
+    shares = np.array([np.abs(w).max() / np.abs(previous).max() for w in seen])
     assert np.all(np.diff(shares[3:]) <= 1e-9) and shares[-1] == 0.0
     assert np.count_nonzero((shares > 0.1) & (shares < 0.9)) > 3
 
@@ -129,9 +129,9 @@ def test_another_controller_stops_ours(pair: Callable[..., Any], caplog: pytest.
     p = pair()
     drive(p)
     p.standin.node.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
-    check_stopped(p, "somebody else publishes on /arm_controller/commands", caplog)
+    check_stopped(p, "another node publishes on /arm_controller/commands", caplog)
     p.go(0.0)
-    assert p.until(lambda: "a goal is rejected: waiting: somebody else publishes" in p.control.request_queue.rejected)
+    assert p.until(lambda: "a goal is rejected: waiting: another node publishes" in p.control.request_queue.rejected)
 
 
 def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:

@@ -90,6 +90,13 @@ controllers:
         ("controllers: {w: {topic: '', joints: [wheel_LF]}}", "controllers.w.topic='': a name is needed"),
         ("goals: {base: 0}", "goals.base=0"),
         ("safety: {watchdog: 0}", "safety.watchdog=0"),
+        ("safety: {watchdog: 1e-300}", "safety.watchdog=1e-300: input should be greater than or equal to 0.001"),
+        ("safety: {policy: 1e-9}", "safety.policy=1e-09: input should be greater than or equal to 0.001"),
+        ("safety: {jump: 1e-300}", "safety.jump=1e-300: input should be greater than or equal to 0.001"),
+        (
+            "cost: {end_effector: {weight: 1e300}}",
+            "cost.end_effector.weight=1e+300: input should be less than or equal to",
+        ),
         ("joints: {wheel_XX: a}", "unknown joint (key 'joints') 'wheel_XX'"),
         ("joints: {wheel_LF: wheel_RF}", "two joints are called 'wheel_RF' on the bus"),
         ("controllers: {w: {topic: /w, joints: [wheel_LF, wheel_LF]}}", "joint 'wheel_LF' is commanded by 'w' too"),
@@ -112,7 +119,7 @@ def test_faults_are_one_message_with_the_file(tmp_path: Path, text: str, says: s
 
 def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt(tmp_path: Path) -> None:
     path, ball = write(tmp_path, "{estimate_disturbance: false, max_pushed_speed: 1}"), load_robot("rezero")
-    with pytest.raises(InputError, match="max_pushed_speed: with estimate_disturbance=false nothing uses it"):
+    with pytest.raises(InputError, match="max_pushed_speed: nothing uses it without estimate_disturbance=true"):
         load_settings(path, ball)
     settings = load_settings(write(tmp_path, "{estimate_disturbance: true, max_pushed_speed: 1}"), ball)
     assert settings.max_pushed_speed == 1.0  # type: ignore[attr-defined]

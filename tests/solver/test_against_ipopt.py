@@ -99,7 +99,7 @@ def test_one_open_brake_moves_one_leg() -> None:
 
 
 def quaternion_solver(orientation: str, n: int = 12) -> Solver:
-    """Hand, input and joint terms only, so that both bases mean the same; rk4 makes both integrators exact enough."""
+    """End effector, input and joint terms only, so that both bases mean the same; rk4 makes both integrators exact enough."""
     model = robot("swerve-ur10", orientation=orientation)
     ocp = OptimalControlProblem(model.dynamics(), 1.5, n, integrator="rk4")
     ocp.add(Cost("hand", residuals.FramePose(model, model.tool), [100.0] * 3 + [20.0] * 3, at="path+terminal"))

@@ -17,10 +17,10 @@ import pytest
 
 import wbmpc as wb
 from toys import LinearQuadratic
-from wbmpc.benchmark.test_problems.small import cartpole
 from wbmpc.errors import InputError, NotFinite, SolverBusy
 from wbmpc.solver import SLQ, SQP, Solver, Status, Trajectory
 from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.studies.race.small import cartpole
 
 
 def linear(seed: int = 0) -> tuple[LinearQuadratic, Solver]:
@@ -145,7 +145,7 @@ INTERRUPTED = """
 import os, random, signal, sys, threading, time
 import numpy as np
 from wbmpc.solver import SQP, Solver
-from wbmpc.benchmark.test_problems.small import cartpole
+from wbmpc.studies.race.small import cartpole
 backend, what = sys.argv[1:]
 problem = cartpole(20)
 solver = Solver(problem.ocp, SQP(iterations=400, backend=backend))
@@ -199,9 +199,9 @@ def odd_handler():  # type: ignore[no-untyped-def]
     def handler(number: int, frame: object) -> None:
         raise _Odd(number)
 
-    before = signal.signal(signal.SIGTERM, handler)
+    previous = signal.signal(signal.SIGTERM, handler)
     yield handler
-    signal.signal(signal.SIGTERM, before)
+    signal.signal(signal.SIGTERM, previous)
 
 
 @pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals are the main thread's")

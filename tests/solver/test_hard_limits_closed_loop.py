@@ -72,7 +72,7 @@ def drive(
 
 
 def ball_robot(variant: str) -> Excess:
-    """Pushes of 0.5 m/s with a rate of tilt, and of the arm beyond its speed limit, while the hand's goal jumps."""
+    """Pushes of 0.5 m/s with a rate of tilt, and of the arm beyond its speed limit, while the end effector's goal jumps."""
     model = robot("rezero")
     settings = MpcSettings(horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=0.3)
     settings, sqp = settings_for(variant, settings)

@@ -139,7 +139,9 @@ def test_inputs_that_no_plan_can_hold_are_reported_by_name(backend: str) -> None
     assert "right" in found.detail or "left" in found.detail
     assert "planned inputs miss a hard limit" in str(found)
     with pytest.raises(RunAborted, match=r"hard limit .*(right|left)"):
-        MPC(ocp, SQP.real_time(backend=backend), first_iterations=1).update(Observation(0.0, START[:2]))
+        MPC(ocp, SQP.real_time(backend=backend), first_iterations=1, plan_only_limits=True).update(
+            Observation(0.0, START[:2])
+        )
 
 
 def test_a_limit_that_moves_with_the_state_gives_way_by_name() -> None:

@@ -69,7 +69,7 @@ def growth(action: Callable[[], object]) -> tuple[int, int, int]:
     gc.disable()
     try:
         heap()
-        before = heap()
+        previous = heap()
         for _ in range(SOLVES):
             action()
         after = heap()
@@ -84,7 +84,7 @@ def growth(action: Callable[[], object]) -> tuple[int, int, int]:
     finally:
         tracemalloc.stop()
         gc.enable()
-    return now - python, peak - python, sum(after) - sum(before)
+    return now - python, peak - python, sum(after) - sum(previous)
 
 
 def everything() -> OptimalControlProblem:

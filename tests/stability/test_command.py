@@ -34,7 +34,7 @@ def test_a_push_and_a_slope_move_the_zero_moment_point_by_their_moments(capsys: 
     rest = reported(capsys, "swerve-ur10")
     pushed = reported(capsys, "swerve-ur10", "--wrench", "50,0,0")
     moved = pushed["zero_moment_point"][0] - rest["zero_moment_point"][0]
-    assert moved == pytest.approx(50.0 * 0.80 / (9.81 * rest["mass"]), rel=0.01)  # the hand is 0.80 m high
+    assert moved == pytest.approx(50.0 * 0.80 / (9.81 * rest["mass"]), rel=0.01)  # the end effector is 0.80 m high
     sloped = reported(capsys, "swerve-ur10", "--slope", "0.1")
     moved = sloped["zero_moment_point"][0] - rest["zero_moment_point"][0]
     assert moved == pytest.approx(-0.10033 * rest["centre_of_mass"][2], rel=1e-3)  # tan 0.1, downhill
@@ -43,7 +43,7 @@ def test_a_push_and_a_slope_move_the_zero_moment_point_by_their_moments(capsys: 
 
 
 def test_how_rough_the_ground_has_to_be(capsys: pytest.CaptureFixture[str]) -> None:
-    """On a slope its tangent; a push at the hand also turns the robot. It may slide and not tip over."""
+    """On a slope its tangent; a push at the end effector also turns the robot. It may slide and not tip over."""
     steep = assess(SWERVE, "X", gravity=slope_gravity(0.9)).summary()
     assert steep["stays_upright"] and steep["friction_needed"] == pytest.approx(math.tan(0.9))
     pushed = assess(SWERVE, "X", wrench=(400.0, 0.0, 0.0, 0.0, 0.0, 0.0)).summary()

@@ -99,7 +99,7 @@ def test_zero_moment_point_in_motion_is_that_of_mujocos_inverse_dynamics(seed: i
     groups(SWERVE, rate, m, d.qacc)
     point = d.site(SWERVE.tool).xpos.copy()
     mujoco.mj_inverse(m, d)
-    # what the world must do to the free joint, less the wrench on the hand, is the ground's answer
+    # what the world must do to the free joint, less the wrench on the end effector, is the ground's answer
     force = d.qfrc_inverse[0:3] - WRENCH[:3]
     rotation = d.xmat[1].reshape(3, 3)
     moment = rotation @ d.qfrc_inverse[3:6] + np.cross(d.xpos[1], d.qfrc_inverse[0:3])
@@ -166,7 +166,7 @@ def tool_in_wrist() -> np.ndarray:
     ("configuration", "direction"), some([(c, d) for c in "HXA" for d in (0.3, 1.9, -1.2)], [0, 4, 8])
 )
 def test_the_robot_tips_when_the_margin_is_negative(configuration: str, direction: float) -> None:
-    """Pushed at the hand: 4 % less than the force at which the margin vanishes it stands, 4 % more it tips."""
+    """Pushed at the end effector: 4 % less than the force at which the margin vanishes it stands, 4 % more it tips."""
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
     of = lambda size: assess(SWERVE, configuration, [*(size * along), 0.0, 0.0, 0.0]).stance.polygon_margin
     low, high = 0.0, 3000.0

@@ -97,7 +97,7 @@ def test_a_robot_that_tips_back_at_once_balances_on_the_edge() -> None:
     faces = stability.resting_triangles(SQUARE, heights)
     assert all(stability.support_shares(SQUARE, f, beyond(f)).min() < 0.0 for f in faces)
     (found,) = stability.support_switches([0.0, 1.0, 2.0], SQUARE, heights, stance)
-    assert {found.before, found.after} == {tuple(sorted(f)) for f in faces}
+    assert {found.previous, found.after} == {tuple(sorted(f)) for f in faces}
 
 
 # ---------------------------------------------------------------------- a table with a mass that goes round
@@ -143,12 +143,12 @@ def test_predicted_switches_are_those_of_a_simulated_table() -> None:
         return SQUARE, stability.zero_moment_point(load), weight * up[2] + 0.0 * t
 
     predicted = stability.support_switches(t, SQUARE, heights, stance, unloaded=2.0)
-    assert [s.before for s in predicted] == [(0, 2, 3), (0, 1, 3)] or [s.before for s in predicted] == [
+    assert [s.previous for s in predicted] == [(0, 2, 3), (0, 1, 3)] or [s.previous for s in predicted] == [
         (0, 1, 3),
         (0, 2, 3),
     ]
     for s in predicted:
-        (lost,) = set(s.before) - set(s.after)
+        (lost,) = set(s.previous) - set(s.after)
         near = (t > s.time - 1.0) & (t < s.time + 1.0)
         assert forces[near][0, lost] > 2.0 > forces[near][-1, lost]
         happened = t[near][np.argmax(forces[near][:, lost] < 2.0)]

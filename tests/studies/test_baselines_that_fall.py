@@ -140,16 +140,16 @@ def test_swerve_fixed_that_the_user_ends_in_a_baseline(monkeypatch: pytest.Monke
 
 
 def ball_runs(module: Any, monkeypatch: pytest.MonkeyPatch, **endings: Ending) -> RunResult:
-    """Runs of a ball robot that end so; the hand moves by 0.04 m at 2.5 s and by 0.2 at 3 s; each has one fault of an encoder."""
+    """Runs of a ball robot that end so; the end effector moves by 0.04 m at 2.5 s and by 0.2 at 3 s; each has one fault of an encoder."""
 
     def drive(name: str, settings: Any, seed: int, log: Log, *_: Any) -> Any:
         turn = np.array([1.0, 0.0, 0.0, 0.0])
         torque = {"plain": 1.0, "shaped": 0.25, "mpc": 1.0, "taskspace": 2.0}[name] * np.ones(6)
         for k, t in enumerate((0.0, 2.0, 2.5, 3.0, 3.5)):
-            hand = [0.2 * (t >= 3.0) + 0.04 * (t == 2.5), 0.0, 0.0]
+            end_effector = [0.2 * (t >= 3.0) + 0.04 * (t == 2.5), 0.0, 0.0]
             rows = {
                 "state": np.zeros(16),
-                "hand": hand,
+                "hand": end_effector,
                 "hand_quaternion": turn,
                 "tilt": 0.1,
                 "torque": k * torque,

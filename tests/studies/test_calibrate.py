@@ -133,7 +133,7 @@ def test_bad_input_is_one_message(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "text").write_text("no archive")
-    np.savez(tmp_path / "log.npz", hand=np.zeros(3))
+    np.savez(tmp_path / "log.npz", end_effector=np.zeros(3))
     paths = {"text": tmp_path / "text", "log": tmp_path / "log.npz"}
     assert main(["calibrate", *[a.format(**paths) for a in arguments]]) == 2
     out = capsys.readouterr()
@@ -147,7 +147,7 @@ def test_a_robot_with_another_base_than_that_of_the_run_is_rejected(
     name: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A file of one's own with the same base is taken: the next thing that is wrong is the log."""
-    np.savez(tmp_path / "log.npz", hand=np.zeros(3))
+    np.savez(tmp_path / "log.npz", end_effector=np.zeros(3))
     (tmp_path / "metrics.json").write_text(json.dumps({"settings": {"robot": "swerve-ur10"}}))
     own = tmp_path / "own.yaml"
     data = yaml.safe_load((DATA / "swerve-ur10.yaml").read_text())

@@ -31,7 +31,7 @@ def rotations(quaternions: np.ndarray) -> Rotation:
 
 # ---------------------------------------------------------------------- rezero-steps
 def stepping(settings: RezeroStepsSettings, constants, offsets, turns, heading=None) -> dict[str, float]:  # type: ignore[no-untyped-def]
-    """Metrics of a hand that goes to pose i exponentially with ``constants[i]`` [s], and comes to rest ``offsets[i]`` [m]
+    """Metrics of an end effector that goes to pose i exponentially with ``constants[i]`` [s], and comes to rest ``offsets[i]`` [m]
     beside it, turned by the vector ``turns[i]`` [rad]; an estimator, if there is one, believes all turned by ``heading`` [rad]."""
     schedule, log, lead = rezero_steps.Schedule.of(settings, BALL), Log(), settings.lead
     times = np.arange(0.0, schedule.duration, 0.005)
@@ -87,7 +87,7 @@ def test_a_wrong_heading_turns_the_hand_in_the_world_not_in_the_estimated_frame(
 
 
 def test_the_roll_about_the_forearm_is_distinguished() -> None:
-    """The hand's z axis is the forearm; at home, where the first pose is, it points where the arm's chain puts it."""
+    """The end effector's z axis is the forearm; at home, where the first pose is, it points where the arm's chain puts it."""
     poses = len(STEPS) + 3
     settings = RezeroStepsSettings()
     schedule = rezero_steps.Schedule.of(settings, BALL)
@@ -114,11 +114,11 @@ TRACK = SwerveTrackSettings(periods=1)
 def tracking(
     estimated: np.ndarray, world: np.ndarray, drift: float, settings: SwerveTrackSettings = TRACK
 ) -> dict[str, Metric]:
-    """Metrics of a hand beside its reference by ``estimated`` and ``world`` (3) [m] from 2 s on (ten times that before),
+    """Metrics of an end effector beside its reference by ``estimated`` and ``world`` (3) [m] from 2 s on (ten times that before),
     and odometries that end ``drift``, 2 drift and 3 drift [m] off."""
     references, log = TrackReferences(settings, robot("swerve-ur10")), Log()
     for t in np.arange(0.0, references.duration, 0.02):
-        reference, gone = references.hand(np.array([t]))[0], references.base(np.array([t]))[0][0]
+        reference, gone = references.end_effector(np.array([t]))[0], references.base(np.array([t]))[0][0]
         factor, share = (10.0 if t < 2.0 else 1.0), t / references.duration
         pose = np.array([gone, 0.0, 0.0])
         log.add("hand", t, reference + factor * world)
@@ -137,7 +137,7 @@ def values(metrics: dict[str, Metric]) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(
-    ("changes", "hand", "base"),
+    ("changes", "end_effector", "base"),
     [
         ({}, 20.53, 15.96),
         ({"variant": "vertical"}, 20.53, 15.96),
@@ -147,12 +147,12 @@ def values(metrics: dict[str, Metric]) -> dict[str, float]:
     ],
 )
 def test_the_papers_lengths_stand_beside_its_path_only(
-    changes: dict[str, Any], hand: float | None, base: float | None
+    changes: dict[str, Any], end_effector: float | None, base: float | None
 ) -> None:
     m = tracking(np.zeros(3), np.zeros(3), 0.0, SwerveTrackSettings(**{"speed": 0.8, **changes}))
-    assert (m["path_length"].paper, m["base_path_length"].paper) == (hand, base)
-    if hand is not None:
-        assert m["path_length"].value == pytest.approx(hand, rel=1e-3)
+    assert (m["path_length"].paper, m["base_path_length"].paper) == (end_effector, base)
+    if end_effector is not None:
+        assert m["path_length"].value == pytest.approx(end_effector, rel=1e-3)
 
 
 def test_metrics_of_a_track_with_known_errors() -> None:
@@ -172,7 +172,7 @@ def test_metrics_of_a_track_with_known_errors() -> None:
 
 
 def test_an_error_along_the_path_is_not_one_to_its_nearest_point() -> None:
-    """A hand 1 cm ahead along x is 1 cm off in time, but nearer to the path."""
+    """An end effector 1 cm ahead along x is 1 cm off in time, but nearer to the path."""
     m = values(tracking(np.array([0.01, 0.0, 0.0]), np.zeros(3), drift=0.0))
     assert m["hand_error_mean_odometry"] == pytest.approx(0.01)
     assert 0.004 < m["hand_error_mean_nearest"] < 0.009
@@ -180,7 +180,7 @@ def test_an_error_along_the_path_is_not_one_to_its_nearest_point() -> None:
 
 
 def test_the_hand_makes_up_for_wheels_that_are_smaller_than_described() -> None:
-    """Truth: a base whose wheels are 0.3 mm smaller stands 0.3 mm lower, and its hand has to reach as much higher."""
+    """Truth: a base whose wheels are 0.3 mm smaller stands 0.3 mm lower, and its end effector has to reach as much higher."""
     swerve = robot("swerve-ur10")
     geometry = swerve.base.geometry
     known = replace(WheelCalibration.unknown(geometry), wheel_radius=np.full(4, geometry.wheel_radius - 3e-4))
@@ -191,4 +191,4 @@ def test_the_hand_makes_up_for_wheels_that_are_smaller_than_described() -> None:
     references.set(mpc, swerve.home, -known.rise(geometry))  # type: ignore[arg-type]
     t = np.array([3.0])
     height = given["hand"].at(3.0)[2]
-    assert height - references.hand(t)[0, 2] == pytest.approx(3e-4, abs=1e-6)
+    assert height - references.end_effector(t)[0, 2] == pytest.approx(3e-4, abs=1e-6)

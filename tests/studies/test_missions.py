@@ -123,7 +123,7 @@ def test_the_baseline_drives_and_reconfigures() -> None:
 @pytest.mark.parametrize("legs", ["targets", "support"])
 def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
     experiment = REGISTRY["swerve-unified"]
-    result = experiment.run(experiment.config_type(settle_time=2.0, legs=legs), 1, None)
+    result = experiment.run(experiment.config_type(settle_time=2.0, legs={"kind": legs}), 1, None)
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert result.completed, result.reason
     assert 1e-4 < m["hand_error_rms"] < 0.005
@@ -142,11 +142,11 @@ def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("legs", "given"), [("support", "leg_goal=X"), ("targets", "support=0.1"), ("targets", "reserve=0.1")]
+    ("legs", "given"), [("support", "legs.goal=X"), ("targets", "legs.weight=0.1"), ("targets", "legs.reserve=0.1")]
 )
 def test_what_the_way_of_the_legs_does_not_read_is_rejected(legs: str, given: str) -> None:
     settings, other = REGISTRY["swerve-unified"].config_type, {"support": "targets", "targets": "support"}[legs]
-    with pytest.raises(InputError, match=rf"{given.partition('=')[0]}: nothing uses it without legs={other}"):
+    with pytest.raises(InputError, match=rf"{given.partition('=')[0]}: nothing uses it without legs.kind={other}"):
         configure(settings, [f"legs={legs}", given], "swerve-unified")
     configure(settings, [f"legs={other}", given], "swerve-unified")
 

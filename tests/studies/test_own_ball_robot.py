@@ -56,7 +56,7 @@ def test_every_experiment_takes_a_robot_and_rejects_one_without_a_ball(
 def test_its_task_is_its_own(
     name: str, module: object, build: Callable[..., Any], own: RobotModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It starts at the home of its file; the body's references have its size and begin with the hand where it is."""
+    """It starts at the home of its file; the body's references have its size and begin with the end effector where it is."""
     tasks: list[Task] = []
     monkeypatch.setattr(module, "task_scenario", lambda settings, seed, task, *more: tasks.append(task))
     settings = configure(REGISTRY[name].config_type, [f"robot={own.description.source}"], name)

@@ -9,8 +9,8 @@ from scipy.integrate import quad
 
 from wbmpc import lie
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.paths import APPROACH_RATE, APPROACH_SPEED, Approach, SinePath, nearest_distance
 from wbmpc.studies.pankert2022 import track_references as track
+from wbmpc.studies.paths import APPROACH_RATE, APPROACH_SPEED, Approach, SinePath, nearest_distance
 
 PATH = SinePath(amplitude=0.498, length=15.96, periods=6, speed=0.255, start=0.5, ramp=2.0)
 
@@ -71,13 +71,13 @@ def test_approach_comes_from_home_to_the_path_within_its_speeds() -> None:
 
 
 def led(robot: RobotModel, goals: np.ndarray) -> int:
-    """How many of the goals (k, 3) [m] the hand reaches one after the other, its axis to the left, the base at the origin: by
+    """How many of the goals (k, 3) [m] the end effector reaches one after the other, its axis to the left, the base at the origin: by
     inverse kinematics (damped least squares, derivatives by differences)."""
     arm, x = robot.state["arm"], robot.home.copy()
 
     def error(goal: np.ndarray) -> np.ndarray:
         position, orientation = robot.pose(x)
-        turn = track.HAND_ROTATION @ lie.quaternion_to_rotation(orientation).T
+        turn = track.END_EFFECTOR_ROTATION @ lie.quaternion_to_rotation(orientation).T
         spin = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         return np.concatenate([goal - position, spin])
 

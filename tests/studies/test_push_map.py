@@ -1,4 +1,4 @@
-"""The push map. Truth: robots of known strength, by formula; hands and balls that rest, come back or roll away, by formula."""
+"""The push map. Truth: robots of known strength, by formula; end effectors and balls that rest, come back or roll away, by formula."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wbmpc.log import Log
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.push_map import (
     FINE,
-    MOST,
+    MAXIMUM,
     Outcome,
     Point,
     bracket,
@@ -22,7 +22,7 @@ from wbmpc.studies.minniti2019.push_map import (
     points,
     push_map,
     read,
-    wanted,
+    target,
 )
 from wbmpc.studies.minniti2019.push_once import push_once
 from wbmpc.studies.minniti2019.recovery import LAST, NEAR, rest
@@ -54,7 +54,7 @@ def test_bisection_brackets_the_strength(strength: float) -> None:
     assert low < strength <= high <= low + FINE
     assert len(found) < 9
     always = measure(AHEAD, criteria=("stands",), run=lambda p, i: Outcome(True, False, 0.0))
-    assert list(always) == [MOST] and bracket(always, "stands") == (MOST, np.inf)
+    assert list(always) == [MAXIMUM] and bracket(always, "stands") == (MAXIMUM, np.inf)
 
 
 def test_only_recovering_is_looked_for_when_only_that_is_asked() -> None:
@@ -62,8 +62,8 @@ def test_only_recovering_is_looked_for_when_only_that_is_asked() -> None:
     found = measure(AHEAD, criteria=("recovers",), run=known.push)
     low, high = bracket(found, "recovers") or (0.0, 0.0)
     assert low < 77.0 <= high <= low + FINE and len(known.tried) == 7  # 320, 160, 80, 40, 60, 70, 75
-    assert wanted(found, criteria=("recovers",)) is None
-    assert wanted(found, criteria=("stands",)) == 240.0  # stood at 160 N s and fell at 320 on the way
+    assert target(found, criteria=("recovers",)) is None
+    assert target(found, criteria=("stands",)) == 240.0  # stood at 160 N s and fell at 320 on the way
 
 
 def test_a_run_counts_for_both_criteria() -> None:
@@ -130,10 +130,10 @@ def test_as_many_pushes_at_once_as_there_are_processes(tmp_path: Path) -> None:
 
 
 # ---------------------------------------------------------------------- recovered or not
-def logged(hand: np.ndarray, believed: np.ndarray | None = None) -> Log:
+def logged(end_effector: np.ndarray, believed: np.ndarray | None = None) -> Log:
     """Hands (n, 3) [m], 100 a second, and where the robot believes them to be."""
     log = Log()
-    for k, (place, felt) in enumerate(zip(hand, hand if believed is None else believed, strict=True)):
+    for k, (place, felt) in enumerate(zip(end_effector, end_effector if believed is None else believed, strict=True)):
         log.add("state", 0.01 * k, np.zeros(16))
         log.add("hand", 0.01 * k, place)
         log.add("hand_estimated", 0.01 * k, felt)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from effort import thorough
-from wbmpc.estimation.force import UNFELT_TIME, ForceMonitor
 from wbmpc.studies.minniti2019 import door as rezero_door
 from wbmpc.studies.minniti2019 import door_control as control
 from wbmpc.studies.minniti2019.door_figures import trial_metrics
 from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
+from wbmpc.studies.minniti2019.force import UNFELT_TIME, ForceMonitor
 
 SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=6.0, final_hold_time=0.8)
 #: With a mass that nobody tells of: 1 kg felled the robot after the release when the arm had no posture to go back to.
@@ -41,8 +41,8 @@ def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[n
     assert 0.1 < m["lean_mean_high"] < 0.4  # 16 N at 0.65 m above the ball's centre against 25 kg
     assert force[t > t[-1] - 0.2].max() == 0.0  # it has let go
     assert m["payload_estimated"] == pytest.approx(1.0, abs=0.15)
-    hand = log.array("hand_high")[log.times("hand_high") > t[-1] - 1.0]
-    assert m["rest_hand_swing"] == pytest.approx(np.ptp(hand, axis=0).max())
+    end_effector = log.array("hand_high")[log.times("hand_high") > t[-1] - 1.0]
+    assert m["rest_hand_swing"] == pytest.approx(np.ptp(end_effector, axis=0).max())
     assert 0.0 < m["rest_hand_swing"] < 0.03 and m["rest_hand_error"] < 0.03
     assert np.abs(log.array("state_high")[-1, 5:8] - log.array("state_high")[0, 5:8]).max() < 0.3  # not folded up
     for plot in result.plots:
@@ -110,13 +110,13 @@ def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:
 
 
 def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    """Rezero's lean is limited to 0.6 of 115 mm, and 1.97 mm of it answer 1 N at the hand: 35 N. With 30 N it fell."""
+    """Rezero's lean is limited to 0.6 of 115 mm, and 1.97 mm of it answer 1 N at the end effector: 35 N. With 30 N it fell."""
     robot = rezero_door.ball_robot(SHORT, contact="force")
-    most = rezero_door.held(SHORT, robot)
-    assert most == pytest.approx(0.6 * 115.2 / 1.97, rel=2e-3)
+    maximum = rezero_door.held(SHORT, robot)
+    assert maximum == pytest.approx(0.6 * 115.2 / 1.97, rel=2e-3)
     free = SHORT.model_copy(update={"cost": SHORT.cost.model_copy(update={"lean": 0.0})})
     assert rezero_door.bounded(free, robot, 200.0) == (200.0, "")
-    monkeypatch.setattr(rezero_door, "held", lambda *_: most)
+    monkeypatch.setattr(rezero_door, "held", lambda *_: maximum)
     for force in (8.0, 16.0, 20.9):
         assert rezero_door.bounded(SHORT, robot, force) == (force, "")
     possible, reported = rezero_door.bounded(SHORT, robot, 30.0)

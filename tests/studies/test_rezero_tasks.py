@@ -103,12 +103,12 @@ def test_circle_path_is_a_circle_from_rest_to_rest() -> None:
 
 
 def test_hand_stays_inside_its_reach_on_the_circle() -> None:
-    """85 % of 0.6 m from the shoulder, at the place of the ball that is farthest from the hand."""
+    """85 % of 0.6 m from the shoulder, at the place of the ball that is farthest from the end effector."""
     home = BALL.base.numeric.equilibrium(BENT_ARM)[0]
-    hand = BALL.pose(home)[0]
+    end_effector = BALL.pose(home)[0]
     shoulder = np.array([0.0, 0.0, 0.5])
     path = rezero_circle.ball_path(RezeroCircleSettings(), np.arange(0.0, 25.0, 0.01))
-    distance = np.linalg.norm(hand - shoulder - np.c_[path, 0.0 * path[:, 0]], axis=1)
+    distance = np.linalg.norm(end_effector - shoulder - np.c_[path, 0.0 * path[:, 0]], axis=1)
     assert 0.3 < distance.max() < 0.85 * 0.6
 
 
@@ -116,8 +116,8 @@ def test_hand_stays_while_the_ball_drives_round() -> None:
     result = REGISTRY["rezero-circle"].run(RezeroCircleSettings(rounds=1, settle_time=2.0), 0, None)
     m, log = values(result), result.log
     use = log.times("state") >= 2.0
-    hand = BALL.pose(BALL.base.numeric.equilibrium(BENT_ARM)[0])[0]
-    felt = np.linalg.norm(log.array("hand_estimated")[use] - hand, axis=1)
+    end_effector = BALL.pose(BALL.base.numeric.equilibrium(BENT_ARM)[0])[0]
+    felt = np.linalg.norm(log.array("hand_estimated")[use] - end_effector, axis=1)
     assert m["hand_error_rms"] == pytest.approx(np.sqrt(np.mean(felt**2)))
     assert 1e-4 < m["hand_error_rms"] < 0.01
     assert np.ptp(log.array("state")[use, 1]) == pytest.approx(0.3, rel=0.15)

@@ -25,14 +25,14 @@ HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 
 
 def hand_acceleration(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Linear and angular (6), by differences of the hand's pose along the motion of the planner's dynamics."""
+    """Linear and angular (6), by differences of the end effector's pose along the motion of the planner's dynamics."""
     sx, su = ca.SX.sym("x", 16), ca.SX.sym("u", 6)
     f = ca.Function("f", [sx, su], [ROBOT.dynamics()(sx, su, ca.SX(11, 1), ca.SX(0, 1))])
     rate, h = np.array(f(x, u)).ravel(), 1e-3
     at = lambda s: ROBOT.pose(np.concatenate([x[:8] + s * x[8:] + 0.5 * s * s * rate[8:], x[8:]]))
-    (after, turned), (now, middle), (before, back) = at(h), at(0.0), at(-h)
+    (after, turned), (now, middle), (previous, back) = at(h), at(0.0), at(-h)
     turn = lambda q: np.ravel(lie.quaternion_log(lie.quaternion_multiply(q, lie.quaternion_conjugate(middle))))
-    return np.concatenate([after - 2.0 * now + before, turn(turned) + turn(back)]) / h**2
+    return np.concatenate([after - 2.0 * now + previous, turn(turned) + turn(back)]) / h**2
 
 
 def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
@@ -48,8 +48,8 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
     after, turned = ROBOT.pose(x + np.r_[1e-6 * x[8:], np.zeros(8)])
     spin = np.ravel(lie.quaternion_log(lie.quaternion_multiply(turned, lie.quaternion_conjugate(quaternion)))) / 1e-6
     velocity = np.concatenate([(after - place) / 1e-6, spin])
-    wanted = np.concatenate([gains.hand**2 * (goal - place), np.zeros(3)]) - 2.0 * gains.hand * velocity
-    miss = lambda torque: float(np.sum((hand_acceleration(x, torque) - wanted) ** 2))
+    target = np.concatenate([gains.hand**2 * (goal - place), np.zeros(3)]) - 2.0 * gains.hand * velocity
+    miss = lambda torque: float(np.sum((hand_acceleration(x, torque) - target) ** 2))
     torque, rng = controller._solve(0.0, x), np.random.default_rng(0)
     assert np.all(np.abs(torque) < controller.limit - 1e-3) or miss(torque) < miss(TORQUE)
     inside = lambda u: np.clip(u, -controller.limit, controller.limit)
@@ -76,8 +76,8 @@ def test_both_controllers_take_the_steps() -> None:
     assert result.completed, result.reason
     m, log = {n: v.value for n, v in result.metrics.items()}, result.log
     for name in ("mpc", "taskspace"):
-        wanted = log.array(f"wanted_{name}")
-        error = np.linalg.norm(log.array(f"hand_{name}") - wanted[:, :3], axis=1)
+        target = log.array(f"wanted_{name}")
+        error = np.linalg.norm(log.array(f"hand_{name}") - target[:, :3], axis=1)
         assert m[f"hand_error_integral_{name}"] == pytest.approx(np.sum(error) * 0.0025, rel=0.01)
         assert 0.2 < m[f"hand_error_integral_{name}"] < 3.0  # steps of 0.1 to 0.4 m, a second each
         assert 0.0 < m[f"tilt_max_{name}"] < 0.5
@@ -97,8 +97,8 @@ def test_ctrl_c_in_the_second_part_is_reported() -> None:
     result = rezero_taskspace.EXPERIMENT.run(settings, 1, pressed)
     assert result.interrupted and not result.completed and "interrupted" in result.reason
     # what was not run does not count as an error
-    hand, wanted = result.log.array("hand_taskspace"), result.log.array("wanted_taskspace")
-    error = np.linalg.norm(hand - wanted[:, :3], axis=1)
+    end_effector, target = result.log.array("hand_taskspace"), result.log.array("wanted_taskspace")
+    error = np.linalg.norm(end_effector - target[:, :3], axis=1)
     assert (
         result.metrics["hand_error_integral_taskspace"].value
         <= error.max() * result.log.times("hand_taskspace")[-1] + 1e-9

@@ -31,12 +31,12 @@ def test_the_way_is_that_of_the_paper_and_gentle() -> None:
 
 
 def test_what_is_sprayed_is_on_the_wall() -> None:
-    hand = np.tile([1.5, wall.WALL - 0.1, 0.9], (100, 1))
-    along, up, thick = coat(hand, 0.01)
+    end_effector = np.tile([1.5, wall.WALL - 0.1, 0.9], (100, 1))
+    along, up, thick = coat(end_effector, 0.01)
     assert thick.sum() * wall.GRID**2 == pytest.approx(1.0, rel=0.01)  # 1 s at a rate of 1
     k, i = np.unravel_index(int(np.argmax(thick)), thick.shape)
     assert (along[i], up[k]) == pytest.approx((1.5, 0.9), abs=wall.GRID)
-    far = coat(hand - [0.0, 0.05, 0.0], 0.01)[2]
+    far = coat(end_effector - [0.0, 0.05, 0.0], 0.01)[2]
     assert far.sum() == pytest.approx(thick.sum(), rel=0.01) and far.max() < 0.6 * thick.max()
 
 
@@ -60,10 +60,10 @@ def test_spread_is_that_of_the_passes() -> None:
 
 def test_a_stop_is_counted() -> None:
     t = np.arange(0.0, 10.0, 0.01)
-    wanted = np.stack([0.5 * t, 0 * t, 0 * t], axis=1)
-    held = wanted.copy()
+    target = np.stack([0.5 * t, 0 * t, 0 * t], axis=1)
+    held = target.copy()
     held[(t > 4.0) & (t < 5.0)] = held[400]
-    assert stops(t, wanted, wanted) == 0 and stops(t, held, wanted) == 1
+    assert stops(t, target, target) == 0 and stops(t, held, target) == 1
 
 
 def test_a_short_wall(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,9 +92,9 @@ def test_one_pass_differs_from_nothing(passes: int) -> None:
     """The spread of passes is a figure only where there are two."""
     references, log = wall.WallReferences(SwervePlasterSettings(passes=passes), load_robot("swerve-ur10")), Log()
     for t in np.arange(references.lines.start, references.lines.end, 0.05):
-        hand = references.hand(np.array([t]))[0]
+        end_effector = references.end_effector(np.array([t]))[0]
         for name in ("hand", "hand_odometry", "hand_reference"):
-            log.add(name, t, hand)
+            log.add(name, t, end_effector)
         for name in ("base", "base_odometry"):
             log.add(name, t, references.base(np.array([t]))[0])
         log.add("wheel_slip", t, np.zeros(4))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from effort import thorough
-from wbmpc.estimation.mass_offset import MassOffset, estimate_mass_offset
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import Switch
 from wbmpc.studies.pankert2022 import wobble as swerve_wobble
+from wbmpc.studies.pankert2022.mass_offset import MassOffset, estimate_mass_offset
 from wbmpc.studies.pankert2022.support_prediction import Case, Support, predict, tippings
 from wbmpc.studies.pankert2022.wobble import SwerveWobbleSettings
 from wbmpc.studies.pankert2022.wobble_figures import time_error, unloaded
@@ -68,8 +68,8 @@ def test_rockings_tell_the_offset_that_made_them(wheel: str) -> None:
     gyro = np.zeros((t.size, 2))
     switches = [replace(s, time=s.time + 0.25) for s in predict(support, offset)]  # the 5 N are gone 0.25 s later
     for s in switches:
-        edge = np.diff(support.feet[sorted(set(s.before) & set(s.after))], axis=0)[0]
-        (onto,) = set(s.after) - set(s.before)
+        edge = np.diff(support.feet[sorted(set(s.previous) & set(s.after))], axis=0)[0]
+        (onto,) = set(s.after) - set(s.previous)
         sinks = (
             edge[0] * support.feet[onto][1] - edge[1] * support.feet[onto][0]
         )  # (ω x r) along z with ω along the edge

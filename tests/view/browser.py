@@ -79,9 +79,9 @@ class Page:
         paper = Image.new("RGBA", scene.size, "white")
         return np.asarray(Image.alpha_composite(paper, scene).convert("RGB")).astype(int)[y : y + h, x : x + w]
 
-    def differs(self, before: np.ndarray) -> int:
+    def differs(self, previous: np.ndarray) -> int:
         """How many pixels of the canvas are others than in an earlier picture."""
-        return int((np.abs(self.picture() - before).max(axis=2) > 20).sum())
+        return int((np.abs(self.picture() - previous).max(axis=2) > 20).sum())
 
     def until(self, true: Callable[[], bool], seconds: float) -> bool:
         """Whether something becomes true within some seconds; the page goes on meanwhile."""
@@ -107,9 +107,9 @@ class Page:
         """Put the pointer on a part of a gizmo and press; False, and nothing is pressed, if the gizmo does not light up."""
         self.page.mouse.move(5.0, HEIGHT - 5.0)
         self.drawn(2)
-        before = self._lit(at)
+        previous = self._lit(at)
         self.page.mouse.move(*at)
-        if not self.until(lambda: self._lit(at) > before + 15, seconds):
+        if not self.until(lambda: self._lit(at) > previous + 15, seconds):
             return False
         self.page.mouse.down()
         return True

@@ -1,4 +1,4 @@
-"""A short recording to show: the swerve robot of a session, which holds its hand for a second."""
+"""A short recording to show: the swerve robot of a session, which holds its end effector for a second."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def start(*arguments: str) -> tuple[subprocess.Popen[str], str]:
 
 
 def test_the_view_draws_and_steers(tmp_path: Path) -> None:
-    """The hand's goal is dragged in the middle of a run; a push is asked for; the run is ended from the browser."""
+    """The end effector's goal is dragged in the middle of a run; a push is asked for; the run is ended from the browser."""
     run = ("run", "rezero-steps", "--set", "settle_time=120", "--out", str(tmp_path), "--json", "--view")
     process, url = start(*run)
     try:
@@ -56,19 +56,19 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
             film = Film(_partly(tmp_path))
             eye = camera_offset(film.snapshot(0.0)["poses"], film.scene)
             page.uncheck("Camera follows")  # from here on its place is known
-            before = page.picture()
+            previous = page.picture()
             page.click("Push")
-            assert page.until(lambda: page.differs(before) > 300, 180.0)
+            assert page.until(lambda: page.differs(previous) > 300, 180.0)
             assert page.until(lambda: _hand_off(tmp_path) > 0.03, 180.0)
             # the gizmo's red arrow, 0.3 m long: it is pulled further along itself
             goal, base, box = film.snapshot(0.0)["goal"], np.array([0.0, 0.0, 0.125]), (676.0, 700.0)
             arrow = lie.quaternion_to_rotation(goal[3:])[:, 0]
             pixel = lambda along: project(goal[:3] + along * arrow, base + eye, base, box, FIELD)
-            # a hand that sways may stand before the arrow: then another place, a little later
+            # an end effector that sways may stand before the arrow: then another place, a little later
             along = next(a for a in (0.22, 0.18, 0.25, 0.15, 0.22, 0.18, 0.25) if page.grasp(pixel(a)))
             page.pull(pixel(along), pixel(along + 0.12))
             assert page.until(lambda: _goal_moved(tmp_path) > 0.04, 180.0)
-            assert page.until(lambda: _hand_error(tmp_path) < 0.02, 180.0)
+            assert page.until(lambda: _end_effector_error(tmp_path) < 0.02, 180.0)
             page.click("End the run")
             out, _ = process.communicate(timeout=180)
         assert process.returncode == 130 and "ended in the view" in out
@@ -77,12 +77,12 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     recording = read_recording(tmp_path)
     _, goal_path = positions(recording, "/hand/reference")  # type: ignore[misc]
     _, hand_path = positions(recording, "/hand/pose")  # type: ignore[misc]
-    # pushed: the hand left its place before the goal was touched
+    # pushed: the end effector left its place before the goal was touched
     touched = int(np.argmax(np.linalg.norm(goal_path - goal_path[0], axis=1) > 1e-6))
     assert touched > 0
     off = np.linalg.norm(hand_path[:touched] - goal_path[0], axis=1)
     assert off.max() > 0.03
-    # dragged: the goal went along the arrow, and the hand with it
+    # dragged: the goal went along the arrow, and the end effector with it
     moved = goal_path[-1] - goal_path[0]
     assert 0.04 < moved @ arrow < 0.3 and np.linalg.norm(moved - (moved @ arrow) * arrow) < 1e-3
     assert np.linalg.norm(hand_path[-1] - goal_path[-1]) < 0.03
@@ -104,9 +104,9 @@ def test_the_base_is_dragged_and_legs_are_moved(tmp_path: Path) -> None:
             page.pull(pixel(along), pixel(along + 0.3))
             assert page.until(lambda: _last(tmp_path, "/odom", "pose.pose.position.x") > 0.1, 180.0)
             leg = lambda: _last(tmp_path, "/measured/leg", "data.0")
-            before = leg()
+            previous = leg()
             page.click("A")
-            assert page.until(lambda: abs(leg() - before) > 0.1, 180.0)
+            assert page.until(lambda: abs(leg() - previous) > 0.1, 180.0)
             page.click("Reset")
             assert page.until(lambda: abs(_last(tmp_path, "/odom", "pose.pose.position.x")) < 0.01, 180.0)
             assert page.errors == [] and page.outside == []
@@ -123,18 +123,18 @@ def _last(folder: Path, topic: str, column: str) -> float:
 
 
 def _paths(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """What is recorded so far: the hand's reference (n, 3) and the hand (n, 3)."""
+    """What is recorded so far: the end effector's reference (n, 3) and the end effector (n, 3)."""
     recording = read_recording(folder)
     found = [positions(recording, topic) for topic in ("/hand/reference", "/hand/pose")]
-    goal, hand = (np.zeros((0, 3)) if f is None else f[1] for f in found)
-    rows = min(len(goal), len(hand))
-    return goal[:rows], hand[:rows]
+    goal, end_effector = (np.zeros((0, 3)) if f is None else f[1] for f in found)
+    rows = min(len(goal), len(end_effector))
+    return goal[:rows], end_effector[:rows]
 
 
 def _hand_off(folder: Path) -> float:
-    """How far the hand has ever been from its first goal [m]."""
-    goal, hand = _paths(folder)
-    return float(np.linalg.norm(hand - goal[0], axis=1).max())
+    """How far the end effector has ever been from its first goal [m]."""
+    goal, end_effector = _paths(folder)
+    return float(np.linalg.norm(end_effector - goal[0], axis=1).max())
 
 
 def _goal_moved(folder: Path) -> float:
@@ -142,9 +142,9 @@ def _goal_moved(folder: Path) -> float:
     return float(np.linalg.norm(goal[-1] - goal[0]))
 
 
-def _hand_error(folder: Path) -> float:
-    goal, hand = _paths(folder)
-    return float(np.linalg.norm(hand[-1] - goal[-1]))
+def _end_effector_error(folder: Path) -> float:
+    goal, end_effector = _paths(folder)
+    return float(np.linalg.norm(end_effector[-1] - goal[-1]))
 
 
 def _partly(folder: Path):  # type: ignore[no-untyped-def]

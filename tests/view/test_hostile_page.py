@@ -19,7 +19,7 @@ from test_live import free_port
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.view import bounds
-from wbmpc.view.steering import MOST_WEIGHTS
+from wbmpc.view.steering import MAX_WEIGHTS
 
 pytest.importorskip("viser")
 #: Values that a control may not have.
@@ -58,14 +58,16 @@ def run_time(client: Client) -> float:
 
 def hand_error(client: Client) -> float:
     """As the page shows it last [mm]."""
-    found = [m for m in (re.search(r"hand error ([0-9.]+) mm", text) for text in client.history) if m is not None]
+    found = [
+        m for m in (re.search(r"end effector error ([0-9.]+) mm", text) for text in client.history) if m is not None
+    ]
     return float(found[-1][1])
 
 
 def test_no_message_ends_a_run(running: tuple[Any, Client]) -> None:
     """Each one is answered on the page, the run goes on and does afterwards what it is asked for properly."""
     process, client = running
-    before = run_time(client)
+    previous = run_time(client)
     for message in MALFORMED:
         client.history.clear()
         client.send(message)
@@ -89,10 +91,10 @@ def test_no_message_ends_a_run(running: tuple[Any, Client]) -> None:
         client.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates})
         assert client.hears("**Not done:**"), updates
     assert client.alive and process.poll() is None
-    assert run_time(client) > before + 1.0 and hand_error(client) < 20.0
+    assert run_time(client) > previous + 1.0 and hand_error(client) < 20.0
     client.move("/goal", (1.0, 0.2, 1.0), (1.0, 0.0, 0.0, 0.0))
     client.history.clear()
-    assert client.hears("hand error")
+    assert client.hears("end effector error")
     client.listen(0.5)
     assert hand_error(client) > 50.0  # a proper goal is taken
     client.set("End the run", True)
@@ -103,12 +105,12 @@ def test_no_message_ends_a_run(running: tuple[Any, Client]) -> None:
 
 def test_a_flood_of_malformed_messages_is_a_few_lines(running: tuple[Any, Client]) -> None:
     process, client = running
-    before = run_time(client)
+    previous = run_time(client)
     for _ in range(3000):
         client.send(b"\xc1")
         client.send("text")
     # the answers to the flood come first, so the page's next time may be some seconds away
-    assert client.alive and any(run_time(client) > before for _ in range(60))
+    assert client.alive and any(run_time(client) > previous for _ in range(60))
     client.set("End the run", True)
     _, err = process.communicate(timeout=60)
     assert "Traceback" not in err and len(err.splitlines()) < 15
@@ -130,7 +132,7 @@ def test_what_a_run_may_be_asked_for() -> None:
         lambda v=v: bounds.push(np.array(v[:3]), np.array(v[3]))
         for v in ((nan, 0, 0, 1), (1001, 0, 0, 1), (1, 0, 0, nan))
     ]
-    bad += [lambda v=v: bounds.factors(np.full(MOST_WEIGHTS, v)) for v in (nan, 0.0, -1.0, 1e4)]
+    bad += [lambda v=v: bounds.factors(np.full(MAX_WEIGHTS, v)) for v in (nan, 0.0, -1.0, 1e4)]
     bad += [lambda v=v: bounds.choice("configuration", np.array(v), 3) for v in (nan, -1.0, 0.5, 3.0, np.inf)]
     bad += [lambda v=v: bounds.within("speed", v, *bounds.SPEEDS) for v in (nan, 0.0, -1.0, np.inf)]
     for ask in bad:

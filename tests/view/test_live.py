@@ -117,7 +117,7 @@ def test_browsers_that_hang_change_nothing() -> None:
 
         def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
             if t >= 1.5 and not sockets:
-                self.before = len(view.own_time)
+                self.previous = len(view.own_time)
                 for _ in range(2):
                     sockets.append(hanging_client(view.port, view.access.token))
 
@@ -128,9 +128,9 @@ def test_browsers_that_hang_change_nothing() -> None:
         ending, _ = run(view, 3.5, connect)
         assert ending.reason == ""
         times = np.array(view.own_time)
-        before, after = times[100 : connect.before], times[connect.before :]
-        assert np.median(after) < 1.5 * np.median(before) + 20e-6
-        assert np.percentile(after, 90) < 2.0 * np.percentile(before, 90) + 1e-3
+        previous, after = times[100 : connect.previous], times[connect.previous :]
+        assert np.median(after) < 1.5 * np.median(previous) + 20e-6
+        assert np.percentile(after, 90) < 2.0 * np.percentile(previous, 90) + 1e-3
     finally:
         view.close()
         for s in sockets:
@@ -154,12 +154,12 @@ def test_a_view_that_dies_leaves_the_run_alone_even_paused() -> None:
     view = live.View("test", port=free_port())
 
     try:
-        hand = Hand(view, [(0.3, {"paused": 1.0})])
+        end_effector = Hand(view, [(0.3, {"paused": 1.0})])
         view.open(run(None, 0.01)[1])
         killer = threading.Timer(3.0, os.kill, (view.process.pid, signal.SIGKILL))
         killer.start()
         start = time.perf_counter()
-        ending, _ = run(view, 1.0, hand)
+        ending, _ = run(view, 1.0, end_effector)
         assert ending.reason == "" and 2.5 < time.perf_counter() - start < 8.0
     finally:
         view.close()
@@ -169,25 +169,25 @@ def test_a_view_that_dies_leaves_the_run_alone_even_paused() -> None:
 def test_pause_step_speed_and_end() -> None:
     view = live.View("test", port=free_port())
     try:
-        hand = Hand(view, [(0.2, {"speed": 0.5}), (0.6, {"paused": 1.0})])
+        end_effector = Hand(view, [(0.2, {"speed": 0.5}), (0.6, {"paused": 1.0})])
 
         def later() -> None:
             time.sleep(1.5)
             for k in (1, 2, 3):
-                hand.give({"steps": k})
+                end_effector.give({"steps": k})
                 time.sleep(0.2)
-            hand.give({"paused": 0.0, "speed": 1.0})
+            end_effector.give({"paused": 0.0, "speed": 1.0})
             time.sleep(0.3)
-            hand.give({"ends": 1})
+            end_effector.give({"ends": 1})
 
         view.open(run(None, 0.01)[1])
         thread = threading.Timer(0.0, later)
-        hand_begin = hand.begin
-        hand.begin = lambda running: (hand_begin(running), thread.start())  # type: ignore[method-assign,assignment]
-        ending, _ = run(view, 60.0, hand)
+        hand_begin = end_effector.begin
+        end_effector.begin = lambda running: (hand_begin(running), thread.start())  # type: ignore[method-assign,assignment]
+        ending, _ = run(view, 60.0, end_effector)
         assert ending.reason.endswith("ended in the view") and view.ended
         assert view.board.text == f"The run is over: {ending.reason}"
-        seen = np.array(hand.seen)
+        seen = np.array(end_effector.seen)
         wall = lambda a, b: np.interp(b, seen[:, 0], seen[:, 1]) - np.interp(a, seen[:, 0], seen[:, 1])
         assert wall(0.25, 0.55) == pytest.approx(0.6, abs=0.15)  # half the speed
         waits = np.diff(seen[:, 1])

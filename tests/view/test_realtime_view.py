@@ -109,21 +109,21 @@ def test_the_runner_is_watched_and_steered() -> None:
 
     def act() -> None:
         runner, world = runs[0]
-        hand = lambda: np.array([world.board.samples(n)[-1] for n in "xyz"])
+        end_effector = lambda: np.array([world.board.samples(n)[-1] for n in "xyz"])
         seen["running"] = until(lambda: runner.state == "running" and world.board["time"] > 50)
-        home, weights, memory = hand(), np.ones_like(requests["weights"]), runner.mpc.solver.constants
+        home, weights, memory = end_effector(), np.ones_like(requests["weights"]), runner.mpc.solver.constants
         goal = np.array([*(home + [0.0, 0.2, 0.1]), *load_robot("swerve-ur10").pose(runner.controller.robot.home)[1]])
         give(goals=1, goal=goal)
-        seen["hand"] = until(lambda: float(np.linalg.norm(hand() - goal[:3])) < 0.02)
+        seen["hand"] = until(lambda: float(np.linalg.norm(end_effector() - goal[:3])) < 0.02)
         give(base_goals=1, base_goal=np.array([0.25, 0.2, 0.0]))
         seen["base"] = until(lambda: bool(runner.controller.state()[0] > 0.1))
         weights[0] = 10.0
-        before = memory.copy()
+        previous = memory.copy()
         give(weights=weights)
-        seen["weights"] = until(lambda: bool(np.any((memory == 10.0 * before) & (before > 0.0))))
-        at = hand()
+        seen["weights"] = until(lambda: bool(np.any((memory == 10.0 * previous) & (previous > 0.0))))
+        at = end_effector()
         give(pushes=1, push=np.array([900.0, 0.0, 0.0]), push_time=1.0)
-        seen["push"] = until(lambda: float(np.linalg.norm(hand() - at)) > 5e-4)
+        seen["push"] = until(lambda: float(np.linalg.norm(end_effector() - at)) > 5e-4)
         give(brake_clicks=1, brakes_open=1.0)
         seen["brakes"] = until(lambda: bool(runner.controller.brakes(0.0).all()))
         give(resets=1)

@@ -6,6 +6,7 @@ import base64
 import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -70,7 +71,7 @@ def test_bodies_are_where_they_were(run: SimpleNamespace) -> None:
 
 
 def test_goals_and_plans_are_shown_in_the_world(run: SimpleNamespace) -> None:
-    """The goal of the controller's frame lies beside the true hand by as much as the controller is wrong."""
+    """The goal of the controller's frame lies beside the true end effector by as much as the controller is wrong."""
     s = run.film.snapshot(0.0)
     wrong = np.array([0.3, -0.1, 0.2])
     drift = np.array([*lie.se2_compose([0, 0, 0], [0, 0, -wrong[2]])[:2], 0.0])
@@ -152,6 +153,31 @@ def test_the_player_shows_moments(run: SimpleNamespace) -> None:
         assert "0.98 s" in player._text.content
     finally:
         player.server.stop()
+
+
+def test_without_a_browser_a_replay_does_not_move(run: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is drawn until somebody looks; then pictures follow each other. Clock and browsers are this test's."""
+    pytest.importorskip("viser")
+    from wbmpc.view import replay
+    from wbmpc.view.access import Access
+
+    player, waits, shown = replay.Player(run.film, Access.of("127.0.0.1"), free_port()), [], []
+
+    def sleep(seconds: float) -> None:
+        waits.append((seconds, len(shown)))
+        if len(waits) == 20:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(replay, "time", SimpleNamespace(sleep=sleep))
+    monkeypatch.setattr(player, "show", shown.append)
+    monkeypatch.setattr(player.server, "get_clients", lambda: {0: None} if len(waits) >= 10 else {})
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            player.run()
+    finally:
+        player.server.stop()
+    assert all(seconds >= 0.2 and count == 0 for seconds, count in waits[:10])
+    assert len(shown) == 10 and all(later > earlier for earlier, later in pairwise(shown))
 
 
 # ---------------------------------------------------------------------- clips

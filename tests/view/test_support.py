@@ -66,13 +66,15 @@ def test_the_active_triangle_is_without_the_foot_that_carries_least(seed: int) -
 def test_contacts_are_drawn() -> None:
     feet = [np.array([x, y, 0.0]) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
     contacts = [Contact("foot", np.array([10.0, 0, 100.0]), p) for p in feet]
-    hand = Contact("hand", np.array([0, 5.0, 20.0]), np.array([3.0, 3, 1]))  # held up by a door
-    shown = ground([*contacts, hand])
+    end_effector = Contact("hand", np.array([0, 5.0, 20.0]), np.array([3.0, 3, 1]))  # held up by a door
+    shown = ground([*contacts, end_effector])
     assert float(shown["margin"]) == pytest.approx(1.0)
     np.testing.assert_allclose(shown["pressure"], 0.0, atol=1e-12)
-    assert np.isfinite(shown["support"]).all(axis=1).sum() == 4  # what holds the hand carries no foot
+    assert np.isfinite(shown["support"]).all(axis=1).sum() == 4  # what holds the end effector carries no foot
     np.testing.assert_allclose(shown["forces"][0], [feet[0], feet[0] + [0.02, 0, 0.2]])
-    np.testing.assert_allclose(shown["forces"][4], [hand.point, hand.point + [0, 0.1, 0.4]])  # drawn ten times as large
+    np.testing.assert_allclose(
+        shown["forces"][4], [end_effector.point, end_effector.point + [0, 0.1, 0.4]]
+    )  # drawn ten times as large
     heavy = [Contact("foot", np.array([0.0, 0, f]), p) for f, p in zip((300.0, 200, 50, 180), feet, strict=True)]
     corners = ground(heavy)["triangle"].tolist()
     assert sorted(corners) == sorted(p.tolist() for p in (feet[0], feet[1], feet[3]))

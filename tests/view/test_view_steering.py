@@ -1,4 +1,4 @@
-"""Requests of a user, applied to robots in physics. Truth: where MuJoCo says hand, legs and base are afterwards."""
+"""Requests of a user, applied to robots in physics. Truth: where MuJoCo says end effector, legs and base are afterwards."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep
 from wbmpc.view.session import system_of
-from wbmpc.view.steering import MOST_WEIGHTS, Steering, no_requests
+from wbmpc.view.steering import MAX_WEIGHTS, Steering, no_requests
 
 NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 
@@ -81,7 +81,7 @@ def test_the_base_goes_to_its_goal() -> None:
     robot = load_robot("swerve-ur10")
     running = drive(made, "swerve-ur10", 6.0, [(0.2, {"base_goals": 1, "base_goal": [0.25, -0.1, 0.3]})])
     truth = running.plant.truth()
-    assert np.linalg.norm(truth.tool - robot.pose(robot.home)[0]) < 0.05  # the hand stays
+    assert np.linalg.norm(truth.tool - robot.pose(robot.home)[0]) < 0.05  # the end effector stays
     assert truth.pose[2] > 0.1 and truth.pose[0] > 0.05
 
 
@@ -111,7 +111,7 @@ SPEED, STARTS = 0.15, 0.5
 
 
 def on_its_way(robot: Any, seed: int) -> tuple[Any, ...]:
-    """A run whose base goes ahead, while it turns a little, with its hand beside it: references that move."""
+    """A run whose base goes ahead, while it turns a little, with its end effector beside it: references that move."""
     plant, controller, mpc, timing = made(robot, seed)
     t = np.arange(0.0, 12.0, 0.02)
     gone, moving = SPEED * np.maximum(t - STARTS, 0.0), t >= STARTS
@@ -143,9 +143,9 @@ def test_orders_take_the_reference_of_their_moment() -> None:
     plant, controller, mpc, _ = on_its_way(robot, 1)
     controller.measure(plant.measure())
     base, leg = robot.state["base"], robot.state["leg"]
-    before = mpc.reference["state"]
-    before.values[:, base.start + 2] = 0.1 * before.times
-    before.values[:, leg] += 0.05 * before.times[:, None]
+    previous = mpc.reference["state"]
+    previous.values[:, base.start + 2] = 0.1 * previous.times
+    previous.values[:, leg] += 0.05 * previous.times[:, None]
     running: Any = Running(plant, controller, mpc, None, np.inf)  # type: ignore[arg-type]
     steering, requests = Steering(running, np.zeros(3)), no_requests()
     position, orientation = robot.pose(robot.home)
@@ -154,11 +154,11 @@ def test_orders_take_the_reference_of_their_moment() -> None:
     held = mpc.reference["state"].at(4.0)
     assert held[base.start + 2] == pytest.approx(0.4)
     np.testing.assert_allclose(held[leg], robot.home[leg] + 0.2)
-    mpc.reference["state"] = before
+    mpc.reference["state"] = previous
     requests["configurations"][...], requests["configuration"][...] = 1, list(CONFIGURATIONS).index("H")
     steering.apply(4.0, requests, NOWHERE)
     for t in (4.0, 7.0):
-        np.testing.assert_allclose(mpc.reference["state"].at(t)[base], before.at(t)[base])
+        np.testing.assert_allclose(mpc.reference["state"].at(t)[base], previous.at(t)[base])
         np.testing.assert_allclose(mpc.reference["state"].at(t)[leg], 0.0)
 
 
@@ -206,7 +206,7 @@ def test_the_ball_robot_follows_its_goal() -> None:
 
 
 def test_weights_act_without_compiling() -> None:
-    """A hand that costs a thousandth gives way to the base's goal; back at its weight it is held again."""
+    """An end effector that costs a thousandth gives way to the base's goal; back at its weight it is held again."""
     base = {"base_goals": 1, "base_goal": [2.5, 0.0, 0.0]}
     robot = load_robot("swerve-ur10")
     home = robot.pose(robot.home)[0]
@@ -243,12 +243,12 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
     rejected: list[str] = []
     steering = Steering(running, np.zeros(3), rejected.append)
     position, turn = running.controller.robot.pose(running.controller.robot.home)
-    before = running.mpc.reference["hand"]
+    previous = running.mpc.reference["hand"]
     bad: list[dict[str, Any]] = [
         {"goals": 1, "goal": [np.nan, *position[1:], *turn]}, {"goals": 2, "goal": [*position, 0.0, 0, 0, 0]},
         {"goals": 3, "goal": [1e9, 0.0, 1.0, *turn]}, {"pushes": 1, "push": [np.nan, 0.0, 0.0], "push_time": 1.0},
         {"pushes": 2, "push": [10.0, 0.0, 0.0], "push_time": np.inf}, {"base_goals": 1, "base_goal": [np.nan, 0.0, 0.0]},
-        {"weights": np.full(MOST_WEIGHTS, np.nan)}, {"weights": np.zeros(MOST_WEIGHTS)},
+        {"weights": np.full(MAX_WEIGHTS, np.nan)}, {"weights": np.zeros(MAX_WEIGHTS)},
     ]  # fmt: skip
     if steering.has_legs:
         bad += [{"configurations": 1, "configuration": 99.0}, {"brake_clicks": 1, "brakes_open": np.nan}]
@@ -260,5 +260,5 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
         steering.apply(0.1 * k, requests, NOWHERE)
         steering.apply(0.1 * k + 0.05, requests, NOWHERE)  # said once, not at every tick
         assert len(rejected) == k + 1, wrong
-    assert running.mpc.reference["hand"] is before
+    assert running.mpc.reference["hand"] is previous
     np.testing.assert_array_equal(running.mpc.solver.constants, weights)

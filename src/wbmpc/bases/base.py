@@ -208,13 +208,13 @@ class System:
 
 
 class WheelFit(Protocol):
-    """What a log shows of steered wheels: ``calibration``, of what was believed ``before`` (with a larger covariance than the prior's
+    """What a log shows of steered wheels: ``calibration``, of what was believed ``previous`` (with a larger covariance than the prior's
     where the log contradicts that); global poses ``used`` and ``given``."""
 
     @property
     def calibration(self) -> WheelCalibration: ...
     @property
-    def before(self) -> WheelCalibration: ...
+    def previous(self) -> WheelCalibration: ...
     @property
     def used(self) -> int: ...
     @property

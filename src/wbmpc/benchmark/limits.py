@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench
+from wbmpc.benchmark.problems import Problem, race_problems
 from wbmpc.solver import SQP, InteriorPoint, Solver
 
 
@@ -39,15 +38,11 @@ def _without_limits(problem: Problem, settings: SQP) -> Solver:
 
 
 def iteration_times() -> dict[str, dict[str, float]]:
-    """Of both robots: an iteration [ms] with hard limits, without limits, and the ratio."""
+    """Of each robot: an iteration [ms] with hard limits, without limits, and the ratio."""
     settings = SQP.real_time(interior_point=InteriorPoint("real_time", max_extra_iterations=0))
     settings = replace(settings, min_step=0.9)  # one trial point in both
-    problems: dict[str, Callable[[SQP], Problem]] = {
-        "swerve base with arm, 100 intervals": lambda s: swerve_bench(100, s),
-        "ball robot with arm, 65 intervals": lambda s: rezero_bench(65, s),
-    }
     out = {}
-    for name, make in problems.items():
+    for name, make in race_problems().limited.items():
         problem = make(settings)
         hard = _milliseconds(problem.solver, problem.x0)
         free = _milliseconds(_without_limits(make(settings), settings), problem.x0)

@@ -1,22 +1,40 @@
-"""The library's two robots as benchmark problems, and those of the test problems in the same form."""
+"""What problems of the race are. Those of ``wbmpc bench`` stand in the studies and are found by name."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 
-from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
-from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
-from wbmpc.benchmark.test_problems.problem import SampleProblem
-from wbmpc.model.robot import load_robot
-from wbmpc.ocp import Mode, ModeSchedule, Reference
-from wbmpc.paths import SinePath
-from wbmpc.settings import MpcSettings
+from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
+from wbmpc.registry import BUILT_IN
 from wbmpc.solver import SQP, Solver
 
-Limits = Literal["hard", "soft"]
+
+@dataclass(frozen=True)
+class SampleProblem:
+    """A problem with all that a solver needs: start ``x0`` (nx), guess ``x`` (nx or N + 1, nx) and ``u`` (nu or N, nu)."""
+
+    name: str
+    ocp: OptimalControlProblem
+    x0: np.ndarray
+    x: np.ndarray
+    u: np.ndarray
+    references: Mapping[str, Reference] = field(default_factory=dict)
+    schedule: ModeSchedule | None = None
+
+    def solver(self, settings: Any = None) -> Solver:
+        """A solver with references, modes and the guess set."""
+        solver = Solver(self.ocp, settings or SQP())
+        for name, reference in self.references.items():
+            solver.set_reference(name, reference)
+        if self.schedule is not None:
+            solver.set_schedule(self.schedule)
+        solver.warm_start(self.x, self.u)
+        return solver
 
 
 @dataclass(frozen=True)
@@ -29,62 +47,24 @@ class Problem:
     u0: np.ndarray
 
 
-def swerve_bench(
-    intervals: int = 100, settings: SQP | None = None, brakes: str = "closed", limits: Limits = "hard"
-) -> Problem:
-    """Swerve base with arm on the way along a gentle sine: nx 21, nu 21, 10 s.
-
-    With closed brakes the twelve rows of rolling and brakes depend on each other; with open ones eight rows remain.
-    """
-    robot = load_robot("swerve-ur10")
-    ocp = swerve_problem(robot, MpcSettings(intervals=intervals, first_interval=0.0, limits=limits), SwerveCost())
-    if brakes == "open":
-        del ocp.terms["brakes"]
-    solver = Solver(ocp, settings or SQP(iterations=300))
-    if brakes == "open":
-        solver.set_schedule(ModeSchedule((Mode("open", {"brake": [1.0] * 4}),)))
-    path = SinePath(0.15, 2.66, 1, 0.255, start=0.5, ramp=2.0)
-    t = np.arange(0.0, 12.0, 0.05)
-    along, across = path.point(t)
-    position, orientation = robot.pose(robot.home)
-    hand = position + np.stack([along, across, 0.0 * along], axis=1)
-    solver.set_reference("hand", Reference.poses(t, hand, orientation))
-    states, inputs = np.tile(robot.home, (t.size, 1)), np.zeros((t.size, robot.input.size))
-    arc, rate = path.arc(t)
-    states[:, 0], inputs[:, 0] = arc * path.length / path.arc_length, rate * path.length / path.arc_length
-    solver.set_reference("state", Reference(t, states))
-    solver.set_reference("input", Reference(t, inputs))
-    return Problem(
-        f"swerve base with arm, brakes {brakes}, {limits} limits, N = {intervals}",
-        solver,
-        robot.home,
-        np.zeros(robot.input.size),
-    )
-
-
-def rezero_bench(
-    intervals: int = 65,
-    settings: SQP | None = None,
-    step: float = 0.1,
-    limits: Limits = "hard",
-    horizon: float | None = None,
-) -> Problem:
-    """Ball robot with arm and a hand force as an input, a step of the hand: nx 16, nu 9, 20 ms per interval (or ``horizon``)."""
-    robot = load_robot("rezero", contact="force")
-    horizon = horizon or (0.02 * intervals if intervals > 40 else 1.3)
-    mpc = MpcSettings(horizon=horizon, intervals=intervals, first_interval=0.0, barrier_mu=1e-2, limits=limits)
-    solver = Solver(rezero_problem(robot, mpc, RezeroCost()), settings or SQP(iterations=300))
-    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
-    u0 = np.concatenate([torque, np.zeros(3)])
-    position, orientation = robot.pose(home)
-    solver.set_reference("hand", Reference.poses([0.0], [position + [step, 0.0, 0.0]], orientation))
-    solver.set_reference("body", Reference.constant(home))
-    solver.set_reference("twist", Reference.constant(np.zeros(6)))
-    solver.set_reference("torque", Reference.constant(u0))
-    return Problem(f"ball robot with arm, {limits} limits, N = {intervals}", solver, home, u0)
-
-
 def suite_bench(problem: SampleProblem, settings: SQP | None = None) -> Problem:
-    """A test problem; its guess is the start, held, with the guess's first input."""
+    """A sample problem for the race; its guess is the start, held, with the guess's first input."""
     solver = problem.solver(settings or SQP(iterations=300))
     return Problem(problem.name, solver, problem.x0, np.atleast_2d(problem.u)[0])
+
+
+@dataclass(frozen=True)
+class RaceProblems:
+    """What is raced on. ``robots``: each makes a problem, with ``limits`` "soft" or "hard". ``limited``: by name, what makes a problem
+    of hard limits with settings of the solver. ``sizes``: by name, what makes a problem, the milliseconds of one iteration that
+    OCS2 publishes of one of the same size, and how many times faster we want to be."""
+
+    robots: Sequence[Callable[..., Problem]]
+    limited: Mapping[str, Callable[[SQP], Problem]]
+    sizes: Mapping[str, tuple[Callable[[], SampleProblem], float, float]]
+
+
+def race_problems() -> RaceProblems:
+    """Those of the built-in studies."""
+    found: RaceProblems = import_module(f"{BUILT_IN}.race.robots").RACE
+    return found

@@ -294,7 +294,7 @@ class Program:
         nothing, none = ca.DM.zeros(self.x.shape[0]), ca.DM.zeros(self.nx)
         unused = ["f", "g", "grad_gamma_x", "grad_gamma_p"]  # asked for, but only for multipliers that nobody reads
         full = ("nlp_hess_l", second, [nothing, lam_f * hessian], names[1], ["grad_gamma_x", "hess_gamma_x_x"])
-        wanted = (
+        target = (
             ("nlp", arguments, [f, g], names[0], ["f", "g"]),
             ("nlp_f", arguments, [f], names[0], ["f"]),
             ("nlp_g", arguments, [g], names[0], ["g"]),
@@ -305,7 +305,7 @@ class Program:
             ("grad_f", arguments, [f, gradient], names[0], ["f", "grad_f_x"]),
             ("hess_lag", second, [lam_f * upper], names[1], ["triu_hess_gamma_x_x"]),
         )
-        return {entry[0]: ca.Function(*entry) for entry in wanted}
+        return {entry[0]: ca.Function(*entry) for entry in target}
 
 
 def compiler() -> str | None:

@@ -5,21 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 from wbmpc.benchmark.limits import iteration_times
 from wbmpc.benchmark.machine_speed import matrix_product_speed, peak_gflops
 from wbmpc.benchmark.ours import ours, several_iterations
 from wbmpc.benchmark.peers import PEERS, peer, prepare
-from wbmpc.benchmark.problems import Problem, rezero_bench, swerve_bench
+from wbmpc.benchmark.problems import Problem, race_problems
 from wbmpc.benchmark.program import compiler
 from wbmpc.benchmark.residual import Measure, to_equal_residual
 from wbmpc.benchmark.sizes import size_race
 from wbmpc.report import versions
 
-#: Both robots; with open brakes the swerve robot's rows do not depend on each other, which Fatrop asks for.
-ROBOTS: tuple[Callable[..., Problem], ...] = (swerve_bench, partial(swerve_bench, brakes="open"), rezero_bench)
 #: Least factor by which we want to be faster than the fastest full solver, and than the fastest QP solver; most that hard
 #: limits may cost; most against C.
 FULL, QUADRATIC, HARD, C = 5.0, 2.0, 1.3, 1.2
@@ -30,8 +27,8 @@ Progress = Callable[[float, str], None]
 def one_core() -> Iterator[int | None]:
     """Run on one processor core, children too, where the system allows it; yields its number."""
     try:
-        before = os.sched_getaffinity(0)
-        core = max(before)
+        previous = os.sched_getaffinity(0)
+        core = max(previous)
         os.sched_setaffinity(0, {core})
     except (AttributeError, OSError):
         yield None
@@ -39,7 +36,7 @@ def one_core() -> Iterator[int | None]:
     try:
         yield core
     finally:
-        os.sched_setaffinity(0, before)
+        os.sched_setaffinity(0, previous)
 
 
 def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
@@ -113,7 +110,7 @@ def run_benchmark(repeat: int = 200, progress: Progress | None = None) -> dict[s
         figures["core"] = core
         figures["reference_kernel_gflops"], figures["peak_gflops"] = matrix_product_speed(), peak_gflops()
         figures["rows"] = []
-        for make in ROBOTS:
+        for make in race_problems().robots:
             for limits in ("soft", "hard"):
                 figures["rows"] += robot_race(make(limits=limits), repeat, note)
         done = 1

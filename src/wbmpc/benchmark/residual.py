@@ -86,13 +86,13 @@ class Measure:
 
 
 def to_equal_residual(
-    attempt: Callable[[int], tuple[float, Array, Array]], most: int, measure: Callable[[Array, Array], Residual]
+    attempt: Callable[[int], tuple[float, Array, Array]], maximum: int, measure: Callable[[Array, Array], Residual]
 ) -> dict[str, Any]:
-    """Fewest iterations, up to ``most``, after which the residual is at most :data:`EQUAL`, by bisection, and their time.
+    """Fewest iterations, up to ``maximum``, after which the residual is at most :data:`EQUAL`, by bisection, and their time.
 
-    ``attempt(iterations)``: milliseconds and the point (x, u). Nothing when even ``most`` are not enough.
+    ``attempt(iterations)``: milliseconds and the point (x, u). Nothing when even ``maximum`` are not enough.
     """
-    low, high, found = 0, most, attempt(most)
+    low, high, found = 0, maximum, attempt(maximum)
     if not measure(*found[1:]).largest <= EQUAL:
         return {}
     while high - low > 1:

@@ -33,6 +33,7 @@ from wbmpc.cli.terminal import (
     experiment_names,
     interrupted,
     logged,
+    printable,
     progress_bar,
     silent,
     terminable,
@@ -394,7 +395,7 @@ def _complain(error: Exception, debug: bool) -> None:
         text = str(error)
         if hasattr(error, "format_message"):
             text = f"{error.format_message().rstrip('.')}; see 'wbmpc --help' and 'wbmpc COMMAND --help'"
-    typer.echo(f"wbmpc: {' '.join(text.split())}", err=True)
+    typer.echo(f"wbmpc: {printable(' '.join(text.split()))}", err=True)
 
 
 def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] | None = None) -> int:

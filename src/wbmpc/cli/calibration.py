@@ -156,8 +156,8 @@ def _print(fit: WheelFit, names: list[str], hidden: list[str], target: Path, pri
     typer.echo(f"mean of the steer zeros {1e3 * found.steer_offset.mean():.2f} mrad (std {1e3 * mean:.2f})")
     for text in hidden:
         typer.echo(f"not shown by this drive: {text}")
-    if (fit.before.covariance != prior.covariance).any():
-        zero, radius = (float(s.max()) for s in fit.before.std)
+    if (fit.previous.covariance != prior.covariance).any():
+        zero, radius = (float(s.max()) for s in fit.previous.std)
         typer.echo(
             f"the wheels are farther off than was believed; taken to be before: zeros {1e3 * zero:.3g} mrad, radii "
             f"{100 * radius:.2g} % (--zero-std, --radius-std)"

@@ -31,14 +31,14 @@ RecordLimit = Annotated[
 ]
 _UNITS = {"B": 1, "KB": 1_000, "MB": 1_000_000, "GB": 1_000_000_000, "TB": 1_000_000_000_000}
 #: A smaller recording would be all about its own beginning.
-LEAST_RECORD = 1_000_000
+MIN_RECORD = 1_000_000
 
 
 def size_of(option: str, text: str) -> int:
     """Bytes of a size such as ``500MB``. Raises :class:`InputError` naming the option."""
     found = re.fullmatch(r"(\d{1,9}(?:\.\d{1,9})?)\s*([kKMGT]?B)", text.strip())
     size = float(found[1]) * _UNITS[found[2].upper()] if found else 0.0
-    if size < LEAST_RECORD:
+    if size < MIN_RECORD:
         raise InputError(
             f"{option}: '{text}': a size from 1MB on is needed, as 500MB or 2GB; valid units: {', '.join(_UNITS)}"
         )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wbmpc.cli.directories import Force, new_directory, new_file, reject_existing, writable_directory
+from wbmpc.cli.terminal import printable
 
 if TYPE_CHECKING:
     from wbmpc.recording.reader import Recording
@@ -18,7 +19,7 @@ log = typer.Typer(name="log", help="Look into the recording of a run.")
 File = Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")]
 Topics = Annotated[list[str] | None, typer.Argument(help="Topics (default: all that fit).")]
 #: Lines about settings, at most, that are printed.
-MOST_SETTINGS = 20
+MAX_SETTINGS = 20
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
@@ -53,14 +54,15 @@ def info(file: File, as_json: AsJson = False) -> None:
     run, result = recording.metadata.get("run", {}), recording.metadata.get("result", {})
     # a damaged one has been reported by a warning
     end = "" if recording.complete or recording.damage else "; it ends in the middle: the run was killed"
-    typer.echo(f"{recording.title}, {recording.duration:.2f} s, started {run.get('started', 'unknown')}{end}")
+    head = f"{recording.title}, {recording.duration:.2f} s, started {run.get('started', 'unknown')}{end}"
+    typer.echo(printable(head))
     if result.get("reason"):
-        typer.echo(f"did not complete: {result['reason']}")
+        typer.echo(printable(f"did not complete: {result['reason']}"))
     width = max(map(len, summary["topics"]), default=0)
     for name, t in summary["topics"].items():
         span = t["last"] - t["first"]
         rate = f"{(t['messages'] - 1) / span:7.1f} Hz" if span > 0.0 else ""
-        typer.echo(f"  {name:{width}}  {t['type']:30} {t['messages']:7d}  {rate}".rstrip())
+        typer.echo(printable(f"  {name:{width}}  {t['type']:30} {t['messages']:7d}  {rate}".rstrip()))
 
 
 @log.command()
@@ -147,7 +149,7 @@ def compare(
         _compare_table(rows, names)
     _print_differences(figures, changed)
     for note in notes:
-        typer.echo(note)
+        typer.echo(printable(note))
     typer.echo(f"the signals are in {out}" if plots else f"the runs share no signals; {out} is without plots")
 
 
@@ -155,9 +157,9 @@ def _print_differences(figures: list[dict[str, Any]], changed: dict[str, list[An
     """The settings that differ; those of different experiments by their number, and not more than fit on a screen."""
     from wbmpc.compare import experiments
 
-    shown = {} if experiments(figures) else dict(list(changed.items())[:MOST_SETTINGS])
+    shown = {} if experiments(figures) else dict(list(changed.items())[:MAX_SETTINGS])
     for key, (a, b) in shown.items():
-        typer.echo(f"{key}: {a} and {b}")
+        typer.echo(printable(f"{key}: {a} and {b}"))
     left = len(changed) - len(shown)
     if left:
         typer.echo(f"{left} {'more ' if shown else ''}settings differ: --json names them")
@@ -170,10 +172,10 @@ def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
     shown = table()
     for column in ("metric", "unit"):
         shown.add_column(column)
-    for column in (*names, "change"):
+    for column in (*map(printable, names), "change"):
         shown.add_column(column, justify="right", no_wrap=True)
     for row in rows:
         change = "" if row["change"] is None else f"{100 * row['change']:+.1f} %"
         values = ["" if v is None else number(v) for v in row["values"]]
-        shown.add_row(row["metric"], row["unit"], *values, change)
+        shown.add_row(printable(row["metric"]), printable(row["unit"]), *values, change)
     console().print(shown)

@@ -21,7 +21,7 @@ def stability(
     wrench: Annotated[
         str,
         typer.Option(
-            help="What the world does to the hand: force (N), or force and moment (N m): 0,0,-50; z along the ground's normal."
+            help="What the world does to the end effector: force (N), or force and moment (N m): 0,0,-50; z along the ground's normal."
         ),
     ] = "0,0,0",
     arm: Annotated[str | None, typer.Option(help="Angles of the arm's joints (rad; default: home).")] = None,

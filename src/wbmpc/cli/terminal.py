@@ -40,6 +40,19 @@ def terminated() -> bool:
     return isinstance(handler, Termination) and handler.came
 
 
+def printable(text: str) -> str:
+    """``text`` with what would steer a terminal (escape sequences, reversed writing, line feeds) written out: names in files come
+    from anybody."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+class _Printable(logging.Formatter):
+    """Lines of a log, each with its traceback if there is one."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        return printable(super().formatMessage(record))
+
+
 @contextmanager
 def terminable() -> Iterator[Termination]:
     """Handle SIGTERM, unless somebody else does or this is not the main thread."""
@@ -113,7 +126,7 @@ def progress_bar(title: str, show: bool) -> Iterator[Callable[[float, str], None
 def logged(verbose: bool, debug: bool = False) -> Iterator[None]:
     """What the library notes, on standard error: warnings, or everything; with ``debug`` tracebacks too."""
     log, handler = logging.getLogger("wbmpc"), logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("wbmpc: %(message)s"))
+    handler.setFormatter(_Printable("wbmpc: %(message)s"))
     before = log.level
     log.addHandler(handler)
     log.setLevel(logging.DEBUG if debug else logging.INFO if verbose else logging.WARNING)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wbmpc.cli.directories import Force, new_file, run_directory
+from wbmpc.cli.directories import RECORD_LIMIT, Force, RecordLimit, new_file, run_directory, size_of
 from wbmpc.cli.recordings import AsJson
 from wbmpc.cli.terminal import ABORTED, TERMINATED, robot_names, terminated
 from wbmpc.errors import InputError
@@ -68,9 +68,13 @@ def view(
     host: Host = LOCAL,
     port: Port = 8080,
     no_token: NoToken = False,
+    record_limit: RecordLimit = RECORD_LIMIT,
     as_json: AsJson = False,
 ) -> None:
     """Drive a robot in a browser: it stands in MuJoCo with its MPC and goes where its goals are dragged."""
+    limit = size_of("--record-limit", record_limit)
+    if out is None and record_limit != RECORD_LIMIT:
+        raise InputError("--record-limit: nothing is recorded without --out DIRECTORY")
     if realtime:
         if out is not None:
             raise InputError("--out: what runs in real time is not recorded; leave out --realtime")
@@ -84,7 +88,7 @@ def view(
     with nullcontext() if out is None else run_directory(out, robot, seed) as directory:
         recorders = []
         if directory is not None:
-            recorders = [Recorder(directory / RECORDING, about_run(f"view {robot}", seed, {}))]
+            recorders = [Recorder(directory / RECORDING, about_run(f"view {robot}", seed, {}), limit)]
         try:
             ending = run_session(robot, seed, shown, *recorders)
             reason, wanted = ending.reason, ending.interrupted or shown.ended or not ending.reason
@@ -94,7 +98,8 @@ def view(
                 recorder.close({"completed": "false", "reason": reason})
     typer.echo(reason, err=True)
     for recorder in recorders:
-        typer.echo(f"the recording is {recorder.path}", err=True)
+        typer.echo(recorder.failure or f"the recording is {recorder.path}", err=True)
+        wanted = wanted and not recorder.failure
     _leave(ABORTED if not wanted else 0)
 
 

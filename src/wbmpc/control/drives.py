@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 #: Time [s] of turning over which friction is learned; the most that is taken for it, speeds below which a drive may stick and
 #: shows nothing, and below which the sign of a command is not trusted [rad/s].
-LEARNED_IN, MOST, TURNS, SLOW = 1.0, 0.1, 0.05, 0.02
+LEARNED_IN, MAXIMUM, TURNS, SLOW = 1.0, 0.1, 0.05, 0.02
 
 
 class DryFriction:
@@ -37,14 +37,14 @@ class DryFriction:
         if h <= 0.0:
             return
         lacks = (self._mean - turned / h) * np.sign(self._mean)
-        now = np.clip(self.droop + (1.0 - np.exp(-h / LEARNED_IN)) * (lacks - self.droop), 0.0, MOST)
+        now = np.clip(self.droop + (1.0 - np.exp(-h / LEARNED_IN)) * (lacks - self.droop), 0.0, MAXIMUM)
         self.droop = np.where(np.abs(self._mean) > TURNS, now, self.droop)
 
-    def command(self, wanted: Array, most: Array | float, step: Array | float) -> Array:
-        """Commands for the drives (n) [rad/s] so that they turn as ``wanted`` (n), within ± ``most`` and by no more than ``step``
+    def command(self, target: Array, maximum: Array | float, step: Array | float) -> Array:
+        """Commands for the drives (n) [rad/s] so that they turn as ``target`` (n), within ± ``maximum`` and by no more than ``step``
         beside the command before. Slow ones get a share, or they would chatter about a standstill."""
-        command = wanted + self.droop * np.clip(wanted / SLOW, -1.0, 1.0)
-        command = np.clip(np.clip(command, -most, most), self._command - step, self._command + step)
+        command = target + self.droop * np.clip(target / SLOW, -1.0, 1.0)
+        command = np.clip(np.clip(command, -maximum, maximum), self._command - step, self._command + step)
         behind = self._rate - command
         self._command, self._mean, self._rate = (
             command,

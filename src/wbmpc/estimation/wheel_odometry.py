@@ -81,7 +81,7 @@ class Increment:
 
 
 def fit_twist(
-    geometry: ModuleGeometry, radius: Array, before: Sample, now: Sample, weights: Array | None = None
+    geometry: ModuleGeometry, radius: Array, previous: Sample, now: Sample, weights: Array | None = None
 ) -> Increment:
     """The motion that fits two samples of true angles best; ``radius`` (n) [m]; ``weights`` (n) of the wheels (1 when left out).
 
@@ -91,7 +91,7 @@ def fit_twist(
     """
     fitted = WheelFit(geometry, radius)
     memory = fitted.memory
-    memory["before"][:], memory["now"][:] = np.concatenate(before), np.concatenate(now)
+    memory["before"][:], memory["now"][:] = np.concatenate(previous), np.concatenate(now)
     if weights is not None:
         memory["weights"][:] = weights
     fitted.run()

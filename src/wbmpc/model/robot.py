@@ -76,7 +76,7 @@ class RobotModel:
 
     @property
     def tool(self) -> str:
-        """Name of the hand's frame."""
+        """Name of the end effector's frame."""
         return self.description.arm.tool
 
     @cached_property

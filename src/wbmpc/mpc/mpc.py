@@ -26,7 +26,11 @@ STUCK = 4
 
 
 class References:
-    """``mpc.reference["hand"] = Reference...``: what the terms compare with."""
+    """``mpc.reference["end_effector"] = Reference...``: what the terms compare with.
+
+    Set it between two updates, from the thread that updates. Another thread gets :class:`SolverBusy` while an update is under way
+    (it does not wait, and the reference is not changed); what sets it in an MPC's own thread is a guess (:class:`Bound`).
+    """
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
@@ -98,7 +102,9 @@ class MPC:
 
     ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is
     checked by the loop. ``first_iterations``: calls of the solver for the first plan, each with the iterations that ``solver`` has.
-    ``guess``: see :data:`Guess`. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says.
+    ``guess``: see :data:`Guess`. ``plan_only_limits``: hard rows of the inputs alone that are not linear (|u|² ≤ r², a box around a
+    nonlinear function of a reference) are allowed, though only plans hold them: a policy's feedback cannot be held to them, and
+    is to be cut by its user. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says.
     """
 
     def __init__(
@@ -109,6 +115,7 @@ class MPC:
         *,
         first_iterations: int = 30,
         guess: Guess | None = None,
+        plan_only_limits: bool = False,
     ) -> None:
         if not (rate > 0.0 and np.isfinite(rate)):
             raise InputError(f"mpc.rate: must be positive, got {rate}")
@@ -125,6 +132,10 @@ class MPC:
         self.reference = References(self.solver)
         self.guess = guess
         self.statistics = Statistics()
+        terms = {t.name: t.residual for t in ocp.terms.values()}
+        self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
+        if not plan_only_limits:
+            self._check_limits()
         self._planes = planes = self.solver.problem.input_planes()
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)
@@ -143,8 +154,18 @@ class MPC:
         #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
         self.events_without_node = 0
         self._reported = False
-        terms = {t.name: t.residual for t in ocp.terms.values()}
-        self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
+
+    def _check_limits(self) -> None:
+        """Raise :class:`InputError` for a hard row of inputs that no policy can hold. Limits of how fast inputs change are of plans:
+        a policy does not know the last command."""
+        rows = self.solver.problem.unclipped_input_rows()
+        unheld = [row for row in rows if not any(row.startswith(f"{name}.") for name in self._follow_last)]
+        if unheld:
+            raise InputError(
+                f"mpc: hard row '{unheld[0]}' limits inputs in a way that is not linear: a policy's feedback cannot be held to it; "
+                "valid: rows that are linear in inputs and references, hard=False, or MPC(..., plan_only_limits=True), where what "
+                "feedback adds is cut by your own code"
+            )
 
     @property
     def guess(self) -> Guess | None:
@@ -303,9 +324,9 @@ class MPC:
         self._count_events(observation.t)
         broken = self._not_finite_part()
         self._broken = self._broken + 1 if broken else 0
-        before, self.fault = self.fault, broken or self._rejection()
+        previous, self.fault = self.fault, broken or self._rejection()
         self._faults = self._faults + 1 if self.fault else 0
-        if self.fault and not before:  # the first of a row of them
+        if self.fault and not previous:  # the first of a row of them
             _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
         return not self.fault
 

@@ -74,8 +74,8 @@ class InputLimits:
         bad = now < -_ROUNDING if active is None else (now < -_ROUNDING) & (active > 0.0)
         if not bad.any():
             return False
-        before = np.maximum(self.matrix[bad] @ planned + offset[bad], 0.0)
-        shares = before / (before - now[bad])
+        previous = np.maximum(self.matrix[bad] @ planned + offset[bad], 0.0)
+        shares = previous / (previous - now[bad])
         share = np.where(self._coupled[bad], shares[:, None], 1.0).min(axis=0)
         np.copyto(u, (u - planned) * share + planned, where=share < 1.0)
         return True
@@ -104,7 +104,8 @@ class Policy:
     After a push the feedback asks for more than the plan, which knows nothing of it yet. ``active`` (N, r): which of the rows
     count in each interval's mode. ``moving`` (N, 2, r): their offsets at each interval's beginning and end, where references or
     parameters move them (None: nowhere); in between they are linear, so that ``policy(t)`` follows them too. Other hard rows
-    (curved ones, with states) hold in the plan, i.e. for ``policy(t)``; cut feedback to those yourself, from :meth:`law`.
+    (with states, and those that ``MPC(plan_only_limits=True)`` allows) hold in the plan, i.e. for ``policy(t)``; cut feedback to
+    those yourself, from :meth:`law`.
     """
 
     times: np.ndarray

@@ -81,7 +81,7 @@ class SupportMargin:
 
     ``supports``: groups of modules (indices), each the corners of a convex polygon: a support triangle, or several whose
     overlap the point is to stay in (Pankert et al. 2022, section II-A); left out: the support polygon of all modules.
-    Reference: the wrench (6) of the world on the hand, force [N] and moment [N m] in world axes. ``gravity`` (3)
+    Reference: the wrench (6) of the world on the end effector, force [N] and moment [N m] in world axes. ``gravity`` (3)
     [m/s²]: on a slope not along −z. Loads are static unless ``dynamics`` are given: then also the inertia of what their
     states say about the inputs' rates (:class:`wbmpc.model.augment.InputRate`; inputs that are no states count as constant).
     """

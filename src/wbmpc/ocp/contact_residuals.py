@@ -43,7 +43,7 @@ def push_on_surface(force: ca.SX, normal: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class FrictionCone:
-    """A hand that can only push, and not slide: rows [N] that are to be at least zero.
+    """An end effector that can only push, and not slide: rows [N] that are to be at least zero.
 
     Reference: the unit normal n (3) of an upright surface, into it. With the robot's push F = −(force of the world on it):
     ``push``: nᵀF − ``least``; ``cone``: a pyramid inside the cone, μ nᵀF/√2 ± F along two tangents (μ = ``friction``).
@@ -66,5 +66,5 @@ class FrictionCone:
 
     def __call__(self, s: Symbols) -> ca.SX:
         push, side, rise = ca.vertsplit(push_on_surface(-s.u[self.robot.input[self.group]], s.reference))
-        most = self.friction / np.sqrt(2.0) * push
-        return ca.vertcat(push - self.least, most - side, most + side, most - rise, most + rise)
+        maximum = self.friction / np.sqrt(2.0) * push
+        return ca.vertcat(push - self.least, maximum - side, maximum + side, maximum - rise, maximum + rise)

@@ -44,8 +44,8 @@ class FramePose:
 
     def __call__(self, s: Symbols) -> ca.SX:
         pose = self.robot.frame_pose(s.x, self.frame)
-        wanted = lie.quaternion_conjugate(s.reference[3:7])
-        pair = (pose.quaternion, wanted) if self.axes == "world" else (wanted, pose.quaternion)
+        target = lie.quaternion_conjugate(s.reference[3:7])
+        pair = (pose.quaternion, target) if self.axes == "world" else (target, pose.quaternion)
         error = lie.quaternion_multiply(*pair)
         rotation = lie.quaternion_log(error) if self.orientation == "log" else 2.0 * lie.quaternion_error_vector(error)
         return ca.vertcat(pose.position - s.reference[0:3], rotation)

@@ -56,9 +56,7 @@ def input_planes(group: RowGroup, u: ca.SX, p: ca.SX, w: ca.SX, switches: list[c
     for h, row in zip(group.expressions, group.general, strict=True):
         if row.kind is not Kind.HARD or row.state_only:
             continue
-        own = [i for i, switch in enumerate(switches) if ca.depends_on(h, switch)]
-        on = ca.substitute(h, switches[own[0]], ca.SX(1)) if len(own) == 1 else h
-        straight = _straight(on, every) if len(own) < 2 else None
+        own, straight = _in_its_mode(h, every, switches)
         if straight is None:
             continue
         slope, offset = straight
@@ -68,6 +66,24 @@ def input_planes(group: RowGroup, u: ca.SX, p: ca.SX, w: ca.SX, switches: list[c
     matrix, by_node, by_constant = np.split(slopes, ends[:-1], axis=1)
     offsets, switched = np.array([f[1] for f in found]), np.array([f[2] for f in found], int)
     return InputPlanes(matrix, offsets, by_node, by_constant, switched)
+
+
+def nonlinear_rows(group: RowGroup, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, switches: list[ca.SX]) -> list[str]:
+    """Names of the hard rows that depend on inputs and not on states ``x``, and are not among :func:`input_planes`, since they are
+    not linear in the inputs or in what moves them: nothing says by numbers alone how far an input may go."""
+    every, found = ca.vertcat(u, p, w), []
+    for h, row in zip(group.expressions, group.general, strict=True):
+        alone = row.kind is Kind.HARD and not row.state_only and not ca.depends_on(h, x)
+        if alone and _in_its_mode(h, every, switches)[1] is None:
+            found.append(row.name)
+    return found
+
+
+def _in_its_mode(h: ca.SX, every: ca.SX, switches: list[ca.SX]) -> tuple[list[int], tuple[np.ndarray, float] | None]:
+    """Which of the ``switches`` a row depends on, and its (slope, offset) where it counts; None: see :func:`_straight`."""
+    own = [i for i, switch in enumerate(switches) if ca.depends_on(h, switch)]
+    on = ca.substitute(h, switches[own[0]], ca.SX(1)) if len(own) == 1 else h
+    return own, _straight(on, every) if len(own) < 2 else None
 
 
 def _straight(h: ca.SX, z: ca.SX) -> tuple[np.ndarray, float] | None:

@@ -15,7 +15,7 @@ from wbmpc.ocp.terms import Constraint, Cost
 
 Term = Cost | Constraint
 #: A finer grid is a mistake of units: its matrices alone would fill the memory.
-MOST_INTERVALS = 100_000
+MAX_INTERVALS = 100_000
 
 
 class SystemDynamics(Protocol):
@@ -97,10 +97,10 @@ class OptimalControlProblem:
     def refined(self, step: float) -> OptimalControlProblem:
         """The same problem on a grid whose intervals are cut so that none is longer than ``step`` [s]."""
         cuts = np.maximum(np.ceil(np.diff(self.grid) / step - 1e-9), 1.0)
-        if cuts.sum() > MOST_INTERVALS:
+        if cuts.sum() > MAX_INTERVALS:
             raise InputError(
                 f"step: {step:g} s cuts a horizon of {self.horizon:g} s into {cuts.sum():.3g} intervals; "
-                f"valid: at most {MOST_INTERVALS}, at least {self.horizon / MOST_INTERVALS:.2g} s"
+                f"valid: at most {MAX_INTERVALS}, at least {self.horizon / MAX_INTERVALS:.2g} s"
             )
         cuts = cuts.astype(int)
         grid = [t for k, c in enumerate(cuts) for t in np.linspace(self.grid[k], self.grid[k + 1], c, endpoint=False)]

@@ -181,16 +181,16 @@ class AccelerationLimit:
         above, below = [], []
         for k, i in enumerate(self.inputs):
             name = self.robot.input.names[i]
-            low, high, most = (float(v[i]) for v in (limits.input_lower, limits.input_upper, limits.input_rate))
+            low, high, maximum = (float(v[i]) for v in (limits.input_lower, limits.input_upper, limits.input_rate))
             last = ca.fmin(ca.fmax(s.reference[k], low), high)
-            change = most * since + ((since <= 0.0) + self._braked(s, name)) * (high - low)
+            change = maximum * since + ((since <= 0.0) + self._braked(s, name)) * (high - low)
             upper, lower = ca.fmin(high, last + change), ca.fmax(low, last - change)
             j = self.robot.state.index(name)
             stops = not name.startswith("steer.")
             if stops and np.isfinite(limits.state_upper[j]):
-                upper = ca.fmin(upper, most / high * (float(limits.state_upper[j]) - s.x[j]))
+                upper = ca.fmin(upper, maximum / high * (float(limits.state_upper[j]) - s.x[j]))
             if stops and np.isfinite(limits.state_lower[j]):
-                lower = ca.fmax(lower, most / low * (s.x[j] - float(limits.state_lower[j])))
+                lower = ca.fmax(lower, maximum / low * (s.x[j] - float(limits.state_lower[j])))
             above.append((upper - s.u[i]) / (high - low))
             below.append((s.u[i] - lower) / (high - low))
         return ca.vertcat(*above, *below)

@@ -26,7 +26,7 @@ from wbmpc.ocp.constraint_classification import (
     nonlinear_equalities,
     nonlinear_in_inputs,
 )
-from wbmpc.ocp.input_rows import InputPlanes, input_bounds, input_planes
+from wbmpc.ocp.input_rows import InputPlanes, input_bounds, input_planes, nonlinear_rows
 from wbmpc.ocp.norms import AugmentedLagrangian, RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
@@ -180,9 +180,16 @@ class Transcription:
     def input_planes(self) -> InputPlanes:
         """Straight hard rows of inputs alone beyond those bounds: of several inputs, and of single ones in some modes only or
         around a reference."""
+        return input_planes(self.path, self.u, self.p, self.w, self._switch_symbols())
+
+    def unclipped_input_rows(self) -> list[str]:
+        """Names of hard rows of inputs alone that are not among those bounds and rows."""
+        return nonlinear_rows(self.path, self.x, self.u, self.p, self.w, self._switch_symbols())
+
+    def _switch_symbols(self) -> list[ca.SX]:
+        """The elements of p that switch terms with modes."""
         switch = self.node.slices["switch"]
-        switches = [self.p[i] for i in range(switch.start, switch.stop)]
-        return input_planes(self.path, self.u, self.p, self.w, switches)
+        return [self.p[i] for i in range(switch.start, switch.stop)]
 
     def with_input(self, term: Constraint) -> np.ndarray:
         """For every row of a term, whether it depends on the input."""

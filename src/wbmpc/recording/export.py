@@ -41,7 +41,7 @@ def export(
 
 
 def file_name(topic: str) -> str:
-    """``hand_pose`` for ``/hand/pose``."""
+    """``hand_pose`` for ``/end_effector/pose``."""
     return topic.strip("/").replace("/", "_")
 
 

@@ -27,12 +27,12 @@ PLAN_POINTS = 31
 
 @dataclass(frozen=True)
 class Moment:
-    """``bodies`` (n, 7) in the order of the scene, ``base`` and ``hand`` in ``map``; ``estimated`` base in ``odom``; ``drift``
+    """``bodies`` (n, 7) in the order of the scene, ``base`` and ``end_effector`` in ``map``; ``estimated`` base in ``odom``; ``drift``
     of ``odom`` in ``map``."""
 
     bodies: Array
     base: Array
-    hand: Array
+    end_effector: Array
     estimated: Array
     drift: Array
 
@@ -57,15 +57,15 @@ class Observer:
         base = bodies[self.scene.index]
         belief = getattr(controller, "base_pose", None)
         estimated = base if belief is None else belief()
-        hand = np.concatenate([frames["tool"], lie.rotation_to_quaternion(frames["tool_rotation"])])
-        return Moment(bodies, base, hand, estimated, lie.pose_compose(base, lie.pose_inverse(estimated)))
+        end_effector = np.concatenate([frames["tool"], lie.rotation_to_quaternion(frames["tool_rotation"])])
+        return Moment(bodies, base, end_effector, estimated, lie.pose_compose(base, lie.pose_inverse(estimated)))
 
-    def hand_goal(self, t: float) -> Array | None:
-        """The hand's reference in ``odom`` at time t [s], if the problem has one."""
-        return hand_goal(self.running.mpc, t, self.lift)
+    def end_effector_goal(self, t: float) -> Array | None:
+        """The end effector's reference in ``odom`` at time t [s], if the problem has one."""
+        return end_effector_goal(self.running.mpc, t, self.lift)
 
     def plan(self, plans: PolicyQueue) -> tuple[Array, Array]:
-        """Predicted poses of base and hand (n, 7) in ``odom``, n at most PLAN_POINTS, none before the first plan.
+        """Predicted poses of base and end effector (n, 7) in ``odom``, n at most PLAN_POINTS, none before the first plan.
 
         A base that is planned in the plane lies at the planner's z = 0.
         """
@@ -75,8 +75,8 @@ class Observer:
         return predicted(self.running.controller.robot, layout, thinned(plans.current.x), self.lift)
 
 
-def hand_goal(mpc: MPC | None, t: float, lift: Array) -> Array | None:
-    """The hand's reference (7) of an MPC at time t [s] above the floor, None if its problem has none; ``lift`` (3) [m]."""
+def end_effector_goal(mpc: MPC | None, t: float, lift: Array) -> Array | None:
+    """The end effector's reference (7) of an MPC at time t [s] above the floor, None if its problem has none; ``lift`` (3) [m]."""
     if mpc is None or "hand" not in mpc.reference or mpc.reference["hand"].values.shape[1] != 7:
         return None
     goal = mpc.reference["hand"].at(t)
@@ -89,14 +89,14 @@ def thinned(states: Array) -> Array:
 
 
 def predicted(robot: RobotModel, layout: Layout, states: Array, lift: Array) -> tuple[Array, Array]:
-    """Poses of base and hand (n, 7) above the floor at states (n, nx), whose groups are in ``layout``; ``lift`` (3) [m]. A base that
+    """Poses of base and end effector (n, 7) above the floor at states (n, nx), whose groups are in ``layout``; ``lift`` (3) [m]. A base that
     is not in the state is drawn at the origin."""
-    hand = robot.poses(np.hstack([states[:, layout[group]] for group in robot.state.groups]))
+    end_effector = robot.poses(np.hstack([states[:, layout[group]] for group in robot.state.groups]))
     planned = states[:, layout["base"]] if "base" in robot.state else np.zeros((len(states), 3))
     base = base_poses(planned)
     base[:, :3] += lift
-    hand[:, :3] += lift
-    return base, hand
+    end_effector[:, :3] += lift
+    return base, end_effector
 
 
 def base_poses(planned: Array) -> Array:

@@ -12,8 +12,13 @@ from wbmpc.result import Plot, Series
 
 
 def overview(recording: Recording) -> list[Plot]:
-    """Hand, joints, commands, contact forces and solve times: whatever of them was recorded."""
-    drawn = [_hand_path(recording), _hand_error(recording), _joint_speeds(recording), _solve_times(recording)]
+    """End effector, joints, commands, contact forces and solve times: whatever of them was recorded."""
+    drawn = [
+        _end_effector_path(recording),
+        _end_effector_error(recording),
+        _joint_speeds(recording),
+        _solve_times(recording),
+    ]
     plots = [p for p in drawn if p is not None]
     plots += [_columns(recording, name, f"Command: {name[9:]}", "") for name in _under(recording, "/command/")]
     forces = [(name, recording.table(name)) for name in _under(recording, "/contact/")]
@@ -48,27 +53,29 @@ def positions(recording: Recording, topic: str) -> tuple[np.ndarray, np.ndarray]
     return table.times, np.stack([table.columns[f"pose.position.{a}"] for a in "xyz"], axis=1)
 
 
-def hand_error(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times (n,) and distances (n,) [m] of hand and reference in the estimated frame; None without a reference."""
-    hand, wanted = positions(recording, "/hand/pose_odom"), positions(recording, "/hand/reference")
-    if hand is None or wanted is None:
+def end_effector_error(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times (n,) and distances (n,) [m] of end effector and reference in the estimated frame; None without a reference."""
+    end_effector, target = positions(recording, "/hand/pose_odom"), positions(recording, "/hand/reference")
+    if end_effector is None or target is None:
         return None
-    times, here, there = np.intersect1d(hand[0], wanted[0], return_indices=True)
-    return times, np.linalg.norm(hand[1][here] - wanted[1][there], axis=1)
+    times, here, there = np.intersect1d(end_effector[0], target[0], return_indices=True)
+    return times, np.linalg.norm(end_effector[1][here] - target[1][there], axis=1)
 
 
-def _hand_path(recording: Recording) -> Plot | None:
+def _end_effector_path(recording: Recording) -> Plot | None:
     named = {"hand": "/hand/pose_odom", "reference": "/hand/reference"}
     found = {name: positions(recording, topic) for name, topic in named.items()}
     lines = [Series(n, p[1][:, 0], p[1][:, 1], n == "reference") for n, p in found.items() if p is not None]
-    return Plot("Hand from above, estimated frame", "x [m]", "y [m]", lines, equal_axes=True) if lines else None
+    return Plot("End effector from above, estimated frame", "x [m]", "y [m]", lines, equal_axes=True) if lines else None
 
 
-def _hand_error(recording: Recording) -> Plot | None:
-    error = hand_error(recording)
+def _end_effector_error(recording: Recording) -> Plot | None:
+    error = end_effector_error(recording)
     if error is None:
         return None
-    return Plot("Hand error, estimated frame", "time [s]", "error [mm]", [Series("distance", error[0], 1e3 * error[1])])
+    return Plot(
+        "End effector error, estimated frame", "time [s]", "error [mm]", [Series("distance", error[0], 1e3 * error[1])]
+    )
 
 
 def _joint_speeds(recording: Recording) -> Plot | None:

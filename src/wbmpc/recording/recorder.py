@@ -185,10 +185,10 @@ class Recorder:
         }  # fmt: skip
         self._fill("/joint_states", "sensor_msgs/JointState", None, joints, make)
         self._odometry_message(moment.estimated)
-        self._pose("/hand/pose", MAP, moment.hand)
-        in_odom = lie.pose_compose(moment.estimated, lie.pose_between(moment.base, moment.hand))
+        self._pose("/hand/pose", MAP, moment.end_effector)
+        in_odom = lie.pose_compose(moment.estimated, lie.pose_between(moment.base, moment.end_effector))
         self._pose("/hand/pose_odom", ODOM, in_odom)
-        goal = self._observer.hand_goal(self._last - self._start)
+        goal = self._observer.end_effector_goal(self._last - self._start)
         if goal is not None:
             self._pose("/hand/reference", ODOM, goal)
 

@@ -33,7 +33,7 @@ _QOS = """- history: keep_last
 class McapFile:
     """Topics come into being with their first message. Times are of the simulation [s], from 0.
 
-    The library's writer hands a chunk to the file when it is full, and it goes to the system at once: a program that is
+    The library's writer end effectors a chunk to the file when it is full, and it goes to the system at once: a program that is
     killed leaves every whole chunk behind.
 
     ``limit``: bytes on the disk, about. With half of them the file is closed and becomes ``run-1.mcap``, in place of one that was
@@ -59,7 +59,7 @@ class McapFile:
         """Make this file the one before, in place of another, and go on in a new one that stands by itself."""
         self._writer.add_metadata("rotated", {"until": f"{t:.9f}"})
         self.close()
-        self.path.replace(before(self.path))
+        self.path.replace(previous(self.path))
         self._open()
         for name, table in self._about.items():
             self._writer.add_metadata(name, table)
@@ -119,7 +119,7 @@ class McapFile:
             self._file.close()
 
 
-def before(path: Path) -> Path:
+def previous(path: Path) -> Path:
     """The part of a recording before the newest one: ``run-1.mcap`` of ``run.mcap``."""
     return path.with_name(f"{path.stem}-1{path.suffix}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Self, get_args
 from xml.etree import ElementTree
@@ -31,6 +32,8 @@ from wbmpc.robots.wheel_geometry import check_radii
 from wbmpc.yaml_file import load_yaml
 
 DATA = Path(__file__).parent / "data"
+#: Characters of a robot's name, which is part of names of files and nodes.
+LONGEST_NAME = 64
 #: Keys of ``limits`` that are of joints, whatever the base.
 JOINT_LIMITS = ("velocity", "actuator_velocity", "acceleration", "effort", "position")
 
@@ -41,13 +44,21 @@ def _moves(value: float) -> float:
     return value
 
 
+def _robot_name(value: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", value) or len(value) > LONGEST_NAME:
+        raise ValueError(
+            f"a name of letters, digits, - and _ is needed, which begins with a letter or digit and has at most {LONGEST_NAME} characters"
+        )
+    return value
+
+
 #: A limit of a machine, in SI units: what is smaller is a standstill, what is larger no limit.
 _Limit = Annotated[float, Field(gt=0, le=1e6), AfterValidator(_moves)]
 _Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class ArmDescription(Section):
-    """The arm's joints from base to hand, and the name of the hand's frame (site or body)."""
+    """The arm's joints from base to end effector, and the name of the end effector's frame (site or body)."""
 
     joints: tuple[str, ...] = Field(min_length=1)
     tool: str
@@ -68,8 +79,8 @@ class LimitsDescription(Section):
     position: dict[str, tuple[_Place, _Place]] = Field(default={})
     base_linear: _Limit = 1.0
     base_angular: _Limit = 1.0
-    wheel_effort: float = Field(default=np.inf, gt=0)
-    spin_effort: float = Field(default=np.inf, gt=0)
+    wheel_effort: _Limit = np.inf
+    spin_effort: _Limit = np.inf
 
     @model_validator(mode="after")
     def _reserve(self) -> Self:
@@ -104,7 +115,7 @@ class RobotDescription(Section):
     ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters.
     """
 
-    name: str
+    name: Annotated[str, AfterValidator(_robot_name)]
     model: Path
     base: Annotated[SerializeAsAny[BaseDescription], BeforeValidator(_base_section)]
     arm: ArmDescription

@@ -16,9 +16,9 @@ from xml.parsers import expat
 from wbmpc.errors import InputError
 
 #: Bytes of one file; elements and bodies after all that is repeated; levels of nesting; pixels or points of an image or a field.
-LARGEST, MOST_ELEMENTS, MOST_BODIES, DEEPEST, MOST_PIXELS = 16 * 1024 * 1024, 5_000, 500, 128, 64_000_000
+LARGEST, MAX_ELEMENTS, MAX_BODIES, DEEPEST, MAX_PIXELS = 16 * 1024 * 1024, 5_000, 500, 128, 64_000_000
 #: Elements that are beside the robot's bodies, which are taken out one by one: shapes and lights of the world, sensors, drives.
-MOST_BESIDE = 1_000
+MAX_BESIDE = 1_000
 _OF_WORLD, _LISTS = (
     ("geom", "light", "camera"),
     ("sensor", "actuator", "keyframe", "contact", "tuple", "equality", "tendon"),
@@ -99,12 +99,12 @@ class _Walk:
         self._times.append(times)
         self._open.append(name)
         self._add(name, _Count(times, times * (name in _BODIES), times * beside))
-        if name in _AREAS and self._product(name, " ".join(attributes.get(a, "1") for a in _AREAS[name])) > MOST_PIXELS:
-            self._fail(f"<{name}>: {' times '.join(_AREAS[name])} is more than {MOST_PIXELS}")
+        if name in _AREAS and self._product(name, " ".join(attributes.get(a, "1") for a in _AREAS[name])) > MAX_PIXELS:
+            self._fail(f"<{name}>: {' times '.join(_AREAS[name])} is more than {MAX_PIXELS}")
         for attribute in attributes:
-            most = _COUNTS.get((name, attribute))
-            if most is not None and max(self._numbers(name, attributes[attribute]), default=0.0) > most:
-                self._fail(f"<{name}>: '{attribute}' has a number above {most:g}, the largest that is read")
+            maximum = _COUNTS.get((name, attribute))
+            if maximum is not None and max(self._numbers(name, attributes[attribute]), default=0.0) > maximum:
+                self._fail(f"<{name}>: '{attribute}' has a number above {maximum:g}, the largest that is read")
         if name == "include":
             self._include(attributes.get("file", ""), times)
         elif name == "model" and "file" in attributes:
@@ -132,13 +132,13 @@ class _Walk:
         count = self._count
         count.elements, count.bodies = count.elements + more.elements, count.bodies + more.bodies
         count.beside += more.beside
-        for what, value, most in (
-            ("bodies", count.bodies, MOST_BODIES),
-            ("elements", count.elements, MOST_ELEMENTS),
-            ("shapes, sensors and drives beside the bodies", count.beside, MOST_BESIDE),
+        for what, value, maximum in (
+            ("bodies", count.bodies, MAX_BODIES),
+            ("elements", count.elements, MAX_ELEMENTS),
+            ("shapes, sensors and drives beside the bodies", count.beside, MAX_BESIDE),
         ):
-            if not value <= most:
-                self._fail(f"<{name}>: more than {most} {what}; at most so many are read")
+            if not value <= maximum:
+                self._fail(f"<{name}>: more than {maximum} {what}; at most so many are read")
 
     def _found(self, name: str) -> Path:
         """Where MuJoCo looks for a file: beside the main one, or the one that names it."""

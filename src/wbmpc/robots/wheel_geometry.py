@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
 
 #: How far [of it] a described radius may be from that of the shapes: tyres wear, and are pressed flat.
-MOST = 0.05
+MAXIMUM = 0.05
 #: How far a round shape's axis may be from the wheel's: angle [rad], and distance [of its radius].
 TILT, BESIDE = 0.02, 0.05
 _ROUND = {mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID}
@@ -50,10 +50,10 @@ def _is_urdf(description: RobotDescription) -> bool:
 
 
 def _compare(description: RobotDescription, radius: Radius, drawn: float | None) -> None:
-    if drawn is not None and abs(radius.value - drawn) > MOST * drawn:
+    if drawn is not None and abs(radius.value - drawn) > MAXIMUM * drawn:
         raise InputError(
             f"{description.source}: key '{radius.key}': {radius.value:g} m, but the shape of the {radius.what} '{radius.name}' in "
-            f"{description.model} has a radius of {drawn:.4g} m; they may differ by {100 * MOST:g} % at most"
+            f"{description.model} has a radius of {drawn:.4g} m; they may differ by {100 * MAXIMUM:g} % at most"
         )
 
 

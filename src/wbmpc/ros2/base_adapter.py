@@ -47,13 +47,16 @@ class Brakes(Protocol):
 
 
 class LegCommands(Protocol):
-    """Commands for legs and brakes from the bus. ``angles`` (n) [rad]: where legs are to go, None before anybody has said so;
+    """Commands for legs and brakes from the bus. ``angles`` (n) [rad]: where legs are to go, None before anybody has said so, and
+    ``aims`` where the plan is to take them, which changes whenever ``apply`` or ``watch`` says so;
     ``rejected``: why the last order was not taken; ``short``: which legs have ended on their way."""
 
     angles: Array | None
     rejected: str
     short: str
 
+    @property
+    def aims(self) -> Array | None: ...
     @property
     def waiting(self) -> bool: ...
     def apply(self, brakes: Any, t: float, leg: Array) -> bool: ...

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
+
+from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
     from wbmpc.ros2.parameters import Parameters
 
 BACK_ENDS = ("auto", "rclpy", "dds")
+#: Characters of a name of a topic: with the prefix of its kind DDS takes 255.
+LONGEST_NAME = 247
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,20 @@ class Node(Protocol):
     def close(self) -> None: ...
 
 
+def name_fault(name: str) -> str:
+    """What is wrong with the name of a topic or a service, as ROS has them (REP 144 and the design article on names); empty if
+    nothing is."""
+    if not re.fullmatch(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", name):
+        return "is made of letters, digits, _ and /, and no part begins with a digit"
+    if "__" in name:
+        return "has no two _ in a row"
+    return f"has at most {LONGEST_NAME} characters" if len(name) > LONGEST_NAME else ""
+
+
 def full_name(name: str) -> str:
-    """A topic's name from the root; this bridge has no namespaces but those that are written out."""
+    """A name from the root; this bridge has no namespaces but those that are written out. Raises :class:`InputError` for what is
+    no name of a topic or a service."""
+    fault = name_fault(name)
+    if fault:
+        raise InputError(f"topic or service {name!r}: such a name {fault}")
     return name if name.startswith("/") else f"/{name}"

@@ -19,7 +19,7 @@ from wbmpc.ros2.settings import REQUEST_TYPES, Controller, RosSettings
 
 OK, WARNING, ERROR = "ok", "warning", "error"
 #: Joint states slower than this [Hz] make a poor estimate; a watchdog needs this many messages within its time.
-_LEAST_RATE, _WITHIN_WATCHDOG = 100.0, 2.0
+_MIN_RATE, _WITHIN_WATCHDOG = 100.0, 2.0
 #: A sensor that has a message for this share of the ticks counts as one for each.
 _OF_THE_TICKS = 0.9
 #: Discovery takes this long [s] before what is not there counts as missing.
@@ -74,11 +74,11 @@ class _Ear:
 def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 3.0) -> list[Finding]:
     """Listen for ``listen`` [s] and say what was found; sends nothing."""
     topics, reader = settings.topics, JointReader(robot, settings)
-    wanted: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", reader.read)}
+    target: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", reader.read)}
     if topics.imu:
-        wanted[topics.imu] = "sensor_msgs/msg/Imu", read_imu
-    wanted["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
-    ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in wanted.items()}
+        target[topics.imu] = "sensor_msgs/msg/Imu", read_imu
+    target["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
+    ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in target.items()}
     poses = PoseSource(node, settings, time.monotonic, time.time) if topics.pose else None
     described: list[str] = []
     node.subscribe("/robot_description", "std_msgs/msg/String", lambda m: described.append(m.data), LATCHED)
@@ -89,7 +89,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
             silent = max(silent, time.monotonic() - max(poses.at, begin))
         time.sleep(0.02 if poses is not None else max(listen, _DISCOVERY))
     found: list[Finding] = []
-    for topic, (kind, _) in wanted.items():
+    for topic, (kind, _) in target.items():
         if topic == "/clock" and not settings.use_sim_time:
             found += _needless_clock(node, ears[topic])
             continue
@@ -113,18 +113,18 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
 
 def _which_robot(robot: RobotModel, joints: _Ear, described: list[str]) -> list[Finding]:
     """The robot that is there: by its URDF on the bus, if there is one, and by its joints."""
-    wanted = robot.description.name
+    target = robot.description.name
     has_joints = bool(joints.times) and not joints.fault
     if described:
         named = re.search(r"""<robot[^>]*\bname\s*=\s*["']([^"']*)["']""", described[-1])
         name = named.group(1) if named else ""
-        if name and name != wanted:
+        if name and name != target:
             fit = "its joints fit all the same" if has_joints else "its joints do not fit either"
-            text = f"the robot on the bus is called '{name}', not '{wanted}'; {fit}"
+            text = f"the robot on the bus is called '{name}', not '{target}'; {fit}"
             return [Finding(WARNING if has_joints else ERROR, "robot", text)]
         if name:
             return [Finding(OK, "robot", f"the robot on the bus is '{name}'")]
-    return [Finding(OK, "robot", f"the robot on the bus has the joints of '{wanted}'")] if has_joints else []
+    return [Finding(OK, "robot", f"the robot on the bus has the joints of '{target}'")] if has_joints else []
 
 
 def _localisation(node: Node, poses: PoseSource, topic: str, silent: float) -> list[Finding]:
@@ -139,15 +139,15 @@ def _localisation(node: Node, poses: PoseSource, topic: str, silent: float) -> l
     return found
 
 
-def _balancing(topic: str, rate: float, wanted: float) -> list[Finding]:
+def _balancing(topic: str, rate: float, target: float) -> list[Finding]:
     """Of sensors that keep a robot upright: every tick of its controller needs a message."""
-    if not 0.0 < rate < _OF_THE_TICKS * wanted:
+    if not 0.0 < rate < _OF_THE_TICKS * target:
         return []
     return [
         Finding(
             WARNING,
             topic,
-            f"slow: {rate:.0f} Hz, the controller of a robot that balances, at {wanted:g} Hz, needs as many",
+            f"slow: {rate:.0f} Hz, the controller of a robot that balances, at {target:g} Hz, needs as many",
         )
     ]
 
@@ -211,8 +211,8 @@ def _source(node: Node, topic: str, kind: str, ear: _Ear, settings: RosSettings,
                 f"too slow: {ear.rate:.1f} Hz, the watchdog of {limit:g} s needs {_WITHIN_WATCHDOG / limit:g}",
             )
         )
-    elif ear.rate < _LEAST_RATE and topic != "/clock":
-        found.append(Finding(WARNING, topic, f"slow: {ear.rate:.1f} Hz, {_LEAST_RATE:g} or more are better"))
+    elif ear.rate < _MIN_RATE and topic != "/clock":
+        found.append(Finding(WARNING, topic, f"slow: {ear.rate:.1f} Hz, {_MIN_RATE:g} or more are better"))
     elif ear.gap > limit and topic != "/clock":
         found.append(
             Finding(WARNING, topic, f"irregular: {1e3 * ear.gap:.0f} ms without a message, the watchdog is {limit:g} s")
@@ -235,7 +235,7 @@ def _sink(node: Node, controller: Controller, ours: str, needed: bool) -> list[F
     others = [name for name in who if name != ours]
     if others:
         named = f" ('{others[0]}')" if others[0] else ""
-        return [Finding(ERROR, topic, f"somebody else publishes on it{named}: the controller will not start")]
+        return [Finding(ERROR, topic, f"another node publishes on it{named}: the controller will not start")]
     if len(who) > 1:
         return [Finding(ERROR, topic, f"{len(who)} nodes called '{ours}' publish on it: they stop each other")]
     if not subscribers:

@@ -39,9 +39,9 @@ class BusClock:
         with self._changed:
             self.went_back |= time_of_bus < self._time - _REORDERED
             if self.heard is None or time_of_bus != self._time:
-                before, self.heard = self.heard, time.monotonic()
-                if before is not None and time_of_bus > self._time:
-                    self._pass(min(time_of_bus - self._time, _MEMORY), max(self.heard - before, 1e-6))
+                previous, self.heard = self.heard, time.monotonic()
+                if previous is not None and time_of_bus > self._time:
+                    self._pass(min(time_of_bus - self._time, _MEMORY), max(self.heard - previous, 1e-6))
             self._time = time_of_bus
             self._changed.notify_all()
 

@@ -171,7 +171,7 @@ class ControlNode:
         if self.runner is not None:
             trouble = self._held or (self.robot_io.fault if self.adapter.must_keep_running else "")
             if self.running and trouble:
-                return f"{self.runner.state}: {'holds its place: ' if self._held else ''}{trouble}"
+                return f"{self.runner.state}: {'holds its position: ' if self._held else ''}{trouble}"
             if self.running and self._task is not None:
                 return f"{self.runner.state}: {self._task.description}"
             return self.runner.state
@@ -319,10 +319,11 @@ class ControlNode:
         if legs.apply(adapter.brakes, t, leg):
             assert legs.angles is not None
             adapter.swing(legs.angles)
+            adapter.legs = legs.aims
             assert self._task is not None
             self._put(self._task, adapter.references(self._task, x))
         if legs.watch(adapter.brakes, t, leg):
-            adapter.legs = legs.angles
+            adapter.legs = legs.aims
             assert self._task is not None
             self._put(self._task, adapter.references(self._task, x))
 
@@ -411,7 +412,7 @@ class ControlNode:
         because it has lost its localisation at least goes nowhere."""
         topics = [c.topic for c in self.settings.command_topics(self.robot).values()]
         others = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
-        self._other_publisher = f"somebody else publishes on {others[0]}" if others else ""
+        self._other_publisher = f"another node publishes on {others[0]}" if others else ""
         lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""
         if (self._other_publisher or lost) and self.running:
             self._quit(self._other_publisher or lost)
@@ -424,7 +425,7 @@ class ControlNode:
             self._halt(message)
         elif not self._held:
             self._held = message
-            _LOG.error("holds its place: %s", message)
+            _LOG.error("holds its position: %s", message)
             seen = self.adapter.snapshot()
             assert seen is not None
             task = self.adapter.planner.hold(seen[1], self.clock.now())

@@ -43,7 +43,7 @@ from wbmpc.ros2.parameters import Parameters, ParameterServices
 _LOG = logging.getLogger("wbmpc")
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 #: Of more messages, or bytes of them, that wait for :meth:`DdsNode.work` the oldest are dropped.
-_MOST_DEFERRED, _MOST_BYTES = 100, 2**24
+_MAX_DEFERRED, _MOST_BYTES = 100, 2**24
 #: What stands before the body of a service's messages: client and number.
 _HEADER = {"client": idl_types.uint64, "number": idl_types.int64}
 _HEADER_SIZE = 16
@@ -81,7 +81,7 @@ class DdsNode:
         self._unregister: dict[
             DataReader, Callable[[], None]
         ] = {}  # of readers that call back, what ends their entry in LOCAL
-        self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MOST_DEFERRED)
+        self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MAX_DEFERRED)
         self._writers: list[DataWriter] = []
         self._graph = [
             BuiltinDataReader(self._participant, t) for t in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
@@ -238,7 +238,7 @@ class DdsNode:
             time.sleep(0.01)
 
     def _endpoints(self, side: int, topic: str) -> list[Endpoint]:
-        wanted, found = f"rt{full_name(topic)}", []
+        target, found = f"rt{full_name(topic)}", []
         with _GRAPH_LOCK:  # callbacks do not wait for it
             known = self._known[side]
             # changes only: the whole graph of a robot takes milliseconds, in which no other thread of Python's runs
@@ -247,7 +247,7 @@ class DdsNode:
                     known[s.key] = s
                 else:
                     known.pop(s.key, None)
-            samples = [s for s in known.values() if s.topic_name == wanted]
+            samples = [s for s in known.values() if s.topic_name == target]
         for s in samples:
             own = s.participant_key == self._key
             kind, qos, node = _ros_type(s.type_name), _ros_qos(s.qos), s.participant_key.bytes

@@ -1,7 +1,7 @@
-"""From goals, paths and speeds to tracks over time for base and hand of a robot that stands on the floor.
+"""From goals, paths and speeds to tracks over time for base and end effector of a robot that stands on the floor.
 
 All in the planner's world frame; times are the plan's [s]. A goal without times is approached along a straight line with
-a cosine's profile. Who goes where: a base that is sent carries the hand along; a hand that is sent far takes the base along.
+a cosine's profile. Who goes where: a base that is sent carries the end effector along; an end effector that is sent far takes the base along.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from wbmpc.ros2.convert import nearest_turn, planar
 from wbmpc.ros2.settings import Goals, Speeds
 
 Array = np.ndarray
-#: Between two samples of a reference [s]; how far the hand goes before the base comes along [m].
+#: Between two samples of a reference [s]; how far the end effector goes before the base comes along [m].
 STEP, LEASH = 0.02, 0.3
 #: A way has no more samples than this, however long it takes: they are farther apart then.
-_MOST_SAMPLES = 2000
+_MAX_SAMPLES = 2000
 #: Ways that take less than this [s] are none.
 _ROUNDING = 1e-4
 #: A speed is held for longer than the horizon [s], and changes within this acceleration [m/s², rad/s²].
@@ -57,7 +57,7 @@ class Track:
 
 
 @dataclass(frozen=True)
-class HandTrack:
+class EndEffectorTrack:
     """Positions (n, 3) [m] and quaternions (n, 4) of the hand over times (n,) [s]."""
 
     times: Array
@@ -67,10 +67,10 @@ class HandTrack:
 
 @dataclass(frozen=True)
 class Task:
-    """What base and hand are to do. ``carried``: the hand goes with the base; ``description``: the task as a message."""
+    """What base and end effector are to do. ``carried``: the end effector goes with the base; ``description``: the task as a message."""
 
     base: Track
-    hand: HandTrack
+    end_effector: EndEffectorTrack
     carried: bool
     description: str
 
@@ -104,23 +104,23 @@ class Planner:
         poses = start + share[:, None] * (goal - start)
         return self._carry(Track(t + times, poses), self._held(x), "base to a goal")
 
-    def to_hand(self, x: Array, t: float, position: Array, orientation: Array) -> Task:
-        """The hand goes to a pose; the base comes along by what it is farther than :data:`LEASH`."""
-        self._check_hand(x, position[None])
-        hand = self._approach(x, t, position, orientation)
-        return Task(self._follow(x, hand), hand, False, "hand to a goal")
+    def to_end_effector(self, x: Array, t: float, position: Array, orientation: Array) -> Task:
+        """The end effector goes to a pose; the base comes along by what it is farther than :data:`LEASH`."""
+        self._check_end_effector(x, position[None])
+        end_effector = self._approach(x, t, position, orientation)
+        return Task(self._follow(x, end_effector), end_effector, False, "end effector to a goal")
 
-    def along_hand(self, x: Array, t: float, path: HandTrack, base: Track | None) -> Task:
-        """The hand goes to the path's beginning, then along it at the path's times (later if it takes longer to get there).
+    def along_end_effector_path(self, x: Array, t: float, path: EndEffectorTrack, base: Track | None) -> Task:
+        """The end effector goes to the path's beginning, then along it at the path's times (later if it takes longer to get there).
 
         ``base``: the base's own track; left out, it comes along.
         """
-        self._check_hand(x, path.positions)
-        hand = self._join(x, t, path)
-        return Task(base or self._follow(x, hand), hand, False, "hand along a path")
+        self._check_end_effector(x, path.positions)
+        end_effector = self._join(x, t, path)
+        return Task(base or self._follow(x, end_effector), end_effector, False, "end effector along a path")
 
-    def along_base(self, x: Array, t: float, path: Track, hand: HandTrack | None) -> Task:
-        """The base goes along a path at its times, from where it is; ``hand``: the hand's own track, else it is carried."""
+    def along_base_path(self, x: Array, t: float, path: Track, end_effector: EndEffectorTrack | None) -> Task:
+        """The base goes along a path at its times, from where it is; ``end_effector``: the end effector's own track, else it is carried."""
         start = self._base(x)
         self._check_far("base", path.poses[:, :2], start[:2])
         first = path.poses[0] + np.array([0.0, 0.0, nearest_turn(path.poses[0, 2], start[2]) - path.poses[0, 2]])
@@ -132,10 +132,10 @@ class Planner:
         keep = way[0] < times[0] - 1e-9
         track = Track(np.concatenate([way[0][keep], times]), np.concatenate([way[1][keep], poses]))
         task = self._carry(track, self._held(x), "base along a path")
-        return task if hand is None else replace(task, hand=hand, carried=False)
+        return task if end_effector is None else replace(task, end_effector=end_effector, carried=False)
 
     def drive(self, x: Array, t: float, twist: Array, going: Task | None = None) -> Task:
-        """The base goes on with a body twist (3); the hand is carried. ``going``: the task under way. A stream of speeds does not
+        """The base goes on with a body twist (3); the end effector is carried. ``going``: the task under way. A stream of speeds does not
         begin anew with every message where the robot is by then, always somewhat behind: it would be as slow as that."""
         return self._change(x, t, twist, HOLD, going, "base at a speed")
 
@@ -154,7 +154,7 @@ class Planner:
             reference, now = going.base.at(t)
             place = place + np.clip(reference - place, -AWAY, AWAY)
             if going.carried:
-                held = going.base.poses[0], going.hand.positions[0], going.hand.orientations[0]
+                held = going.base.poses[0], going.end_effector.positions[0], going.end_effector.orientations[0]
         ramp = float(np.abs(twist - now).max()) / ACCELERATION
         ramp = ramp if ramp > _ROUNDING else 0.0
         changing = np.linspace(0.0, ramp, 1 + int(np.ceil(ramp / STEP)))
@@ -164,11 +164,11 @@ class Planner:
         return self._carry(Track(t + s, poses), held, description)
 
     def _held(self, x: Array) -> tuple[Array, Array, Array]:
-        """Pose of the base (3), position (3) and quaternion (4) of the hand that belong together."""
+        """Pose of the base (3), position (3) and quaternion (4) of the end effector that belong together."""
         return self._base(x), *self.robot.pose(x)
 
     def _carry(self, base: Track, held: tuple[Array, Array, Array], description: str) -> Task:
-        """The hand keeps its pose in the base."""
+        """The end effector keeps its pose in the base."""
         start, position, orientation = held
         turns = base.poses[:, 2] - start[2]
         c, s = np.cos(turns), np.sin(turns)
@@ -176,9 +176,9 @@ class Planner:
         moved = np.stack([c * d[0] - s * d[1], s * d[0] + c * d[1]], axis=1) + base.poses[:, :2]
         positions = np.concatenate([moved, np.full((moved.shape[0], 1), position[2])], axis=1)
         quaternions = [lie.quaternion_multiply(lie.quaternion_about((0, 0, 1), a), orientation) for a in turns]
-        return Task(base, HandTrack(base.times, positions, np.array(quaternions)), True, description)
+        return Task(base, EndEffectorTrack(base.times, positions, np.array(quaternions)), True, description)
 
-    def _approach(self, x: Array, t: float, position: Array, orientation: Array) -> HandTrack:
+    def _approach(self, x: Array, t: float, position: Array, orientation: Array) -> EndEffectorTrack:
         start, turned = self.robot.pose(x)
         angle = np.linalg.norm(
             lie.quaternion_log(lie.quaternion_multiply(lie.quaternion_conjugate(turned), orientation))
@@ -186,32 +186,32 @@ class Planner:
         way = float(np.linalg.norm(position - start)) / self.speeds.end_effector
         times, share = _profile(max(way, float(angle) / self.speeds.turn))
         quaternions = np.array([lie.slerp(turned, orientation, s) for s in share])
-        return HandTrack(t + times, start + share[:, None] * (position - start), quaternions)
+        return EndEffectorTrack(t + times, start + share[:, None] * (position - start), quaternions)
 
-    def _join(self, x: Array, t: float, path: HandTrack) -> HandTrack:
+    def _join(self, x: Array, t: float, path: EndEffectorTrack) -> EndEffectorTrack:
         way = self._approach(x, t, path.positions[0], path.orientations[0])
         times = path.times + max(float(way.times[-1]) - float(path.times[0]), 0.0)
         keep = way.times < times[0] - 1e-9
-        return HandTrack(
+        return EndEffectorTrack(
             np.concatenate([way.times[keep], times]),
             np.concatenate([way.positions[keep], path.positions]),
             np.concatenate([way.orientations[keep], path.orientations]),
         )
 
-    def _follow(self, x: Array, hand: HandTrack) -> Track:
-        """The base on a leash behind the hand's way over the floor."""
+    def _follow(self, x: Array, end_effector: EndEffectorTrack) -> Track:
+        """The base on a leash behind the end effector's way over the floor."""
         start, shift = self._base(x), np.zeros(2)
         begin = self.robot.pose(x)[0][:2]
-        poses = np.tile(start, (hand.times.size, 1))
-        for k, position in enumerate(hand.positions):
+        poses = np.tile(start, (end_effector.times.size, 1))
+        for k, position in enumerate(end_effector.positions):
             pull = position[:2] - begin - shift
             length = float(np.hypot(*pull))
             if length > LEASH:
                 shift = shift + pull * (1.0 - LEASH / length)
             poses[k, :2] += shift
-        return Track(hand.times, poses)
+        return Track(end_effector.times, poses)
 
-    def _check_hand(self, x: Array, positions: Array) -> None:
+    def _check_end_effector(self, x: Array, positions: Array) -> None:
         """The base takes the arm there over the floor; the height is what the arm reaches above the floor."""
         self._check_far("end_effector", positions[:, :2], self.robot.pose(x)[0][:2])
         middle, heights = self.lift + self.shoulder, self.lift + positions[:, 2]
@@ -249,10 +249,14 @@ def base_track(poses: Array, times: Array | None, t: float, speeds: Speeds) -> T
     return Track(timed(poses[:, :2], np.abs(np.diff(poses[:, 2])), times, t, speeds.base, speeds.turn), poses)
 
 
-def hand_track(positions: Array, orientations: Array, times: Array | None, t: float, speeds: Speeds) -> HandTrack:
-    """A path of the hand."""
+def end_effector_track(
+    positions: Array, orientations: Array, times: Array | None, t: float, speeds: Speeds
+) -> EndEffectorTrack:
+    """A path of the end effector."""
     turns = np.array([2.0 * np.arccos(min(abs(float(a @ b)), 1.0)) for a, b in pairwise(orientations)])
-    return HandTrack(timed(positions, turns, times, t, speeds.end_effector, speeds.turn), positions, orientations)
+    return EndEffectorTrack(
+        timed(positions, turns, times, t, speeds.end_effector, speeds.turn), positions, orientations
+    )
 
 
 def planar_path(positions: Array, orientations: Array) -> Array:
@@ -278,7 +282,7 @@ def _profile(shortest: float) -> tuple[Array, Array]:
     if shortest < _ROUNDING:
         return np.zeros(1), np.ones(1)
     duration = 0.5 * np.pi * shortest
-    count = int(np.ceil(min(duration / STEP, _MOST_SAMPLES)))
+    count = int(np.ceil(min(duration / STEP, _MAX_SAMPLES)))
     numbers = np.arange(count + 1)
     return max(STEP, duration / count) * numbers, 0.5 * (1.0 - np.cos(np.pi * numbers / count))
 

@@ -141,8 +141,8 @@ class PoseGate:
         moved, turned = float(np.hypot(*(pose - then)[:2])), abs(nearest_turn(pose[2], then[2]) - then[2])
         variances = max(float(np.linalg.eigvalsh(spread[:2, :2])[-1]), 0.0), float(spread[2, 2])
         for off, variance, unit in ((moved, variances[0], "m"), (turned, variances[1], "rad")):
-            most = self._limit + _SPREAD * float(np.sqrt(variance))
-            if off > most:
-                against = f"against the robot's own motion, {most:.2f} {unit} are allowed"
+            maximum = self._limit + _SPREAD * float(np.sqrt(variance))
+            if off > maximum:
+                against = f"against the robot's own motion, {maximum:.2f} {unit} are allowed"
                 return f"the pose on {self._topic} jumped by {off:.2f} {unit} {against}"
         return ""

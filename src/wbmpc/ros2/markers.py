@@ -33,7 +33,7 @@ class Footprint:
     def markers(
         self, now: float, x: Array, u: Array | None, wrench: Array, policy: Policy | None
     ) -> list[dict[str, Any]]:
-        """At the state x (nx) with the inputs u (nu) and the world's ``wrench`` (6) on the hand; and along a policy."""
+        """At the state x (nx) with the inputs u (nu) and the world's ``wrench`` (6) on the end effector; and along a policy."""
         stands, point = self.stance(x, u, wrench)
         inside = self._stance is None or _inside(stands, point)
         found = [

@@ -59,11 +59,11 @@ class Parameters:
         p = self.known[name]
         if p.read_only:
             raise InputError(f"parameter '{name}' is read-only: set it in the settings file and start anew")
-        wanted = type(p.value)
-        if wanted is float and type(value) is int:
+        target = type(p.value)
+        if target is float and type(value) is int:
             value = float(value)
-        if type(value) is not wanted:
-            raise InputError(f"parameter '{name}': {wanted.__name__} is needed, got {type(value).__name__}")
+        if type(value) is not target:
+            raise InputError(f"parameter '{name}': {target.__name__} is needed, got {type(value).__name__}")
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"parameter '{name}': a finite number is needed, got {value}")
         if p.range is not None and not p.range[0] <= float(value) <= p.range[1]:

@@ -1,4 +1,4 @@
-"""What the controller's node publishes: odometry and its frame, the hand, the plan as paths, diagnostics."""
+"""What the controller's node publishes: odometry and its frame, the end effector, the plan as paths, diagnostics."""
 
 from __future__ import annotations
 
@@ -95,10 +95,10 @@ class Publishers:
             upright_again = np.asarray(lie.quaternion_conjugate(e.orientation))
             transforms.append(_transform(now, frames.base, part, np.zeros(3), upright_again))
         self._send("tf", {"transforms": transforms})
-        self._send("end_effector_pose", {"header": header(now, frames.world), "pose": pose(*self._hand(x))})
+        self._send("end_effector_pose", {"header": header(now, frames.world), "pose": pose(*self._end_effector(x))})
 
-    def _hand(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pose of the hand above the floor."""
+    def _end_effector(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the end effector above the floor."""
         position, turned = self.controller.robot.pose(x)
         return position + [0.0, 0.0, self.controller.adapter.planner.lift], turned
 
@@ -112,16 +112,16 @@ class Publishers:
         nodes = slice(None, None, EVERY)
         times = [c.stamp_of(float(t)) for t in policy.times[nodes]]
         base = [upright(p, planner.base_height) for p in policy.x[nodes, c.robot.state["base"]]]
-        hand = []
+        end_effector = []
         for x in policy.x[nodes]:
             self.controller.yield_to_controller()
-            hand.append(self._hand(x))
-        for key, poses in (("plan", base), ("end_effector_plan", hand)):
+            end_effector.append(self._end_effector(x))
+        for key, poses in (("plan", base), ("end_effector_plan", end_effector)):
             positions, turned = (np.array(part) for part in zip(*poses, strict=True))
             self._send(key, path(now, world, positions, turned, times))
 
     def _stand(self, policy: Policy | None) -> None:
-        """How the robot stands, with the inputs of the plan and the world's answer to what the hand exerts."""
+        """How the robot stands, with the inputs of the plan and the world's answer to what the end effector exerts."""
         c = self.controller
         seen = c.adapter.snapshot()
         if seen is not None and "footprint" in self._to:

@@ -15,7 +15,7 @@ from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LONG, Node
 from wbmpc.ros2.convert import error_message, planar, read_pose, read_vector, seconds, upright
-from wbmpc.ros2.goals import Planner, Task, base_track, hand_track, planar_path
+from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track, planar_path
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 
@@ -25,7 +25,7 @@ Array = np.ndarray
 Request = Callable[[Array, float], Task]
 Time = Callable[[], float]
 #: More points than this are a mistake.
-_MOST_POINTS = 20_000
+_MAX_POINTS = 20_000
 _TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 #: A path begins within this time [s], or its stamps are of another clock.
 _LATEST = 60.0
@@ -34,7 +34,7 @@ _OFF_FLOOR = 0.5
 
 
 class RequestQueue:
-    """Listens to goals; the newest one counts, but paths of base and hand go together. ``rejected``: why the last bad one was
+    """Listens to goals; the newest one counts, but paths of base and end effector go together. ``rejected``: why the last bad one was
     not taken; empty when one has been taken since.
 
     ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
@@ -57,8 +57,8 @@ class RequestQueue:
         )
         self._wrench, self._wrench_at = np.zeros(6), -np.inf
         for key, take in {
-            "goal_pose": self._goal_pose, "end_effector_goal": self._hand_goal, "base_path": self._base_path,
-            "end_effector_path": self._hand_path, "wrench": self._take_wrench,
+            "goal_pose": self._goal_pose, "end_effector_goal": self._end_effector_goal, "base_path": self._base_path,
+            "end_effector_path": self._end_effector_path, "wrench": self._take_wrench,
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
                 node.subscribe(
@@ -83,7 +83,7 @@ class RequestQueue:
             self.reject("a goal is rejected: the robot has stopped meanwhile")
 
     def wrench(self) -> Array:
-        """What the hand is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
+        """What the end effector is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
         return self._wrench if self.now() - self._wrench_at < self.settings.safety.cmd_vel else np.zeros(6)
 
     def _take_wrench(self, message: Any) -> None:
@@ -92,8 +92,11 @@ class RequestQueue:
                 f"the wrench is in the frame '{message.header.frame_id}'; valid: {self.settings.frames.world}"
             )
         force, torque = read_vector(message.wrench.force, "the force"), read_vector(message.wrench.torque, "the torque")
-        if (most := self.settings.wrench) is not None:
-            for name, value, limit, unit in (("force", force, most.force, "N"), ("moment", torque, most.moment, "N m")):
+        if (maximum := self.settings.wrench) is not None:
+            for name, value, limit, unit in (
+                ("force", force, maximum.force, "N"),
+                ("moment", torque, maximum.moment, "N m"),
+            ):
                 if (size := float(np.linalg.norm(value))) > limit:
                     raise InputError(
                         f"a {name} of {size:.4g} {unit} is too much; valid: 0 to {limit:g} (key 'wrench.{name}')"
@@ -139,9 +142,9 @@ class RequestQueue:
         self._check_floor(frame, p[None])
         self._put(lambda x, t: self.planner.to_base(x, t, planar(*self._in_world(frame, x, p, q))))
 
-    def _hand_goal(self, message: Any) -> None:
+    def _end_effector_goal(self, message: Any) -> None:
         frame, (p, q) = self._frame(message.header), read_pose(message.pose, "the goal")
-        self._put(lambda x, t: self.planner.to_hand(x, t, *self._in_world(frame, x, p, q)))
+        self._put(lambda x, t: self.planner.to_end_effector(x, t, *self._in_world(frame, x, p, q)))
 
     def _base_path(self, message: Any) -> None:
         frame, positions, turned, times = self._path(message)
@@ -151,22 +154,22 @@ class RequestQueue:
             poses = planar_path(*self._all_in_world(frame, x, positions, turned))
             track = base_track(poses, self._plan_times(times, t), t, self.settings.speeds)
             going = self.running
-            keep = going is not None and not going.carried and going.hand.times[-1] > t
-            return self.planner.along_base(x, t, track, going.hand if going is not None and keep else None)
+            keep = going is not None and not going.carried and going.end_effector.times[-1] > t
+            return self.planner.along_base_path(x, t, track, going.end_effector if going is not None and keep else None)
 
         self._put(request, "base path")
 
-    def _hand_path(self, message: Any) -> None:
+    def _end_effector_path(self, message: Any) -> None:
         frame, positions, turned, times = self._path(message)
 
         def request(x: Array, t: float) -> Task:
             p, q = self._all_in_world(frame, x, positions, turned)
-            track = hand_track(p, q, self._plan_times(times, t), t, self.settings.speeds)
+            track = end_effector_track(p, q, self._plan_times(times, t), t, self.settings.speeds)
             going = self.running
             keep = going is not None and going.base.times[-1] > t and going.base.times.size > 1
-            return self.planner.along_hand(x, t, track, going.base if going is not None and keep else None)
+            return self.planner.along_end_effector_path(x, t, track, going.base if going is not None and keep else None)
 
-        self._put(request, "hand path")
+        self._put(request, "end effector path")
 
     def _take_speed(self, message: Any) -> None:
         """A Twist or a TwistStamped, in the base's axes."""
@@ -176,16 +179,16 @@ class RequestQueue:
                 raise InputError(f"the speed is in the frame '{frame}'; valid: {base}, or none")
         twist = message.twist if stamped else message
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
-        wanted = np.array([linear[0], linear[1], angular[2]])
-        over = float(np.max(np.abs(wanted) / self._fastest))
-        before, self._twist_at = self._twist_at, self.now()
+        target = np.array([linear[0], linear[1], angular[2]])
+        over = float(np.max(np.abs(target) / self._fastest))
+        previous, self._twist_at = self._twist_at, self.now()
         pause = self.settings.safety.cmd_vel
-        self._latched = self._latched and bool(np.any(wanted)) and self._twist_at - before <= pause
+        self._latched = self._latched and bool(np.any(target)) and self._twist_at - previous <= pause
         if self._latched:
             raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
-        if np.any(wanted):
-            self._limit(wanted if over > 1.0 + 1e-9 else None)
-            self._put_speed(wanted / max(over, 1.0))
+        if np.any(target):
+            self._limit(target if over > 1.0 + 1e-9 else None)
+            self._put_speed(target / max(over, 1.0))
         elif self._moving:
             self._slow_down()
 
@@ -193,15 +196,15 @@ class RequestQueue:
         self._put(lambda x, t: self.planner.drive(x, t, twist, self.running))
         self._moving = True
 
-    def _limit(self, wanted: Array | None) -> None:
+    def _limit(self, target: Array | None) -> None:
         """Say once that a speed is too fast; it is scaled as a whole, so that the way remains the same."""
         was, self._limited = self.limited, ""
-        if wanted is None:
+        if target is None:
             return
         text = lambda v: f"{v[0]:.3g}, {v[1]:.3g} m/s, {v[2]:.3g} rad/s"
         topic = self.settings.topics.cmd_vel
-        most = text(self._fastest)
-        self._limited = f"{topic}: {text(wanted)} is faster than {most} (key 'cmd_vel'): scaled down to that"
+        maximum = text(self._fastest)
+        self._limited = f"{topic}: {text(target)} is faster than {maximum} (key 'cmd_vel'): scaled down to that"
         if not was:
             self._limited_log.log(_LOG, logging.WARNING, "limited", self._limited)
 
@@ -227,8 +230,8 @@ class RequestQueue:
             raise InputError(f"the base's goal has z = {worst:.2f} m in '{frame}'; valid: {low:.2f} to {high:.2f}")
 
     def _path(self, message: Any) -> tuple[str, Array, Array, Array]:
-        if not 0 < len(message.poses) <= _MOST_POINTS:
-            raise InputError(f"a path of 1 to {_MOST_POINTS} poses is needed, got {len(message.poses)}")
+        if not 0 < len(message.poses) <= _MAX_POINTS:
+            raise InputError(f"a path of 1 to {_MAX_POINTS} poses is needed, got {len(message.poses)}")
         poses = [read_pose(p.pose, f"pose {i} of the path") for i, p in enumerate(message.poses)]
         times = np.array([seconds(p.header.stamp) for p in message.poses])
         frame = self._frame(message.header)

@@ -57,7 +57,7 @@ class BusRobot:
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
         self._read: tuple[float, Inertial] | None = None
-        self._before: tuple[float, np.ndarray] | None = (
+        self._previous: tuple[float, np.ndarray] | None = (
             None  # the last inertial message that was read: its stamp, its gyro
         )
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
@@ -86,9 +86,9 @@ class BusRobot:
             if not self._armed:
                 self._reader.reset()
             return
-        before, arrival = self._joints, time.perf_counter()
-        if before is None or sample.stamp != before[0].stamp or sample.stamp == 0.0:
-            grown = 0.0 if before is None else _CLOCK_DRIFT * max(arrival - before[1], 0.0)
+        previous, arrival = self._joints, time.perf_counter()
+        if previous is None or sample.stamp != previous[0].stamp or sample.stamp == 0.0:
+            grown = 0.0 if previous is None else _CLOCK_DRIFT * max(arrival - previous[1], 0.0)
             self._behind = min(arrival - sample.stamp, self._behind + grown)
             self._joints = sample, arrival
             self._waiting.append(self._joints)
@@ -224,11 +224,11 @@ class BusRobot:
             due, self._fresh = self._fresh[:end], self._fresh[end:]
             if not due:
                 return self._newest()
-            before = [self._before] if self._before is not None else []
-            seen = [*before, *((at, i.gyro) for at, i in due)]
+            previous = [self._previous] if self._previous is not None else []
+            seen = [*previous, *((at, i.gyro) for at, i in due)]
             times, rates = zip(*seen, strict=True)
             turning = mean_rate(times, rates, self.settings.safety.watchdog)
-            self._before = seen[-1]
+            self._previous = seen[-1]
             self._read = stamp, replace(mean_of([i for _, i in due]), turning=turning)
             return self._read[1]
 

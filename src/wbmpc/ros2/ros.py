@@ -7,13 +7,13 @@ import re
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
-from rosidl_runtime_py.utilities import get_message, get_service
 
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LARGEST, Endpoint, Qos, full_name
@@ -25,6 +25,16 @@ try:
     from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 except ImportError:  # Humble
     from rclpy.qos_event import PublisherEventCallbacks, SubscriptionEventCallbacks
+try:
+    from rosidl_runtime_py.utilities import get_message, get_service
+except ModuleNotFoundError:  # rclpy does not need it
+
+    def get_message(identifier: str) -> Any:
+        """The class of a type such as sensor_msgs/msg/JointState."""
+        package, folder, name = identifier.split("/")
+        return getattr(import_module(f"{package}.{folder}"), name)
+
+    get_service = get_message
 
 _LOG = logging.getLogger("wbmpc")
 

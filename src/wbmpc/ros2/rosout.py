@@ -13,7 +13,7 @@ from wbmpc.ros2.convert import stamp
 #: As ROS's own publishers of it: late joiners get the last lines too.
 _QOS = Qos(latched=True, depth=100)
 #: Lines that wait to be sent; of more the oldest are dropped.
-_MOST = 100
+_MAXIMUM = 100
 
 
 class Rosout(logging.Handler):
@@ -28,7 +28,7 @@ class Rosout(logging.Handler):
         super().__init__()
         self._to = node.publisher("/rosout", "rcl_interfaces/msg/Log", _QOS)
         self._node_name, self._now, self._yield_to_controller = name, now, yield_to_controller
-        self._waiting: deque[dict[str, Any]] = deque(maxlen=_MOST)
+        self._waiting: deque[dict[str, Any]] = deque(maxlen=_MAXIMUM)
         self._log = logging.getLogger("wbmpc")
         self._log.addHandler(self)
 

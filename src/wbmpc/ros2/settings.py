@@ -13,7 +13,7 @@ from wbmpc.bases import base_type
 from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.bus import full_name
+from wbmpc.ros2.bus import full_name, name_fault
 from wbmpc.settings import MpcSettings, Settings
 from wbmpc.yaml_file import load_yaml
 
@@ -44,11 +44,10 @@ def _not_empty(name: str) -> str:
 
 
 def _topic(name: str) -> str:
-    """A topic's name as ROS has them (REP 144 and the design article on names)."""
-    if not re.fullmatch(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", name):
-        raise ValueError("a topic's name is made of letters, digits, _ and /, and begins with none of the digits")
-    if "__" in name:
-        raise ValueError("a topic's name has no two _ in a row")
+    """A topic's name as ROS has them."""
+    fault = name_fault(name)
+    if fault:
+        raise ValueError(f"a topic's name {fault}")
     return name
 
 
@@ -56,7 +55,7 @@ class Topics(Settings):
     """Where messages come from and go to; a remapping is another name here. An empty name switches a topic off.
 
     ``pose``: another localisation's pose of the base in the world frame; it corrects the odometry. ``legs``, ``brakes`` and
-    ``leg_configuration`` are what the service ``set_legs`` does, as topics. ``wrench``: what the hand is to exert.
+    ``leg_configuration`` are what the service ``set_legs`` does, as topics. ``wrench``: what the end effector is to exert.
     """
 
     joint_states: str = "/joint_states"
@@ -117,7 +116,7 @@ class Rates(Settings):
 
 
 class Speeds(Settings):
-    """How fast goals without times are approached: base [m/s], [rad/s], hand [m/s]."""
+    """How fast goals without times are approached: base [m/s], [rad/s], end effector [m/s]."""
 
     base: float = Field(0.4, ge=1e-3, le=20)
     turn: float = Field(0.4, ge=1e-3, le=20)
@@ -133,18 +132,18 @@ class Fastest(Settings):
 
 
 class Exerted(Settings):
-    """The most that the hand of a balancing robot may be asked to exert: force [N], moment [N m]. Its plan leans on the world's
+    """The most that the end effector of a balancing robot may be asked to exert: force [N], moment [N m]. Its plan leans on the world's
     answer, and where there is none it has to stand all the same: 20 N that nobody answers fell it."""
 
-    force: float = Field(10.0, gt=0, le=200)
-    moment: float = Field(2.0, gt=0, le=20)
+    force: float = Field(10.0, ge=1e-3, le=200)
+    moment: float = Field(2.0, ge=1e-3, le=20)
 
 
 class Goals(Settings):
-    """How far from the robot goals and paths may be [m], over the floor: of the base, and of the hand from where it is."""
+    """How far from the robot goals and paths may be [m], over the floor: of the base, and of the end effector from where it is."""
 
-    base: float = Field(100.0, gt=0, le=10_000)
-    end_effector: float = Field(100.0, gt=0, le=10_000)
+    base: float = Field(100.0, ge=1e-3, le=10_000)
+    end_effector: float = Field(100.0, ge=1e-3, le=10_000)
 
 
 class Safety(Settings):
@@ -154,12 +153,12 @@ class Safety(Settings):
     nobody publishes it any more). ``jump`` [m, rad]: how far a pose of another localisation may be off from what the robot's own
     motion says, beyond three standard deviations."""
 
-    watchdog: float = Field(0.1, gt=0, le=1)
-    policy: float = Field(0.5, gt=0, le=10)
+    watchdog: float = Field(0.1, ge=1e-3, le=1)
+    policy: float = Field(0.5, ge=1e-3, le=10)
     ramp: float = Field(0.2, ge=0, le=2)
-    cmd_vel: float = Field(0.5, gt=0, le=5)
-    clock: float | None = Field(None, gt=0, le=600)
-    jump: float = Field(0.1, gt=0, le=10)
+    cmd_vel: float = Field(0.5, ge=1e-3, le=5)
+    clock: float | None = Field(None, ge=1e-3, le=600)
+    jump: float = Field(0.1, ge=1e-3, le=10)
 
 
 class Controller(Settings):
@@ -240,10 +239,10 @@ class RosSettings(Settings):
     def fastest(self, robot: RobotModel) -> np.ndarray:
         """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
         speeds, given = self.speeds, self.cmd_vel
-        wanted = np.array([given.base, given.base, given.turn], float)  # None: not a number
+        target = np.array([given.base, given.base, given.turn], float)  # None: not a number
         if "base" in robot.input:
-            return np.fmin(wanted, robot.limits.input_upper[robot.input["base"]])
-        return np.where(np.isnan(wanted), [speeds.base, speeds.base, speeds.turn], wanted)
+            return np.fmin(target, robot.limits.input_upper[robot.input["base"]])
+        return np.where(np.isnan(target), [speeds.base, speeds.base, speeds.turn], target)
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
         """Speed limits [rad/s] of the joints of a group of the model, beyond which joint states cannot be true."""

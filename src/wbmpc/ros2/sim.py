@@ -37,7 +37,7 @@ BEGIN = 1.0
 #: Physics that is later than this [s] lets the time go, and counts it.
 LATE = 0.05
 IMU = "imu"
-TRUTH_ODOM, TRUTH_HAND, CONTACT = "/ground_truth/odom", "/ground_truth/hand", "/contact"
+TRUTH_ODOM, TRUTH_END_EFFECTOR, CONTACT = "/ground_truth/odom", "/ground_truth/hand", "/contact"
 
 
 class SimNode:
@@ -91,17 +91,17 @@ class SimNode:
         self._imu = self.node.publisher(topics.imu or "/imu", "sensor_msgs/msg/Imu", sensors)
         self._clock = self.node.publisher("/clock", "rosgraph_msgs/msg/Clock", Qos(depth=1))
         self._odom = self.node.publisher(TRUTH_ODOM, "nav_msgs/msg/Odometry")
-        self._hand = self.node.publisher(TRUTH_HAND, "geometry_msgs/msg/PoseStamped")
+        self._end_effector = self.node.publisher(TRUTH_END_EFFECTOR, "geometry_msgs/msg/PoseStamped")
         self._reader, self._forces = SceneReader(self.plant.model, self.robot.description.name), {}  # type: ignore[var-annotated]
         fixed = self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
         fixed.publish({"transforms": [self._imu_frame()]})
         described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
         described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
         for name, controller in self._controllers.items():
-            wanted = [places[j] for j in controller.joints]
-            take = lambda message, n=name, w=wanted: self._take(n, w, message)
+            target = [places[j] for j in controller.joints]
+            take = lambda message, n=name, w=target: self._take(n, w, message)
             if controller.takes == "trajectory":
-                take = lambda message, n=name, w=wanted: self._take_trajectory(n, w, message)
+                take = lambda message, n=name, w=target: self._take_trajectory(n, w, message)
             self.node.subscribe(controller.topic, controller.type, take, DEFAULT)
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
@@ -162,10 +162,10 @@ class SimNode:
         while not ended():
             if self.time >= seconds:
                 return f"{seconds:g} s are over"
-            before = dict(self._count)
+            previous = dict(self._count)
             self.publish()
             if self.lockstep and not (self._silent or self._lost):
-                self._await(before)
+                self._await(previous)
             else:
                 due = self._pace(due)
             self._advance()
@@ -204,7 +204,7 @@ class SimNode:
             return time.perf_counter()
         return due
 
-    def _await(self, before: dict[str, int]) -> None:
+    def _await(self, previous: dict[str, int]) -> None:
         """Commands to what was just published; asked again now and then, for a sensor's message may be lost.
 
         Who does not answer at all, or has left the bus, is not waited for again until it does.
@@ -215,7 +215,7 @@ class SimNode:
         patience = min(RESTED, self.patience) if rests else self.patience
         recent = lambda n: self.time - self._heard[n] < AGAIN_LED
         led = [n for n, c in self._controllers.items() if c.takes == "trajectory"]
-        answered = lambda: all(recent(n) if n in led else self._count[n] > before[n] for n in before)
+        answered = lambda: all(recent(n) if n in led else self._count[n] > previous[n] for n in previous)
         while not answered() and time.monotonic() - begin < patience:
             with self._changed:
                 there = self._changed.wait_for(answered, AGAIN)
@@ -265,9 +265,9 @@ class SimNode:
             "header": header(at, world), "child_frame_id": "base_truth", "pose": {"pose": pose(position, turned)},
             "twist": {"twist": {"linear": vector(twist[:3]), "angular": vector(twist[3:])}},
         })  # fmt: skip
-        hand = truth.tool + [0.0, 0.0, self.side.lift]
-        self._hand.publish(
-            {"header": header(at, world), "pose": pose(hand, lie.rotation_to_quaternion(truth.tool_rotation))}
+        end_effector = truth.tool + [0.0, 0.0, self.side.lift]
+        self._end_effector.publish(
+            {"header": header(at, world), "pose": pose(end_effector, lie.rotation_to_quaternion(truth.tool_rotation))}
         )
         for contact in self._reader.contacts(self.plant.data):
             if contact.body not in self._forces:

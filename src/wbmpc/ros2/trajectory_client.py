@@ -60,8 +60,8 @@ class TrajectorySender:
         rates = robot.input["arm"].start
         self._rates = [rates + arm.index(n) for n in controller.joints]
         limits = robot.limits
-        most = limits.input_rate[self._rates]
-        self._brakes_with = BRAKING * np.where(np.isfinite(most), most, BRAKES_WITH / BRAKING)
+        maximum = limits.input_rate[self._rates]
+        self._brakes_with = BRAKING * np.where(np.isfinite(maximum), maximum, BRAKES_WITH / BRAKING)
         self._range = limits.state_lower[self._places], limits.state_upper[self._places]
         self.period, self.due = 1.0 / settings.rates.trajectory, -np.inf
 

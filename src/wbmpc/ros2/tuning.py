@@ -12,10 +12,8 @@ from wbmpc.ocp import OptimalControlProblem
 from wbmpc.ros2.base_adapter import BaseAdapter, Weights
 from wbmpc.ros2.parameters import Parameter, Parameters, Value
 from wbmpc.ros2.settings import RosSettings
-from wbmpc.settings import Settings, Weight
+from wbmpc.settings import LARGEST, Settings, Weight
 
-#: Weights are numbers up to this.
-LARGEST = 1e9
 #: What says in the settings' classes that a number is a weight.
 _OF_WEIGHTS = list(get_args(Weight)[1].metadata)
 

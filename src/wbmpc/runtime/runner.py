@@ -1,6 +1,6 @@
 """The real-time runner: a control thread at a fixed rate beside an MPC in a thread or a process of its own.
 
-A tick: read the robot, update the estimator, put the policies that are due into force, hand the predicted observation to the
+A tick: read the robot, update the estimator, put the policies that are due into force, end effector the predicted observation to the
 MPC, command the robot. The observation is predicted over the latency that was measured, so that its policy comes into force
 at the state that it was computed for. Whatever goes wrong ends in a safe stop: ``stop()`` of the robot at every tick until the
 runner is shut down, and a message that says why.
@@ -270,7 +270,7 @@ class RealTimeRunner:
         if not self._in_force(due):
             self._stop_robot()
             return
-        before = self._cuts()
+        previous = self._cuts()
         command = self.controller.command(due, self.plans)
         self._check_command(command)
         if self._stopped.is_set() or self._ended.is_set():  # from another thread, while this tick hung
@@ -280,7 +280,7 @@ class RealTimeRunner:
         over(now())
         self.own.sample("sent", self.punctuality.sent())
         # controllers that cut in their own way say so; else the policy knows
-        self.own.count("clamped", int(getattr(self.controller, "clamped", self._cuts() > before)))
+        self.own.count("clamped", int(getattr(self.controller, "clamped", self._cuts() > previous)))
         if self.watch is not None:
             self._show(due)
 
@@ -329,19 +329,19 @@ class RealTimeRunner:
 
     def _activate(self, due: float) -> None:
         self.plans.activate(due)
-        before, policy = self._current, self.plans.current
-        if policy is None or policy is before:
+        previous, policy = self._current, self.plans.current
+        if policy is None or policy is previous:
             return
         assert isinstance(policy, TimedPolicy)
         self.own.count("policies")
         self.own.count("late", int(due > policy.valid_from + 1e-6))
         self.own.sample("latency", self.clock.now() - policy.observed)
         self._current = policy
-        if before is None or (self.kept and not self.board["failed"]):
+        if previous is None or (self.kept and not self.board["failed"]):
             self.state, self.kept = "running", ""
 
     def _observe(self, due: float) -> None:
-        """Hand over the state predicted for when the policy can be there; that time never goes back."""
+        """End effector over the state predicted for when the policy can be there; that time never goes back."""
         self._until = max(self._until, due + self.latency.ticks * self.settings.period)
         seen = self.controller.predict(due, self._until, self.plans)
         parameters = self._no_parameters if self.parameters is None else self.parameters()

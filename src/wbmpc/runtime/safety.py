@@ -15,7 +15,7 @@ from wbmpc.errors import InputError, RunAborted
 #: Differences of times [s] below this are none.
 ROUNDING = 1e-9
 #: Greatest time [s] and rate [Hz] that make sense.
-_MOST = 1e6
+_MAXIMUM = 1e6
 
 
 class SafeStop(RunAborted):
@@ -52,15 +52,15 @@ class RealTimeSettings:
 
     def __post_init__(self) -> None:
         above = "a number above 0 and at most 1e6"
-        positive = lambda v: 0.0 < v <= _MOST
+        positive = lambda v: 0.0 < v <= _MAXIMUM
         for name in ("control_rate", "max_observation_age", "patience", "watchdog", "max_latency"):
             self._check(name, Real, positive, above)
         if self.max_policy_age is not None:
             self._check("max_policy_age", Real, positive, f"{above}, or left out")
         self._check("percentile", Real, lambda v: 0.0 < v <= 100.0, "a number above 0 and at most 100")
-        self._check("margin", Real, lambda v: 0.0 <= v <= _MOST, "a number from 0 to 1e6")
+        self._check("margin", Real, lambda v: 0.0 <= v <= _MAXIMUM, "a number from 0 to 1e6")
         for name in ("window", "records"):
-            self._check(name, Integral, lambda v: 1 <= v <= 100 * _MOST, "a whole number from 1 to 1e8")
+            self._check(name, Integral, lambda v: 1 <= v <= 100 * _MAXIMUM, "a whole number from 1 to 1e8")
         self._check("priority", Integral, lambda v: 0 <= v <= 99, "a whole number from 0 (none) to 99")
         if self.offset is not None:  # an MPC that begins after that is of no use
             self._check(

@@ -92,7 +92,7 @@ class Mailbox:
         return self._views[slot]
 
     def commit(self) -> int:
-        """Hand the slot over; returns the message's number."""
+        """End effector the slot over; returns the message's number."""
         number = self._written + 1
         slot = number % self.slots
         if self.checked:

@@ -27,8 +27,8 @@ class Spread:
             samples, count = np.full(1, np.nan), 0
         else:
             count = int(samples.size)
-        median, p95, p99, most = (float(q) for q in np.percentile(samples, [50, 95, 99, 100]))
-        return cls(median, p95, p99, most, count)
+        median, p95, p99, maximum = (float(q) for q in np.percentile(samples, [50, 95, 99, 100]))
+        return cls(median, p95, p99, maximum, count)
 
 
 class Punctuality:

@@ -75,22 +75,22 @@ class ElasticDrives:
 
     def reset(self, torque: ArrayLike, speed: ArrayLike) -> None:
         """Springs wound up for ``torque`` (n) [N m], rotors at the joints' speed (n) [rad/s]."""
-        self.wanted, self.speed = np.array(torque, float), np.array(speed, float)
-        self.twist = self.wanted / self.stiffness
-        self.torque = self.wanted.copy()
+        self.target, self.speed = np.array(torque, float), np.array(speed, float)
+        self.twist = self.target / self.stiffness
+        self.torque = self.target.copy()
 
     def step(self, command: ArrayLike, speed: ArrayLike) -> Array:
         """Torques (n) [N m] on the joints over the next step, for commands (n) and the joints' speeds (n) [rad/s] now."""
         joint = np.asarray(speed, float)
-        self.wanted += self._blend * (np.clip(command, -self.limit, self.limit) - self.wanted)
-        before = self.stiffness * self.twist
+        self.target += self._blend * (np.clip(command, -self.limit, self.limit) - self.target)
+        previous = self.stiffness * self.twist
         relative = self.speed - joint
-        motor = self.wanted + self.gain * (self.wanted - before) - self.loop_damping * relative
+        motor = self.target + self.gain * (self.target - previous) - self.loop_damping * relative
         motor = np.clip(motor, -HEAD_ROOM * self.limit, HEAD_ROOM * self.limit)
         twist, rotor = self.twist, self.speed
         self.twist, self.speed = np.einsum("nij,jn->in", self._step, np.array([twist, rotor, motor, joint]))
         # the mean over the step: what acts is not half a step old
-        spring = 0.5 * (before + self.stiffness * self.twist)
+        spring = 0.5 * (previous + self.stiffness * self.twist)
         self.torque = spring + 0.5 * self.damping * (relative + self.speed - joint)
         slips = np.abs(self.torque) > self.traction
         if slips.any():

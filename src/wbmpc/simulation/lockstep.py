@@ -93,7 +93,7 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class Watch:
-    """A progress function that brings watchers along: what experiments hand on to the loop unseen. ``name``: of the loop."""
+    """A progress function that brings watchers along: what experiments end effector on to the loop unseen. ``name``: of the loop."""
 
     progress: Progress | None
     watchers: tuple[Watcher, ...] = ()
@@ -125,23 +125,23 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
     Nothing is changed outside the main thread, or where somebody else handles the signals.
     """
     pressed = threading.Event()
-    before: dict[int, Any] = {}
+    previous: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         given: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-        before = {n: h for n, h in given.items() if h is signal.default_int_handler or hasattr(h, "noted")}
+        previous = {n: h for n, h in given.items() if h is signal.default_int_handler or hasattr(h, "noted")}
 
     def note(number: int, frame: Any) -> None:
         if pressed.is_set():
             raise KeyboardInterrupt
         pressed.set()
-        getattr(before[number], "noted", lambda: None)()
+        getattr(previous[number], "noted", lambda: None)()
 
-    for number in before:
+    for number in previous:
         signal.signal(number, note)
     try:
         yield pressed.is_set
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 

@@ -67,7 +67,7 @@ class Renderer:
         flags[mujoco.mjtRndFlag.mjRND_HAZE] = False
 
     def frame(self, camera: Camera | None = None, lines: ArrayLike | None = None) -> Image:
-        """The present state; ``lines`` (m, 3) [m]: a polyline in the world, e.g. a reference path of the hand."""
+        """The present state; ``lines`` (m, 3) [m]: a polyline in the world, e.g. a reference path of the end effector."""
         model, data = self.plant.model, self.plant.data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 #: Contact forces below this [N] are none.
-_LEAST_FORCE = 1e-9
+_MIN_FORCE = 1e-9
 _KINDS = {
     mujoco.mjtGeom.mjGEOM_PLANE: "plane",
     mujoco.mjtGeom.mjGEOM_BOX: "box",
@@ -193,7 +193,7 @@ class SceneReader:
             mujoco.mj_contactForce(m, d, c, local)
             force = contact.frame.reshape(3, 3).T @ local[:3]  # on the second geom, by the first
             size = float(np.linalg.norm(force))
-            if size < _LEAST_FORCE:
+            if size < _MIN_FORCE:
                 continue
             for geom, sign in ((contact.geom1, -1.0), (contact.geom2, 1.0)):
                 body = int(m.geom_bodyid[geom])

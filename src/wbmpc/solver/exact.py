@@ -222,20 +222,20 @@ def exact_node(m: Floats, o: Integers, k: int, matrix: int, rows: int) -> None:
     nx, nu, lx, lz = o[NX], o[NU], o[LX], o[LZ]
     h = m[o[GRID] + k + 1] - m[o[GRID] + k]
     x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
-    costate, scaled, before = o[ADJOINT], o[ADJOINT] + lx, o[ADJOINT] + 2 * lx
+    costate, scaled, previous = o[ADJOINT], o[ADJOINT] + lx, o[ADJOINT] + 2 * lx
     for i in range(nx):
         m[scaled + i] = h * m[costate + i]
     for i in range(nx):
-        m[before + i] = 0.0
+        m[previous + i] = 0.0
     for r in range(nx):
         for i in range(nx):
-            m[before + i] += 0.5 * h * m[o[J2] + r * lz + i] * m[scaled + r]
+            m[previous + i] += 0.5 * h * m[o[J2] + r * lz + i] * m[scaled + r]
     m[o[SMALL] + 2] = h
     clear_second(m, o)
     stage_with(o, DYNAMICS_H, o[SLOPES] + 4 * lx, u, p, scaled, scaled, o[SECOND])
     add_chained(m, o, matrix, 0.5 * h)
     clear_second(m, o)
-    stage_with(o, DYNAMICS_H, x, u, p, before, before, o[SECOND])
+    stage_with(o, DYNAMICS_H, x, u, p, previous, previous, o[SECOND])
     add_second(m, o, matrix, lz)
     costate_node(m, o, k, rows)
     clear_second(m, o)

@@ -39,7 +39,7 @@ class Interruptible:
 
     def __init__(self) -> None:
         self.raised: BaseException | None = None
-        self._before: list[tuple[int, Callable[..., Any], Callable[..., Any]]] = []
+        self._previous: list[tuple[int, Callable[..., Any], Callable[..., Any]]] = []
 
     def __enter__(self) -> Interruptible:
         if threading.current_thread() is threading.main_thread():
@@ -47,7 +47,7 @@ class Interruptible:
                 handler = signal.getsignal(number)
                 if callable(handler):  # neither the system's default nor ignored
                     noting = self._noting(handler)
-                    self._before.append((number, handler, noting))
+                    self._previous.append((number, handler, noting))
                     signal.signal(number, noting)
         return self
 
@@ -68,7 +68,7 @@ class Interruptible:
             raise self.raised
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        for number, handler, noting in self._before:
+        for number, handler, noting in self._previous:
             if signal.getsignal(number) is noting:  # else the handler has set another one
                 signal.signal(number, handler)
         if self.raised is not None and error is not self.raised:

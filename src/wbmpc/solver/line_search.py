@@ -50,12 +50,12 @@ SHORTEST = 0.15
 def policy_input(m: Floats, o: Integers, k: int, alpha: float) -> None:
     """Trial input of node k at the trial state: ū + α k + K (x − x̄)."""
     nx, nu, lx = o[NX], o[NU], o[LX]
-    x, before = o[XT] + k * nx, o[X] + k * nx
+    x, previous = o[XT] + k * nx, o[X] + k * nx
     for j in range(nu):
         row = o[K] + (k * nu + j) * lx
         total = m[o[U] + k * nu + j] + alpha * m[row + nx]
         for i in range(nx):
-            total += m[row + i] * (m[x + i] - m[before + i])
+            total += m[row + i] * (m[x + i] - m[previous + i])
         m[o[UT] + k * nu + j] = total
 
 

@@ -67,7 +67,7 @@ CORRECTIONS = 30
 #: Where corrections aim [units of the rows], so that they end inside.
 INSIDE = 1e-6
 #: Share of a slack that a step leaves at least: with 0.01 slacks jam near zero, where steps are short.
-LEAST_SHARE = 0.1
+MIN_SHARE = 0.1
 
 
 @compiled
@@ -82,8 +82,8 @@ def inside(m: Floats, o: Integers, k: int, j: int) -> float:
     _, boxes, _ = node_rows(o, k)
     q = k * o[ROWS] + j
     if j < boxes:
-        return min(INSIDE, LEAST_SHARE * m[o[ROW_T] + q])
-    return LEAST_SHARE * max(m[o[ROW_T] + q], min(m[o[STATE] + StateField.BARRIER] / m[o[ROW_L] + q], LEAST_SHARE))
+        return min(INSIDE, MIN_SHARE * m[o[ROW_T] + q])
+    return MIN_SHARE * max(m[o[ROW_T] + q], min(m[o[STATE] + StateField.BARRIER] / m[o[ROW_L] + q], MIN_SHARE))
 
 
 # ---------------------------------------------------------------------- second derivatives
@@ -305,12 +305,12 @@ def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
 def follow(m: Floats, o: Integers, k: int, alpha: float) -> None:
     """Trial state of node k + 1 by the linearised dynamics from the trial point of node k."""
     nx, nu = o[NX], o[NU]
-    x, before, u, last = o[XT] + k * nx, o[X] + k * nx, o[UT] + k * nu, o[U] + k * nu
+    x, previous, u, last = o[XT] + k * nx, o[X] + k * nx, o[UT] + k * nu, o[U] + k * nu
     for r in range(nx):
         row = o[AB] + (k * (nx + 1) + r) * o[LZ]
-        total = m[before + nx + r] + alpha * m[row + nx]
+        total = m[previous + nx + r] + alpha * m[row + nx]
         for i in range(nx):
-            total += m[row + i] * (m[x + i] - m[before + i])
+            total += m[row + i] * (m[x + i] - m[previous + i])
         for i in range(nu):
             total += m[row + nx + 1 + i] * (m[u + i] - m[last + i])
         m[x + nx + r] = total

@@ -142,8 +142,8 @@ def align(m: Floats, o: Integers, numbers: Floats, integers: Integers, t0: float
             continue
         left -= 1
         if free < n and m[grid + free - 1] < t - 1e-9:
-            k, most = free, max(n - 1 - left, free)  # the events that follow need nodes too
-            while k < most and abs(m[grid + k + 1] - t) < abs(m[grid + k] - t):
+            k, maximum = free, max(n - 1 - left, free)  # the events that follow need nodes too
+            while k < maximum and abs(m[grid + k + 1] - t) < abs(m[grid + k] - t):
                 k += 1
             m[grid + k] = t
             for later in range(k + 1, n):  # a second event may have come close

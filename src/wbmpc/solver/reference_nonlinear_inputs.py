@@ -12,7 +12,7 @@ from wbmpc.ocp import Transcription
 if TYPE_CHECKING:
     from wbmpc.solver.reference_inequalities import RowState
 
-CORRECTIONS, INSIDE, LEAST_SHARE = 30, 1e-6, 0.1
+CORRECTIONS, INSIDE, MIN_SHARE = 30, 1e-6, 0.1
 
 
 def curvature(problem: Transcription, rows: RowState, arguments: tuple[np.ndarray, ...], h: float) -> np.ndarray:
@@ -29,8 +29,8 @@ def curvature(problem: Transcription, rows: RowState, arguments: tuple[np.ndarra
 def aims(rows: RowState, mu: float) -> np.ndarray:
     """Where corrections onto the rows of a node aim."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        general = LEAST_SHARE * np.maximum(rows.t, np.minimum(mu / rows.l, LEAST_SHARE))
-    return np.where(np.arange(rows.t.size) < rows.boxes, np.minimum(INSIDE, LEAST_SHARE * rows.t), general)
+        general = MIN_SHARE * np.maximum(rows.t, np.minimum(mu / rows.l, MIN_SHARE))
+    return np.where(np.arange(rows.t.size) < rows.boxes, np.minimum(INSIDE, MIN_SHARE * rows.t), general)
 
 
 def hold_inputs(

@@ -303,11 +303,11 @@ class InterpretedSolver(InterpretedDirections):
         if run.count < run.limit:
             return
         self._watch(c)
-        outside, most = (
+        outside, maximum = (
             self.ws.state[StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE,
             int(c.iterations) + int(c.max_extra_iterations),
         )
-        if run.limit < most and (
+        if run.limit < maximum and (
             alpha < 0.9 * run.first
             or outside
             or self.ws.state[StateField.UNRELAXED_VIOLATION] > 0.0
@@ -344,12 +344,12 @@ class InterpretedSolver(InterpretedDirections):
 
     def _first_equalities(self) -> float:
         """As first_equalities of the compiled solver, with the rows' slopes at the plan itself."""
-        from wbmpc.solver.riccati import LEAST_SLOPE
+        from wbmpc.solver.riccati import MIN_SLOPE
 
         ws, state = self.ws, self.ws.state
         e, cd = (np.array(v) for v in self.derivatives["equality_jacobian"](ws.x[0], ws.u[0], self._p(0), ws.w))
         d = cd[:, self.problem.nx :]
-        by = np.abs(e.ravel()) / (np.maximum(np.linalg.norm(d, axis=1), LEAST_SLOPE) + np.abs(d) @ np.abs(ws.u[0]))
+        by = np.abs(e.ravel()) / (np.maximum(np.linalg.norm(d, axis=1), MIN_SLOPE) + np.abs(d) @ np.abs(ws.u[0]))
         by[self.problem.softness > MIN_SOFTNESS] = 0.0
         if by.size:
             state[[StateField.EQUALITY_RESIDUAL, StateField.EQUALITY_ROW]] = by.max(), np.argmax(by)

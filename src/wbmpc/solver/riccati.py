@@ -84,7 +84,7 @@ from wbmpc.solver.simd_batch import (
 from wbmpc.solver.stages import stage_end
 
 #: Least slope of an equality by the inputs to divide by.
-LEAST_SLOPE = 1e-3
+MIN_SLOPE = 1e-3
 
 
 @compiled
@@ -235,7 +235,7 @@ def first_equalities(m: Floats, o: Integers) -> float:
         for i in range(nu):
             square += m[row + i] ** 2
             size += abs(m[row + i] * m[o[U] + i])
-        by = abs(m[values + LANES * q]) / (max(np.sqrt(square), LEAST_SLOPE) + size)
+        by = abs(m[values + LANES * q]) / (max(np.sqrt(square), MIN_SLOPE) + size)
         if m[o[EPS] + q] <= MIN_SOFTNESS and by > m[state + StateField.EQUALITY_RESIDUAL]:
             m[state + StateField.EQUALITY_RESIDUAL], m[state + StateField.EQUALITY_ROW] = by, q
     return m[state + StateField.EQUALITY_RESIDUAL]

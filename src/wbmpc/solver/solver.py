@@ -146,11 +146,11 @@ class Solver:
                 f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
             )
         with self.exclusive:
-            before = self.references.get(name)
+            previous = self.references.get(name)
             self.references[name] = reference
             if self._tables is None:
                 return
-            if before is None or (before.values.shape, before.kind) != (reference.values.shape, reference.kind):
+            if previous is None or (previous.values.shape, previous.kind) != (reference.values.shape, reference.kind):
                 self._tables = None
                 return
             from wbmpc.solver.receding import overwrite

@@ -73,9 +73,9 @@ def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
     places = corners(robot)
     (ahead, behind), heading = CONFIGURATIONS[name], _hinged(robot).leg_heading
     # a leg along its half of the x axis moves its foot to the left by a positive angle if it is a front leg, else by a negative one
-    wanted = {"LF": (0.0, ahead), "RF": (0.0, -ahead), "LB": (np.pi, -behind), "RB": (np.pi, behind)}
+    target = {"LF": (0.0, ahead), "RF": (0.0, -ahead), "LB": (np.pi, -behind), "RB": (np.pi, behind)}
     angles = np.zeros(4)
-    for corner, (axis, turn) in wanted.items():
+    for corner, (axis, turn) in target.items():
         i = places[corner]
         # where a leg stands at joint angle 0 is the description's choice
         angles[i] = turn - ((heading[i] - axis + np.pi) % (2.0 * np.pi) - np.pi)

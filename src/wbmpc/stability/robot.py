@@ -65,7 +65,7 @@ class Support:
         return total / self.mass
 
     def tool(self) -> ca.SX:
-        """The hand's frame (3) [m]."""
+        """The end effector's frame (3) [m]."""
         return self.chain.frame_pose(self.robot.tree.frames[self.robot.tool]).position
 
     def momentum(self, u: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -98,7 +98,7 @@ class Support:
         gravity: ArrayLike = GRAVITY,
         motion: tuple[ca.SX, ca.SX, ca.SX] | None = None,
     ) -> tuple[ca.SX, ca.SX]:
-        """Force (3) [N] and moment (3) [N m] about the origin: gravity, the world's ``wrench`` (6) on the hand (force and
+        """Force (3) [N] and moment (3) [N m] about the origin: gravity, the world's ``wrench`` (6) on the end effector (force and
         moment in world axes) and the inertia of a ``motion``: rates u (nu), ẋ (nx), and u̇ (nu)."""
         force = self.mass * constant(gravity)
         moment = ca.SX(3, 1)
@@ -201,7 +201,7 @@ class StanceOf:
         u: ArrayLike | None = None,
         u_rate: ArrayLike | None = None,
     ) -> Stance:
-        """At state x (nx), with the world's ``wrench`` (6) on the hand (force [N], moment [N m], world axes), ``gravity`` (3)
+        """At state x (nx), with the world's ``wrench`` (6) on the end effector (force [N], moment [N m], world axes), ``gravity`` (3)
         [m/s²], and the inertia of inputs u (nu) that change by ``u_rate`` (nu) per second (brakes open)."""
         none = np.zeros(self.robot.input.size)
         given = (x, none if u is None else u, none if u_rate is None else u_rate, wrench, gravity)

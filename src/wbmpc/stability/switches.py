@@ -65,10 +65,10 @@ def support_shares(feet: ArrayLike, triangle: Triangle, point: ArrayLike) -> Arr
 
 @dataclass(frozen=True)
 class Switch:
-    """At ``time`` [s] the feet ``before`` stop carrying; ``after`` do, or none: the robot tips over an edge."""
+    """At ``time`` [s] the feet ``previous`` stop carrying; ``after`` do, or none: the robot tips over an edge."""
 
     time: float
-    before: tuple[int, ...]
+    previous: tuple[int, ...]
     after: tuple[int, ...]
 
 
@@ -111,13 +111,13 @@ def _inside(distances: Array) -> tuple[Array, Array]:
     From its ``distances`` (k, 3) to the edges' lines, positive inside, which are linear in time: it is in from where the last of
     them becomes positive, up to where the first is no longer.
     """
-    before, after = distances[:-1], distances[1:]
-    change = np.where(before == after, np.inf, before - after)
-    share = before / change  # where an edge's line is crossed
-    comes, goes = (before <= 0.0) & (after > 0.0), (before > 0.0) & (after <= 0.0)
+    previous, after = distances[:-1], distances[1:]
+    change = np.where(previous == after, np.inf, previous - after)
+    share = previous / change  # where an edge's line is crossed
+    comes, goes = (previous <= 0.0) & (after > 0.0), (previous > 0.0) & (after <= 0.0)
     begins = np.where(comes, share, -np.inf).max(axis=1)
     ends = np.where(goes, share, np.inf).min(axis=1)
-    there = ((before > 0.0) | (after > 0.0)).all(axis=1) & (begins < ends)
+    there = ((previous > 0.0) | (after > 0.0)).all(axis=1) & (begins < ends)
     return (
         np.where(there & np.isfinite(begins), begins, np.nan),
         np.where(there & np.isfinite(ends), ends, np.nan),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
-from wbmpc.paths import rise
+from wbmpc.studies.paths import rise
 
 #: Step [s] of the table that a path is kept in.
 STEP = 0.01
@@ -77,12 +77,12 @@ def random_twists(
     """
     rng = np.random.default_rng(seed)
     t = STEP * np.arange(round(duration / STEP) + 1)
-    twists, before, when = np.zeros((t.size, 3)), np.zeros(3), 0.5
+    twists, previous, when = np.zeros((t.size, 3)), np.zeros(3), 0.5
     while when < duration - ramp - 1.0:
         angle, v = rng.uniform(-np.pi, np.pi), speed * rng.uniform(0.2, 1.0)
-        wanted = np.array([v * np.cos(angle), v * np.sin(angle), rate * rng.uniform(-1.0, 1.0)])
-        wanted = np.zeros(3) if rng.uniform() < rests else wanted
-        twists += rise(t - when, ramp)[:, None] * (wanted - before)
-        before, when = wanted, when + ramp + rng.uniform(1.0, 5.0)
-    twists -= rise(t - (duration - ramp - 0.5), ramp)[:, None] * before
+        target = np.array([v * np.cos(angle), v * np.sin(angle), rate * rng.uniform(-1.0, 1.0)])
+        target = np.zeros(3) if rng.uniform() < rests else target
+        twists += rise(t - when, ramp)[:, None] * (target - previous)
+        previous, when = target, when + ramp + rng.uniform(1.0, 5.0)
+    twists -= rise(t - (duration - ramp - 0.5), ramp)[:, None] * previous
     return BasePath.of(twists)

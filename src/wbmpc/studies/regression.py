@@ -99,11 +99,11 @@ def differences(recorded: dict[str, Any], now: dict[str, Any]) -> list[str]:
         for n in ("exit", "completed", "reason")
         if recorded.get(n) != now.get(n)
     ]
-    before, after = recorded.get("metrics", {}), now.get("metrics", {})
-    for n in sorted(before.keys() | after.keys()):
-        same = before.get(n) == after.get(n) or (before.get(n) != before.get(n) and after.get(n) != after.get(n))
+    previous, after = recorded.get("metrics", {}), now.get("metrics", {})
+    for n in sorted(previous.keys() | after.keys()):
+        same = previous.get(n) == after.get(n) or (previous.get(n) != previous.get(n) and after.get(n) != after.get(n))
         if not same:
-            lines.append(f"{n}: {before.get(n)!r} -> {after.get(n)!r}")
+            lines.append(f"{n}: {previous.get(n)!r} -> {after.get(n)!r}")
     return lines
 
 
@@ -120,14 +120,14 @@ def main(arguments: list[str] | None = None) -> int:
     cases = data.setdefault("cases", {})
     if data["machine"] != machine():
         print(f"recorded with {data['machine']}, this is {machine()}: digits may differ", file=sys.stderr)
-    wanted = [
+    target = [
         (n, s, seed)
         for seed in options.seeds
         for n, s in (FAST if options.fast else FAST + FULL)
         if not options.only or n in options.only
     ]
     different = 0
-    for name, settings, seed in wanted:
+    for name, settings, seed in target:
         case = key(name, settings, seed)
         if (options.action == "record") == (case in cases):
             continue

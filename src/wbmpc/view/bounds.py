@@ -17,14 +17,14 @@ _UNIT = 1e-3
 
 
 def pose(given: Array, base: Array) -> Array:
-    """A pose (7) of the hand, its height above the floor, with its quaternion at length 1; ``base``: where the robot is
+    """A pose (7) of the end effector, its height above the floor, with its quaternion at length 1; ``base``: where the robot is
     (x, y, …) [m]. Raises :class:`InputError` for one that is not finite, no pose or too far away."""
-    value = numbers("goal of the hand", "pose", given, 7)
+    value = numbers("goal of the end effector", "pose", given, 7)
     norm = float(np.linalg.norm(value[3:]))
     if abs(norm - 1.0) > _UNIT:
-        raise InputError(f"goal of the hand: the quaternion must have the length 1, got {norm:.3g}")
-    _near("goal of the hand", value, base)
-    within("goal of the hand: height [m]", float(value[2]), *HEIGHTS)
+        raise InputError(f"goal of the end effector: the quaternion must have the length 1, got {norm:.3g}")
+    _near("goal of the end effector", value, base)
+    within("goal of the end effector: height [m]", float(value[2]), *HEIGHTS)
     return np.concatenate([value[:3], value[3:] / norm])
 
 

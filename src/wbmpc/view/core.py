@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc.mpc.mpc import MPC
-from wbmpc.recording.observer import hand_goal
+from wbmpc.recording.observer import end_effector_goal
 from wbmpc.view.snapshot import NUMBERS, errors
 from wbmpc.view.steering import Controls, Steering, no_requests
 from wbmpc.view.window import Window
@@ -22,7 +22,7 @@ class LiveView(Window):
     def __init__(self, title: str, host: str, port: int, opened: Callable[[str], None], with_token: bool) -> None:
         super().__init__(title, host, port, opened, with_token)
         self.wants_reset = self.ended = False
-        self._requests, self._before = no_requests(), ""
+        self._requests, self._previous = no_requests(), ""
         self._expect()
 
     def _expect(self) -> None:
@@ -50,8 +50,8 @@ class LiveView(Window):
 
 @dataclass(frozen=True)
 class Followed:
-    """What an MPC follows at one time, above the floor, in the frame of the estimate: the hand's ``goal`` (7) and the ``base``'s
-    (x, y, yaw), nan where there is none, and the ``way`` (n, 3) of the hand's reference."""
+    """What an MPC follows at one time, above the floor, in the frame of the estimate: the end effector's ``goal`` (7) and the ``base``'s
+    (x, y, yaw), nan where there is none, and the ``way`` (n, 3) of the end effector's reference."""
 
     goal: Array
     base: Array
@@ -60,7 +60,7 @@ class Followed:
 
 def followed(mpc: MPC | None, t: float, lift: Array) -> Followed:
     """At time t [s]; ``lift`` (3) [m] of the planner's origin above the floor."""
-    goal, base, way = hand_goal(mpc, t, lift), np.full(3, np.nan), np.zeros((0, 3))
+    goal, base, way = end_effector_goal(mpc, t, lift), np.full(3, np.nan), np.zeros((0, 3))
     if mpc is not None and "hand" in mpc.reference:
         way = mpc.reference["hand"].values[:, :3] + lift
     if mpc is not None and Steering.base_of(mpc):
@@ -73,7 +73,9 @@ def timing(mpc: MPC | None) -> dict[str, float]:
     return {"solve": np.nan, "deadline": np.nan} if mpc is None else {"solve": mpc.solve_time, "deadline": mpc.period}
 
 
-def numbers(hand: Array, goal: Array, base: Array, base_goal: Array, others: Mapping[str, float | Array]) -> Array:
-    """A snapshot's numbers: errors of the poses (7) of hand and base against their goals in one frame, and all ``others``."""
-    values = {**errors(hand, goal, base, base_goal), **others}
+def numbers(
+    end_effector: Array, goal: Array, base: Array, base_goal: Array, others: Mapping[str, float | Array]
+) -> Array:
+    """A snapshot's numbers: errors of the poses (7) of end effector and base against their goals in one frame, and all ``others``."""
+    values = {**errors(end_effector, goal, base, base_goal), **others}
     return np.array([float(values[name]) for name in NUMBERS])

@@ -78,21 +78,21 @@ def checked(raw: bytes | str, inputs: Inputs) -> bytes:
     elif isinstance(frame, _Camera):
         _check_camera(frame)
     elif isinstance(frame, _Moved):
-        _finite("the position of the goal", *frame.position, most=FARTHEST)
+        _finite("the position of the goal", *frame.position, maximum=FARTHEST)
         frame.wxyz = _unit("the orientation of the goal", frame.wxyz)
     return msgspec.msgpack.encode(frame)
 
 
 def _check_camera(frame: _Camera) -> None:
     size = (frame.fov, frame.near, frame.far, frame.image_height, frame.image_width)
-    _finite("the camera", *frame.position, *frame.look_at, *frame.up_direction, *size, most=1e9)
+    _finite("the camera", *frame.position, *frame.look_at, *frame.up_direction, *size, maximum=1e9)
     frame.wxyz = _unit("the camera", frame.wxyz)
 
 
-def _finite(what: str, *values: float, most: float) -> None:
-    bad = next((v for v in values if not abs(v) <= most), None)
+def _finite(what: str, *values: float, maximum: float) -> None:
+    bad = next((v for v in values if not abs(v) <= maximum), None)
     if bad is not None:
-        raise InputError(f"{what}: numbers must be finite and at most {most:g}, got {bad:g}")
+        raise InputError(f"{what}: numbers must be finite and at most {maximum:g}, got {bad:g}")
 
 
 def _unit(what: str, wxyz: _Quaternion) -> _Quaternion:

@@ -8,7 +8,7 @@ import numpy as np
 
 Array = np.ndarray
 #: Over how long a real-time factor is taken, and at least [s].
-WINDOW, LEAST = 1.0, 0.2
+WINDOW, MINIMUM = 1.0, 0.2
 #: Seconds of the run that are kept, and samples in them.
 SPAN, SAMPLES = 20.0, 300
 
@@ -31,7 +31,7 @@ class Factor:
             self._points.append((clock, t))
         while len(self._points) > 2 and self._points[1][0] < clock - WINDOW:
             self._points.popleft()
-        if len(self._points) < 2 or clock - self._points[0][0] < LEAST:
+        if len(self._points) < 2 or clock - self._points[0][0] < MINIMUM:
             return float("nan")
         return (t - self._points[0][1]) / (clock - self._points[0][0])
 

@@ -82,7 +82,7 @@ class View(LiveView):
             self._requests = no_requests()
         if self.process is None:
             self.open(running)
-        self.show_message(self._before)
+        self.show_message(self._previous)
         self._loads = self._loads_of(running)
         self._steering = Steering(running, self._observer.lift, self.reject)
         self._steering.skip(self._requests)
@@ -106,7 +106,7 @@ class View(LiveView):
     def end(self, ending: Ending) -> None:
         """Say so; the last picture stays until :meth:`close`."""
         self.show_message(f"The run is over: {ending.reason}" if ending.reason else "The run is over")
-        self._before = f"Before: {ending.reason}" if ending.fell else ""
+        self._previous = f"Before: {ending.reason}" if ending.fell else ""
 
     # ------------------------------------------------------------------ time
     def _anchor(self, t: float) -> None:
@@ -148,13 +148,13 @@ class View(LiveView):
         self._steps += int(self._requests["steps"]) != self._steps  # each of several clicks is a step
 
     def _take_requests(self) -> None:
-        before = self._requests["speed"]
+        previous = self._requests["speed"]
         if not self._read_requests():
             return
         try:
             bounds.within("speed", float(self._requests["speed"]), *bounds.SPEEDS)
         except InputError as error:
-            self._requests["speed"] = before
+            self._requests["speed"] = previous
             self.reject(str(error))
         if self._asked("ends"):
             self.ended = True
@@ -182,14 +182,18 @@ class View(LiveView):
             "factor": self._factor.add(time.perf_counter(), t), "ticks": self._ticks, "late_ticks": self._late_ticks,
         }  # fmt: skip
         return {
-            "numbers": numbers(moment.hand, goal, moment.base, base_goal, others), "poses": moment.bodies, "goal": goal,
+            "numbers": numbers(moment.end_effector, goal, moment.base, base_goal, others), "poses": moment.bodies, "goal": goal,
             "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)), **self._paths(target.way, plans), **on_floor,
         }  # fmt: skip
 
     def _paths(self, way: Array, plans: PolicyQueue) -> dict[str, Array]:
-        """The ``way`` (n, 3) of the hand's reference, and the predicted ones of hand and base."""
-        base, hand = self._observer.plan(plans)
-        paths = {"reference": (way, REFERENCE), "hand_plan": (hand[:, :3], PLAN), "base_plan": (base[:, :3], PLAN)}
+        """The ``way`` (n, 3) of the end effector's reference, and the predicted ones of end effector and base."""
+        base, end_effector = self._observer.plan(plans)
+        paths = {
+            "reference": (way, REFERENCE),
+            "hand_plan": (end_effector[:, :3], PLAN),
+            "base_plan": (base[:, :3], PLAN),
+        }
         return {name: self._in_map(filled(points, (count, 3))) for name, (points, count) in paths.items()}
 
     def _in_map(self, points: Array) -> Array:

@@ -133,12 +133,12 @@ class Panel:
 
     def _goals(self) -> None:
         scene = self.server.scene
-        # thin, and seen through: the hand is behind it
+        # thin, and seen through: the end effector is behind it
         self._goal = scene.add_transform_controls(
             "/goal", scale=0.3, line_width=1.5, opacity=0.7, disable_sliders=True, visible=False
         )
-        hand = lambda: np.concatenate([self._goal.position, self._goal.wxyz])
-        self._on_drag(self._goal, lambda: self._click("goals", goal=hand()))
+        end_effector = lambda: np.concatenate([self._goal.position, self._goal.wxyz])
+        self._on_drag(self._goal, lambda: self._click("goals", goal=end_effector()))
         if self.controls.base:
             self._base = scene.add_transform_controls(
                 "/base_goal", scale=0.6, disable_sliders=True, active_axes=(True, True, False), visible=False
@@ -228,8 +228,8 @@ def plotted(controls: Controls) -> dict[str, tuple[_Line, ...]]:
     """Lines by the plots' titles."""
     red = "#d1495b"
     figures: dict[str, tuple[_Line, ...]] = {
-        "Hand position error [mm]": (("error", "error", red, 1e3),),
-        "Hand orientation error [deg]": (("turn", "error", red, np.degrees(1.0)),),
+        "End effector position error [mm]": (("error", "error", red, 1e3),),
+        "End effector orientation error [deg]": (("turn", "error", red, np.degrees(1.0)),),
     }
     if controls.base:
         figures["Base position error [mm]"] = (("base", "error", red, 1e3),)

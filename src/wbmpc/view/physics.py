@@ -19,7 +19,7 @@ from wbmpc.simulation.scene import SceneReader
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, ground
 
-#: What the simulation sends: numbers, and records of the hand's true position [m] at times [s] of the machine's clock.
+#: What the simulation sends: numbers, and records of the end effector's true position [m] at times [s] of the machine's clock.
 NUMBERS, RECORDS = ("ready", "end", "fell", "behind", "tilt"), ("time", "x", "y", "z")
 #: How often the process looks for a command and sends a measurement [s]; a record every so many looks.
 POLL_PERIOD, EVERY = 1e-3, 10
@@ -108,8 +108,8 @@ class Simulated:
         self.board["end"] = 1.0
         self.process.join(5.0)
 
-    def hand(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times (n) [s] on the runner's clock and true positions (n, 3) [m] of the hand."""
+    def end_effector(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n) [s] on the runner's clock and true positions (n, 3) [m] of the end effector."""
         records = [self.board.samples(name) for name in RECORDS]
         return records[0] - self.clock.origin, np.stack(records[1:], axis=1)
 

@@ -73,7 +73,7 @@ class RealtimeView(LiveView):
 
     # ------------------------------------------------------------------ the control thread
     def watch(self, t: float, late: float, plans: PolicyQueue) -> None:
-        """Hand out the estimated state, at most :data:`~wbmpc.view.process.RATE` times a second."""
+        """End effector out the estimated state, at most :data:`~wbmpc.view.process.RATE` times a second."""
         self._late = max(self._late, late)
         if t < self._shown_at + 1.0 / RATE:
             return
@@ -86,14 +86,14 @@ class RealtimeView(LiveView):
         """Steer this MPC from now on, before each of its solves; ``controller`` is the runner's."""
         self._controller, self._shown_at = controller, -np.inf
         self.wants_reset = self.stopped = False
-        self.show_message(self._before)
+        self.show_message(self._previous)
         lift = np.array([0.0, 0.0, -self.robot.base.ground])
         stand_in = _Robot(controller, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
         steering = Steering(running, lift, self.reject)
         steering.skip(self._requests)
         self._expect()
-        before, planned = mpc.guess, [-np.inf]
+        previous, planned = mpc.guess, [-np.inf]
 
         def guess(t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
             self._read_requests()
@@ -104,7 +104,7 @@ class RealtimeView(LiveView):
             if t >= planned[0] + 1.0 / RATE:
                 planned[0] = t
                 self.shown.write(**_plan(mpc, t, lift), brakes=steering.brakes_open(t))
-            return None if before is None else before(t, x0, trajectory)
+            return None if previous is None else previous(t, x0, trajectory)
 
         mpc.guess = guess
 
@@ -117,7 +117,7 @@ class RealtimeView(LiveView):
                 time.sleep(_POLL_PERIOD)
             self.show_message(f"The run is over: {self._reason(runner)}")  # the threads' end may take a while
         self.stopped = runner.stopped
-        self._before = f"Before: {runner.state}" if runner.stopped else ""
+        self._previous = f"Before: {runner.state}" if runner.stopped else ""
         return self._reason(runner)
 
     def _reason(self, runner: RealTimeRunner) -> str:
@@ -174,7 +174,7 @@ class Picture:
         self._ground: dict[str, Array] = {"base": _HERE, **{n: np.full(s, np.nan) for n, s in GROUND.items()}}
         self._ground |= {name: np.array(np.nan) for name in ("time", "clock")}
         self._factor = Factor()
-        self._before: tuple[float, Array] | None = None
+        self._previous: tuple[float, Array] | None = None
         self._shares = dict.fromkeys(GROUPS, np.nan)
 
     def __call__(self, plan: dict[str, Array]) -> dict[str, Any]:
@@ -186,10 +186,10 @@ class Picture:
         self._puppet.arrange(self._moment["x"])
         poses = self._reader.poses(self._puppet.data)
         position, orientation = self.robot.pose(self._moment["x"])
-        hand = np.concatenate([position + self._lift, orientation])
+        end_effector = np.concatenate([position + self._lift, orientation])
         states, index = plan["plan"][np.isfinite(plan["plan"]).all(axis=1)], self._reader.scene.index
-        base_plan, hand_plan = predicted(self.robot, self.robot.state, states, self._lift)
-        ways = {"hand_plan": hand_plan, "base_plan": base_plan}
+        base_plan, end_effector_plan = predicted(self.robot, self.robot.state, states, self._lift)
+        ways = {"hand_plan": end_effector_plan, "base_plan": base_plan}
         others: dict[str, Any] = {
             "t": self._moment["t"], "late": self._moment["late"], "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
@@ -197,7 +197,7 @@ class Picture:
             "factor": self._factor.add(float(self._ground["clock"]), float(self._ground["time"])),
         }  # fmt: skip
         return {
-            "numbers": numbers(hand, plan["goal"], poses[index], plan["base_goal"], others), "poses": poses, "goal": plan["goal"],
+            "numbers": numbers(end_effector, plan["goal"], poses[index], plan["base_goal"], others), "poses": poses, "goal": plan["goal"],
             "base_goal": plan["base_goal"], "brakes": plan["brakes"], "reference": plan["reference"],
             **{name: filled(way[:, :3], (PLAN, 3)) for name, way in ways.items()}, **self._on_floor(poses[index]),
         }  # fmt: skip
@@ -205,10 +205,10 @@ class Picture:
     def _speeds(self) -> dict[str, float]:
         """Largest joint speeds over their limits, between the last two states."""
         t, joints = float(self._moment["t"]), self._reader.joint_states(self._puppet.data)[:, 0]
-        if self._before is None or t > self._before[0]:
-            if self._before is not None:
-                self._shares = self._loads.shares((joints - self._before[1]) / (t - self._before[0]))
-            self._before = (t, joints)
+        if self._previous is None or t > self._previous[0]:
+            if self._previous is not None:
+                self._shares = self._loads.shares((joints - self._previous[1]) / (t - self._previous[0]))
+            self._previous = (t, joints)
         return self._shares
 
     def _on_floor(self, estimated: Array) -> dict[str, Array]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.recording.plots import hand_error, positions
+from wbmpc.recording.plots import end_effector_error, positions
 from wbmpc.recording.reader import Recording
 from wbmpc.simulation.scene import Body, Contact, Scene
 from wbmpc.view.access import Access
@@ -21,6 +21,8 @@ from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, plain,
 Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
 RATE, PAGE_RATE = 30.0, 20.0
+#: How often it is looked whether a browser has come [s].
+WAIT = 0.2
 _NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 #: Where what is not there at the moment is put: far away, under the floor.
 _HIDDEN = np.array([1e3, 1e3, -100.0, 1, 0, 0, 0])
@@ -95,7 +97,7 @@ class Film:
     def _numbers(self) -> dict[str, tuple[Array, Array]]:
         """Times and values of the plotted numbers."""
         found = {}
-        error = hand_error(self.recording)
+        error = end_effector_error(self.recording)
         if error is not None:
             found["error"] = error
         if "/mpc/solve_time" in self.recording.topics:
@@ -202,9 +204,12 @@ class Player:
         self._text.content = f"**{self.film.recording.title}**, {t:.2f} s{spoken(numbers)}"
 
     def run(self) -> None:
-        """Play, again and again, until Ctrl-C."""
+        """Play, again and again, until Ctrl-C. Without a browser nothing moves: a replay that was forgotten takes no time."""
         end, shown = float(self.film.times[-1]), -1.0
         while True:
+            if not self.server.get_clients():
+                time.sleep(WAIT)
+                continue
             if self._playing.value:
                 later = float(self._time.value) + float(self._speed.value) / RATE
                 self._time.value = 0.0 if later > end else later

@@ -18,7 +18,7 @@ Array = np.ndarray
 REFERENCE, PLAN, CONTACTS = 200, 31, 8
 #: A contact higher than this [m] is none with the floor or what lies on it.
 ABOVE = 0.3
-#: Numbers that are plotted. Lengths in m, times in s; ``error``, ``turn`` [rad]: of the hand, ``base``: of a base with a goal;
+#: Numbers that are plotted. Lengths in m, times in s; ``error``, ``turn`` [rad]: of the end effector, ``base``: of a base with a goal;
 #: those of :data:`~wbmpc.view.actuator_load.GROUPS`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
 #: support polygon and the active triangle.
 #: ``late``: by how much a tick of a real-time run began late; ``factor``: the run's time over the clock's; ``late_ticks``: how many
@@ -64,7 +64,7 @@ def filled(rows: Any, shape: tuple[int, ...]) -> Array:
 
 
 def ground(contacts: list[Contact], size: float = 0.002, size_above: float = 0.02) -> dict[str, Array]:
-    """Of contacts: forces as arrows (``size`` [m/N]; ``size_above`` for those above the floor: a hand pushes less than feet),
+    """Of contacts: forces as arrows (``size`` [m/N]; ``size_above`` for those above the floor: an end effector pushes less than feet),
     support polygon, active triangle, point of pressure (the ZMP on a flat floor), and how far it is inside of both [m]."""
     arrows = [(c.point, c.point + (size if c.point[2] < ABOVE else size_above) * c.force) for c in contacts]
     carrying = [c for c in contacts if c.force[2] > 1.0 and c.point[2] < ABOVE]
@@ -84,21 +84,23 @@ def ground(contacts: list[Contact], size: float = 0.002, size_above: float = 0.0
     }
 
 
-def errors(hand: Array, goal: Array, base: Array, base_goal: Array) -> dict[str, float]:
-    """Errors of poses (7) in one frame against the hand's ``goal`` (7) and ``base_goal`` (x, y, yaw); nan without a goal."""
+def errors(end_effector: Array, goal: Array, base: Array, base_goal: Array) -> dict[str, float]:
+    """Errors of poses (7) in one frame against the end effector's ``goal`` (7) and ``base_goal`` (x, y, yaw); nan without a goal."""
     return {
-        "error": float(np.linalg.norm(hand[:3] - goal[:3])),
+        "error": float(np.linalg.norm(end_effector[:3] - goal[:3])),
         "turn": float(
-            np.linalg.norm(lie.quaternion_log(lie.quaternion_multiply(lie.quaternion_conjugate(goal[3:]), hand[3:])))
+            np.linalg.norm(
+                lie.quaternion_log(lie.quaternion_multiply(lie.quaternion_conjugate(goal[3:]), end_effector[3:]))
+            )
         ),
         "base": float(np.linalg.norm(base[:2] - base_goal[:2])),
     }
 
 
 def spoken(numbers: Mapping[str, float]) -> str:
-    """The hand's error, how far the ZMP is inside of what it must stay in and how late the run is, in Markdown's lines that follow
+    """The end effector's error, how far the ZMP is inside of what it must stay in and how late the run is, in Markdown's lines that follow
     a first one."""
-    lines = [f"hand error {1e3 * numbers['error']:.1f} mm"] if np.isfinite(numbers["error"]) else []
+    lines = [f"end effector error {1e3 * numbers['error']:.1f} mm"] if np.isfinite(numbers["error"]) else []
     margins = [
         f"{1e3 * abs(numbers[name]):.0f} mm {'inside' if numbers[name] > 0.0 else 'outside'} the {what}"
         for name, what in (("margin", "polygon"), ("triangle_margin", "triangle"))

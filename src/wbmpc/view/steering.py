@@ -20,7 +20,7 @@ from wbmpc.view import bounds
 _LOG = logging.getLogger(__name__)
 Array = np.ndarray
 #: How many places there are for weights in the orders.
-MOST_WEIGHTS = 16
+MAX_WEIGHTS = 16
 #: Legs are where they should be within this [rad]; then their brakes close.
 _THERE = 0.01
 
@@ -29,7 +29,7 @@ REQUESTS: dict[str, tuple[int, ...]] = {
     "goals": (), "goal": (7,), "base_goals": (), "base_goal": (3,),
     "pushes": (), "push": (3,), "push_time": (),
     "configurations": (), "configuration": (), "brake_clicks": (), "brakes_open": (),
-    "weights": (MOST_WEIGHTS,),
+    "weights": (MAX_WEIGHTS,),
     "paused": (), "steps": (), "speed": (), "resets": (), "ends": (),
 }  # fmt: skip
 
@@ -66,7 +66,7 @@ class Steering:
         self.running, self.mpc, self._lift, self._reject = running, running.mpc, lift, reject
         self._done = {name: 0 for name in REQUESTS if name.endswith("s") and name != "weights"}
         self._limit = RateLimit(1, 5.0)
-        self._weights = self._seen_weights = np.ones(MOST_WEIGHTS)
+        self._weights = self._seen_weights = np.ones(MAX_WEIGHTS)
         self._push_ends: float | None = None
         self._legs: Array | None = None
         #: Whether anything was done.
@@ -78,7 +78,7 @@ class Steering:
         """The costs whose weights can be changed; none without an MPC."""
         if mpc is None:
             return []
-        return [t for t in mpc.ocp.terms.values() if isinstance(t, Cost)][:MOST_WEIGHTS]
+        return [t for t in mpc.ocp.terms.values() if isinstance(t, Cost)][:MAX_WEIGHTS]
 
     @staticmethod
     def legs_of(mpc: MPC | None) -> bool:
@@ -90,7 +90,7 @@ class Steering:
 
     @staticmethod
     def base_of(mpc: MPC | None) -> bool:
-        """Whether the base has a goal: that of a robot that balances has none, it goes where its hand needs it."""
+        """Whether the base has a goal: that of a robot that balances has none, it goes where its end effector needs it."""
         if mpc is None or "state" not in mpc.reference or "base" not in mpc.ocp.dynamics.state:
             return False
         part = mpc.ocp.dynamics.state["base"]
@@ -109,7 +109,7 @@ class Steering:
     def apply(self, t: float, requests: dict[str, Array], drift: Array) -> None:
         """Do what is new at time t [s]."""
         if self._asked(requests, "goals"):
-            self._try(lambda: self._hand_goal(t, self._near(requests["goal"], drift)))
+            self._try(lambda: self._end_effector_goal(t, self._near(requests["goal"], drift)))
         if self._asked(requests, "base_goals"):
             self._try(lambda: self._base_goal(t, self._near_planar(requests["base_goal"], drift)))
         if self._asked(requests, "pushes"):
@@ -144,7 +144,7 @@ class Steering:
             self._reject(str(error))
 
     def _near(self, goal: Array, drift: Array) -> Array:
-        """A goal of the hand in the estimate's frame, checked before and after."""
+        """A goal of the end effector in the estimate's frame, checked before and after."""
         checked = bounds.pose(goal, lie.pose_compose(drift, spatial(self._here()))[:2])
         return lie.pose_between(drift, checked)
 
@@ -165,8 +165,8 @@ class Steering:
         self.running.plant.push(force)
 
     # ------------------------------------------------------------------ goals
-    def _hand_goal(self, t: float, goal: Array) -> None:
-        """The hand's goal from now on; the base goes to where the hand is beside it as at home."""
+    def _end_effector_goal(self, t: float, goal: Array) -> None:
+        """The end effector's goal from now on; the base goes to where the end effector is beside it as at home."""
         if self.mpc is None or "hand" not in self.mpc.reference:
             return
         goal = np.concatenate([goal[:3] - self._lift, goal[3:]])

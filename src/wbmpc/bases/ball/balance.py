@@ -67,9 +67,9 @@ class Balance:
         effect, answer = (component @ slope / pole for slope in (b, pushed))
         shift = component[:, BASE:] @ np.linalg.inv(mass) / pole
         limits, spin = robot.limits.input_upper[robot.input["wheel"]], base.wheel_torque_map()[2]
-        most = robot.description.limits.spin_effort
+        maximum = robot.description.limits.spin_effort
         angles = 2.0 * np.pi * np.arange(directions) / directions
-        reach = [_support(np.array([np.cos(v), np.sin(v)]) @ effect, limits, spin, most) for v in angles]
+        reach = [_support(np.array([np.cos(v), np.sin(v)]) @ effect, limits, spin, maximum) for v in angles]
         # at rest, leans and wheel torques bear the force: M⁻¹ (forces by pitch, roll, wheels) z + M⁻¹ d = 0
         borne = np.linalg.pinv(mass @ np.hstack([a[BASE:, 3:BASE], b[BASE:]]))
         stand = -offset @ borne[:2]
@@ -95,11 +95,11 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
     """A (10, 10), B (10, wheels) of the base with the arm held, the same (10, 2) of a horizontal force on the tool, the
     offset's slope (2, 2) by (pitch, roll), and the base's mass matrix (5, 5)."""
     q, v = ca.SX.sym("q", base.nq), ca.SX.sym("v", base.nq)
-    given, hand = ca.SX.sym("u", u.size), ca.SX.sym("hand", 2)
+    given, end_effector = ca.SX.sym("u", u.size), ca.SX.sym("hand", 2)
     more = ca.SX.zeros(robot.input.size - u.size)
     force = base.generalised_force(q, ca.vertcat(given, more), ca.SX.zeros(robot.parameters.size))
     force -= base.inverse_dynamics(q, v, ca.SX(base.nq, 1))
-    push = ca.jacobian(base.tool_force(q, ca.vertcat(hand, 0)), hand)
+    push = ca.jacobian(base.tool_force(q, ca.vertcat(end_effector, 0)), end_effector)
     parts = [ca.jacobian(force, q), ca.jacobian(force, given), push, ca.jacobian(load_offset(base, q), q)]
     slopes = ca.Function("slopes", [q, v, given], [ca.densify(p) for p in parts])
     n, wheels = base.nq, len(base.input["wheel"])
@@ -111,8 +111,8 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
     return a, accelerates(by_u[:, :wheels]), accelerates(by_push), offset[:, 3:BASE], own
 
 
-def _support(effect: Array, limits: Array, spin: Array, most: float) -> float:
+def _support(effect: Array, limits: Array, spin: Array, maximum: float) -> float:
     """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ most."""
-    rows, bounds = (None, None) if not np.isfinite(most) else (np.vstack([spin, -spin]), [most, most])
+    rows, bounds = (None, None) if not np.isfinite(maximum) else (np.vstack([spin, -spin]), [maximum, maximum])
     found = linprog(-effect, A_ub=rows, b_ub=bounds, bounds=[(-v, v) for v in limits])
     return float(-found.fun)

@@ -69,7 +69,7 @@ class BallController:
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
         self.clamped = False
-        self.wanted = torque.copy()  # what the policy asks for, before it is clipped [N m]
+        self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
         self.torque = torque.copy()  # what the drives were last asked for
 
@@ -125,11 +125,11 @@ class BallController:
         )
 
     def _carried(self) -> float:
-        """The mass [kg] that the hand is believed to hold."""
+        """The mass [kg] that the end effector is believed to hold."""
         return 0.0 if self.payload is None else self.payload.mass
 
     def _pushed(self) -> np.ndarray:
-        """The horizontal force (2) [N] that is felt at the hand."""
+        """The horizontal force (2) [N] that is felt at the end effector."""
         return np.zeros(2)
 
     def _answered(self) -> np.ndarray:
@@ -224,8 +224,8 @@ class BallController:
             policy = plans.at(t + k * self.period)
             if policy is None:
                 break
-            wanted = self.limits.possible(self._law(t + dead + k * self.period, x, policy)[1])
-            torque = self.sent.follow(wanted, torque)
+            target = self.limits.possible(self._law(t + dead + k * self.period, x, policy)[1])
+            torque = self.sent.follow(target, torque)
             x = self._step(x, torque, self.period)
         return Observation(until + dead, x)
 
@@ -237,10 +237,10 @@ class BallController:
         """Torques at the predicted present state."""
         if self.forecast is not None and plans.current is not None:
             stop_for(self.forecast.update_plan(plans.current, self._carried(), self._answered()))
-        self.feedforward, self.wanted = self._law(
+        self.feedforward, self.target = self._law(
             t + self.sent.dead * self.period, self.ahead(), plans.current, acts=True
         )
-        return self._drive(self.limits.possible(self.wanted))
+        return self._drive(self.limits.possible(self.target))
 
     def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Torques [N m] without and with feedback in state x at time t [s]; ``acts``: they are sent, not only predicted."""
@@ -250,6 +250,6 @@ class BallController:
     def _drive(self, torque: np.ndarray) -> BallCommand:
         """The command for possible torques, which the drives follow with their lag."""
         self.torque = torque
-        self.clamped = bool(np.any(np.abs(torque - self.wanted) > _ROUNDING * self.limit))
+        self.clamped = bool(np.any(np.abs(torque - self.target) > _ROUNDING * self.limit))
         self.sent.send(torque)
         return BallCommand(torque)

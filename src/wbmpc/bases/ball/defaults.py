@@ -1,4 +1,4 @@
-"""The whole-body problem of the ball robot: one set of weights for hand tasks."""
+"""The whole-body problem of the ball robot: one set of weights for end effector tasks."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from wbmpc.bases.ball.balance import Balance
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
-from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 
 
-class HandCost(Settings):
-    """Weights of the hand: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
+class EndEffectorCost(Settings):
+    """Weights of the end effector: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
     which the arm cannot control at rest; linear and angular velocity. Errors beyond ``limit`` [m] and ``turn_limit`` [rad]
     pull no harder (SmoothL1): a sudden large goal must not ask for more than the wheels' torque."""
 
     weight: Weight = 300.0
     orientation: Weight = 60.0
     roll: Weight = 3.0
-    limit: float = Field(default=0.1, gt=0)
-    turn_limit: float = Field(default=0.1, gt=0)
+    limit: Positive = 0.1
+    turn_limit: Positive = 0.1
     twist: Weight = 1.0
     angular: Weight = 0.2
 
@@ -56,16 +56,16 @@ class RezeroCost(Settings):
     divergent component, as a share of what the wheels can stop (:class:`wbmpc.bases.ball.balance.Balance`); 0: none.
     ``speed_slack``: penalty of arm speeds beyond their limit, where that cannot be held [per range and second]."""
 
-    end_effector: HandCost = HandCost()
+    end_effector: EndEffectorCost = EndEffectorCost()
     body: BodyCost = BodyCost()
     torque: TorqueCost = TorqueCost()
     terminal: Weight = 1.0
     lean: float = Field(default=0.0, ge=0, le=1.0)
-    speed_slack: float = Field(default=1e3, gt=0)
+    speed_slack: Positive = 1e3
 
 
 def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
-    """Hand pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); limits."""
+    """End effector pose and twist, ball, yaw, rates and torques as costs (Minniti et al. 2019, section III-B); limits."""
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     h, b, t = cost.end_effector, cost.body, cost.torque

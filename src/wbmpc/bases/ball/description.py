@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.description import LimitsDescription
 
 #: Omni wheels nearer to each other than about so many radians turn the ball about two axes only.
-LEAST_SPREAD = 0.05
+MIN_SPREAD = 0.05
 
 
 class OmniWheelsDescription(Section):
@@ -27,7 +27,7 @@ class OmniWheelsDescription(Section):
     @classmethod
     def _every_way(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         around = np.stack([np.cos(value), np.sin(value), np.ones(len(value))])  # the axes' directions at 45 degrees
-        if np.linalg.svd(around, compute_uv=False)[-1] < LEAST_SPREAD:
+        if np.linalg.svd(around, compute_uv=False)[-1] < MIN_SPREAD:
             raise ValueError("the wheels cannot turn the ball about every axis: three different azimuths are needed")
         return value
 

@@ -88,11 +88,11 @@ class BallEstimator:
         then = min(self._places, key=lambda place: abs(place[0] - time))[1]
         wrong = pose - then
         wrong[2] = np.remainder(wrong[2] + np.pi, 2.0 * np.pi) - np.pi
-        before = self.state[:3].copy()
+        previous = self.state[:3].copy()
         self.filter.know_place(wrong, covariance)
         state = self.state
         for _, place in self._places:  # what was wrong now was wrong then
-            place += state[:3] - before
+            place += state[:3] - previous
         return state
 
     def _detect_balance(self, interval: float) -> None:

@@ -41,7 +41,7 @@ class FallPredictor:
     are, has found no other way; ``plans`` such plans in a row are needed, for one solve may be far from converged. What a plan
     says later is worth little while a push lasts: a lean grows tenfold in half a second, and robots whose plans were lost there
     for 0.2 s have stood. A state that has been beyond it for ``seconds`` is lost whatever is planned: a ball that slides on the
-    floor does not do what plans say. A force on the hand moves the lean from which the component counts; plans of a robot whose
+    floor does not do what plans say. A force on the end effector moves the lean from which the component counts; plans of a robot whose
     input it is say how large it is to be. A disturbance that has been learnt moves it too (``shift``: see
     :class:`wbmpc.bases.ball.lean_control.LeanControl`). Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """
@@ -61,12 +61,12 @@ class FallPredictor:
         self._seconds, self._within, self._ahead = seconds, -np.inf, ahead
         n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)
         w = ca.SX.zeros(robot.parameters.size)
-        mass, hand = ca.SX.sym("mass"), ca.SX.sym("hand", 2)
+        mass, end_effector = ca.SX.sym("mass"), ca.SX.sym("hand", 2)
         if "payload" in robot.parameters:
             w[robot.parameters["payload"]] = mass
         offset = load_offset(robot.base, x[:n], w)
-        component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * hand
-        self._component = ca.Function("component", [x, mass, hand], [component])
+        component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * end_effector
+        self._component = ca.Function("component", [x, mass, end_effector], [component])
         self._seen: Policy | None = None
 
     def update_plan(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> list[Fall]:
@@ -77,10 +77,10 @@ class FallPredictor:
         self._seen = policy
         soon = policy.times[1:] <= policy.times[0] + self._ahead
         force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
-        most = self._most(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
-        self._bad = self._bad + 1 if most > self.reach else 0
+        maximum = self._maximum(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
+        self._bad = self._bad + 1 if maximum > self.reach else 0
         if self._bad >= self._plans:
-            return [self._fall(float(policy.times[0]), f"{self._plans} plans in a row lean", most)]
+            return [self._fall(float(policy.times[0]), f"{self._plans} plans in a row lean", maximum)]
         return []
 
     def update(
@@ -91,20 +91,20 @@ class FallPredictor:
         force: ArrayLike = (0.0, 0.0),
         shift: ArrayLike = (0.0, 0.0),
     ) -> list[Fall]:
-        """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the hand and a
+        """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
-        most = self._most(x[None], payload, np.asarray(force, float), shift)
-        if most <= self.reach or not np.isfinite(self._within):
+        maximum = self._maximum(x[None], payload, np.asarray(force, float), shift)
+        if maximum <= self.reach or not np.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
-            return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", most)]
+            return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", maximum)]
         return []
 
-    def _most(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
-        """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the hand, and a ``shift`` (2)."""
+    def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
+        """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the end effector, and a ``shift`` (2)."""
         found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T))
         return float(np.linalg.norm(found + np.reshape(shift, (2, 1)), axis=0).max())
 
-    def _fall(self, t: float, who: str, most: float) -> Fall:
-        lean = f"{who} by {1e3 * most:.0f} mm at the centre of mass"
+    def _fall(self, t: float, who: str, maximum: float) -> Fall:
+        lean = f"{who} by {1e3 * maximum:.0f} mm at the centre of mass"
         return Fall(t, f"{lean}, and the wheels can stop {1e3 * self.reach:.0f} mm")

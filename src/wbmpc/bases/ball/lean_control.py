@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 _LOG = logging.getLogger("wbmpc")
 #: The share of the wheels' reach up to which a robot leans against a force that lasts: the rest is for balancing there. With all
 #: of it, 60 N that held on felled one of three perturbed robots after 6 s.
-MOST = 0.9
+MAXIMUM = 0.9
 #: A force that lasts is strong if standing against it takes more than this share.
 STRONG = 0.6
 #: How long [s] a strong force has to drive the ball that fast: one of 100 N for 0.7 s does for 28 ms and is recovered from.
@@ -36,7 +36,7 @@ class LeanControl:
         arm = numbers("lean_control", "arm", arm, len(robot.state.groups["arm"]))
         self.balance, self.speed = Balance.of(robot, arm), speed
         self.reach = float(self.balance.reach.min())
-        self._room = max(MOST - share, 0.0) * self.reach
+        self._room = max(MAXIMUM - share, 0.0) * self.reach
         self._ball_speed = slice(robot.base.nq, robot.base.nq + 2)
         self.push_fault, self._driven_since = "", np.inf  # of a force that pushes the robot away
 
@@ -52,7 +52,7 @@ class LeanControl:
     def centre(self, force: Array, yaw: float) -> Array:
         """The same for the limit of the lean: about the lean with which the robot stands still, as far as the reach allows.
 
-        What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MOST`.
+        What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MAXIMUM`.
         """
         borne = self._borne(force, yaw)
         size = max(float(np.hypot(*borne)), 1e-12)
@@ -69,7 +69,7 @@ class LeanControl:
         driven = float(np.hypot(*velocity)) / self.speed if borne > STRONG and velocity @ force[:2] > 0.0 else 0.0
         self._driven_since = min(self._driven_since, t) if driven > 1.0 else np.inf
         what = f"a force of at least {np.hypot(*force[:2]):.0f} N that lasts pushes the robot away"
-        if (borne > MOST or driven > 0.5) and not self.push_fault:
+        if (borne > MAXIMUM or driven > 0.5) and not self.push_fault:
             self.push_fault = f"{what} ({t:.2f} s)"
             _LOG.warning("%s", self.push_fault)
         if t - self._driven_since >= HELD:

@@ -28,7 +28,7 @@ class BallMeasurement:
 
     ``wheel`` (n), ``arm`` (m) [rad]: encoders; ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: angular rate and specific
     force in the axes of the base, averages since the message before (the inertial unit integrates between messages);
-    ``force`` (3) [N]: of a sensor in the hand, in its axes, on the hand (none where there is no sensor).
+    ``force`` (3) [N]: of a sensor in the end effector, in its axes, on the end effector (none where there is no sensor).
     """
 
     time: float

@@ -1,4 +1,4 @@
-"""A mass in the hand of a ball robot, weighed: what of an estimated disturbance looks like its weight is taken for it.
+"""A mass in the end effector of a ball robot, weighed: what of an estimated disturbance looks like its weight is taken for it.
 
 A disturbance observer finds the generalised forces d that hold the robot where the model says it should move. A constant d is
 right only where it was found: the weight of a mass at the tool turns with the robot and changes with the arm, and the mass has
@@ -9,7 +9,7 @@ the base's lean, small in the arm's joints.
 
 The errors d has without a mass last, so that no time averages them away: they are a mass of standard deviation 1 / √(wᵀ W w).
 The arm has to observe it: its joints' part of wᵀ W w, w_aᵀ W_a w_a, is to be the larger one, and enough for a mass within
-``sure`` by itself. Where it is not (a hand above its shoulder, an arm of vertical axes alone) the disturbance stays what it is:
+``sure`` by itself. Where it is not (an end effector above its shoulder, an arm of vertical axes alone) the disturbance stays what it is:
 a lean that a displaced centre of mass causes would be taken for a mass, which then turns with the arm.
 """
 
@@ -32,20 +32,20 @@ class PayloadEstimator:
     """``weight(q)``: generalised forces (nq) [N, N m] of 1 kg at the tool; ``rate`` [1/s]; ``spread`` of base and arm [N m];
     ``sure`` [kg]: nothing is weighed where the arm's torques alone determine a mass with a larger standard deviation.
 
-    ``mass`` [kg]: the estimate, from zero to ``most``.
+    ``mass`` [kg]: the estimate, from zero to ``maximum``.
     """
 
     weight: Callable[[Array], Array]
     rate: float = 2.0
     spread: tuple[float, float] = (2.5, 0.6)
-    most: float = 3.0
+    maximum: float = 3.0
     sure: float = 0.5
     mass: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
         who = "payload estimator"
-        not_negative(who, rate=self.rate, most=self.most, mass=self.mass)
+        not_negative(who, rate=self.rate, maximum=self.maximum, mass=self.mass)
         positive(who, sure=self.sure)
         base, arm = numbers(who, "spread", self.spread, 2)
         positive(who, spread=min(base, arm))
@@ -63,7 +63,7 @@ class PayloadEstimator:
         known, by_arm = float(scaled @ weight), float(scaled[5:] @ weight[5:])
         if by_arm < max(0.5 * known, self.sure**-2):
             return force
-        before = self.mass
+        previous = self.mass
         step = h * self.rate * float(scaled @ force) / known
-        self.mass = min(max(before + step, 0.0), self.most)
-        return force - (self.mass - before) * weight
+        self.mass = min(max(previous + step, 0.0), self.maximum)
+        return force - (self.mass - previous) * weight

@@ -17,7 +17,7 @@ READS = frozenset(
 #: What a ball robot has in the place of others.
 INSTEAD = {
     "brake_fault": "is for swerve robots only; a ball robot has no brakes",
-    "payload": "is for swerve robots only; a ball robot's mass at the hand is 'payload'",
+    "payload": "is for swerve robots only; a ball robot's mass at the end effector is 'payload'",
 }
 
 

@@ -45,7 +45,7 @@ class BallBaseType(BaseType):
         return BallPlant(robot.description, state, torque, perturbation, seed)
 
     def system(self, robot: RobotModel, seed: int) -> System:
-        """A perturbed plant in its equilibrium, whose controller brings the hand to goals that come by and by."""
+        """A perturbed plant in its equilibrium, whose controller brings the end effector to goals that come by and by."""
         from wbmpc.bases.ball.system import make_system
 
         return make_system(robot, self.plant(robot, None, seed))

@@ -1,4 +1,4 @@
-"""Where a ball robot rests when its hand has to be somewhere."""
+"""Where a ball robot rests when its end effector has to be somewhere."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from wbmpc.model.robot import RobotModel
 
 
 def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """State (nx) in which the robot rests with its hand as near as it can be to a pose, and its arm near that of home.
+    """State (nx) in which the robot rests with its end effector as near as it can be to a pose, and its arm near that of home.
 
     Where the arm does not decide (place and heading of the base), a weak pull towards home does.
     """
-    arm, wanted = robot.home[robot.state["arm"]], lie.quaternion_conjugate(quaternion)
+    arm, target = robot.home[robot.state["arm"]], lie.quaternion_conjugate(quaternion)
 
     def state(z: np.ndarray) -> np.ndarray:
         x = robot.base.numeric.equilibrium(z[3:], yaw=float(z[2]))[0]
@@ -23,7 +23,7 @@ def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> 
 
     def error(z: np.ndarray) -> np.ndarray:
         place, turn = robot.pose(state(z))
-        turned = lie.quaternion_log(lie.quaternion_multiply(turn, wanted))
+        turned = lie.quaternion_log(lie.quaternion_multiply(turn, target))
         return np.concatenate([place - position, 0.3 * turned, 1e-3 * (z[3:] - arm)])
 
     return state(least_squares(error, np.concatenate([np.zeros(3), arm]), diff_step=1e-5).x)

@@ -44,7 +44,7 @@ class PushEstimator:
     def reset(self) -> None:
         """Forget what was felt."""
         self.drift = np.zeros(2)
-        self._before: tuple[Array, Array] | None = None
+        self._previous: tuple[Array, Array] | None = None
 
     def update(self, x: Array, u: Array, h: float, step: Callable[[Array, Array, float], Array]) -> None:
         """Take in the state x (nx), ``h`` [s] after the one before, from which on the input u (nu) acts; ``step(x, u, h)``: the
@@ -52,14 +52,14 @@ class PushEstimator:
         the model has no answer; nothing is taken in then."""
         positive_time("push estimator", h)
         x, u = numbers("push estimator", "state", x, self._size), numbers("push estimator", "input", u, np.size(u))
-        if self._before is not None:
-            unexplained = x[self._speeds] - step(*self._before, h)[self._speeds]
+        if self._previous is not None:
+            unexplained = x[self._speeds] - step(*self._previous, h)[self._speeds]
             rate = np.array(self._slope(x[: self._speeds.start])) @ unexplained / h
             drift = self.drift + h / (h + SMOOTH) * (rate - self.drift)
             if not np.isfinite(drift).all():
                 raise NotFinite("the drift of the lean is not finite")
             self.drift = drift
-        self._before = x.copy(), u.copy()
+        self._previous = x.copy(), u.copy()
 
     @property
     def room(self) -> Array:

@@ -38,7 +38,7 @@ class CapturePoint:
     pushes along its diagonals then fell the robot at less than half the impulse.
 
     ``answer`` [m/N] (:class:`wbmpc.model.Balance`), if not zero: the reference is the horizontal force (2) [N] of the world on
-    the hand that is expected, and the component is counted from the lean that answers it. ``pushed``: the parameters ``push``
+    the end effector that is expected, and the component is counted from the lean that answers it. ``pushed``: the parameters ``push``
     are added, so that a limit leaves room for what a push will do that the plan does not know.
     """
 

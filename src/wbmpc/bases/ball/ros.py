@@ -27,7 +27,7 @@ from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import Brakes, Estimate, Fix, Groups, LegCommands, Pending
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_turn
-from wbmpc.ros2.goals import HandTrack, Planner, Task
+from wbmpc.ros2.goals import EndEffectorTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 
 Array = np.ndarray
@@ -35,7 +35,7 @@ Array = np.ndarray
 HOLD_AFTER = 0.3
 #: Time that goes back by more than this [s] is of another clock: a simulator that was started anew, or a clock that was set.
 BACK = 0.02
-#: Postures are solved for (some 20 ms each) before and after at most so many changes of the hand's pose; on ways with more of
+#: Postures are solved for (some 20 ms each) before and after at most so many changes of the end effector's pose; on ways with more of
 #: them in so many poses.
 CHANGES, POSTURES = 12, 5
 
@@ -58,7 +58,7 @@ class BusBallController(BallController):
 
     #: the newest measurement, for other threads
     seen: BallMeasurement | None = None
-    #: another localisation, and the wrench (6) [N, N m] with which the world is to answer the hand
+    #: another localisation, and the wrench (6) [N, N m] with which the world is to answer the end effector
     fix: Callable[[], Fix | None] | None = None
     answer = np.zeros(6)
     _sampled: float | None = None
@@ -133,24 +133,24 @@ def held(policy: Policy, robot: RobotModel, t: float) -> Policy:
 
 
 def bodies(task: Task, robot: RobotModel, x: Array) -> Reference:
-    """The body's states (n, nx) during a task from state x (nx) on: so that a weight on the arm's posture moves no hand.
+    """The body's states (n, nx) during a task from state x (nx) on: so that a weight on the arm's posture moves no end effector.
 
-    A carried hand keeps the arm as it is. A hand that is led has the arm with which the robot rests in some of its poses, and
+    A carried end effector keeps the arm as it is. An end effector that is led has the arm with which the robot rests in some of its poses, and
     what lies between them; it also turns the base, unless that has a way of its own.
     """
-    base, hand, arm = task.base, task.hand, robot.state["arm"]
+    base, end_effector, arm = task.base, task.end_effector, robot.state["arm"]
     states = np.tile(robot.home, (base.times.size, 1))
     states[:, :3], states[:, arm] = base.poses, x[arm]
     if task.carried:
         return Reference(base.times, states)
-    places = postures(hand.positions, hand.orientations)
+    places = postures(end_effector.positions, end_effector.orientations)
     rest, solved = np.empty((places.size, x.size)), -1
     for row, k in enumerate(places):
-        if solved >= 0 and same_pose(hand, k, solved):
+        if solved >= 0 and same_pose(end_effector, k, solved):
             rest[row] = rest[row - 1]
         else:
-            rest[row], solved = resting(robot, hand.positions[k], hand.orientations[k]), k
-    times = hand.times[places]
+            rest[row], solved = resting(robot, end_effector.positions[k], end_effector.orientations[k]), k
+    times = end_effector.times[places]
     turns = base.poses[:, 2]
     if np.ptp(turns) > 1e-9:
         rest[:, 2] = np.interp(times, base.times, turns)
@@ -171,9 +171,12 @@ def postures(positions: Array, orientations: Array) -> NDArray[np.int_]:
     return np.unique(np.concatenate([[0], evenly, [len(poses) - 1]]))
 
 
-def same_pose(hand: HandTrack, i: int, k: int) -> bool:
+def same_pose(end_effector: EndEffectorTrack, i: int, k: int) -> bool:
     """Whether two poses of a way are equal."""
-    return bool(np.all(hand.positions[i] == hand.positions[k]) and np.all(hand.orientations[i] == hand.orientations[k]))
+    return bool(
+        np.all(end_effector.positions[i] == end_effector.positions[k])
+        and np.all(end_effector.orientations[i] == end_effector.orientations[k])
+    )
 
 
 class BallRosAdapter:
@@ -278,12 +281,12 @@ class BallRosAdapter:
         elif seen is not None:
             self.controller.follow(m)
             return
-        before, fix = self._standing, self.fix() if self.fix is not None else None
+        previous, fix = self._standing, self.fix() if self.fix is not None else None
         if fix is not None:
             self._place = np.array([*fix[1][:2], nearest_turn(fix[1][2], self._place[2])])
             self._spread = float(np.sqrt(np.diag(fix[2]).max()))
-        if fix is None and before is not None and np.abs(before[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
-            self._standing = m.time, before[1]
+        if fix is None and previous is not None and np.abs(previous[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
+            self._standing = m.time, previous[1]
             return
         x = self.robot.base.numeric.equilibrium(m.arm)[0].copy()
         x[:3] = self._place
@@ -317,7 +320,7 @@ class BallRosAdapter:
         """This robot has no legs."""
 
     def push(self, wrench: Array) -> None:
-        """The hand is to exert a wrench (6): the plan counts with the world's answer."""
+        """The end effector is to exert a wrench (6): the plan counts with the world's answer."""
         self._answer = self.controller.answer = -wrench
 
     def relocate(self) -> None:
@@ -325,10 +328,11 @@ class BallRosAdapter:
 
     # ------------------------------------------------------------------ tasks
     def references(self, task: Task, x: Array) -> dict[str, Reference]:
-        """For the hand and for the body at rest; the ball goes where the hand needs it. A way of the hand takes 0.1 s and more."""
-        hand = task.hand
+        """For the end effector and for the body at rest; the ball goes where the end effector needs it. Paths of the end effector
+        take at least 0.1 s."""
+        end_effector = task.end_effector
         return {
-            "hand": Reference.poses(hand.times, hand.positions, hand.orientations), "body": bodies(task, self.robot, x),
+            "hand": Reference.poses(end_effector.times, end_effector.positions, end_effector.orientations), "body": bodies(task, self.robot, x),
             "twist": Reference.constant(np.zeros(6)),
         }  # fmt: skip
 

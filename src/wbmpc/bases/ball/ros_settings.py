@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, BallControllerSettings, reject_unlearnt
+from wbmpc.bases.ball.settings import LEARNT, STEPS_AND_PUSHES, BallControllerSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.settings import Exerted, RosSettings
 from wbmpc.settings import MpcSettings
@@ -28,14 +28,7 @@ class BallRosSettings(RosSettings):
     wrench: Exerted | None = Exerted()
     estimate_disturbance: bool = True
     expected_push_time: float = Field(_DEFAULT.expected_push_time, ge=0, le=1.0)
-    max_pushed_speed: float = Field(_DEFAULT.max_pushed_speed, gt=0)
-
-    @model_validator(mode="after")
-    def _used(self) -> Self:
-        reject_unlearnt(
-            self.estimate_disturbance, self.max_pushed_speed != type(self).model_fields["max_pushed_speed"].default
-        )
-        return self
+    max_pushed_speed: Annotated[float, LEARNT] = Field(_DEFAULT.max_pushed_speed, ge=0.01, le=100)
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
         """The arm's limits are limits of the state; the wheels' are guessed."""

@@ -16,7 +16,7 @@ from wbmpc.checks import not_negative, positive
 
 Array = NDArray[np.float64]
 #: With fewer wheel encoders than this the ball's place is not known any more: the inertial unit alone drifts.
-LEAST_WHEELS = 2
+MIN_WHEELS = 2
 #: As near as this [rad] to its stop a joint may stand whatever its drive does.
 NEAR = 0.01
 #: What the floor lets happen in ordinary runs: the ball spins when the robot yaws hard.
@@ -136,10 +136,10 @@ class EncoderMonitor:
         self._durations = {
             n: max(self._durations.get(n, 0.0) + (c if n in estimator_faults else -c), 0.0) for n, c in counts.items()
         }
-        self._durations = {n: min(v, self._most(n)) for n, v in self._durations.items() if v > 0.0}
+        self._durations = {n: min(v, self._maximum(n)) for n, v in self._durations.items() if v > 0.0}
         return [n for n, v in self._durations.items() if v >= self._report_delay(n) - 1e-9]
 
-    def _most(self, name: str) -> float:
+    def _maximum(self, name: str) -> float:
         """How long [s] counts: what was said for long is not over at once."""
         ends = _ends(name)
         return max(2.0 * self.patience, ends if np.isfinite(ends) else 0.0)
@@ -160,8 +160,8 @@ class EncoderMonitor:
         wheels = [
             n.split()[0] for n, v in self._durations.items() if n.endswith("stalled") and v >= self.patience - 1e-9
         ]
-        if self.wheels - len(wheels) < LEAST_WHEELS:
-            return f"the encoders of {' and '.join(sorted(wheels))} stand still, and {LEAST_WHEELS} are needed"
+        if self.wheels - len(wheels) < MIN_WHEELS:
+            return f"the encoders of {' and '.join(sorted(wheels))} stand still, and {MIN_WHEELS} are needed"
         return ""
 
 

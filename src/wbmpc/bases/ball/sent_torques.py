@@ -16,13 +16,13 @@ Array = NDArray[np.float64]
 #: So much of what was sent before a measurement, and no fewer ticks, is remembered [s]: older measurements count as this old.
 _MEMORY, _TICKS = 0.16, 64
 #: A longer dead time [s] is a mistake: no robot stands so long without a command.
-MOST_DEAD_TIME = 0.5
+MAX_DEAD_TIME = 0.5
 
 
 @dataclass(frozen=True)
 class DriveSettings:
     """What a controller believes of the drives: ``lag`` [s], first order, and ``dead_time`` [s] between command and drive (in
-    settings: ``actuator_dead_time``), whole controller periods, at most :data:`MOST_DEAD_TIME`. Too long a one costs little, too short
+    settings: ``actuator_dead_time``), whole controller periods, at most :data:`MAX_DEAD_TIME`. Too long a one costs little, too short
     a one the margin of stability."""
 
     lag: float = 0.0
@@ -42,8 +42,8 @@ class SentTorques:
         self._period = period
         self.blend = 1.0 - np.exp(-period / settings.lag) if settings.lag > 0.0 else 1.0
         self.dead = whole("actuator_dead_time", settings.dead_time, period, "controller periods", least=0)
-        if settings.dead_time > MOST_DEAD_TIME:
-            raise InputError(f"actuator_dead_time: must be at most {MOST_DEAD_TIME:g} s, got {settings.dead_time:g} s")
+        if settings.dead_time > MAX_DEAD_TIME:
+            raise InputError(f"actuator_dead_time: must be at most {MAX_DEAD_TIME:g} s, got {settings.dead_time:g} s")
         known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead
         self._torques: deque[Array] = deque([torque.copy()] * known, maxlen=known)
 

@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost
+from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost, TorqueCost
 from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import MpcSettings, Settings
 
-#: One set of weights for fast steps of the hand and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
+#: One set of weights for fast steps of the end effector and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
 #: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
 #: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
 #: swings from limit to limit for ever.
 STEPS_AND_PUSHES = RezeroCost(
-    end_effector=HandCost(orientation=40.0),
+    end_effector=EndEffectorCost(orientation=40.0),
     body=BodyCost(tilt_rate=3.0, arm=1.0),
     torque=TorqueCost(wheel=0.1, arm=0.3),
     lean=0.6,
     speed_slack=20.0,
 )
+#: Of settings that are of learnt forces.
+LEARNT = OnlyWith(estimate_disturbance=True)
 
 
 def mpc_settings(barrier_mu: float) -> MpcSettings:
@@ -32,14 +35,8 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     )
 
 
-def reject_unlearnt(estimate_disturbance: bool, changed: bool) -> None:
-    """Raise ``ValueError`` if ``max_pushed_speed`` is ``changed`` where no forces are learnt."""
-    if changed and not estimate_disturbance:
-        raise ValueError("max_pushed_speed: with estimate_disturbance=false nothing uses it")
-
-
 class BallControllerSettings(Settings):
-    """``estimate_disturbance``: whether constant disturbances are estimated, and of them (``estimate_payload``), for the MPC, a mass at the hand;
+    """``estimate_disturbance``: whether constant disturbances are estimated, and of them (``estimate_payload``), for the MPC, its end effector;
     ``expected_push_time`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
     ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
     ``actuator_time_constant`` [s] that the controller assumes, and ``actuator_dead_time`` [s] that the MPC's policy and the regulators do, in the
@@ -48,9 +45,9 @@ class BallControllerSettings(Settings):
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     estimate_disturbance: bool = True
-    estimate_payload: bool = True
+    estimate_payload: Annotated[bool, LEARNT] = True
     expected_push_time: float = Field(0.3, ge=0, le=1.0)
-    max_pushed_speed: float = Field(2.0, gt=0)
+    max_pushed_speed: Annotated[float, LEARNT] = Field(2.0, ge=0.01, le=100)
     actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     actuator_dead_time: float = Field(0.010, ge=0, le=0.05)
 

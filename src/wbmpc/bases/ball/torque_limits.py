@@ -19,7 +19,7 @@ class TorqueLimits:
         self.spin: Array = robot.base.wheel_torque_map()[2]
         length = np.linalg.norm(self.spin)
         self._along = self.spin / length
-        self._most = robot.description.limits.spin_effort / length
+        self._maximum = robot.description.limits.spin_effort / length
 
     def possible(self, torque: Array) -> Array:
         """Torques within the limits. Wheels that are clipped one by one would spin the ball.
@@ -28,11 +28,11 @@ class TorqueLimits:
         asked for is taken; what leans is scaled as a whole only where there is none.
         """
         n = self.spin.size
-        along, limit, most = self._along, self.limit[:n], self._most
+        along, limit, maximum = self._along, self.limit[:n], self._maximum
         spin = float(along @ torque[:n])
         lean = torque[:n] - spin * along
         # spins that wheel i can have beside c lean: -c at_i ± room_i; they overlap if every two of them do, and with ±most
-        at, room = np.append(lean / along, 0.0), np.append(limit / np.abs(along), most)
+        at, room = np.append(lean / along, 0.0), np.append(limit / np.abs(along), maximum)
         apart = at[:, None] - at
         scale = min(1.0, float(np.min((room[:, None] + room) / np.maximum(apart, 1e-12))))
         at *= scale

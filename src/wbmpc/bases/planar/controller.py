@@ -20,7 +20,7 @@ class PlanarController:
     """Estimation, prediction and tracking of a robot on fixed wheels at the controller's rate.
 
     ``pose`` (x, y, yaw) at the start; ``period`` [s] of the controller; ``lag`` [s] of the drives, first order: the plan leads the
-    measured state by it; ``use_gyro``: whether the odometry has one. ``wanted`` (nu): what the plan asks for; ``sent`` (nu): what of
+    measured state by it; ``use_gyro``: whether the odometry has one. ``target`` (nu): what the plan asks for; ``sent`` (nu): what of
     it the last command was, after limits; ``clamped``: whether wheels were slowed down to their limits.
     """
 
@@ -35,14 +35,14 @@ class PlanarController:
         self._rates = np.zeros(robot.input.size)  # what lagging drives make of the commands
         self.measured: PlanarMeasurement | None = None
         self.clamped = False
-        self.wanted, self.sent = np.zeros((2, robot.input.size))
+        self.target, self.sent = np.zeros((2, robot.input.size))
 
     # ------------------------------------------------------------------ estimation
     def measure(self, measurement: PlanarMeasurement) -> None:
         """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
         numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
-        before, self.measured = self.measured or measurement, measurement
-        turning = 0.5 * float(before.gyro[2] + measurement.gyro[2]) if self.use_gyro else None
+        previous, self.measured = self.measured or measurement, measurement
+        turning = 0.5 * float(previous.gyro[2] + measurement.gyro[2]) if self.use_gyro else None
         self.odometry.update(measurement.time, measurement.wheel, turning)
 
     @property
@@ -91,7 +91,7 @@ class PlanarController:
     def stop(self) -> PlanarCommand:
         """Everything at rest. The next plan's commands start from there, as fast as accelerations allow."""
         self._note(np.zeros(self.robot.input.size))
-        self.wanted, self.clamped = np.zeros(self.robot.input.size), False
+        self.target, self.clamped = np.zeros(self.robot.input.size), False
         return PlanarCommand.stop(len(self.robot.base.rates), len(self.robot.input.groups["arm"]))
 
     def command(self, t: float, plans: PolicyQueue) -> PlanarCommand:
@@ -104,8 +104,8 @@ class PlanarController:
         assert policy is not None
         if t > policy.end:
             return self.stop()
-        self.wanted = policy.feedforward(t + self.lag)
-        sent, self.clamped = self._limited(self.sent, self.wanted)
+        self.target = policy.feedforward(t + self.lag)
+        sent, self.clamped = self._limited(self.sent, self.target)
         self._note(sent)
         return PlanarCommand(self.robot.base.rates @ sent[given["base"]], sent[given["arm"]].copy())
 
@@ -120,8 +120,8 @@ class PlanarController:
         base, part, arm = self.robot.base, self.robot.input["base"], self.robot.input["arm"]
         step = u - sent
         steps = np.abs(np.concatenate([base.rates @ step[part], step[arm]]))
-        most = np.concatenate([base.wheel_acceleration, self.robot.limits.input_rate[arm]]) * self.period
-        reached = sent + step / max(1.0, float(np.max(steps / most)))
+        maximum = np.concatenate([base.wheel_acceleration, self.robot.limits.input_rate[arm]]) * self.period
+        reached = sent + step / max(1.0, float(np.max(steps / maximum)))
         excess = float(np.max(np.abs(base.rates @ reached[part]) / base.wheel_upper))
         reached[part] /= max(1.0, excess)
         return reached, excess > 1.0

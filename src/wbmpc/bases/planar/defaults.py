@@ -60,8 +60,8 @@ def planar_problem(
     arm = robot.state["arm"]
     half = np.minimum(0.5 * (limits.state_upper[arm] - limits.state_lower[arm]), _TURNS)
     ocp.add(Cost("state", residuals.State(robot), {"base": 0.0, "arm": list(cost.posture / half**2)}))
-    most = np.where(np.isfinite(limits.input_upper), limits.input_upper, _FAST)
-    rates = {group: list(cost.input / most[robot.input[group]] ** 2) for group in robot.input.groups}
+    maximum = np.where(np.isfinite(limits.input_upper), limits.input_upper, _FAST)
+    rates = {group: list(cost.input / maximum[robot.input[group]] ** 2) for group in robot.input.groups}
     ocp.add(Cost("input", residuals.Input(robot), rates))
     for constraint in robot.base.constraints(robot, hard=hard):
         ocp.add(constraint)

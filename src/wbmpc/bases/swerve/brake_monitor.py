@@ -79,11 +79,11 @@ class BrakeMonitor:
             raise InputError(
                 "brake monitor: moved, expected, still, window, settle and patience must be positive, crawl and creep not negative"
             )
-        most = _positive_rates(limit, len(names))
+        maximum = _positive_rates(limit, len(names))
         self.names, self.moved, self.still, self.creep = list(names), moved, still, creep
         self.window, self.settle, self.patience = window, settle, patience
-        self.crawl = np.minimum(crawl, CRAWL_SHARE * most)
-        self.expected = expected * np.minimum(1.0, (most - self.crawl) / (FAST - crawl))
+        self.crawl = np.minimum(crawl, CRAWL_SHARE * maximum)
+        self.expected = expected * np.minimum(1.0, (maximum - self.crawl) / (FAST - crawl))
         self.faults: list[BrakeFault] = []
         self.withdrawn: list[BrakeFault] = []
         self.real: list[BrakeFault] = []
@@ -181,9 +181,9 @@ class BrakeMonitor:
 def _positive_rates(limit: ArrayLike, n: int) -> Array:
     """One rate [rad/s] for all or ``n``, infinite where there is no limit; or :class:`InputError`."""
     try:
-        most = np.broadcast_to(np.asarray(limit, float), n)
+        maximum = np.broadcast_to(np.asarray(limit, float), n)
     except (TypeError, ValueError):
-        most = np.full(n, np.nan)
-    if not np.all(most > 0.0):
+        maximum = np.full(n, np.nan)
+    if not np.all(maximum > 0.0):
         raise InputError(f"brake monitor: limit: one positive rate [rad/s] or {n} are needed, got {limit!r}")
-    return most
+    return maximum

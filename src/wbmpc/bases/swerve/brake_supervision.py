@@ -140,8 +140,8 @@ class BrakeSupervision:
         watched, self._watched = self._watched, None
         if watched is None or leg is None:
             return
-        t, before, brake, rate = watched
-        if leg.shape != before.shape or not np.isfinite(leg).all():
+        t, previous, brake, rate = watched
+        if leg.shape != previous.shape or not np.isfinite(leg).all():
             return  # the odometry has rejected this message, and the robot stops for it
         if brake.any() or rate.any():  # else the stop changes nothing for them
             self._check((max(t + self._period, self._checked_at), leg, brake, rate))

@@ -26,12 +26,12 @@ class Brakes:
     def __init__(self, n: int, delay: float = 0.0, torque: float = BRAKE_TORQUE) -> None:
         self.delay, self.torque = delay, torque
         self.engaged: Array = np.ones(n)
-        self._wanted: Array = np.ones(n)
+        self._target: Array = np.ones(n)
         self._stuck: dict[int, float] = {}
 
     def command(self, brake: ArrayLike) -> None:
         """What each brake (n) shall be: 1 open, 0 closed."""
-        self._wanted = np.where(np.asarray(brake, float) > 0.5, 0.0, 1.0)
+        self._target = np.where(np.asarray(brake, float) > 0.5, 0.0, 1.0)
 
     def fail(self, leg: int, kind: str | None) -> None:
         """A brake that no longer answers: "open" or "closed" for good; None repairs it."""
@@ -46,22 +46,22 @@ class Brakes:
 
     def advance(self, h: float) -> Array:
         """Torques (n) [N m] that the brakes can hold after h [s]."""
-        wanted = self._wanted.copy()
+        target = self._target.copy()
         for leg, value in self._stuck.items():
-            wanted[leg] = value
+            target[leg] = value
         step = h / self.delay if self.delay > h else 1.0
-        self.engaged = self.engaged + np.clip(wanted - self.engaged, -step, step)
+        self.engaged = self.engaged + np.clip(target - self.engaged, -step, step)
         return self.torque * self.engaged
 
     @property
     def states(self) -> list[State]:
         """The state of each brake in a word."""
-        return [self._word(e, w) for e, w in zip(self.engaged, self._wanted, strict=True)]
+        return [self._word(e, w) for e, w in zip(self.engaged, self._target, strict=True)]
 
     @staticmethod
-    def _word(engaged: float, wanted: float) -> State:
+    def _word(engaged: float, target: float) -> State:
         if engaged >= 1.0:
             return "closed"
         if engaged <= 0.0:
             return "open"
-        return "closing" if wanted > 0.5 else "opening"
+        return "closing" if target > 0.5 else "opening"

@@ -125,9 +125,9 @@ def _reject_other_times(own: Array, times: Array, name: str, where: str) -> None
 def _beside(at: Array, times: Array, turned: Array, where: str) -> Array:
     """Times of poses (m) [s], moved into the record where they are a little beside it and wheels and legs ``turned`` (k, n) [rad]
     stand; :class:`InputError` for others beside it."""
-    before, after = at < times[0], at > times[-1]
+    previous, after = at < times[0], at > times[-1]
     starts, ends = times <= times[0] + STANDS, times >= times[-1] - STANDS
-    for beside, part, gap in ((before, starts, times[0] - at), (after, ends, at - times[-1])):
+    for beside, part, gap in ((previous, starts, times[0] - at), (after, ends, at - times[-1])):
         if not beside.any():
             continue
         moves = part.sum() < 2 or np.ptp(turned[part], axis=0).max() > STILL
@@ -192,11 +192,11 @@ def _reject_other_legs(geometry: ModuleGeometry, record: WheelRecord) -> None:
 
 @dataclass(frozen=True)
 class WheelFit:
-    """What a record shows of the wheels: ``calibration``, of what was believed ``before`` (its doubt wider than the one given where
+    """What a record shows of the wheels: ``calibration``, of what was believed ``previous`` (its doubt wider than the one given where
     the record asked for it); global poses ``used`` and ``given``."""
 
     calibration: WheelCalibration
-    before: WheelCalibration
+    previous: WheelCalibration
     used: int
     given: int
 
@@ -205,7 +205,7 @@ class WheelFit:
         1, and standard deviations (k) [rad, or relative] of the weighted sums, which are still what they were before."""
         out = {}
         for name, part in _PARTS(self.calibration.modules).items():
-            root, shown, ways = _shown(self.before, self.calibration, part)
+            root, shown, ways = _shown(self.previous, self.calibration, part)
             weights = ways.T[shown < SHOWN] @ np.linalg.pinv(root)
             weights = weights / np.linalg.norm(weights, axis=1, keepdims=True)
             covariance = weights @ self.calibration.covariance[part, part] @ weights.T
@@ -217,10 +217,10 @@ class WheelFit:
 _PARTS: Callable[[int], dict[str, slice]] = lambda n: {"steer zeros": slice(0, n), "radii": slice(n, 2 * n)}
 
 
-def _shown(before: WheelCalibration, found: WheelCalibration, part: slice) -> tuple[Array, Array, Array]:
+def _shown(previous: WheelCalibration, found: WheelCalibration, part: slice) -> tuple[Array, Array, Array]:
     """A root (n, k) of what was doubted before of a part, and there, in units of that doubt, the directions (columns) with the
     share of their variance that a record took away, ascending."""
-    values, axes = np.linalg.eigh(before.covariance[part, part])
+    values, axes = np.linalg.eigh(previous.covariance[part, part])
     some = values > 1e-12 * max(values[-1], 1e-30)
     root = axes[:, some] * np.sqrt(values[some])
     back = np.linalg.pinv(root)
@@ -234,9 +234,9 @@ def _numbers(wheels: WheelCalibration, geometry: ModuleGeometry) -> Array:
     return np.concatenate([wheels.steer_offset, wheels.wheel_radius / geometry.wheel_radius - 1.0])
 
 
-def _surprise(before: WheelCalibration, found: WheelCalibration, part: slice, apart: Array) -> float:
+def _surprise(previous: WheelCalibration, found: WheelCalibration, part: slice, apart: Array) -> float:
     """By how many of its standard deviations what was found is ``apart`` (2n) from before, in the direction of most."""
-    root, shown, ways = _shown(before, found, part)
+    root, shown, ways = _shown(previous, found, part)
     if shown.size == 0 or shown[-1] < SHOWN:
         return 0.0
     along = ways.T @ np.linalg.pinv(root) @ apart[part]
@@ -250,7 +250,7 @@ SURPRISING, WIDER = 2.5, 5.0
 #: Ratio of the wheels' contradiction to what their doubt explains; over many wheels and directions it is close to 1.
 CROOKED = 1.5
 #: Widest standard deviations [rad, relative] of what was believed before: beyond, no encoder is mounted and no tyre made.
-MOST = (0.2, 0.1)
+MAXIMUM = (0.2, 0.1)
 #: Passes over a record; derivatives are good enough when the last pass moved by less than this share of the doubt.
 PASSES, MOVED = 8, 0.1
 #: Rejected share of the global poses, mean normalised squared error of the others (3 is expected), the wheels' contradiction over
@@ -300,7 +300,7 @@ def _fitted(
 ) -> WheelFit:
     """As :func:`fit_wheels`, whatever it is that contradicts itself."""
     prior = prior or WheelCalibration.unknown(geometry)
-    before, start, widened = prior, prior, False
+    previous, start, widened = prior, prior, False
     for _ in range(PASSES):
         odometry = replay(geometry, record, prior=start, noise=noise)
         if odometry.contradiction > ABSURD:
@@ -308,33 +308,33 @@ def _fitted(
                 f"log: the wheels contradict each other by {100 * odometry.contradiction:.0f} % of their way; steering, leg "
                 "and wheel angles are needed in radians, with the signs and in the order of the robot's file"
             )
-        found = _as_believed(geometry, odometry.calibration, before, start)
+        found = _as_believed(geometry, odometry.calibration, previous, start)
         moved = _numbers(found, geometry) - _numbers(start, geometry)
-        wide = _doubts(geometry, before, found, odometry)
-        if max(wide) <= 1.0 and not (widened and np.abs(moved / _std(before)).max() > MOVED):
+        wide = _doubts(geometry, previous, found, odometry)
+        if max(wide) <= 1.0 and not (widened and np.abs(moved / _std(previous)).max() > MOVED):
             break
         scale = np.repeat(wide, geometry.modules)
-        widened, before = True, replace(before, covariance=before.covariance * np.outer(scale, scale))
-        start = replace(found, covariance=before.covariance)
-    _checked(odometry, record, before, found)
-    return WheelFit(found, before, odometry.taken, len(record.places))
+        widened, previous = True, replace(previous, covariance=previous.covariance * np.outer(scale, scale))
+        start = replace(found, covariance=previous.covariance)
+    _checked(odometry, record, previous, found)
+    return WheelFit(found, previous, odometry.taken, len(record.places))
 
 
 def _as_believed(
-    geometry: ModuleGeometry, found: WheelCalibration, before: WheelCalibration, start: WheelCalibration
+    geometry: ModuleGeometry, found: WheelCalibration, previous: WheelCalibration, start: WheelCalibration
 ) -> WheelCalibration:
-    """What a pass ``found`` that began at ``start``, with the doubt of ``before``, as if it had begun at its mean: where it begins
+    """What a pass ``found`` that began at ``start``, with the doubt of ``previous``, as if it had begun at its mean: where it begins
     is for the derivatives only, and no belief. What was not shown stays as it was: wheels that agreed would drag each other."""
-    moved = _numbers(start, geometry) - _numbers(before, geometry)
-    moved = found.covariance @ np.linalg.pinv(before.covariance, hermitian=True) @ moved
-    apart = _numbers(found, geometry) - moved - _numbers(before, geometry)
+    moved = _numbers(start, geometry) - _numbers(previous, geometry)
+    moved = found.covariance @ np.linalg.pinv(previous.covariance, hermitian=True) @ moved
+    apart = _numbers(found, geometry) - moved - _numbers(previous, geometry)
     n = geometry.modules
     for part in _PARTS(n).values():
-        root, shown, ways = _shown(before, found, part)
+        root, shown, ways = _shown(previous, found, part)
         ways = ways[:, shown >= SHOWN]
         apart[part] = root @ ways @ ways.T @ np.linalg.pinv(root) @ apart[part]
-    radius = before.wheel_radius + geometry.wheel_radius * apart[n:]
-    return replace(found, steer_offset=before.steer_offset + apart[:n], wheel_radius=radius)
+    radius = previous.wheel_radius + geometry.wheel_radius * apart[n:]
+    return replace(found, steer_offset=previous.steer_offset + apart[:n], wheel_radius=radius)
 
 
 def _contradicted(odometry: FusedOdometry) -> bool:
@@ -344,13 +344,13 @@ def _contradicted(odometry: FusedOdometry) -> bool:
 
 
 def _doubts(
-    geometry: ModuleGeometry, before: WheelCalibration, found: WheelCalibration, odometry: FusedOdometry
+    geometry: ModuleGeometry, previous: WheelCalibration, found: WheelCalibration, odometry: FusedOdometry
 ) -> list[float]:
     """Factors by which zeros and radii are to be doubted more than before: 1 where they need not."""
-    apart = _numbers(found, geometry) - _numbers(before, geometry)
+    apart = _numbers(found, geometry) - _numbers(previous, geometry)
     parts = list(_PARTS(geometry.modules).values())
-    wide = [_surprise(before, found, part, apart) for part in parts]
-    std = _std(before)
+    wide = [_surprise(previous, found, part, apart) for part in parts]
+    std = _std(previous)
     # wheels that point beside each other show zeros and radii that no pose shows, 2n - 3 parts of 2n of them
     n = geometry.modules
     crooked = odometry.contradiction / np.sqrt(2.0 * np.mean(std**2) * (2 * n - 3) / (2 * n))
@@ -358,8 +358,8 @@ def _doubts(
         wide = [max(w, SURPRISING * crooked / CROOKED) for w in wide]
     if _contradicted(odometry) and max(wide) <= SURPRISING:
         wide = [max(w, WIDER) for w in wide]
-    limits = [most / std[part].max() for most, part in zip(MOST, parts, strict=True)]
-    return [max(1.0, min(w, most)) if w > SURPRISING else 1.0 for w, most in zip(wide, limits, strict=True)]
+    limits = [maximum / std[part].max() for maximum, part in zip(MAXIMUM, parts, strict=True)]
+    return [max(1.0, min(w, maximum)) if w > SURPRISING else 1.0 for w, maximum in zip(wide, limits, strict=True)]
 
 
 def _std(wheels: WheelCalibration) -> Array:
@@ -367,7 +367,7 @@ def _std(wheels: WheelCalibration) -> Array:
     return np.maximum(np.concatenate(wheels.std), 1e-12)
 
 
-def _checked(odometry: FusedOdometry, record: WheelRecord, before: WheelCalibration, found: WheelCalibration) -> None:
+def _checked(odometry: FusedOdometry, record: WheelRecord, previous: WheelCalibration, found: WheelCalibration) -> None:
     """Raise :class:`InputError` for a record that contradicts itself or shows nothing."""
     n, given = found.modules, len(record.places)
     if _contradicted(odometry):
@@ -378,10 +378,10 @@ def _checked(odometry: FusedOdometry, record: WheelRecord, before: WheelCalibrat
         )
         raise InputError(
             f"log: {odometry.taken} of {given} global poses fit what wheels and gyro say{why}, though steer zeros may be "
-            f"{1e3 * before.std[0].max():.3g} mrad off and radii {100 * before.std[1].max():.2g} %; check units, signs, times "
+            f"{1e3 * previous.std[0].max():.3g} mrad off and radii {100 * previous.std[1].max():.2g} %; check units, signs, times "
             "and standard deviations of the channel 'place', and whether the base was moved by hand or slipped"
         )
-    if max(_shown(before, found, part)[1].max(initial=0.0) for part in _PARTS(n).values()) < SHOWN:
+    if max(_shown(previous, found, part)[1].max(initial=0.0) for part in _PARTS(n).values()) < SHOWN:
         raise InputError(
             "log: the record shows nothing of the wheels that was not known before: the base must roll on between global poses, "
             "straight ahead and sideways for zeros and radii, farther than the poses are uncertain"

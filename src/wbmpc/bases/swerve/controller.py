@@ -71,9 +71,9 @@ class SwerveController:
         return self.tracking.clamped
 
     @property
-    def wanted(self) -> Array:
+    def target(self) -> Array:
         """What plan and steering servo ask for (nu), before it is scaled."""
-        return self.tracking.wanted
+        return self.tracking.target
 
     @property
     def brakes(self) -> Brakes:
@@ -104,10 +104,10 @@ class SwerveController:
 
     def measure(self, measurement: SwerveMeasurement) -> None:
         """Take in the message of this tick."""
-        before = self.measured or measurement
-        self.tracking.arm.learn(measurement.arm - before.arm, measurement.time - before.time)
+        previous = self.measured or measurement
+        self.tracking.arm.learn(measurement.arm - previous.arm, measurement.time - previous.time)
         self.estimator.update(measurement)
-        self.tracking.learn_friction(before, measurement)
+        self.tracking.learn_friction(previous, measurement)
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """The state at time ``until``, by the inputs that will be applied from ``t`` on, and what the drives still owe."""

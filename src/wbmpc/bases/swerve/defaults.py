@@ -20,8 +20,8 @@ from wbmpc.settings import MpcSettings, Settings, Weight
 ROLLING_SOFTNESS = 1e-6
 
 
-class HandCost(Settings):
-    """Weights of the hand: position [1/m²], orientation [1/rad²], per second."""
+class EndEffectorCost(Settings):
+    """Weights of the end effector: position [1/m²], orientation [1/rad²], per second."""
 
     weight: Weight = 1000.0
     orientation: Weight = 200.0
@@ -50,7 +50,7 @@ class InputCost(Settings):
 class SwerveCost(Settings):
     """All weights; ``terminal``: seconds by which the state's weights are multiplied at the end of the horizon."""
 
-    end_effector: HandCost = HandCost()
+    end_effector: EndEffectorCost = EndEffectorCost()
     state: StateCost = StateCost()
     input: InputCost = InputCost()
     terminal: Weight = 10.0
@@ -65,14 +65,14 @@ def swerve_problem(
     accelerations: bool = False,
     allow_side_slip: bool = False,
 ) -> OptimalControlProblem:
-    """Hand pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
+    """End effector pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
 
     ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows); ``allow_side_slip``: the
     reference "rolling" lets wheels slip sideways while they turn about.
     """
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
-    hand = np.array([cost.end_effector.weight] * 3 + [cost.end_effector.orientation] * 3)
+    end_effector = np.array([cost.end_effector.weight] * 3 + [cost.end_effector.orientation] * 3)
     s, i = cost.state, cost.input
     state = residuals.State(robot)
     posture: dict[str, Any] = {"base": [s.position, s.position, s.yaw], "leg": s.leg, "steer": s.steer, "arm": s.arm}
@@ -81,7 +81,9 @@ def swerve_problem(
     rates = {g: v for g, v in rates.items() if g in robot.input}
     end = {g: list(cost.terminal * np.atleast_1d(v)) if g == "base" else cost.terminal * v for g, v in posture.items()}
     frame = residuals.FramePose(robot, robot.tool)
-    ocp.add(Cost("hand", frame, list(hand), at="path+terminal", terminal_weight=list(cost.terminal * hand)))
+    ocp.add(
+        Cost("hand", frame, list(end_effector), at="path+terminal", terminal_weight=list(cost.terminal * end_effector))
+    )
     ocp.add(Cost("state", state, posture, at="path+terminal", terminal_weight=end))
     ocp.add(Cost("input", residuals.Input(robot), rates))
     for constraint in robot.base.constraints(robot, side_softness, allow_side_slip=allow_side_slip):

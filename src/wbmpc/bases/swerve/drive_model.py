@@ -9,7 +9,7 @@ from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
 #: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
-SAG_TIME, SAG_MOST = 1.0, 0.15
+SAG_TIME, MAX_SAG = 1.0, 0.15
 
 
 def lag_share(period: float, lag: float) -> float:
@@ -48,7 +48,7 @@ class ArmDrives:
         """The sag from what the joints ``turned`` (m) [rad] in h [s] and what drives should have made of the commands."""
         if h > 0.0:
             share = 1.0 - np.exp(-h / SAG_TIME)
-            self.sag = np.clip(self.sag + share * (turned / h - self.mean - self.sag), -SAG_MOST, SAG_MOST)
+            self.sag = np.clip(self.sag + share * (turned / h - self.mean - self.sag), -MAX_SAG, MAX_SAG)
 
     def follow(self, command: Array) -> None:
         """A period under a command (m) [rad/s]."""

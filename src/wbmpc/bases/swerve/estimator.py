@@ -93,10 +93,10 @@ class SwerveEstimator:
 
     def update(self, measurement: SwerveMeasurement) -> Array:
         """The state (nx) after a message."""
-        before, self.measured = self.measured or measurement, measurement
+        previous, self.measured = self.measured or measurement, measurement
         m = measurement
-        h = m.time - before.time
-        turning = self.mean_rate(before, m) if self.use_gyro else None
+        h = m.time - previous.time
+        turning = self.mean_rate(previous, m) if self.use_gyro else None
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
         if self._odd is not None:
             self._odd.update(h, self.wheels_alone.residual, self.hinge_angles)
@@ -107,9 +107,9 @@ class SwerveEstimator:
             self._smooth(self._smoothing, h)
         return self.state()
 
-    def mean_rate(self, before: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
+    def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
         """The gyro's mean yaw rate [rad/s] from one message to the next; None if it says nothing."""
-        return 0.5 * float(before.gyro[2] + now.gyro[2])
+        return 0.5 * float(previous.gyro[2] + now.gyro[2])
 
     def _weights(self) -> Array | None:
         """Weights (n) of the wheels in the odometry; None: all count in full."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 #: Speed [m/s] of the way that is foreseen, its least time [s]; a goal nearer than this [m] is reached.
-SPEED, LEAST, THERE = 0.4, 1.0, 0.03
+SPEED, MINIMUM, THERE = 0.4, 1.0, 0.03
 
 
 class GoalGuess:
@@ -47,7 +47,7 @@ class GoalGuess:
         way = self.goal - pose
         if _size(way) < THERE:
             return np.zeros((len(times), 3))
-        length = max(0.5 * np.pi * _size(way) / SPEED, LEAST)
+        length = max(0.5 * np.pi * _size(way) / SPEED, MINIMUM)
         share = np.clip((times - times[0]) / length, 0.0, 1.0)
         yaw = pose[2] + 0.5 * (1.0 - np.cos(np.pi * share)) * way[2]
         rate, c, s = 0.5 * np.pi / length * np.sin(np.pi * share), np.cos(yaw), np.sin(yaw)

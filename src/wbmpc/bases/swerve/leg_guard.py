@@ -89,7 +89,7 @@ class LegGuard:
         finite(who, time=t)
         angle, planned = numbers(who, "leg", leg, n), numbers(who, "rate", rate, n)
         commanded_open = numbers(who, "brake", is_open, n) > 0.5
-        before = self.until.copy()
+        previous = self.until.copy()
         if t < self.time:
             self.restart()
         h, last = (t - self.time, self._last) if self._last is not None else (0.0, angle)
@@ -102,7 +102,7 @@ class LegGuard:
         astray = free & (np.abs(self._moved - self._planned) - np.abs(self._planned) > self.away)
         if astray.any():
             self._begin(t, astray)
-        return [LegHeld(t, int(i), float(self.until[i])) for i in np.flatnonzero(before != self.until)]
+        return [LegHeld(t, int(i), float(self.until[i])) for i in np.flatnonzero(previous != self.until)]
 
     def _begin(self, t: float, astray: NDArray[np.bool_]) -> None:
         soon = t - self.until < self.again  # after its last hold

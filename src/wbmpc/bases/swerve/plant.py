@@ -1,14 +1,11 @@
 """The swerve base with its arm in MuJoCo.
 
-Choices (measured with MuJoCo 4.0): ellipsoid wheels with three-dimensional contacts; velocity servos under the
-`discrete` integrator; brakes as switched dry friction of 200 N m on the hinges with stiff constraint settings; tyres as
-contact softness; arm servos with the arm's weight fed forward (as a joint torque: MuJoCo's own gravity compensation
-would take the weight off the wheels).
+Choices (measured with MuJoCo 4.0): ellipsoid wheels; brakes as switched dry friction of 200 N m on the hinges with stiff constraint
+settings. The rest is of :mod:`wbmpc.simulation.wheeled`.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 
 import mujoco
@@ -25,20 +22,9 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.localization import Localisation
-from wbmpc.simulation.payloads import PAYLOAD, add_body_payload, add_payload, incline
-from wbmpc.simulation.perturbation import Draw, Perturbation, quantise
-from wbmpc.simulation.world import (
-    ROBOT,
-    TIMESTEP,
-    Array,
-    Edit,
-    InWorld,
-    World,
-    add_drive,
-    add_floor,
-    add_light,
-    set_options,
-)
+from wbmpc.simulation.perturbation import Perturbation, quantise
+from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
+from wbmpc.simulation.world import ROBOT, TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
 #: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
@@ -47,13 +33,8 @@ WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0
 WHEEL_SPEED, STEER_SPEED = 11.52, 5.76
 #: Half width [m] of a wheel.
 WHEEL_HALF_WIDTH = 0.02
-#: Contact softness of the tyres (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
-TYRE = [0.01, 1.0]
-#: Gain [N m s/rad] of the wheel and steer servos; of the arm's per N m of effort limit, but not below its floor.
-_VELOCITY_GAIN, _ARM_GAIN, _ARM_GAIN_LEAST = 100.0, 12.0, 800.0
+#: Constraint settings of the brakes: soft ones would let a closed brake creep.
 _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
-#: Interval [s] that sets the noise of the inertial unit's first sample.
-_IMU_INTERVAL = 0.0025
 
 
 def reject_two_wheels(description: RobotDescription) -> None:
@@ -66,7 +47,7 @@ def reject_two_wheels(description: RobotDescription) -> None:
         )
 
 
-class SwervePlant(InWorld):
+class SwervePlant(WheeledPlant):
     """Physics, drives, brakes and sensors of a swerve robot.
 
     ``state``: where it starts, by group (``base`` (x, y, yaw), ``leg``, ``steer``, ``wheel``, ``arm``) or as a vector
@@ -113,9 +94,9 @@ class SwervePlant(InWorld):
             spec, description.model, self.base.body, description.arm.tool, [n for g in self._names.values() for n in g]
         )
         self.model, self.data = self.world.model, self.world.data
-        self._index()
+        self.index()
         self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
-        self._set_sensors(self.draw)
+        self.start_sensors(self._zero_errors())
         self._place(self._groups(state), lift, settle)
 
     def _reject_brake_fault(self) -> None:
@@ -128,14 +109,7 @@ class SwervePlant(InWorld):
 
     # ------------------------------------------------------------------ building
     def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
-        p, draw, limits = self.perturbation, self.draw, self.description.limits
-        wheel_bodies = {spec.joint(n).parent.name for n in self._names["wheel"]}
-        draw.apply_to_bodies(spec, balanced=wheel_bodies)
-        set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_DISCRETE)
-        friction = [draw.friction, 0.005, 1e-4]
-        add_floor(spec, 3, friction, TYRE)
-        spec.body(self.base.body).add_freejoint(name="root")
-        add_light(spec.body(self.base.body))
+        draw, friction = self.draw, self.stand_on_floor(spec)
         for i, module in enumerate(self.base.modules):
             radius = self.base.wheel_radius * float(draw.radius[i])
             spec.joint(module.wheel).parent.add_geom(
@@ -145,25 +119,12 @@ class SwervePlant(InWorld):
             )  # fmt: skip
             self._normal_force_sensor(spec, f"contact_{module.wheel}")
             for joint in (module.steer, module.wheel):
-                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, p.dry_friction
+                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, self.perturbation.dry_friction
             if module.hinge:
                 spec.joint(module.hinge).damping = [1.0, 0, 0]
-            self._servo(spec, module.wheel, _VELOCITY_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
-            self._servo(spec, module.steer, _VELOCITY_GAIN, STEER_TORQUE, draw.steer_lag[i])
-        for k, name in enumerate(self._names["arm"]):
-            spec.joint(name).armature, spec.joint(name).damping = 0.1, [1.0, 0, 0]
-            effort = limits.effort.get(name, np.inf)
-            gain = max(_ARM_GAIN_LEAST, _ARM_GAIN * effort) if np.isfinite(effort) else _ARM_GAIN_LEAST
-            self._servo(spec, name, gain, effort, draw.arm_lag[k])
-        self._add_imu(spec)
-        if p.payload > 0.0:
-            add_payload(spec, self.description.arm.tool, p.payload)
-        if p.body_payload > 0.0:
-            add_body_payload(spec, self.base.body, p.body_payload)
-        if p.slope > 0.0:
-            incline(spec, p.slope, draw.downhill)
-        if edit is not None:
-            edit(spec)
+            self._servo(spec, module.wheel, WHEEL_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
+            self._servo(spec, module.steer, WHEEL_GAIN, STEER_TORQUE, draw.steer_lag[i])
+        self.finish(spec, edit)
 
     def _servo(self, spec: mujoco.MjSpec, joint: str, gain: float, limit: float, lag: float) -> None:
         add_drive(spec, joint, joint, mujoco.mjtTrn.mjTRN_JOINT, limit, lag, gain)
@@ -176,18 +137,11 @@ class SwervePlant(InWorld):
             intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1],
         )  # fmt: skip
 
-    def _add_imu(self, spec: mujoco.MjSpec) -> None:
-        site = "imu" if any(s.name == "imu" for s in spec.sites) else "wbmpc_imu"
-        if site == "wbmpc_imu":
-            spec.body(self.base.body).add_site(name=site)
-        for name, kind in (("gyro", mujoco.mjtSensor.mjSENS_GYRO), ("accel", mujoco.mjtSensor.mjSENS_ACCELEROMETER)):
-            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
-
-    def _index(self) -> None:
+    def index(self) -> None:
+        """Also hinges, drives and wheels."""
+        super().index()
         m, names = self.model, self._names
-        self._q = {g: np.array([m.joint(n).qposadr[0] for n in part], dtype=int) for g, part in names.items()}
         self._v = {g: np.array([m.joint(n).dofadr[0] for n in part], dtype=int) for g, part in names.items()}
-        self._all = np.concatenate(list(self._q.values()))
         driven = ("wheel", "steer", "arm")
         self._control = {g: np.array([m.actuator(n).id for n in names[g]], dtype=int) for g in driven}
         speed = self.description.limits.velocity
@@ -195,25 +149,13 @@ class SwervePlant(InWorld):
         self._wheel_geoms = [m.geom(f"contact_{n}").id for n in names["wheel"]]
         self._wheel_of = {geom: i for i, geom in enumerate(self._wheel_geoms)}
         self._wheel_bodies = [int(m.geom_bodyid[geom]) for geom in self._wheel_geoms]
-        self._imu = {n: slice(int(m.sensor(n).adr[0]), int(m.sensor(n).adr[0]) + 3) for n in ("gyro", "accel")}
-        self._forces = np.array([m.sensor(f"contact_{n}").adr[0] + 2 for n in names["wheel"]], dtype=int)
-        self.weight = float(m.body_mass.sum() * np.linalg.norm(m.opt.gravity))
-        self._payload = m.body(PAYLOAD).id if self.perturbation.payload > 0.0 else None
-        # soft settings would let a closed brake creep
         for dof in self._v["leg"]:
             m.dof_solref[dof], m.dof_solimp[dof] = _BRAKE_SOLREF, _BRAKE_SOLIMP
 
-    def _set_sensors(self, draw: Draw) -> None:
-        p, n = self.perturbation, len(self._names["leg"])
-        offset = {"leg": draw.leg_offset[:n], "steer": draw.steer_offset, "wheel": np.zeros(len(self._names["wheel"]))}
-        self.offsets = {**offset, "arm": draw.arm_offset}
-        counts = {"leg": p.encoder_counts, "steer": p.encoder_counts, "wheel": p.encoder_counts, "arm": p.arm_counts}
-        self._counts, self._all_offsets = counts, np.concatenate([self.offsets[g] for g in self._q])
-        self._bias = {"gyro": draw.gyro_bias.copy(), "accel": draw.accel_bias.copy()}
-        self._density = {"gyro": (p.gyro_noise, p.gyro_walk), "accel": (p.accel_noise, p.accel_walk)}
-        self._ages = round(p.encoder_jitter / self.timestep)
-        self._history: deque[Array] = deque(maxlen=1 + self._ages)
-        self._last: SwerveMeasurement | None = None
+    def _zero_errors(self) -> dict[str, Array]:
+        draw, n = self.draw, len(self._names["leg"])
+        wheel = np.zeros(len(self._names["wheel"]))
+        return {"leg": draw.leg_offset[:n], "steer": draw.steer_offset, "wheel": wheel, "arm": draw.arm_offset}
 
     def _groups(self, state: Mapping[str, ArrayLike] | ArrayLike | None) -> dict[str, Array]:
         """Start by group, (x, y, yaw) for the base."""
@@ -244,10 +186,7 @@ class SwervePlant(InWorld):
             d.qpos[index] = state[group] - self.offsets[group]
         d.qpos[2] = self._standing_height() + lift
         self._advance_brakes()
-        for _ in range(round(settle / self.timestep)):
-            self.world.advance(self._arm_weight)
-        self.world.restart()
-        self._history.append(d.qpos[self._all])
+        self.settle(settle)
 
     def arrange(self, state: Array) -> None:
         """Put the bodies where a planner's state (nx) has them, for pictures: no physics, no offsets."""
@@ -269,16 +208,6 @@ class SwervePlant(InWorld):
     def _advance_brakes(self) -> None:
         self.model.dof_frictionloss[self._v["leg"]] = self.brakes.advance(self.timestep)
 
-    def _arm_weight(self) -> None:
-        """Feed the arm's weight forward to its joints; that of a payload, which nobody knows of, is not."""
-        d, m, dofs = self.data, self.model, self._v["arm"]
-        weight = d.qfrc_bias[dofs]
-        if self._payload is not None:
-            jacobian = np.zeros((3, m.nv))
-            mujoco.mj_jacBody(m, d, jacobian, None, self._payload)
-            weight = weight + m.body_mass[self._payload] * m.opt.gravity @ jacobian[:, dofs]
-        d.qfrc_applied[dofs] = weight
-
     def step(self, command: SwerveCommand, steps: int = 1) -> None:
         """Hold a command for ``steps`` physics steps. Drives clip at their speed limits, one by one."""
         d, names = self.data, self._names
@@ -298,7 +227,7 @@ class SwervePlant(InWorld):
             self.brakes.fail(p.brake_fault_leg, p.brake_fault)
         for _ in range(steps):
             self._advance_brakes()
-            self.world.advance(self._arm_weight)
+            self.world.advance(self.carry_arm)
             self._history.append(d.qpos[self._all])
         self.world.check()
 
@@ -308,31 +237,20 @@ class SwervePlant(InWorld):
         if self._last is not None and self._last.time == self.time:
             return self._last
         self.world.refresh()
-        age = int(self._noise.integers(0, self._ages + 1))
-        raw = self._history[max(len(self._history) - 1 - age, 0)] + self._all_offsets
-        values, start = {}, 0
+        raw, start = self.encoders(), 0
+        values: dict[str, Array] = {}
         for group, index in self._q.items():
             part = raw[start : start + len(index)]
             if group == "steer" and self.perturbation.steer_noise > 0.0:
                 part = part + self.perturbation.steer_noise * self._noise.normal(size=len(index))
             values[group] = quantise(part, self._counts[group])
             start += len(index)
-        interval = _IMU_INTERVAL if self._last is None else self.time - self._last.time
-        imu = {name: self._inertial(name, interval) for name in ("gyro", "accel")}
+        imu = self.inertial()
         place = None
         if self.localisation is not None:
             place = self.localisation.observe(self.time, np.array([*self.data.qpos[:2], self.world.yaw]))
         self._last = SwerveMeasurement(self.time, **values, **imu, place=place)
         return self._last
-
-    def _inertial(self, name: str, interval: float) -> Array:
-        """A reading with its walking bias and the noise of a sample that stands for ``interval`` [s]."""
-        noise, walk = self._density[name]
-        draws = self._noise.normal(size=(2, 3))
-        self._bias[name] = self._bias[name] + walk * np.sqrt(interval) * draws[0]
-        true: Array = self.data.sensordata[self._imu[name]]
-        reading: Array = true + self._bias[name] + noise / np.sqrt(interval) * draws[1]
-        return reading
 
     # ------------------------------------------------------------------ truth
     def truth(self) -> Truth:

@@ -42,7 +42,7 @@ class SwerveBaseType(BaseType):
         return SwervePlant(robot.description, perturbation=perturbation, seed=seed)
 
     def system(self, robot: RobotModel, seed: int) -> System:
-        """A perturbed plant at home, whose controller brings hand, base and legs to goals that come by and by."""
+        """A perturbed plant at home, whose controller brings end effector, base and legs to goals that come by and by."""
         from wbmpc.bases.swerve.system import make_system
 
         return make_system(robot, self.plant(robot, None, seed))

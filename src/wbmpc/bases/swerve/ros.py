@@ -81,7 +81,7 @@ class BusEstimator(SwerveEstimator):
         if measurement.time < self.odometry.time:  # the bus's own time went back
             self.odometry.bridge(measurement.time)
 
-    def mean_rate(self, before: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
+    def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
         """As the inertial unit's messages between the two say."""
         return getattr(now, "turning", None)
 
@@ -318,9 +318,9 @@ class SwerveRosAdapter:
 
 
 def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = None) -> dict[str, Reference]:
-    """For the terms ``hand``, ``state`` and ``input``; ``legs`` [rad]: left out, they stay as in the state ``x`` (nx); the arm
+    """For the terms ``end_effector``, ``state`` and ``input``; ``legs`` [rad]: left out, they stay as in the state ``x`` (nx); the arm
     likes its home."""
-    base, hand = task.base, task.hand
+    base, end_effector = task.base, task.end_effector
     states = np.tile(robot.home, (base.times.size, 1))
     states[:, robot.state["base"]] = base.poses
     if "leg" in robot.state:
@@ -328,7 +328,7 @@ def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = 
     inputs = np.zeros((base.times.size, robot.input.size))
     inputs[:, robot.input["base"]] = base.twists
     return {
-        "hand": Reference.poses(hand.times, hand.positions, hand.orientations),
+        "hand": Reference.poses(end_effector.times, end_effector.positions, end_effector.orientations),
         "state": Reference(base.times, states),
         "input": Reference(base.times, inputs),
     }
@@ -339,12 +339,12 @@ def swing_guess(robot: RobotModel, legs: Array, x0: Array, trajectory: Trajector
     state, given, geometry = robot.state, robot.input, robot.base.geometry
     x, u, steer, leg = trajectory.x, trajectory.u, x0[state["steer"]].copy(), x0[state["leg"]].copy()
     lower, upper = robot.limits.state_lower[state["steer"]], robot.limits.state_upper[state["steer"]]
-    most = 0.6 * robot.limits.input_upper[given["steer"]]
+    maximum = 0.6 * robot.limits.input_upper[given["steer"]]
     for k, h in enumerate(np.diff(trajectory.grid)):
         rate = np.clip((legs - leg) / max(h, 0.5), -SWING, SWING)
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
         target = np.where(target > upper, target - np.pi, np.where(target < lower, target + np.pi, target))
-        turn = np.clip((target - steer) / h, -most, most)
+        turn = np.clip((target - steer) / h, -maximum, maximum)
         if np.abs(target - steer).max() > STRAIGHT:
             rate = np.zeros_like(rate)
         x[k, state["base"]], x[k, state["leg"]], x[k, state["steer"]] = x0[state["base"]], leg, steer

@@ -31,6 +31,9 @@ SET_LEGS = "wbmpc_msgs/srv/SetLegs"
 Now = tuple[Array, Array]
 #: A leg is where it should be within this [rad].
 THERE = 0.01
+#: A leg on its way is to go to so much [rad] beyond where it should be, and its brake ends it there. Of the last 0.03 rad alone a
+#: plan would make nothing where wheels do not point along the leg's circle: to turn them costs more than those are worth.
+BEYOND = 0.08
 #: A leg that comes no nearer by this [rad] within so long [s] will not arrive: wheels turn first for a second or two, and a guard
 #: may hold it now and then.
 NEARER, PATIENCE = 0.002, 4.0
@@ -62,13 +65,14 @@ class Legs:
         self._nearest, self._since = np.zeros(
             (2, len(self.names))
         )  # of legs on their way: distance [rad], since when [s]
+        self._side = np.zeros(len(self.names))  # from which side legs come: the sign of their ways
         self._command: tuple[Array, Array] | None = None
         self._lock = threading.Lock()
         topics = settings.topics
         takes: dict[str, Callable[[Any], str]] = {
-            "legs": lambda m: self._wanted("", list(m.name), m.position, ()),
+            "legs": lambda m: self._target("", list(m.name), m.position, ()),
             "brakes": lambda m: self._brakes(m.data),
-            "leg_configuration": lambda m: self._wanted(m.data, [], (), ()),
+            "leg_configuration": lambda m: self._target(m.data, [], (), ()),
         }
         for key, take in takes.items():
             if topic := getattr(topics, key):
@@ -92,7 +96,7 @@ class Legs:
         try:
             if why:
                 raise InputError(why)
-            message = self._wanted(str(request.configuration), list(request.leg), request.angle, request.brake_open)
+            message = self._target(str(request.configuration), list(request.leg), request.angle, request.brake_open)
         except Exception as error:
             self.reject(f"{self.settings.topics.set_legs}: {error_message(error)}")
             return {"success": False, "message": error_message(error)}
@@ -112,7 +116,7 @@ class Legs:
             self._limit.log(_LOG, logging.WARNING, message.split(":")[0], message)
         self.rejected = message
 
-    def _wanted(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
+    def _target(self, configuration: str, legs: list[str], angles: Any, opened: Any) -> str:
         """A configuration by name or angles, or single legs: ``angles``, brakes; what will be done."""
         n = len(self.names)
         goal, brake = np.full(n, np.nan), np.full(n, np.nan)
@@ -179,8 +183,8 @@ class Legs:
         if not moving.any():
             reject_floating(geometry, leg, state)
             return
-        before = leg if self.angles is None else self.angles
-        there = np.where(moving, np.where(np.isnan(goal), before, goal), leg)
+        previous = leg if self.angles is None else self.angles
+        there = np.where(moving, np.where(np.isnan(goal), previous, goal), leg)
         reject_floating_way(geometry, leg, there, state, self.robot.limits.input_upper[self.robot.input["leg"]])
 
     def _outcome(self, goal: Array, brake: Array, commanded: Array) -> tuple[Array, Array]:
@@ -189,6 +193,11 @@ class Legs:
         return moving, np.where(np.isnan(brake), np.where(moving, 1.0, commanded), brake)
 
     # ------------------------------------------------------------------ in the node's thread
+    @property
+    def aims(self) -> Array | None:
+        """Where (n) [rad] the plan is to take the legs: of those on their way, :data:`BEYOND` where they are to go."""
+        return None if self.angles is None else self.angles + BEYOND * self.moving * self._side
+
     @property
     def waiting(self) -> bool:
         """Whether there is an order that has not been taken."""
@@ -207,7 +216,7 @@ class Legs:
             return False
         goal, brake = command
         sent = ~np.isnan(goal)
-        before = self.angles
+        previous = self.angles
         self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
         self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
         self._nearest[:], self._since[:], self.short = np.inf, t, ""
@@ -216,25 +225,26 @@ class Legs:
             brakes.set(t, state, None if self.moving.any() else leg)
         except InputError as error:
             self.reject(f"a command for the legs is rejected: {error}")
-            self.angles = before
+            self.angles = previous
             return False
         # a leg that is let go, or held where it is, goes nowhere
         stays = ~self.moving & ~np.isnan(brake)
         self.angles = np.where(stays, leg, self.angles)
+        self._side = np.sign(self.angles - leg)
         return True
 
     def watch(self, brakes: BrakeControl, t: float, leg: Array) -> bool:
-        """Close the brakes of legs that have arrived, and of those that come no nearer; whether there were some of these, which
-        stay where they are."""
+        """Close the brakes of legs that have arrived, and of those that come no nearer, which stay where they are; whether there
+        were some: :attr:`aims` has changed."""
         if self.angles is None or not self.moving.any():
             return False
-        there = self.moving & (np.abs(leg - self.angles) < THERE)
+        there = self.moving & (self._side * (self.angles - leg) < THERE)
         if there.any():
             self._close(brakes, t, there)
             _LOG.info("%s arrived: brakes closed", self._named(there))
         stuck = self._stuck(brakes, t, leg)
         if not stuck.any():
-            return False
+            return bool(there.any())
         self._close(brakes, t, stuck)
         places = zip(self.names, leg, self.angles, stuck, strict=True)
         message = [f"{n} stopped at {a:.3f} rad on its way to {to:.3f} rad" for n, a, to, ended in places if ended]

@@ -91,10 +91,10 @@ def plan_steering(
     steered, stops, shift = np.empty_like(ways), [], np.zeros(geometry.modules)
     for j, k in zip(starts, [*starts[1:], len(times)], strict=True):
         # as few turns as possible; where the range is too small for a direction, the end is left to the limits
-        least, most = low[j:k].max(axis=0), high[j:k].min(axis=0)
-        before, shift = shift, np.clip(shift, least, np.maximum(most, least))
+        least, maximum = low[j:k].max(axis=0), high[j:k].min(axis=0)
+        previous, shift = shift, np.clip(shift, least, np.maximum(maximum, least))
         steered[j:k] = ways[j:k] + np.pi * shift
-        if (shift != before).any() and cost[j] > STOP:
+        if (shift != previous).any() and cost[j] > STOP:
             stops.append(j)
     return SteeringPlan(times, steered, tuple(stops))
 
@@ -269,16 +269,16 @@ class SteeringGuess:
         for k, h in enumerate(np.diff(grid)[start:], start):
             # Where the reference rests, the wheels already turn to the motion that comes next (or stay after the last).
             later = moving[min(int(np.searchsorted(moving, k)), moving.size - 1)]
-            wanted = twists[k] if k in moving else np.zeros(3)
+            desired = twists[k] if k in moving else np.zeros(3)
             target, _ = rolling_inverse_kinematics(geometry, leg, steer, twists[later])
             target = plan.nearest(grid[later], target)
             rate = np.clip((target - steer) / h, -self.rate, self.rate)
             # from rest the wheels come first; a wheel of a base that rolls turns on unless it has to turn round
             rolling = bool(np.abs(target - steer).max() <= (BEND if rolling else 0.03))
             if not rolling:
-                wanted = np.zeros(3)
+                desired = np.zeros(3)
             x[k, state["base"]], x[k, state["steer"]] = pose, steer
-            u[k, given["base"]], u[k, given["steer"]] = wanted, rate
-            _, u[k, given["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, wanted)
-            pose, steer = lie.se2_step(pose, wanted * h), steer + rate * h
+            u[k, given["base"]], u[k, given["steer"]] = desired, rate
+            _, u[k, given["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, desired)
+            pose, steer = lie.se2_step(pose, desired * h), steer + rate * h
         x[-1, state["base"]], x[-1, state["steer"]] = pose, steer

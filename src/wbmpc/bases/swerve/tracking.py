@@ -48,7 +48,7 @@ class TrackingSettings:
 class SwerveTracking:
     """The law at the controller's ``period`` [s]. ``wheel_scale`` (n): the model's wheel radius over each wheel's own.
 
-    ``wanted`` (nu): what plan and steering servo ask for, before it is scaled; ``sent`` (nu): what of it accelerations allow;
+    ``target`` (nu): what plan and steering servo ask for, before it is scaled; ``sent`` (nu): what of it accelerations allow;
     ``clamped``: whether the last wheels were slowed down to their limits; ``aligning``: wheels point elsewhere than planned
     (turned by hand, or knocked), so that the base stands until they do not.
     """
@@ -64,18 +64,18 @@ class SwerveTracking:
         self.drives = DriveModel(robot, period, settings.lag, settings.planned_steering)
         self.arm = ArmDrives(len(robot.input.groups["arm"]), period, settings.lag)
         self.side_slip = SideSlip(robot, period) if settings.allow_side_slip else None
-        self.wanted, self.sent = np.zeros((2, robot.input.size))
+        self.target, self.sent = np.zeros((2, robot.input.size))
         self.clamped = self.aligning = False
 
-    def learn_friction(self, before: SwerveMeasurement, now: SwerveMeasurement) -> None:
+    def learn_friction(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> None:
         """What dry friction takes, from one message to the next."""
         for group, drives in self.friction.items():
-            drives.learn(getattr(now, group) - getattr(before, group), now.time - before.time)
+            drives.learn(getattr(now, group) - getattr(previous, group), now.time - previous.time)
 
     def rest(self) -> None:
         """A stop: the next commands start from rest."""
         self.arm.follow(np.zeros(self.arm.sag.size))
-        self.wanted, self.sent = np.zeros((2, self.robot.input.size))
+        self.target, self.sent = np.zeros((2, self.robot.input.size))
         self.clamped = self.aligning = False
         self.drives.follow(self.sent)
         for drives in self.friction.values():
@@ -91,7 +91,7 @@ class SwerveTracking:
         if self.side_slip is not None:
             self.side_slip.update(estimator.hinge_angles, planned, u)
         u[given["steer"]] = self._steer(u[given["steer"]], error)
-        self.wanted = u
+        self.target = u
         self.sent = sent = self.reachable(self.sent, u, brake)
         self.drives.follow(sent)
         wheel, excess = self._scaled_wheels(sent)
@@ -112,10 +112,10 @@ class SwerveTracking:
 
     def _steer(self, rate: Array, error: Array) -> Array:
         """The steering servo (n) [rad/s]: the plan's ``rate``, and what closes the ``error`` (n) [rad]."""
-        most = self.robot.limits.actuator_upper[self.robot.input["steer"]]
+        maximum = self.robot.limits.actuator_upper[self.robot.input["steer"]]
         gain = self.settings.steer_gain
         gain = max(gain, ALIGN_GAIN) if self.aligning else gain
-        return np.clip(rate + gain * error, -most, most)
+        return np.clip(rate + gain * error, -maximum, maximum)
 
     def _scaled_wheels(self, sent: Array) -> tuple[Array, float]:
         """Wheel speeds (n) [rad/s], and by what factor they were too fast.
@@ -134,13 +134,13 @@ class SwerveTracking:
         last = self.arm.command
         self.arm.follow(last + np.clip(arm - last, -change * self.period, change * self.period))
 
-    def _driven(self, group: str, wanted: Array) -> Array:
+    def _driven(self, group: str, target: Array) -> Array:
         """The command to drives (n) [rad/s] with what friction takes of it."""
         if group not in self.friction:
-            return wanted
+            return target
         limits, index = self.robot.limits, self.robot.input[group]
         step = limits.input_rate[index] * self.period
-        return self.friction[group].command(wanted, limits.actuator_upper[index], step)
+        return self.friction[group].command(target, limits.actuator_upper[index], step)
 
     def held(self, u: Array) -> Array:
         """An input (nu) as it will act: while wheels are aligned the base stands."""
@@ -157,9 +157,9 @@ class SwerveTracking:
         fast as it can: it follows planned angles. A closed brake stops its leg as hard as it likes.
         """
         given = self.robot.input
-        step, most = u - sent, self.robot.limits.input_rate * self.period
+        step, maximum = u - sent, self.robot.limits.input_rate * self.period
         if "leg" in given:
-            most[given["leg"]] = np.where(brake > 0.5, most[given["leg"]], np.inf)
-        excess = np.maximum(np.abs(step) / most, 1.0)
+            maximum[given["leg"]] = np.where(brake > 0.5, maximum[given["leg"]], np.inf)
+        excess = np.maximum(np.abs(step) / maximum, 1.0)
         excess[self._together] = excess[self._together].max()
         return sent + step / excess

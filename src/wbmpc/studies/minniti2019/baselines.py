@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.tracking import ActuatorGains, TrackingController
+from wbmpc.configuration import OnlyWith, kind_alone
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.settings import Settings, Weight
+from wbmpc.settings import Positive, Settings, Weight
 from wbmpc.studies.minniti2019.held_arm import base_problem
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
-from wbmpc.studies.minniti2019.separate import ArmLoop, HandInverse, SeparateController
+from wbmpc.studies.minniti2019.separate import ArmLoop, EndEffectorInverse, SeparateController
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains, TaskSpaceController
+from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, TrackingController
 
 if TYPE_CHECKING:
     from wbmpc.studies.minniti2019.settings import RezeroSettings
@@ -30,20 +31,20 @@ Controller = Literal[
 ]  # fmt: skip
 
 
-#: Those that track the body's states and know of no hand but in its weights.
+#: Those that track the body's states and know of no end effector but in its weights.
 REGULATORS = ("lqr", "scheduled-lqr")
 
 
 class RegulatorSettings(Settings):
     """Factors of the MPC's weights of torques (``torque``; another one of the arm's, ``arm``), ball speed and tilt rate
-    (``damping``), the arm's angles and rates (``posture``), hand (``hand``); ``max_error`` [m]: position errors beyond it are cut."""
+    (``damping``), the arm's angles and rates (``posture``), end effector (``hand``); ``max_error`` [m]: position errors beyond it are cut."""
 
-    torque: float = Field(1.0, gt=0)
-    arm: float = Field(1.0, gt=0)
-    posture: float = Field(1.0, gt=0)
-    damping: float = Field(1.0, gt=0)
-    hand: float = Field(1.0, gt=0)
-    max_error: float = Field(0.1, gt=0)
+    torque: Positive = 1.0
+    arm: Positive = 1.0
+    posture: Positive = 1.0
+    damping: Positive = 1.0
+    hand: Positive = 1.0
+    max_error: Positive = 0.1
 
 
 class SeparateSettings(Settings):
@@ -53,22 +54,22 @@ class SeparateSettings(Settings):
     ball: Weight = 30.0
     ball_speed: Weight = 3.0
     tilt_rate: Weight = 3.0
-    wheel: float = Field(0.1, gt=0)
-    pace: float = Field(10.0, gt=0)
+    wheel: Positive = 0.1
+    pace: Positive = 10.0
     integral: Weight = 1.0
 
 
 class TaskspaceSettings(Settings):
     """What :class:`wbmpc.studies.minniti2019.taskspace_control.TaskGains` says of them."""
 
-    hand: float = Field(5.02, gt=0)
-    turn: float = Field(2.5, gt=0)
-    ball: float = Field(6.04, gt=0)
-    ball_speed: float = Field(1.07, gt=0)
-    yaw: float = Field(TaskGains.yaw, gt=0)
-    tilt: float = Field(212.0, gt=0)
-    wheel_torque: float = Field(6.69, gt=0)
-    balance: float = Field(1.63, gt=0)
+    hand: Positive = 5.02
+    turn: Positive = 2.5
+    ball: Positive = 6.04
+    ball_speed: Positive = 1.07
+    yaw: Positive = TaskGains.yaw
+    tilt: Positive = 212.0
+    wheel_torque: Positive = 6.69
+    balance: Positive = 1.63
 
 
 class BaselineSettings(Settings):
@@ -102,22 +103,30 @@ ACCURATE_BASELINES = BaselineSettings(
 )
 
 
-class ActuatorSettings(Settings):
-    """What :class:`wbmpc.bases.ball.tracking.ActuatorGains` says of them."""
+class PolicyTracking(Settings):
+    """Between two plans the Riccati feedback acts at the controller's rate."""
 
+    kind: Literal["policy"] = "policy"
+
+
+class ActuatorTracking(Settings):
+    """Between two plans the paper's feed-forward and PD act in the drives, with the gains of
+    :class:`wbmpc.studies.minniti2019.tracking_control.ActuatorGains`."""
+
+    kind: Literal["actuators"] = "actuators"
     wheel_stiffness: Weight = ActuatorGains.wheel_stiffness
     wheel_damping: Weight = ActuatorGains.wheel_damping
     arm_stiffness: Weight = ActuatorGains.arm_stiffness
     arm_damping: Weight = ActuatorGains.arm_damping
-    leak_time_constant: float = Field(ActuatorGains.leak_time_constant, gt=0)
+    leak_time_constant: Positive = ActuatorGains.leak_time_constant
+
+    def gains(self) -> ActuatorGains:
+        """The tracking controller's."""
+        return ActuatorGains(**self.model_dump(exclude={"kind"}))
 
 
-class TrackingSettings(Settings):
-    """What happens between two plans: ``kind`` policy (the Riccati feedback at the controller's rate) or actuators (the paper's
-    feed-forward and PD, in the drives, with these gains)."""
-
-    kind: Literal["policy", "actuators"] = "policy"
-    gains: ActuatorSettings = ActuatorSettings()
+#: What happens between two plans.
+Tracking = Annotated[PolicyTracking | ActuatorTracking, Field(discriminator="kind"), BeforeValidator(kind_alone)]
 
 
 def _weights() -> frozenset[str]:
@@ -162,18 +171,31 @@ _SEPARATES = frozenset(
 )
 
 
-def unread(controller: Controller, tracking: TrackingSettings) -> frozenset[str]:
-    """Names of the ball robot's settings that a controller does not read."""
-    baselines = {f"baseline.{name}" for name in BaselineSettings.model_fields if name != controller.replace("-", "_")}
+def _unread(controller: Controller) -> frozenset[str]:
+    """Keys of the ball robot's settings that a controller does not read."""
+    others = {f"baseline.{name}" for name in BaselineSettings.model_fields if name != controller.replace("-", "_")}
     if controller == "mpc":
-        return frozenset(baselines | {"actuator_dead_time" if tracking.kind == "actuators" else "tracking.gains"})
-    idle = baselines | {"expected_push_time", "max_pushed_speed", "estimate_payload", "tracking.kind", "tracking.gains"}
+        return frozenset(others)
+    idle = others | {"expected_push_time", "max_pushed_speed", "estimate_payload", "tracking"}
     if controller in REGULATORS:
         return frozenset(idle | _PLAN | _NO_REGULATORS)
     if controller == "taskspace":
         return frozenset(idle | _PLAN | _weights() | {"actuator_dead_time"})
     blind = {"estimate_disturbance"} if controller == "separate" else set()
     return frozenset(idle | blind | {"mpc.first_interval", "actuator_dead_time"} | (_weights() - _SEPARATES))
+
+
+def by_controller() -> dict[str, OnlyWith]:
+    """Which controllers read a setting, for all that not every controller reads."""
+    names: tuple[Controller, ...] = get_args(Controller)
+    idle = {name: _unread(name) for name in names}
+    rules = {
+        key: OnlyWith(controller=tuple(n for n in names if key not in idle[n]))
+        for key in sorted(set().union(*idle.values()))
+    }
+    # in the drives the commands of the MPC act at once
+    rules["actuator_dead_time"] &= OnlyWith({"controller": REGULATORS, "tracking.kind": "policy"})
+    return rules
 
 
 @dataclass(frozen=True)
@@ -190,7 +212,7 @@ class Parts:
 
 def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController, MPC | None]:
     """The controller that the settings name, and the MPC that plans for it (None: nothing does)."""
-    policies = settings.controller == "mpc" and settings.tracking.kind != "actuators"
+    policies = settings.controller == "mpc" and settings.tracking.kind == "policy"
     late = policies or settings.controller in REGULATORS
     drives = DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time if late else 0.0)
     own = (p.robot, p.mpc, p.torque, p.period, drives, settings.estimate_disturbance, p.estimator)
@@ -198,7 +220,7 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController,
     if name == "mpc":
         more = (*own, FallPredictor(p.robot, p.arm))
         if settings.tracking.kind == "actuators":
-            return TrackingController(*more, gains=ActuatorGains(**settings.tracking.gains.model_dump())), p.mpc
+            return TrackingController(*more, gains=settings.tracking.gains()), p.mpc
         return BallController(*more), p.mpc
     if name == "taskspace":
         return _taskspace(settings, p), None
@@ -243,7 +265,9 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
     })  # fmt: skip
     planner = MPC(base_problem(p.robot, settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
     planner.reference["body"] = p.mpc.reference["body"]
-    inverse = HandInverse(p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1))
+    inverse = EndEffectorInverse(
+        p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1)
+    )
     controller = SeparateController(
         p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.actuator_time_constant),
         settings.estimate_disturbance and name != "separate", p.estimator,

@@ -1,25 +1,26 @@
-"""`rezero-circle`: the ball drives a circle while the hand stays where it is (Minniti et al. 2019, video)."""
+"""`rezero-circle`: the ball drives a circle while the end effector stays where it is (Minniti et al. 2019, video)."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
+from wbmpc.configuration import OnlyWith, Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.baselines import REGULATORS
-from wbmpc.studies.minniti2019.metrics import ball_felt, common_plots, hand_felt, rms
+from wbmpc.studies.minniti2019.metrics import common_plots, estimated_ball, estimated_end_effector, rms
 from wbmpc.studies.minniti2019.settings import AccurateSettings
 from wbmpc.studies.minniti2019.task import Task, ball_robot, bent_arm, reaching, task_scenario
 
 NAME = "rezero-circle"
-SUMMARY = "the ball drives a circle while the hand stays still (Minniti et al. 2019, video)"
-IDEALISATIONS = ["the hand's orientation is free but for a small weight: three joints hold its position"]
+SUMMARY = "the ball drives a circle while the end effector stays still (Minniti et al. 2019, video)"
+IDEALISATIONS = ["the end effector's orientation is free but for a small weight: three joints hold its position"]
 
 
 class RezeroCircleSettings(AccurateSettings):
@@ -31,8 +32,10 @@ class RezeroCircleSettings(AccurateSettings):
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
     yaw: Literal["held", "free"] = "held"
 
-    def idle(self) -> dict[str, str]:
-        return super().idle() | ({"cost.body.yaw": "yaw=free"} if self.yaw == "free" else {})
+    only_with: ClassVar[Rules] = {
+        **AccurateSettings.only_with,
+        "cost.body.yaw": AccurateSettings.only_with["cost.body.yaw"] & OnlyWith(yaw="held"),
+    }
 
 
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
@@ -61,28 +64,28 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
     body[:, :2] = ball_path(settings, grid)
     velocity = robot.state["base_velocity"].start
     body[:, velocity : velocity + 2] = np.gradient(body[:, :2], grid, axis=0)
-    hand = robot.pose(home)[0]
+    end_effector = robot.pose(home)[0]
 
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
         t = log.times("state")
         use = t >= settings.settle_time
-        wanted = ball_path(settings, t)
+        target = ball_path(settings, t)
         return {
-            "hand_error_rms": Metric(rms((hand_felt(log) - hand)[use]), "m", goal=0.005),
-            "hand_error_rms_world": Metric(rms((log.array("hand") - hand)[use]), "m"),
-            "ball_error_rms": Metric(rms((ball_felt(log) - wanted)[use]), "m"),
+            "hand_error_rms": Metric(rms((estimated_end_effector(log) - end_effector)[use]), "m", goal=0.005),
+            "hand_error_rms_world": Metric(rms((log.array("hand") - end_effector)[use]), "m"),
+            "ball_error_rms": Metric(rms((estimated_ball(log) - target)[use]), "m"),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "fell": Metric(float(ending.fell), "1", goal=0.0),
         }
 
     def plots(log: Log) -> list[Plot]:
-        return common_plots(log, hand, ball_path(settings, log.times("state")))
+        return common_plots(log, end_effector, ball_path(settings, log.times("state")))
 
     reference = Reference(grid, body)
     if settings.controller in REGULATORS:
         times = np.arange(0.0, grid[-1], 0.05)
         places = ball_path(settings, times)
-        reference = reaching(robot, times, places, np.tile(hand, (times.size, 1)), home)
+        reference = reaching(robot, times, places, np.tile(end_effector, (times.size, 1)), home)
     task = Task(arm, duration, {"body": reference})
     return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
 

@@ -30,12 +30,12 @@ _LOG = logging.getLogger("wbmpc")
 NAME = "rezero-door"
 SUMMARY = "the ball robot pushes a door open with a wanted force (Minniti et al. 2019, Fig. 8 and 9)"
 LABELS = ("low", "high")
-#: Where the hand touches the panel, from the hinge; the gap before it [m].
+#: Where the end effector touches the panel, from the hinge; the gap before it [m].
 LEVER, GAP = 0.7, 0.10
 HERE = [
     "the door's hinge is where it is believed to be within door_position_error; the closed panel's place is learnt from the touch",
-    "only the rubber tip of the hand touches the door, and only its panel; the robot's body does not",
-    "the force sensor has noise of 0.1 N and a bias of 0.1 N for each axis; it stands between hand and tip",
+    "only the rubber tip of the end effector touches the door, and only its panel; the robot's body does not",
+    "the force sensor has noise of 0.1 N and a bias of 0.1 N for each axis; it stands between end effector and tip",
     "the closer's torque is constant, dry friction is Coulomb's",
 ]
 #: What the controller believes of a door it has not opened: inertia [kg m²], damping [N m s/rad], resistance [N m].
@@ -52,14 +52,16 @@ def make_plant(
     return DoorPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
 
 
-def believed(hand: np.ndarray) -> DoorGeometry:
-    """The door as the controller believes it to stand before the hand (3) [m] at the start."""
+def believed(end_effector: np.ndarray) -> DoorGeometry:
+    """The door as the controller believes it to stand before the end effector (3) [m] at the start."""
     offset = TIP_RADIUS + HALF_THICKNESS
-    return DoorGeometry((float(hand[0] + GAP + offset), float(hand[1] + LEVER)), -np.pi / 2, 1.0, offset)
+    return DoorGeometry(
+        (float(end_effector[0] + GAP + offset), float(end_effector[1] + LEVER)), -np.pi / 2, 1.0, offset
+    )
 
 
 def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
-    """The steady force [N] on the hand that the limit of the lean holds at home; infinite without that limit.
+    """The steady force [N] on the end effector that the limit of the lean holds at home; infinite without that limit.
 
     A door that gives way takes the force from a robot that leans for it: what the lean then needs to be stopped is left over by
     ``lean_share``. (Rezero: 35 N. Pushed with 30 N it ran after doors and fell, tuning seeds 1 and 6.)"""
@@ -71,14 +73,14 @@ def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
 
 def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tuple[float, str]:
     """The force [N] to push with where ``force`` is asked for, and a message (a warning too) if it is less."""
-    most = settings.lean_share * held(settings, robot)
-    if force <= most:
+    maximum = settings.lean_share * held(settings, robot)
+    if force <= maximum:
         return force, ""
     fault = (
-        f"pushed with {most:.1f} N only: of what the lean can hold, the rest is for doors that give way (lean_share)"
+        f"pushed with {maximum:.1f} N only: of what the lean can hold, the rest is for doors that give way (lean_share)"
     )
     _LOG.warning("%s, at %g N", fault, force)
-    return most, fault
+    return maximum, fault
 
 
 def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
@@ -90,6 +92,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
     mpc = MPC(
         door_problem(robot, settings.mpc, settings.cost, push, settings.scheme, geometry.opening),
         settings.mpc.solver(), settings.mpc.rate,
+        plan_only_limits=True,  # the friction cone, whose axes are the door's
     )  # fmt: skip
     plant = make_plant(settings, robot, home, torque, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
@@ -111,10 +114,10 @@ def make_controller(
     geometry: DoorGeometry,
 ) -> DoorController:  # fmt: skip
     """The controller at home, with its references and what it is to do."""
-    hand, quaternion = robot.pose(home)
-    wanted = lambda t: force * float(np.clip(t / max(settings.rise_time, 1e-9), 0.0, 1.0))
+    end_effector, quaternion = robot.pose(home)
+    target = lambda t: force * float(np.clip(t / max(settings.rise_time, 1e-9), 0.0, 1.0))
     push = Push(
-        wanted, hand, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
+        target, end_effector, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
         back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
     )  # fmt: skip
     for body in ("body", "push_body"):
@@ -123,7 +126,7 @@ def make_controller(
         mpc.reference[twist] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
     for pose in ("hand", "turn"):
-        mpc.reference[pose] = Reference.poses([0.0], hand, quaternion)
+        mpc.reference[pose] = Reference.poses([0.0], end_effector, quaternion)
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
     controller = DoorController(
         robot,

@@ -1,11 +1,11 @@
 """A ball robot that opens a door: contact phases as modes, the door's state, forces in prediction and observer.
 
-Phases: the hand approaches (mode ``free`` up to the predicted touch, then contact: the plan leans before it touches), pushes
+Phases: the end effector approaches (mode ``free`` up to the predicted touch, then contact: the plan leans before it touches), pushes
 (``held`` until the door moves, then ``moving``), lets go when the door is open. A contact is one when the debounced force says
 so; plans made without it have no wrench (one made before, which goes on while newer ones are rejected, still has). A sensor that
-says nothing cannot be reported from a hand that is free, nor one that says the same for ever from a hand that pushes; so its numbers
-must change, and they are compared with the force that the momentum observer finds without it. Before the hand starts it touches
-nothing, whatever the sensor says: that is its zero. A hand whose sensor is not believed lets go, as one does that has found no
+says nothing cannot be distinguished from an end effector that is free, nor a frozen one from an end effector that pushes; so its numbers
+must change, and they are compared with the force that the momentum observer finds without it. Before the end effector starts it touches
+nothing, whatever the sensor says: that is its zero. An end effector whose sensor is not believed lets go, as one does that has found no
 door in time; the force is zero from then on.
 """
 
@@ -22,20 +22,20 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.messages import BallMeasurement
-from wbmpc.estimation.contact import ContactMonitor
-from wbmpc.estimation.force import ForceMonitor
-from wbmpc.estimation.momentum import MomentumObserver
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule, Reference
+from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter
 from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, place_of
+from wbmpc.studies.minniti2019.force import ForceMonitor
+from wbmpc.studies.minniti2019.momentum import MomentumObserver
 from wbmpc.types import Observation
 
 Array = np.ndarray
 _LOG = logging.getLogger("wbmpc")
-#: While it has not touched, the hand is planned to touch no earlier than this [s].
+#: While it has not touched, the end effector is planned to touch no earlier than this [s].
 SOON = 0.05
 #: Least and largest impedance that the optimiser is reported (inertia, damping, resistance).
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
@@ -66,7 +66,7 @@ def modes(door: bool) -> dict[str, Mode]:
 
 @dataclass(frozen=True)
 class Push:
-    """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the hand starts from ``start`` (3) [m] at time
+    """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the end effector starts from ``start`` (3) [m] at time
     ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``opening_angle`` [rad] or, touch or not, at time ``give_up`` [s]
     and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries."""
 
@@ -98,12 +98,12 @@ class DoorController(BallController):
         self.modes = modes(self.with_door)
         self.contact, self.sensor = ContactMonitor(), ForceMonitor()
         self.phase = "approach"
-        self.force = np.zeros(3)  # of the world on the hand, world axes [N]
+        self.force = np.zeros(3)  # of the world on the end effector, world axes [N]
         self.door = np.zeros(2)
         self.touched = self.released = np.inf
         self.moving = False
         self.lever = geometry.lever(push.start, 0.0)
-        self._hand = hand_motion(robot)
+        self._end_effector = end_effector_motion(robot)
         self.sensorless = SensorlessForce(robot)
         self._let_go = push.start
         self._found: list[str] = []
@@ -122,27 +122,27 @@ class DoorController(BallController):
             self._feel(measurement)
         super().measure(measurement)
         assert self.measured is not None
-        hand, velocity = self._hand(self.measured.state)
+        end_effector, velocity = self._end_effector(self.measured.state)
         acted = self.sent.acted(self._late())
         self.sensorless.update(self.measured.state, acted, self.period, self._carried())
         if measurement.time < self.push.begin:
             self.sensorless.observer.zero()
         self._compare(measurement.time)
-        self._follow(measurement.time, hand, velocity)
+        self._follow(measurement.time, end_effector, velocity)
 
     def _pushed(self) -> Array:
         return self.force[:2]
 
     def _watch(self, t: float, arm: Array, h: float) -> None:
-        """While the hand touches, a slow panel may hold a joint still, by forces that are measured late and with noise: the model
+        """While the end effector touches, a slow panel may hold a joint still, by forces that are measured late and with noise: the model
         cannot say then that an arm's encoder stands."""
         super()._watch(t, arm, h)
         if self.contact.touching:
             self._accelerates = None
 
     def _feel(self, m: BallMeasurement) -> None:
-        """The contact force in world axes, with the last known attitude of the hand; zero if the sensor is not believed. Before
-        it starts the hand touches nothing: what the sensor reads then is its zero."""
+        """The contact force in world axes, with the last known attitude of the end effector; zero if the sensor is not believed. Before
+        it starts the end effector touches nothing: what the sensor reads then is its zero."""
         known, free = self.sensor.fault, m.time < self.push.begin
         if not free:
             self.sensor.tare()
@@ -183,41 +183,41 @@ class DoorController(BallController):
         self._found.append(f"{fault} ({t:.2f} s)")
         _LOG.warning("%s", self._found[-1])
 
-    def _follow(self, t: float, hand: Array, velocity: Array) -> None:
+    def _follow(self, t: float, end_effector: Array, velocity: Array) -> None:
         """Phase and door."""
         touching = self.contact.touching
         if touching and self.phase == "approach":
             self.phase, self.touched = "push", t
             normal = self.geometry.directions(0.0)[1]
-            self.geometry = replace(self.geometry, offset=float(-normal[:2] @ (hand[:2] - self.geometry.hinge)))
-            self.lever = self.geometry.lever(hand, 0.0)
+            self.geometry = replace(self.geometry, offset=float(-normal[:2] @ (end_effector[:2] - self.geometry.hinge)))
+            self.lever = self.geometry.lever(end_effector, 0.0)
         if touching:
-            angle = self.geometry.angle(hand)
-            self.door = np.array([angle, self.geometry.rate(hand, velocity, angle)])
+            angle = self.geometry.angle(end_effector)
+            self.door = np.array([angle, self.geometry.rate(end_effector, velocity, angle)])
         else:
             self.door = np.array([self.door[0], 0.0])
         limit = MOVING / 3.0 if self.moving else MOVING
         self.moving = bool(touching and abs(self.door[1]) > limit)
-        self._identify(hand)
+        self._identify(end_effector)
         if self.phase != "release" and self._ends(t):
-            self.phase, self.released, self._let_go = "release", t, hand.copy()
+            self.phase, self.released, self._let_go = "release", t, end_effector.copy()
 
     def _ends(self, t: float) -> bool:
-        """Whether the hand lets go, or turns back: the door is open, it took too long, or its force sensor is not believed."""
+        """Whether the end effector lets go, or turns back: the door is open, it took too long, or its force sensor is not believed."""
         if self.sensor.fault:
             return True
         if self.phase == "approach" and t >= self.push.give_up:
-            self._report("the hand has found no door", t)
+            self._report("the end effector has found no door", t)
         return bool(t >= self.push.give_up or (self.phase == "push" and self.door[0] >= self.push.open))
 
-    def _identify(self, hand: Array) -> None:
+    def _identify(self, end_effector: Array) -> None:
         """The door's impedance, while it moves and is pushed."""
         angle, rate = float(self.door[0]), float(self.door[1])
         if self.phase != "push" or not self.moving or rate < SLIDING:
             self.filter.rest(angle, max(rate, 0.0))
             return
         push = float(-self.geometry.directions(angle)[1] @ self.force)
-        self.filter.update(self.period, self.geometry.lever(hand, angle) * push, angle, rate)
+        self.filter.update(self.period, self.geometry.lever(end_effector, angle) * push, angle, rate)
         if self.identify:
             inertia, damping, resistance = np.clip(self.filter.impedance, *BOUNDS)
             self.impedance = np.array([inertia, min(damping, inertia / FADE_TIME), resistance])
@@ -254,12 +254,12 @@ class DoorController(BallController):
         return ModeSchedule((*order, *others), (*events, *(NEVER + k for k in range(len(others)))))
 
     def predicted_touch(self, now: float) -> float:
-        """When the hand will touch the panel [s], not before one period of the plan after ``now``."""
+        """When the end effector will touch the panel [s], not before one period of the plan after ``now``."""
         assert self.measured is not None
-        hand, velocity = self._hand(self.measured.state)
+        end_effector, velocity = self._end_effector(self.measured.state)
         normal = self.geometry.directions(float(self.door[0]))[1]
         speed = max(float(normal @ velocity), 0.5 * self.push.speed)
-        gap = -self.geometry.gap(hand, float(self.door[0]))
+        gap = -self.geometry.gap(end_effector, float(self.door[0]))
         return max(now + SOON, self.push.begin, self.measured.time + gap / speed)
 
     def _look_ahead(self, until: float, plans: PolicyQueue) -> None:
@@ -268,16 +268,16 @@ class DoorController(BallController):
         angles = self._angles(times, plans)
         normals = np.array([self.geometry.directions(a)[1] for a in angles])
         touch = self.touched if np.isfinite(self.touched) else (schedule.events or (np.inf,))[0]
-        wanted = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
+        target = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
         if self.phase == "approach":
-            wanted = np.minimum(wanted, ANTICIPATED)
+            target = np.minimum(target, ANTICIPATED)
         mpc.set_schedule(schedule)
         mpc.reference["hand"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
-        mpc.reference["force"] = Reference(times, np.column_stack([normals, wanted]))
+        mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
         if "cone" in mpc.ocp.terms:
             mpc.reference["cone"] = Reference(times, normals)
         if "lean" in mpc.ocp.terms:
-            mpc.reference["lean"] = Reference(times, -wanted[:, None] * normals[:, :2])
+            mpc.reference["lean"] = Reference(times, -target[:, None] * normals[:, :2])
 
     def _angles(self, times: Array, plans: PolicyQueue) -> Array:
         """The door's angle [rad] at times [s]: as the last plan has it, or as it is now."""
@@ -287,7 +287,7 @@ class DoorController(BallController):
         return np.interp(times, plans.current.times, plans.current.x[:, place])
 
     def _path(self, times: Array, angles: Array) -> Array:
-        """Where the hand is to be while it is free (n, 3) [m]: on its way to the panel, or away from it."""
+        """Where the end effector is to be while it is free (n, 3) [m]: on its way to the panel, or away from it."""
         push = self.push
         if self.phase == "release":
             away = np.clip(0.3 * (times - self.released), 0.0, push.back)
@@ -299,7 +299,7 @@ class DoorController(BallController):
 
 
 class SensorlessForce:
-    """The force (3) [N] of the world on a ball robot's hand from state and torques alone, beside the measured one."""
+    """The force (3) [N] of the world on a ball robot's end effector from state and torques alone, beside the measured one."""
 
     def __init__(self, robot: RobotModel) -> None:
         n = self._nq = robot.base.nq
@@ -317,15 +317,15 @@ class SensorlessForce:
         self.force = np.zeros(3)
 
     def update(self, state: Array, torque: Array, interval: float, carried: float) -> None:
-        """The state (nx) now, the torques that acted over the ``interval`` [s] before, the mass [kg] that the hand holds."""
+        """The state (nx) now, the torques that acted over the ``interval`` [s] before, the mass [kg] that the end effector holds."""
         q, v = state[: self._nq], state[self._nq :]
         known = np.array(self._known(q, torque)).ravel() + carried * self._load(q)
         self.observer.update(q, v, known, interval)
         self.force = self.observer.force(np.array(self._jacobian(q)), self._weight)
 
 
-def hand_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Array]]:
-    """Position (3) [m] and velocity (3) [m/s] of the hand at a state (nx) of the robot."""
+def end_effector_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Array]]:
+    """Position (3) [m] and velocity (3) [m/s] of the end effector at a state (nx) of the robot."""
     x, u = ca.SX.sym("x", robot.state.size), ca.SX(robot.input.size, 1)
     place, velocity = robot.frame_pose(x, robot.tool).position, robot.frame_velocity(x, u, robot.tool)[0]
     function = ca.Function("hand", [x], [place, velocity])

@@ -13,9 +13,9 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
-from wbmpc.studies.minniti2019.metrics import estimator_metrics, hand_felt, rms
+from wbmpc.studies.minniti2019.metrics import estimated_end_effector, estimator_metrics, rms
 
-#: The peak of the touch is looked for in this time after it [s]; how the hand rests, in this time before the end.
+#: The peak of the touch is looked for in this time after it [s]; how the end effector rests, in this time before the end.
 TOUCH, REST = 0.1, 1.0
 
 
@@ -31,7 +31,7 @@ class Trial:
 
 
 def normal_force(log: Log) -> np.ndarray:
-    """The true force (n,) [N] of the hand on the panel along its normal."""
+    """The true force (n,) [N] of the end effector on the panel along its normal."""
     force: np.ndarray = np.sum(log.array("force") * log.array("normal"), axis=1)
     return force
 
@@ -55,14 +55,14 @@ def pushed(log: Log, rise: float) -> tuple[float, np.ndarray]:
 def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
     """Figures of one run: force error over the reference (lost contact counts in full), peak of the touch [N], share of
     the time in contact, mean lean [rad], largest angle of the door [rad], rms error of the force estimated without the
-    sensor [N], how far the hand swings at rest and is from where it is wanted [m], whether it fell."""
-    log, wanted = trial.log, trial.force
+    sensor [N], how far the end effector swings at rest and is from where it is wanted [m], whether it fell."""
+    log, target = trial.log, trial.force
     touch, use = pushed(log, rise)
     force, t = normal_force(log), log.times("force")
     counted = force[use]
     without_sensor = np.sum(log.array("force_sensorless") * log.array("normal"), axis=1)[use] - counted
     return {
-        "force_error_ratio": float(np.sqrt(np.mean((counted - wanted) ** 2)) / wanted) if counted.size else np.inf,
+        "force_error_ratio": float(np.sqrt(np.mean((counted - target) ** 2)) / target) if counted.size else np.inf,
         "touch_peak": float(force[(t >= touch) & (t < touch + TOUCH)].max(initial=0.0)),
         "contact_share": float(np.mean(counted > 0.0)) if counted.size else 0.0,
         "lean_mean": float(lean(log)[use].mean()) if counted.size else 0.0,
@@ -74,7 +74,7 @@ def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
 
 
 def rest(trial: Trial) -> dict[str, float]:
-    """The hand in the last :data:`REST` after the release: its largest swing, peak to peak along an axis (true), and the rms of its
+    """The end effector in the last :data:`REST` after the release: its largest swing, peak to peak along an axis (true), and the rms of its
     distance from where it is wanted, as the controller sees it [m]; infinite for a run that did not get there."""
     log = trial.log
     t, pushing = log.times("hand"), np.flatnonzero(log.array("pushing") > 0.0)
@@ -83,7 +83,7 @@ def rest(trial: Trial) -> dict[str, float]:
         return {"rest_hand_swing": np.inf, "rest_hand_error": np.inf}
     return {
         "rest_hand_swing": float(np.ptp(log.array("hand")[use], axis=0).max()),
-        "rest_hand_error": rms((hand_felt(log) - log.array("hand_wanted"))[use]),
+        "rest_hand_error": rms((estimated_end_effector(log) - log.array("hand_wanted"))[use]),
     }
 
 
@@ -96,13 +96,13 @@ def metrics(trials: Sequence[Trial], names: Sequence[str], rise: float) -> dict[
         out[f"force_error_ratio_{name}"] = Metric(f["force_error_ratio"], "1", goal=0.10)
         out[f"contact_share_{name}"] = Metric(f["contact_share"], "1")
         out[f"lean_mean_{name}"] = Metric(f["lean_mean"], "rad")
-    most = lambda key: max(f[key] for f in figures.values())
-    out["touch_peak"] = Metric(most("touch_peak"), "N")
-    out["force_estimate_error_rms"] = Metric(most("force_estimate_error_rms"), "N")
-    out["door_angle_max"] = Metric(most("door_angle_max"), "rad")
-    out["rest_hand_swing"] = Metric(most("rest_hand_swing"), "m")
-    out["rest_hand_error"] = Metric(most("rest_hand_error"), "m")
-    out["fell"] = Metric(most("fell"), "1", goal=0.0)
+    maximum = lambda key: max(f[key] for f in figures.values())
+    out["touch_peak"] = Metric(maximum("touch_peak"), "N")
+    out["force_estimate_error_rms"] = Metric(maximum("force_estimate_error_rms"), "N")
+    out["door_angle_max"] = Metric(maximum("door_angle_max"), "rad")
+    out["rest_hand_swing"] = Metric(maximum("rest_hand_swing"), "m")
+    out["rest_hand_error"] = Metric(maximum("rest_hand_error"), "m")
+    out["fell"] = Metric(maximum("fell"), "1", goal=0.0)
     return out
 
 
@@ -114,18 +114,18 @@ def worst_estimates(trials: Sequence[Trial]) -> dict[str, Metric]:
 
 def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Plot]:
     """The paper's Fig. 9 for one force, with what was planned; door, impedance and torques."""
-    log, wanted = trial.log, trial.force
+    log, target = trial.log, trial.force
     t, normal, state = log.times("force"), log.array("normal"), log.array("state")
     touch, _ = pushed(log, settings.rise_time)
     along = lambda channel: np.sum(log.array(channel) * normal, axis=1)
     tangential = np.linalg.norm(log.array("force") - normal_force(log)[:, None] * normal, axis=1)
-    reference = wanted * np.clip((t - touch) / max(settings.rise_time, 1e-9), 0.0, 1.0) * log.array("pushing")
-    label = f"{wanted:g} N"
+    reference = target * np.clip((t - touch) / max(settings.rise_time, 1e-9), 0.0, 1.0) * log.array("pushing")
+    label = f"{target:g} N"
     door, believed_door = np.rad2deg(log.array("door")), np.rad2deg(log.array("door_estimated"))
     impedance, first = log.array("impedance"), np.maximum(np.abs(log.array("impedance")[0]), 1e-9)
     parts = zip(("inertia", "damping", "resistance"), (impedance / first).T, strict=True)
     return [
-        Plot(f"Force at the hand, reference {label} (Fig. 9, above)", "time [s]", "force [N]", [
+        Plot(f"Force at the end effector, reference {label} (Fig. 9, above)", "time [s]", "force [N]", [
             Series("along the normal, true", t, normal_force(log)), Series("measured, in contact", t, along("force_measured")),
             Series("estimated without the sensor", t, along("force_sensorless")),
             Series("planned", t, along("force_planned")), Series("reference", t, reference, dashed=True),

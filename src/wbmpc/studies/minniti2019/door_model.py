@@ -1,8 +1,8 @@
-"""A door as part of the system that is planned: its states, its impedance, and where the hand touches it.
+"""A door as part of the system that is planned: its states, its impedance, and where the end effector touches it.
 
-Minniti et al. 2019 plan the wrench at the hand as a free input and leave the door's motion out (their section V-A): the
+Minniti et al. 2019 plan the wrench at the end effector as a free input and leave the door's motion out (their section V-A): the
 optimiser may give the environment any impedance. Here the door's angle φ and rate are states, I φ̈ + d φ̇ + c = −ℓ nᵀF for the force
-F of the world on the hand, and the hand's distance from the panel is a function of robot and door whose second derivative a
+F of the world on the end effector, and the end effector's distance from the panel is a function of robot and door whose second derivative a
 state-input equality keeps at zero (:class:`wbmpc.studies.minniti2019.door_residuals.PanelContact`).
 """
 
@@ -30,7 +30,7 @@ IMPEDANCE = ("inertia", "damping", "resistance")
 @dataclass(frozen=True)
 class DoorGeometry:
     """Where a door is believed to be: ``hinge`` (2) [m]; ``closed`` [rad]: heading of the closed panel from the hinge;
-    ``opening``: +1 counter-clockwise, −1 clockwise; ``offset`` [m] of the hand's centre from the panel's middle plane when it
+    ``opening``: +1 counter-clockwise, −1 clockwise; ``offset`` [m] of the end effector's centre from the panel's middle plane when it
     touches."""
 
     hinge: tuple[float, float]
@@ -44,35 +44,35 @@ class DoorGeometry:
         along = np.array([np.cos(heading), np.sin(heading), 0.0])
         return along, self.opening * np.array([-along[1], along[0], 0.0])
 
-    def lever(self, hand: ArrayLike, angle: float) -> float:
-        """Distance [m] of the hand (3) [m] from the hinge along the panel."""
-        return float(self.directions(angle)[0][:2] @ (np.asarray(hand)[:2] - self.hinge))
+    def lever(self, end_effector: ArrayLike, angle: float) -> float:
+        """Distance [m] of the end effector (3) [m] from the hinge along the panel."""
+        return float(self.directions(angle)[0][:2] @ (np.asarray(end_effector)[:2] - self.hinge))
 
-    def gap(self, hand: ArrayLike, angle: float) -> float:
-        """How far [m] the hand (3) is beyond the surface of the panel; negative before it touches."""
-        return float(self.directions(angle)[1][:2] @ (np.asarray(hand)[:2] - self.hinge)) + self.offset
+    def gap(self, end_effector: ArrayLike, angle: float) -> float:
+        """How far [m] the end effector (3) is beyond the surface of the panel; negative before it touches."""
+        return float(self.directions(angle)[1][:2] @ (np.asarray(end_effector)[:2] - self.hinge)) + self.offset
 
-    def angle(self, hand: ArrayLike) -> float:
-        """The angle [rad] of a panel that the hand (3) [m] touches."""
-        out = np.asarray(hand)[:2] - self.hinge
+    def angle(self, end_effector: ArrayLike) -> float:
+        """The angle [rad] of a panel that the end effector (3) [m] touches."""
+        out = np.asarray(end_effector)[:2] - self.hinge
         radius = float(np.hypot(*out))
         if radius <= self.offset:
-            raise InputError(f"door: a hand {radius:g} m from the hinge cannot touch the panel")
+            raise InputError(f"door: an end effector {radius:g} m from the hinge cannot touch the panel")
         turn = self.opening * (np.arctan2(out[1], out[0]) - self.closed)
         return float(np.remainder(turn + np.pi, 2.0 * np.pi) - np.pi + np.arcsin(self.offset / radius))
 
-    def rate(self, hand: ArrayLike, velocity: ArrayLike, angle: float) -> float:
-        """The rate [rad/s] of a panel that the hand (3) [m], moving at ``velocity`` (3) [m/s], keeps touching."""
-        return float(self.directions(angle)[1] @ np.asarray(velocity, float)) / self.lever(hand, angle)
+    def rate(self, end_effector: ArrayLike, velocity: ArrayLike, angle: float) -> float:
+        """The rate [rad/s] of a panel that the end effector (3) [m], moving at ``velocity`` (3) [m/s], keeps touching."""
+        return float(self.directions(angle)[1] @ np.asarray(velocity, float)) / self.lever(end_effector, angle)
 
     def place(self, angle: float, lever: float, height: float) -> Array:
-        """Where the hand (3) [m] is that touches the panel at ``lever`` [m] from the hinge."""
+        """Where the end effector (3) [m] is that touches the panel at ``lever`` [m] from the hinge."""
         along, normal = self.directions(angle)
         return np.array([*self.hinge, height]) + lever * along - self.offset * normal
 
 
 class WithDoor:
-    """A robot whose hand may push a door: states ``door.angle``, ``door.rate``; the hand's force must be an input.
+    """A robot whose end effector may push a door: states ``door.angle``, ``door.rate``; the end effector's force must be an input.
 
     Parameters ``place`` (hinge x, y, closed heading, offset) and ``impedance`` (inertia about the hinge [kg m²], damping
     [N m s/rad], resistance [N m]: closer and dry friction of a door that opens). Mode value ``door.moves``: 1, or 0 for a door
@@ -81,7 +81,9 @@ class WithDoor:
 
     def __init__(self, robot: RobotModel, opening: float = 1.0) -> None:
         if "force" not in robot.input:
-            raise InputError(f"{robot.description.name}: a door needs the hand's force as an input (contact='force')")
+            raise InputError(
+                f"{robot.description.name}: a door needs the end effector's force as an input (contact='force')"
+            )
         inner = robot.dynamics()
         self.robot, self.inner, self.opening = robot, inner, opening
         self.state = Layout({**inner.state.groups, "door": ("angle", "rate")})
@@ -107,11 +109,11 @@ class WithDoor:
         return self.robot.frame_pose(own, self.robot.tool).position[0:2] - w[self.parameters["place"]][0:2]
 
     def gap(self, x: ca.SX, w: ca.SX) -> ca.SX:
-        """How far [m] the hand is beyond the panel's surface."""
+        """How far [m] the end effector is beyond the panel's surface."""
         return ca.dot(self._directions(x, w)[1], self._from_hinge(x, w)) + w[self.parameters["place"]][3]
 
     def lever(self, x: ca.SX, w: ca.SX) -> ca.SX:
-        """Distance [m] of the hand from the hinge along the panel."""
+        """Distance [m] of the end effector from the hinge along the panel."""
         return ca.dot(self._directions(x, w)[0], self._from_hinge(x, w))
 
     # ------------------------------------------------------------------ dynamics
@@ -139,7 +141,7 @@ class WithDoor:
         return ca.vertcat(f, door), ca.vertcat(wide, ca.jacobian(door, ca.vertcat(x, u)))
 
     def contact(self, x: ca.SX, w: ca.SX) -> ca.SX:
-        """Where the hand is on the panel (3) [m]: beyond its surface, along it from the hinge, height."""
+        """Where the end effector is on the panel (3) [m]: beyond its surface, along it from the hinge, height."""
         own = x[: self.inner.state.size]
         height = self.robot.frame_pose(own, self.robot.tool).position[2]
         return ca.vertcat(self.gap(x, w), self.lever(x, w), height)

@@ -1,8 +1,8 @@
-"""A door that a ball robot pushes with its hand, and the force sensor in that hand.
+"""A door that a ball robot pushes with its end effector, and the force sensor in that end effector.
 
 The panel is a box on a hinge with inertia, damping, dry friction and a closer; it may stick until it has moved once, or be
-locked. The hand touches it with a soft ball of rubber on a light body of its own (``hand_tip``), so that the sensor between
-hand and tip reads hardly any inertia. Only the tip touches the panel.
+locked. The end effector touches it with a soft ball of rubber on a light body of its own (``hand_tip``), so that the sensor between
+end effector and tip reads hardly any inertia. Only the tip touches the panel.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Door:
 
 @dataclass(frozen=True)
 class ForceSensor:
-    """Three axes between hand and tip, averaged between messages: noise (standard deviation) [N] of a message, and a constant
+    """Three axes between end effector and tip, averaged between messages: noise (standard deviation) [N] of a message, and a constant
     ``bias`` [N], drawn within ± this for each axis (what is left after zeroing)."""
 
     noise: float = 0.1
@@ -103,10 +103,10 @@ class ForceSensor:
 
 
 def add_tip(spec: mujoco.MjSpec, tool: str, grip: float) -> None:
-    """A rubber tip at the site ``tool`` with a force sensor in the hand's axes."""
+    """A rubber tip at the site ``tool`` with a force sensor in the end effector's axes."""
     site = next((s for s in spec.sites if s.name == tool), None)
     if site is None:
-        raise InputError(f"door: the hand '{tool}' must be a site of the robot's file")
+        raise InputError(f"door: the end effector '{tool}' must be a site of the robot's file")
     tip = site.parent.add_body(name="hand_tip", pos=site.pos, quat=site.quat)
     tip.explicitinertial, tip.mass, tip.ipos = True, TIP_MASS, [0, 0, 0]
     tip.inertia = [0.4 * TIP_MASS * TIP_RADIUS**2] * 3
@@ -120,7 +120,7 @@ def add_tip(spec: mujoco.MjSpec, tool: str, grip: float) -> None:
 
 
 class DoorPlant(BallPlant):
-    """A ball robot before a door. Its measurements also hold the ``force`` (3) [N] that the sensor in the hand reads.
+    """A ball robot before a door. Its measurements also hold the ``force`` (3) [N] that the sensor in the end effector reads.
 
     The other arguments are those of :class:`BallPlant`.
     """
@@ -154,7 +154,7 @@ class DoorPlant(BallPlant):
 
     def _record(self) -> None:
         super()._record()
-        # MuJoCo's sensor reads what the hand does to the tip
+        # MuJoCo's sensor reads what the end effector does to the tip
         self._forces.append(-self.data.sensordata[:3])
 
     def step(self, command: BallCommand, steps: int = 1) -> None:
@@ -162,8 +162,8 @@ class DoorPlant(BallPlant):
         self._pressed = self._panel_force()
 
     def measure(self) -> BallMeasurement:
-        """As of the robot, with the force of the same moment in the hand's axes: what the world and the tip's weight do to
-        the hand, averaged over the last controller period of 2.5 ms."""
+        """As of the robot, with the force of the same moment in the end effector's axes: what the world and the tip's weight do to
+        the end effector, averaged over the last controller period of 2.5 ms."""
         if self._last is not None and self._last.time == self.time:
             return self._last
         message = super().measure()
@@ -191,7 +191,7 @@ class DoorPlant(BallPlant):
         return self.door.opening * np.array([-np.sin(heading), np.cos(heading), 0.0])
 
     def contact_force(self) -> Array:
-        """The force (3) [N] of the hand on the panel in the last physics step, world axes; zero without contact."""
+        """The force (3) [N] of the end effector on the panel in the last physics step, world axes; zero without contact."""
         return self._pressed.copy()
 
     def _panel_force(self) -> Array:

@@ -1,17 +1,17 @@
-"""The problem of the ball robot before a door: free hand and pushing hand as modes, with and without the door's equation."""
+"""The problem of the ball robot before a door: free end effector and pushing end effector as modes, with and without the door's equation."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
 from wbmpc.bases.ball.residuals import JointEffort
+from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
-from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 from wbmpc.studies.minniti2019.door_model import WithDoor
 from wbmpc.studies.minniti2019.door_residuals import PanelContact
 
@@ -19,7 +19,7 @@ PUSHING = ("held", "moving")
 
 
 class PushCost(Settings):
-    """Weights while the hand pushes: error of the force along the normal and tangential forces [1/N²], orientation of the hand
+    """Weights while the end effector pushes: error of the force along the normal and tangential forces [1/N²], orientation of the end effector
     [1/rad²], its linear and angular velocity, the ball's speed, the arm's angles [1/rad²] (a posture in which to follow the
     door)."""
 
@@ -32,26 +32,26 @@ class PushCost(Settings):
     arm: Weight = 5.0
 
 
-#: For a hand whose motion the optimiser does not tie to the door: all force errors count alike, no posture (seeds 0 and 1).
+#: For an end effector whose motion the optimiser does not tie to the door: all force errors count alike, no posture (seeds 0 and 1).
 UNTIED = PushCost(tangential=1.0, arm=0.0)
 
 
 class DoorScheme(Settings):
     """``row``: the door's states and equation in the problem; ``identify``: its impedance is estimated as it moves;
-    ``cone``: the hand can only push, within the friction cone of coefficient ``friction``, as hard limits;
+    ``cone``: the end effector can only push, within the friction cone of coefficient ``friction``, as hard limits;
     ``baumgarte`` [1/s]: how fast planned gaps close; ``door_rate`` [rad/s]: no faster is the door to move (with ``row``)."""
 
     row: bool = True
     identify: bool = True
     cone: bool = True
-    friction: float = Field(0.35, gt=0)
-    least: float = Field(0.5, ge=0)
-    baumgarte: float = Field(10.0, gt=0)
-    door_rate: float = Field(0.8, gt=0)
+    friction: Annotated[Positive, OnlyWith(cone=True)] = 0.35
+    least: Annotated[Weight, OnlyWith(cone=True)] = 0.5
+    baumgarte: Annotated[Positive, OnlyWith(row=True)] = 10.0
+    door_rate: Annotated[Positive, OnlyWith(row=True)] = 0.8
 
 
 def suited(scheme: DoorScheme) -> PushCost:
-    """The weights while the hand pushes that suit a scheme."""
+    """The weights while the end effector pushes that suit a scheme."""
     return PushCost() if scheme.row else UNTIED
 
 

@@ -1,4 +1,4 @@
-"""Residuals of a hand and a door that move together."""
+"""Residuals of an end effector and a door that move together."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from wbmpc.ocp.symbols import Symbols
 
 @dataclass(frozen=True)
 class PanelContact:
-    """Hand and door move together: the hand stays at its place on the panel, by rows of acceleration (Baumgarte 1972).
+    """End effector and door move together: the end effector stays at its place on the panel, by rows of acceleration (Baumgarte 1972).
 
     ``normal``: g̈ + 2 ``rate`` ġ + ``rate``² g for the distance g [m] from the panel, with g̈ = tᵀ(J q̈ + J̇ q̇) − ℓ φ̈ + … and φ̈ from
     the door's own equation: the row that Minniti et al. 2019, section V-A, leave out. ``stick``: s̈ + 2 ``rate`` ṡ for the
-    place along the panel and the height: a hand inside its friction cone does not slide. ``dynamics``: a
+    place along the panel and the height: an end effector inside its friction cone does not slide. ``dynamics``: a
     :class:`wbmpc.studies.minniti2019.door_model.WithDoor`; ``rate`` [1/s].
     """
 

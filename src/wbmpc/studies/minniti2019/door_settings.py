@@ -8,7 +8,8 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from wbmpc.bases.ball.defaults import BodyCost, HandCost, RezeroCost, TorqueCost
+from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost, TorqueCost
+from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, PushCost, suited
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
@@ -23,13 +24,13 @@ DOORS: dict[str, dict[str, Any]] = {
 
 class RezeroDoorSettings(RezeroSettings):
     """``forces`` [N] along the normal, a run each, reached ``rise_time`` [s] after the touch; ``door``: its kind; ``settle_time`` [s] before
-    the hand starts, with ``speed`` [m/s]; it lets go at ``opening_angle`` [rad], or ``timeout`` [s] after it started; the run ends
+    the end effector starts, with ``speed`` [m/s]; it lets go at ``opening_angle`` [rad], or ``timeout`` [s] after it started; the run ends
     ``final_hold_time`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
     (what is left out: as suits the scheme); ``door_position_error`` [m]: the door's place is not known better; ``lean_share``: a force beyond this
     share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is reported."""
 
     cost: RezeroCost = RezeroCost(
-        end_effector=HandCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
+        end_effector=EndEffectorCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
         body=BodyCost(ball_speed=1.0, tilt_rate=5.0, arm=1.0),
         torque=TorqueCost(wheel=0.2, arm=0.3),
         lean=0.6,
@@ -48,19 +49,18 @@ class RezeroDoorSettings(RezeroSettings):
     door_position_error: float = Field(0.01, ge=0, le=0.05)
     lean_share: float = Field(0.6, gt=0, le=10.0)
 
-    unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "baseline", "tracking", "expected_push_time", "max_pushed_speed", "cost.end_effector.turn_limit",
-    )  # fmt: skip
-
-    def idle(self) -> dict[str, str]:
-        scheme, out = self.scheme, super().idle()
-        if not scheme.row:
-            out |= dict.fromkeys(("scheme.door_rate", "scheme.baumgarte"), "scheme.row=false")
-        if not scheme.cone:
-            out |= dict.fromkeys(("scheme.friction", "scheme.least"), "scheme.cone=false")
-        if self.cost.lean == 0.0:
-            out["lean_share"] = "cost.lean=0"
-        return out
+    only_with: ClassVar[Rules] = {
+        **RezeroSettings.only_with,
+        **unused(
+            "controller",
+            "baseline",
+            "tracking",
+            "expected_push_time",
+            "max_pushed_speed",
+            "cost.end_effector.turn_limit",
+        ),
+        "lean_share": OnlyWith({"cost.lean": POSITIVE}),
+    }
 
     @field_validator("push", mode="before")
     @classmethod

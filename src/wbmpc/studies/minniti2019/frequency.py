@@ -11,7 +11,6 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_problem, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
-from wbmpc.bases.ball.frequency import FrequencyAwareController
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.sent_torques import DriveSettings
@@ -21,6 +20,7 @@ from wbmpc.model.augment import InputFilter
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference, frequency_aware
 from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.studies.minniti2019.frequency_control import FrequencyAwareController
 from wbmpc.studies.minniti2019.frequency_figures import metrics, plots
 from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics

@@ -25,13 +25,13 @@ def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Endi
     for name in (n for n in endings if f"hand_{n}" in log.channels):
         error = torque_error(log, name)
         wheels = count_wheels(log.array(f"state_{name}"), error)
-        t, hand = log.times(f"hand_{name}"), log.array(f"hand_{name}")
+        t, end_effector = log.times(f"hand_{name}"), log.array(f"hand_{name}")
         step = np.array(settings.step)
         start = settings.settle_time - lead
         window = (t >= start) & (t < start + settings.hold_time)
-        done = (hand[window] - log.array(f"wanted_{name}")[0]) @ step / (step @ step)
+        done = (end_effector[window] - log.array(f"wanted_{name}")[0]) @ step / (step @ step)
         last = (t >= start + settings.hold_time - 1.0) & (t < start + settings.hold_time)
-        steady = np.linalg.norm(hand[last] - log.array(f"wanted_{name}")[0] - step, axis=1)
+        steady = np.linalg.norm(end_effector[last] - log.array(f"wanted_{name}")[0] - step, axis=1)
         squares = lambda part: float(np.sqrt(np.mean(np.sum(part**2, axis=1) / part.shape[1])))
         out |= {
             f"torque_error_rms_{name}": Metric(squares(error[:, :wheels]), "N m"),
@@ -51,8 +51,8 @@ def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Endi
 def plots(log: Log) -> list[Plot]:
     done = [n for n in VARIANTS if f"hand_{n}" in log.channels]
     t = {n: log.times(f"hand_{n}") for n in done}
-    wanted = log.array(f"wanted_{done[0]}")
-    moved = int(np.argmax(np.ptp(wanted, axis=0)))
+    target = log.array(f"wanted_{done[0]}")
+    moved = int(np.argmax(np.ptp(target, axis=0)))
     lines = [Series(n, t[n], log.array(f"hand_{n}")[:, moved]) for n in done]
     asked = log.array(f"asked_{done[0]}")
     count = count_wheels(log.array(f"state_{done[0]}"), asked)
@@ -69,8 +69,8 @@ def plots(log: Log) -> list[Plot]:
     frequency = {n: np.fft.rfftfreq(len(t[n]), float(np.median(np.diff(t[n])))) for n in done}
     band = {n: np.abs(np.fft.rfft(log.array(f"asked_{n}")[:, wheel])) / len(t[n]) for n in done}
     return [
-        Plot(f"Hand, {'xyz'[moved]}", "time [s]", "position [m]", [
-            *lines, Series("asked", t[done[0]], wanted[:, moved], dashed=True),
+        Plot(f"End effector, {'xyz'[moved]}", "time [s]", "position [m]", [
+            *lines, Series("asked", t[done[0]], target[:, moved], dashed=True),
         ]),
         Plot(f"Torque of wheel {wheel}, asked and acting", "time [s]", "torque [N m]", wheels),
         Plot(f"Torque error of wheel {wheel}", "time [s]", "torque [N m]", [Series(n, t[n], errors[n][:, wheel]) for n in done]),

@@ -9,31 +9,32 @@ from pydantic import Field, field_validator, model_validator
 
 from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
-from wbmpc.settings import Settings, Weight
+from wbmpc.configuration import OnlyWith, Rules, unused
+from wbmpc.settings import Positive, Settings, Weight
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 VARIANTS = ("plain", "shaped")
 #: Shorter steps [m] cannot be distinguished from the noise.
-LEAST_STEP = 0.01
+MIN_STEP = 0.01
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
 ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, actuator_time_constant=0.0)
 
 
 class FilterSettings(Settings):
     """ν = (pole / zero) (s + zero) / (s + pole) u in rad/s for wheels and arm; ``wheel_weight`` and ``arm_weight``: factors of the
-    torques' weights with the filter, so that the hand rises as fast as without."""
+    torques' weights with the filter, so that the end effector rises as fast as without."""
 
-    wheel_zero: float = Field(20.0, gt=0)
-    wheel_pole: float = Field(160.0, gt=0)
-    arm_zero: float = Field(20.0, gt=0)
-    arm_pole: float = Field(160.0, gt=0)
+    wheel_zero: Positive = 20.0
+    wheel_pole: Positive = 160.0
+    arm_zero: Positive = 20.0
+    arm_pole: Positive = 160.0
     wheel_weight: Weight = 1.0
     arm_weight: Weight = 1.0
 
 
 class RezeroFrequencySettings(RezeroSettings):
-    """``step`` (3) [m] of the hand and back, ``settle_time`` [s] before it, ``hold_time`` [s] of each; ``filters`` of the shaped variant;
+    """``step`` (3) [m] of the end effector and back, ``settle_time`` [s] before it, ``hold_time`` [s] of each; ``filters`` of the shaped variant;
     ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
 
     plant: Perturbation = ELASTIC
@@ -46,21 +47,20 @@ class RezeroFrequencySettings(RezeroSettings):
     preview: bool = True
     variants: tuple[str, ...] = VARIANTS
 
-    unused: ClassVar[tuple[str, ...]] = (
-        *RezeroSettings.unused, "controller", "baseline", "tracking", "estimate_payload",
-        "expected_push_time", "max_pushed_speed", "actuator_dead_time",
-    )  # fmt: skip
-
-    def idle(self) -> dict[str, str]:
-        filters = [f"filters.{name}" for name in FilterSettings.model_fields]
-        return super().idle() | ({} if "shaped" in self.variants else dict.fromkeys(filters, "variants=[plain]"))
+    only_with: ClassVar[Rules] = {
+        **RezeroSettings.only_with,
+        **unused(
+            "controller", "baseline", "tracking", "estimate_payload", "expected_push_time", "max_pushed_speed", "actuator_dead_time",
+        ),
+        **{f"filters.{name}": OnlyWith(variants="shaped") for name in FilterSettings.model_fields},
+    }  # fmt: skip
 
     @field_validator("step")
     @classmethod
     def _somewhere(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
         length = float(np.linalg.norm(value))
-        if not LEAST_STEP <= length <= 1.0:
-            raise ValueError(f"a step of {LEAST_STEP:g} to 1 m is needed: its rise is measured")
+        if not MIN_STEP <= length <= 1.0:
+            raise ValueError(f"a step of {MIN_STEP:g} to 1 m is needed: its rise is measured")
         return value
 
     @model_validator(mode="after")

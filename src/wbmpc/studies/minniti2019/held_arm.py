@@ -31,7 +31,7 @@ class ServoedArm:
         base = ball_base(robot)
         if base.base.payload:
             raise InputError(
-                f"{robot.description.name}: a base whose arm others move has no mass at the hand (base.payload)"
+                f"{robot.description.name}: a base whose arm others move has no mass at the end effector (base.payload)"
             )
         self._base, self._robot = base, robot
         self.state, self.mode = robot.state, Layout({})

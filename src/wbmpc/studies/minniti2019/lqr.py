@@ -1,6 +1,6 @@
 """Baselines of the MPC for a ball robot: linear-quadratic regulators about its equilibria, at the controller's rate.
 
-They have the MPC's weights (hand pose and twist, ball, rates, torques), its estimator, its estimated disturbance and its drives'
+They have the MPC's weights (end effector pose and twist, ball, rates, torques), its estimator, its estimated disturbance and its drives'
 limits, but no horizon with limits: what they ask for is cut. References are equilibria. The gain-scheduled one takes its gains
 from a grid of arm angles and turns with the base's heading; the plain one has the gain of home.
 """
@@ -28,17 +28,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LqrWeights:
-    """Per second, as the MPC's: ``hand`` (6): position [1/m²] and orientation [1/rad²]; ``twist`` (6) of the hand; ``state`` (nx)
+    """Per second, as the MPC's: ``end_effector`` (6): position [1/m²] and orientation [1/rad²]; ``twist`` (6) of the end effector; ``state`` (nx)
     deviations of the state; ``torque`` (nu)."""
 
-    hand: Array
+    end_effector: Array
     twist: Array
     state: Array
     torque: Array
 
     def __post_init__(self) -> None:
         """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
-        for name, size in (("hand", 6), ("twist", 6), ("state", np.size(self.state)), ("torque", np.size(self.torque))):
+        for name, size in (
+            ("end_effector", 6),
+            ("twist", 6),
+            ("state", np.size(self.state)),
+            ("torque", np.size(self.torque)),
+        ):
             least = float(numbers("regulator's weights", name, getattr(self, name), size).min())
             (positive if name == "torque" else not_negative)("regulator's weights", **{name: least})
 
@@ -54,19 +59,22 @@ class RegulatorGains:
         w = ca.SX.zeros(robot.parameters.size)
         _, jacobian = dynamics.jacobian(x, u, w, ca.SX(0, 1))
         linear, angular = robot.frame_velocity(x, u, robot.tool)
-        hand = ca.jacobian(ca.vertcat(linear, angular), x[n:])
-        self._linear = ca.Function("linear", [x, u], [ca.densify(jacobian), ca.densify(hand)])
+        end_effector = ca.jacobian(ca.vertcat(linear, angular), x[n:])
+        self._linear = ca.Function("linear", [x, u], [ca.densify(jacobian), ca.densify(end_effector)])
 
     def at(self, arm: Array) -> Array:
         """The gain for arm angles [rad]."""
         x, u = self.robot.base.numeric.equilibrium(arm)
-        jacobian, hand = (np.array(v) for v in self._linear(x, u))
+        jacobian, end_effector = (np.array(v) for v in self._linear(x, u))
         size, s = x.size, self.weights
         a, b = jacobian[:, :size], jacobian[:, size:]
         both = expm(self.period * np.block([[a, b], [np.zeros((u.size, size + u.size))]]))
-        still = np.zeros_like(hand)
-        place, moves = np.hstack([hand, still]), np.hstack([still, hand])  # at rest: the hand's displacement is J δq
-        q = place.T @ np.diag(s.hand) @ place + moves.T @ np.diag(s.twist) @ moves + np.diag(s.state)
+        still = np.zeros_like(end_effector)
+        place, moves = (
+            np.hstack([end_effector, still]),
+            np.hstack([still, end_effector]),
+        )  # at rest: the end effector's displacement is J δq
+        q = place.T @ np.diag(s.end_effector) @ place + moves.T @ np.diag(s.twist) @ moves + np.diag(s.state)
         q, r = self.period * (q + 1e-6 * np.eye(size)), self.period * np.diag(s.torque)
         ad, bd = both[:size, :size], both[:size, size:]
         p = solve_discrete_are(ad, bd, q, r)
@@ -94,26 +102,26 @@ class RegulatorGains:
 
 
 class LqrController(BallController):
-    """A regulator in the MPC's place. ``wanted_state``: the equilibrium (nx) to be at, over time [s]; ``scheduled``: gains by arm
-    angles, turned with the heading. ``most`` [m]: position errors beyond it are cut, as the MPC's pull no harder."""
+    """A regulator in the MPC's place. ``target_state``: the equilibrium (nx) to be at, over time [s]; ``scheduled``: gains by arm
+    angles, turned with the heading. ``maximum`` [m]: position errors beyond it are cut, as the MPC's pull no harder."""
 
     gains: RegulatorGains
-    wanted_state: Callable[[float], Array]
+    target_state: Callable[[float], Array]
     scheduled: bool = False
-    most: float = 0.1
+    maximum: float = 0.1
 
     def regulate(
-        self, gains: RegulatorGains, wanted_state: Callable[[float], Array], scheduled: bool, most: float
+        self, gains: RegulatorGains, target_state: Callable[[float], Array], scheduled: bool, maximum: float
     ) -> None:
         """What the regulator needs beside the controller's own."""
-        self.gains, self.wanted_state, self.scheduled, self.most = gains, wanted_state, scheduled, most
+        self.gains, self.target_state, self.scheduled, self.maximum = gains, target_state, scheduled, maximum
         home = self.robot.home[self.robot.state["arm"]]
         self._home, self._shift = gains.at(home), gains.at_rest(home)
         self._rest: tuple[Array, Array] = (np.full(self.robot.state.size, np.nan), np.zeros(self.limit.size))
 
     def _equilibrium(self, t: float) -> tuple[Array, Array]:
         """State and torques to be at."""
-        x = self.wanted_state(t)
+        x = self.target_state(t)
         if not np.array_equal(x, self._rest[0]):
             self._rest = x, self.robot.base.numeric.equilibrium(x[self.robot.state["arm"]], float(x[2]))[1]
         return self._rest
@@ -127,11 +135,11 @@ class LqrController(BallController):
 
     def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
         n = self.robot.base.nq
-        wanted, torque = self._equilibrium(t)
+        target, torque = self._equilibrium(t)
         shift = self._shift @ self.disturbance  # as the MPC's, its rest is that under the estimated disturbance
-        error, torque = x - wanted, torque + shift[2:]
+        error, torque = x - target, torque + shift[2:]
         error[3:5] -= shift[:2]
-        error[:2] *= min(1.0, self.most / max(float(np.hypot(*error[:2])), 1e-9))
+        error[:2] *= min(1.0, self.maximum / max(float(np.hypot(*error[:2])), 1e-9))
         if self.scheduled:
             c, s = np.cos(x[2]), np.sin(x[2])
             heading = np.array([[c, s], [-s, c]])

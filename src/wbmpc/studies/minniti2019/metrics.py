@@ -1,4 +1,4 @@
-"""What the ball robot's experiments measure and draw alike: hand and ball as the robot knows them, figures of the estimator."""
+"""What the ball robot's experiments measure and draw alike: end effector and ball as the robot knows them, figures of the estimator."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ def count_wheels(state: np.ndarray, torque: np.ndarray) -> int:
     return int(torque.shape[1] - (state.shape[1] // 2 - 5))
 
 
-def hand_felt(log: Log) -> np.ndarray:
-    """Hand positions (n, 3) [m] in the estimated frame (the true ones in runs without an estimator)."""
+def estimated_end_effector(log: Log) -> np.ndarray:
+    """End effector positions (n, 3) [m] in the estimated frame (the true ones in runs without an estimator)."""
     return log.array("hand_estimated") if "hand_estimated" in log.channels else log.array("hand")
 
 
-def hand_turn_felt(log: Log) -> np.ndarray:
-    """Quaternions (n, 4) of the hand in the estimated frame (the true ones in runs without an estimator)."""
+def estimated_end_effector_rotation(log: Log) -> np.ndarray:
+    """Quaternions (n, 4) of the end effector in the estimated frame (the true ones in runs without an estimator)."""
     return log.array("hand_quaternion_estimated" if "hand_quaternion_estimated" in log.channels else "hand_quaternion")
 
 
-def ball_felt(log: Log) -> np.ndarray:
+def estimated_ball(log: Log) -> np.ndarray:
     """Ball positions (n, 2) [m] in the estimated frame (the true ones in runs without an estimator)."""
     return log.array("estimate" if "estimate" in log.channels else "state")[:, :2]
 
@@ -58,8 +58,8 @@ def rms(vectors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) if len(vectors) else float("inf")
 
 
-def common_plots(log: Log, hand: np.ndarray, ball: np.ndarray) -> list[Plot]:
-    """Ball, lean, hand error and torques; ``hand`` (3) or (n, 3) and ``ball`` (2) or (n, 2): where they should be [m]."""
+def common_plots(log: Log, end_effector: np.ndarray, ball: np.ndarray) -> list[Plot]:
+    """Ball, lean, end effector error and torques; ``end_effector`` (3) or (n, 3) and ``ball`` (2) or (n, 2): where they should be [m]."""
     t, state, torque = log.times("state"), log.array("state"), log.array("torque")
     error = lambda a, b: 1e3 * np.linalg.norm(a - b, axis=1)
     return [
@@ -69,8 +69,8 @@ def common_plots(log: Log, hand: np.ndarray, ball: np.ndarray) -> list[Plot]:
         ]),
         Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
         Plot("Errors", "time [s]", "error [mm]", [
-            Series("hand, world", t, error(log.array("hand"), hand)),
-            Series("hand, estimated frame", t, error(hand_felt(log), hand)),
+            Series("end effector, world", t, error(log.array("hand"), end_effector)),
+            Series("end effector, estimated frame", t, error(estimated_end_effector(log), end_effector)),
             Series("ball, world", t, error(state[:, :2], ball)),
         ]),
         Plot("Wheel torques", "time [s]", "torque [N m]", [
@@ -88,10 +88,10 @@ def solve_times(mpc: MPC | None) -> list[Plot]:
 
 
 def append_as(single: Log, log: Log, name: str, channels: Sequence[str]) -> None:
-    """Append the ``channels`` of one of several runs to the log of all, as CHANNEL_NAME, and the hand as the robot knows it; nothing
+    """Append the ``channels`` of one of several runs to the log of all, as CHANNEL_NAME, and the end effector as the robot knows it; nothing
     for a run that ended before its first record."""
     if not single.channels:
         return
     log.extend(single, f"_{name}", channels)
-    for t, row in zip(single.times("hand"), hand_felt(single), strict=True):
+    for t, row in zip(single.times("hand"), estimated_end_effector(single), strict=True):
         log.add(f"hand_{name}", t, row)

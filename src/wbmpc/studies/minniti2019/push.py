@@ -1,4 +1,4 @@
-"""`rezero-push-ball` and `rezero-push-hand`: pushes while ball or hand are held (Minniti et al. 2019, Fig. 5)."""
+"""`rezero-push-ball` and `rezero-push-end_effector`: pushes while ball or end effector are held (Minniti et al. 2019, Fig. 5)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies.minniti2019.metrics import common_plots, hand_felt, rms
+from wbmpc.studies.minniti2019.metrics import common_plots, estimated_end_effector, rms
 from wbmpc.studies.minniti2019.recovery import LAST, rest
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
@@ -50,7 +50,7 @@ class RezeroPushSettings(RezeroSettings):
 
 
 class RezeroPushBallSettings(RezeroPushSettings):
-    """The ball is held and, of the hand, only its orientation (the paper's first task); otherwise the same weights."""
+    """The ball is held and, of the end effector, only its orientation (the paper's first task); otherwise the same weights."""
 
     cost: RezeroCost = STEPS_AND_PUSHES.model_copy(
         update={
@@ -61,7 +61,7 @@ class RezeroPushBallSettings(RezeroPushSettings):
 
 
 class RezeroPushHandSettings(RezeroPushSettings):
-    """The hand is held: the weights of the steps."""
+    """The end effector is held: the weights of the steps."""
 
 
 def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
@@ -77,10 +77,12 @@ def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
     """Pushes while the ``held`` "ball" or "hand" is to stay in its place."""
     robot = ball_robot(settings)
     task = _task(settings, robot.home[robot.state["arm"]])
-    hand, ball = robot.pose(robot.home)[0], robot.home[:2]
+    end_effector, ball = robot.pose(robot.home)[0], robot.home[:2]
 
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
-        rests = [rest(log, held, hand if held == "hand" else ball, p.start + settings.pause) for p in task.pushes]
+        rests = [
+            rest(log, held, end_effector if held == "hand" else ball, p.start + settings.pause) for p in task.pushes
+        ]
         back = [r.recovered for r in rests]
         travel = np.linalg.norm(log.array("state")[:, :2] - ball, axis=1)
         return {
@@ -90,8 +92,8 @@ def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
             "rest_error_world_max": Metric(max(r.world for r in rests), "m"),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "ball_travel_max": Metric(float(travel.max()), "m"),
-            "hand_error_max": Metric(float(np.linalg.norm(log.array("hand") - hand, axis=1).max()), "m"),
-            "hand_error_rms": Metric(rms(hand_felt(log) - hand), "m"),
+            "hand_error_max": Metric(float(np.linalg.norm(log.array("hand") - end_effector, axis=1).max()), "m"),
+            "hand_error_rms": Metric(rms(estimated_end_effector(log) - end_effector), "m"),
             "fell": Metric(float(ending.fell), "1", goal=0.0),
         }
 
@@ -101,7 +103,7 @@ def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
         pushes = Plot("Pushes (Fig. 5, its grey areas)", "time [s]", "force [N]", [
             Series(n, t, force[:, i]) for i, n in enumerate("xy")
         ])  # fmt: skip
-        return [*common_plots(log, hand, ball), pushes]
+        return [*common_plots(log, end_effector, ball), pushes]
 
     return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
 

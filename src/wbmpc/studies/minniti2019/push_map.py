@@ -23,7 +23,7 @@ from wbmpc.studies.minniti2019.push_once import Outcome, push_once
 
 MODES: dict[str, type[RezeroPushSettings]] = {"ball": RezeroPushBallSettings, "hand": RezeroPushHandSettings}
 #: Largest impulse [N s] that is tried, and the width [N s] at which a bisection ends.
-MOST, FINE = 320.0, 5.0
+MAXIMUM, FINE = 320.0, 5.0
 #: Settings of the push experiments that a map does not read: its pushes have lengths and forces of their own, after 1 s.
 UNUSED = ("forces", "push_duration", "settle_time")
 #: What is asked of the robot after a push, the harder first: attributes of an outcome.
@@ -85,15 +85,15 @@ def bracket(found: Mapping[float, Outcome], criterion: str) -> Bracket | None:
     return max((i for i in found if i < fails), default=0.0), fails
 
 
-def wanted(found: Outcomes, fine: float = FINE, criteria: Sequence[str] = CRITERIA) -> float | None:
+def target(found: Outcomes, fine: float = FINE, criteria: Sequence[str] = CRITERIA) -> float | None:
     """The impulse [N s] that a bisection tries next; None if outcomes answer for every criterion to ``fine`` [N s].
 
-    A robot that always passes is tried at ``MOST``. One that fails less and passes more is not looked for.
+    A robot that always passes is tried at ``MAXIMUM``. One that fails less and passes more is not looked for.
     """
     for criterion in criteria:
         low, high = bracket(found, criterion) or (0.0, np.inf)
-        if low < MOST and np.isinf(high):
-            return MOST
+        if low < MAXIMUM and np.isinf(high):
+            return MAXIMUM
         if fine < high - low < np.inf:
             return 0.5 * (low + high)
     return None
@@ -107,7 +107,7 @@ def measure(
 ) -> Outcomes:
     """A push's outcomes, to ``fine`` [N s] for each criterion. A run counts for all of them."""
     found: Outcomes = {}
-    while (impulse := wanted(found, fine, criteria)) is not None:
+    while (impulse := target(found, fine, criteria)) is not None:
         found[impulse] = run(point, impulse)
     return found
 
@@ -147,7 +147,7 @@ def push_map(
     while True:
         while waiting and len(running) < at_once:
             point = waiting.pop()
-            if (impulse := wanted(done.get(point.key, {}), fine, criteria)) is not None:
+            if (impulse := target(done.get(point.key, {}), fine, criteria)) is not None:
                 running[push(point, impulse)] = point, impulse
         if not running:
             return

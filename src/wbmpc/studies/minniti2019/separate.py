@@ -1,7 +1,7 @@
 """The paper's baseline: base and arm controlled by themselves (Minniti et al. 2019, section IV-C), and what can be added to it.
 
 A base MPC that is reported only of ball and base and takes the arm to stand still in its nominal configuration; a joint-level PID
-for the arm, whose goal is the inverse kinematics of the hand's task at the present pose of the base. Two things may be added:
+for the arm, whose goal is the inverse kinematics of the end effector's task at the present pose of the base. Two things may be added:
 the disturbance observer on the base's rows (integral action: an arm that has moved is a constant tilting moment for it), and the
 arm's motion in the base MPC's prediction (its moving centre of mass and its reaction, fed forward).
 """
@@ -30,7 +30,7 @@ from wbmpc.types import Observation
 Array = NDArray[np.float64]
 
 
-#: Errors of the hand beyond these [m, rad] pull no harder; Levenberg's damping [1/rad²]: an arm that is stretched out towards a
+#: Errors of the end effector beyond these [m, rad] pull no harder; Levenberg's damping [1/rad²]: an arm that is stretched out towards a
 #: goal beyond its reach stays so.
 FAR, DAMPING = (0.1, 0.3), 10.0
 
@@ -39,10 +39,10 @@ def _short(vector: Array, limit: float) -> Array:
     return vector * min(1.0, limit / max(float(np.linalg.norm(vector)), 1e-12))
 
 
-class HandInverse:
-    """Arm angles at which the hand is nearest to a pose, for the base where it is: regularised Gauss-Newton from the last ones.
+class EndEffectorInverse:
+    """Arm angles at which the end effector is nearest to a pose, for the base where it is: regularised Gauss-Newton from the last ones.
 
-    Least squares of position and orientation error with ``weight`` (6) [1/m², 1/rad²; axes of the wanted hand] and of the arm's
+    Least squares of position and orientation error with ``weight`` (6) [1/m², 1/rad²; axes of the wanted end effector] and of the arm's
     distance from a posture with ``posture`` [1/rad²].
     """
 
@@ -61,7 +61,7 @@ class HandInverse:
         self._error = ca.Function("error", [x, pose], [ca.densify(error), ca.densify(slope)])
 
     def __call__(self, x: Array, pose: Array, rest: Array, guess: Array, steps: int = 3) -> Array:
-        """Angles (m) [rad] for the base of state x (nx), the hand at ``pose`` (7), the arm near ``rest`` (m)."""
+        """Angles (m) [rad] for the base of state x (nx), the end effector at ``pose`` (7), the arm near ``rest`` (m)."""
         x, found = x.copy(), guess.copy()
         for _ in range(steps):
             x[self._arm] = found
@@ -78,24 +78,24 @@ class HandInverse:
 class ArmLoop:
     """A PID on each joint through the arm's inertia, with its weight: τ = g + M_aa (ω² e + ω² ``integral`` ∫ e − 2 ω q̇_a).
 
-    ``pace`` ω [rad/s]; ``integral`` [1/s]; errors beyond ``most`` [rad] pull no harder, and the integral of an error that is
+    ``pace`` ω [rad/s]; ``integral`` [1/s]; errors beyond ``maximum`` [rad] pull no harder, and the integral of an error that is
     larger stands still.
     """
 
     pace: float
     integral: float
-    most: float = 0.3
+    maximum: float = 0.3
 
     def __post_init__(self) -> None:
         """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
-        positive("arm's loop", pace=self.pace, most=self.most)
+        positive("arm's loop", pace=self.pace, maximum=self.maximum)
         not_negative("arm's loop", integral=self.integral)
         self._sum: Array | float = 0.0
 
     def torque(self, mass: Array, weight: Array, error: Array, rate: Array, period: float = 0.0) -> Array:
         """Torques (m) [N m]; with a ``period`` [s] the integral moves on."""
-        short = np.clip(error, -self.most, self.most)
-        self._sum = self._sum + period * self.integral * np.where(np.abs(error) < self.most, error, 0.0)
+        short = np.clip(error, -self.maximum, self.maximum)
+        self._sum = self._sum + period * self.integral * np.where(np.abs(error) < self.maximum, error, 0.0)
         out: Array = weight + mass @ (self.pace**2 * (short + self._sum) - 2.0 * self.pace * rate)
         return out
 
@@ -107,7 +107,7 @@ class SeparateController(BallController):
 
     def __init__(
         self, robot: RobotModel, mpc: MPC, torque: Array, period: float, drives: DriveSettings, observer: bool, *more: Any,
-        planner: MPC, inverse: HandInverse, arm: ArmLoop, aware: bool = False,
+        planner: MPC, inverse: EndEffectorInverse, arm: ArmLoop, aware: bool = False,
     ) -> None:  # fmt: skip
         super().__init__(robot, mpc, torque, period, drives, False, *more)
         self.planner, self.inverse, self.loop, self.aware = planner, inverse, arm, aware

@@ -10,7 +10,7 @@ from wbmpc import lie
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.studies.minniti2019.metrics import count_wheels, hand_felt, hand_turn_felt
+from wbmpc.studies.minniti2019.metrics import count_wheels, estimated_end_effector, estimated_end_effector_rotation
 from wbmpc.studies.minniti2019.step_goals import STEADY, STEPS
 
 if TYPE_CHECKING:
@@ -26,12 +26,12 @@ ROLL = (
 
 
 def progress_of(step: int, log: Log, schedule: Schedule, use: np.ndarray) -> np.ndarray:
-    """How much of a step is done: 0 before, 1 after it; from where the hand was asked to be before."""
+    """How much of a step is done: 0 before, 1 after it; from where the end effector was asked to be before."""
     i = step + 1
-    before, after = schedule.positions[i - 1], schedule.positions[i]
-    if np.linalg.norm(after - before) > 1e-6:
-        way = after - before
-        return (log.array("hand")[use] - before) @ way / (way @ way)
+    previous, after = schedule.positions[i - 1], schedule.positions[i]
+    if np.linalg.norm(after - previous) > 1e-6:
+        way = after - previous
+        return (log.array("hand")[use] - previous) @ way / (way @ way)
     rotations = [
         lie.quaternion_multiply(lie.quaternion_conjugate(schedule.quaternions[i - 1]), q)
         for q in log.array("hand_quaternion")[use]
@@ -42,9 +42,9 @@ def progress_of(step: int, log: Log, schedule: Schedule, use: np.ndarray) -> np.
     return np.array([lie.quaternion_log(q) for q in rotations]) @ whole / (whole @ whole)
 
 
-def _orientation_error(turns: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Mean rotation vector (3) [rad], hand axes, from a wanted quaternion (4) to those of the hand (n, 4)."""
-    inverse = lie.quaternion_conjugate(wanted)
+def _orientation_error(turns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Mean rotation vector (3) [rad], end effector axes, from a wanted quaternion (4) to those of the end effector (n, 4)."""
+    inverse = lie.quaternion_conjugate(target)
     errors = [lie.quaternion_log(lie.quaternion_multiply(inverse, q)) for q in turns]
     return np.asarray(np.mean(errors, axis=0))
 
@@ -56,9 +56,13 @@ def rise_time(t: np.ndarray, done: np.ndarray) -> float:
 
 
 def metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: bool) -> dict[str, Metric]:
-    t, hand, torque = log.times("hand"), log.array("hand"), log.array("torque")
+    t, end_effector, torque = log.times("hand"), log.array("hand"), log.array("torque")
     wheels = count_wheels(log.array("state"), torque)
-    felt, true_turn, felt_turn = hand_felt(log), log.array("hand_quaternion"), hand_turn_felt(log)
+    felt, true_turn, felt_turn = (
+        estimated_end_effector(log),
+        log.array("hand_quaternion"),
+        estimated_end_effector_rotation(log),
+    )
     rises, steady, world, turned, turned_world = [], [], [], [], []
     norm = lambda vector: float(np.linalg.norm(vector))
     lead = settings.lead
@@ -68,10 +72,10 @@ def metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: b
             continue
         window = (t >= start - lead) & (t < end - lead)
         rises.append(rise_time(t[window], progress_of(k, log, schedule, window)))
-        # with a preview the hand leaves for the next pose before it is asked to: the last second before that counts
+        # with a preview the end effector leaves for the next pose before it is asked to: the last second before that counts
         last = (t >= end - lead - STEADY) & (t < end - lead)
         steady.append(float(np.linalg.norm(felt[last] - schedule.positions[k + 1], axis=1).mean()))
-        world.append(float(np.linalg.norm(hand[last] - schedule.positions[k + 1], axis=1).mean()))
+        world.append(float(np.linalg.norm(end_effector[last] - schedule.positions[k + 1], axis=1).mean()))
         turned.append(_orientation_error(felt_turn[last], schedule.quaternions[k + 1]))
         turned_world.append(_orientation_error(true_turn[last], schedule.quaternions[k + 1]))
     start = schedule.times[len(STEPS) + 1]
@@ -94,7 +98,7 @@ def metrics(log: Log, schedule: Schedule, settings: RezeroStepsSettings, fell: b
 
 
 def _turns(log: Log, schedule: Schedule) -> Plot:
-    """The hand's rotation vector against home, in world axes (Euler angles, as the paper has them, are singular there)."""
+    """The end effector's rotation vector against home, in world axes (Euler angles, as the paper has them, are singular there)."""
     thin = slice(None, None, 8)
     t, home = log.times("hand_quaternion")[thin], lie.quaternion_conjugate(schedule.quaternions[0])
     vector = lambda q: np.rad2deg(lie.quaternion_log(lie.quaternion_multiply(q, home)))
@@ -102,22 +106,24 @@ def _turns(log: Log, schedule: Schedule) -> Plot:
     asked = np.array([vector(q) for q in schedule.quaternions])[[schedule.at(v) for v in t]]
     lines = [Series(f"about {n}", t, is_[:, i]) for i, n in enumerate("xyz")]
     goals = [Series(f"about {n} asked", t, asked[:, i], dashed=True) for i, n in enumerate("xyz")]
-    return Plot("Hand orientation against home and its reference (Fig. 4)", "time [s]", "angle [deg]", [*lines, *goals])
+    return Plot(
+        "End effector orientation against home and its reference (Fig. 4)", "time [s]", "angle [deg]", [*lines, *goals]
+    )
 
 
 def plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
-    t, hand, state, torque = log.times("hand"), log.array("hand"), log.array("state"), log.array("torque")
+    t, end_effector, state, torque = log.times("hand"), log.array("hand"), log.array("state"), log.array("torque")
     asked = schedule.positions[[schedule.at(v) for v in t]]
     limit = robot.limits.input_upper[: torque.shape[1]]
-    lines = [Series(n, t, hand[:, i]) for i, n in enumerate("xyz")]
+    lines = [Series(n, t, end_effector[:, i]) for i, n in enumerate("xyz")]
     goals = [Series(f"{n} asked", t, asked[:, i], dashed=True) for i, n in enumerate("xyz")]
     velocity = robot.state["arm_velocity"]
     ratio = np.abs(state[:, velocity]) / robot.limits.state_upper[velocity]
     degrees = np.rad2deg(state[:, 2:5])
     return [
-        Plot("Hand position and its reference (Fig. 4)", "time [s]", "position [m]", [*lines, *goals]),
+        Plot("End effector position and its reference (Fig. 4)", "time [s]", "position [m]", [*lines, *goals]),
         _turns(log, schedule),
-        Plot("Hand position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(hand - asked, axis=1))]),
+        Plot("End effector position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(end_effector - asked, axis=1))]),
         Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
         Plot("Base orientation", "time [s]", "angle [deg]", [Series(n, t, degrees[:, i]) for i, n in enumerate(EULER)]),
         Plot("Torques over their limits", "time [s]", "|torque| / limit", [

@@ -1,4 +1,4 @@
-"""The steps of the hand that `rezero-steps` and `rezero-taskspace` ask for."""
+"""The steps of the end effector that `rezero-steps` and `rezero-taskspace` ask for."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STEADY = 1.0
 
 @dataclass(frozen=True)
 class Step:
-    """A change of the hand's pose: translation [m] in the world, or a rotation [rad] about a world or hand axis."""
+    """A change of the end effector's pose: translation [m] in the world, or a rotation [rad] about a world or end effector axis."""
 
     name: str
     move: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -38,7 +38,7 @@ IMPOSSIBLE = Step("roll 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6, of_hand=
 
 
 def target(step: Step, position: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The hand's pose after a step from home."""
+    """The end effector's pose after a step from home."""
     if step.axis is None:
         return position + np.array(step.move), quaternion
     turn = lie.quaternion_about(step.axis, step.angle)

@@ -1,4 +1,4 @@
-"""`rezero-steps`: the ball robot takes steps of the hand's pose with its base free (Minniti et al. 2019, Fig. 4)."""
+"""`rezero-steps`: the ball robot takes steps of the end effector's pose with its base free (Minniti et al. 2019, Fig. 4)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.ball.posture import resting
+from wbmpc.configuration import OnlyWith, Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -20,7 +21,7 @@ from wbmpc.studies.minniti2019.step_goals import IMPOSSIBLE, STEADY, STEPS, targ
 from wbmpc.studies.minniti2019.task import Task, ball_robot, task_scenario
 
 NAME = "rezero-steps"
-SUMMARY = "the ball robot takes steps of the hand's pose, base free (Minniti et al. 2019, Fig. 4)"
+SUMMARY = "the ball robot takes steps of the end effector's pose, base free (Minniti et al. 2019, Fig. 4)"
 
 IDEALISATIONS = ["with preview (the default) the MPC sees a step coming one horizon ahead"]
 #: A move takes at least so long [s].
@@ -38,7 +39,10 @@ class RezeroStepsSettings(RezeroSettings):
     final_hold_time: float = Field(10.0, ge=0.0, le=600.0)
     preview: bool = True
 
-    own: ClassVar[tuple[str, ...]] = ("mpc.horizon",)
+    only_with: ClassVar[Rules] = {
+        **RezeroSettings.only_with,
+        "mpc.horizon": RezeroSettings.only_with["mpc.horizon"] | OnlyWith(preview=True),
+    }
 
     @property
     def lead(self) -> float:
@@ -82,7 +86,7 @@ class Schedule:
         return Reference.poses(self.times, self.positions, self.quaternions, hold=True)
 
     def body(self, robot: RobotModel) -> Reference:
-        """How the robot rests with its hand in these poses: so that a weight on the arm's posture moves no hand."""
+        """How the robot rests with its end effector in these poses: so that a weight on the arm's posture moves no end effector."""
         states = [resting(robot, p, q) for p, q in zip(self.positions, self.quaternions, strict=True)]
         return Reference(self.times, np.array(states), "hold")
 

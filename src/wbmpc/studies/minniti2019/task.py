@@ -40,12 +40,12 @@ IDEALISATIONS = [
     "the computation takes a constant 10 ms; drives follow torque with a first-order lag",
 ]
 
-#: Where an accurate hand of Rezero starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
+#: Where an accurate end effector of Rezero starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
 BENT_ARM = np.array([0.0, 0.5, 2.0])
 
 
 def bent_arm(settings: RezeroSettings, robot: RobotModel) -> np.ndarray:
-    """Where an accurate hand starts, arm angles (m) [rad]: bent; other robots at their home, which is theirs to choose."""
+    """Where an accurate end effector starts, arm angles (m) [rad]: bent; other robots at their home, which is theirs to choose."""
     return BENT_ARM if settings.robot == "rezero" else robot.home[robot.state["arm"]]
 
 
@@ -68,8 +68,10 @@ class Task:
     pushes: tuple[Push, ...] = ()
 
 
-def reaching(robot: RobotModel, times: np.ndarray, ball: np.ndarray, hand: np.ndarray, start: np.ndarray) -> Reference:
-    """The body (n, nx) at rest over times (n) [s] with the ball at ``ball`` (n, 2) and the hand as near as it can be to ``hand``
+def reaching(
+    robot: RobotModel, times: np.ndarray, ball: np.ndarray, end_effector: np.ndarray, start: np.ndarray
+) -> Reference:
+    """The body (n, nx) at rest over times (n) [s] with the ball at ``ball`` (n, 2) and the end effector as near as it can be to ``end_effector``
     (n, 3) [m], from state ``start`` (nx) on, with its heading: the task of controllers that track the body alone."""
     arm, velocity = start[robot.state["arm"]], robot.state["base_velocity"].start
 
@@ -79,8 +81,8 @@ def reaching(robot: RobotModel, times: np.ndarray, ball: np.ndarray, hand: np.nd
         return x
 
     states, angles = np.empty((times.size, start.size)), arm
-    for k, (place, goal) in enumerate(zip(ball, hand, strict=True)):
-        if k == 0 or not (np.array_equal(place, ball[k - 1]) and np.array_equal(goal, hand[k - 1])):
+    for k, (place, goal) in enumerate(zip(ball, end_effector, strict=True)):
+        if k == 0 or not (np.array_equal(place, ball[k - 1]) and np.array_equal(goal, end_effector[k - 1])):
             away = lambda z, p=place, g=goal: np.concatenate([robot.pose(state(p, z))[0] - g, 1e-3 * (z - arm)])
             angles = least_squares(away, angles, diff_step=1e-5).x
         states[k] = state(place, angles)
@@ -101,7 +103,7 @@ def ball_robot(settings: RezeroSettings, payload: bool = False, contact: str = "
 
 
 def robot_of(settings: RezeroSettings) -> RobotModel:
-    """The ball robot as the controller of the settings models it: with a mass at the hand where that is estimated."""
+    """The ball robot as the controller of the settings models it: with a mass at the end effector where that is estimated."""
     return ball_robot(
         settings, settings.estimate_payload and settings.estimate_disturbance and settings.controller == "mpc"
     )
@@ -149,9 +151,9 @@ def task_scenario(
     metrics: Callable[[Log, Ending], dict[str, Metric]],
     plots: Callable[[Log], list[Plot]],
     idealisations: list[str],
-    before: Callable[[MPC, Timing, float], None] | None = None,
+    previous: Callable[[MPC, Timing, float], None] | None = None,
 ) -> Scenario:
-    """One run of a task. ``before`` is called at every tick. Raises :class:`InputError` for pushes that are no whole number of
+    """One run of a task. ``previous`` is called at every tick. Raises :class:`InputError` for pushes that are no whole number of
     controller periods."""
     for push in task.pushes:
         whole("length", push.length, 1.0 / settings.control.rate, "controller periods")
@@ -165,10 +167,10 @@ def task_scenario(
             controller.shoves = PushEstimator(robot, task.arm, settings.expected_push_time)
 
     def record(t: float, command: Any, plans: Any) -> None:
-        if before is not None:
-            before(system.mpc, system.timing, t)
+        if previous is not None:
+            previous(system.mpc, system.timing, t)
         record_rezero(log, t, plant, controller, controller.torque)
-        log.add("feedback", t, controller.wanted - controller.feedforward)
+        log.add("feedback", t, controller.target - controller.feedforward)
         if task.pushes:
             active = [p.force for p in task.pushes if p.start <= t + 1e-9 < p.start + p.length]
             plant.push(np.sum(active, axis=0) if active else np.zeros(3))
@@ -197,7 +199,7 @@ def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallControll
 
 
 def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estimator: BallFilter) -> None:
-    """The estimated state now, and where the hand is for it: estimated pose of the base, true forward kinematics."""
+    """The estimated state now, and where the end effector is for it: estimated pose of the base, true forward kinematics."""
     rotation = lie.euler_zyx_to_rotation(*state[2:5])
     log.add("hand_estimated", t, [state[0], state[1], 0.0] + rotation @ truth.tool_in_base)
     turned = lie.rotation_to_quaternion(rotation @ truth.tool_rotation_in_base)

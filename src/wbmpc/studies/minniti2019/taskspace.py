@@ -1,4 +1,4 @@
-"""`rezero-taskspace`: an instantaneous task-space controller against the MPC on the hand's steps (the paper's main argument)."""
+"""`rezero-taskspace`: an instantaneous task-space controller against the MPC on the end effector's steps (the paper's main argument)."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.posture import resting
+from wbmpc.configuration import Rules, unused, with_all
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress
-from wbmpc.studies.minniti2019.baselines import Controller
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.step_goals import STEPS, target
@@ -23,7 +23,7 @@ from wbmpc.studies.minniti2019.task import IDEALISATIONS, ball_system, record_re
 from wbmpc.studies.minniti2019.taskspace_figures import CONTROLLERS, metrics, plots
 
 NAME = "rezero-taskspace"
-SUMMARY = "an instantaneous task-space controller against the MPC on the hand's steps (Minniti et al. 2019, section I)"
+SUMMARY = "an instantaneous task-space controller against the MPC on the end effector's steps (Minniti et al. 2019, section I)"
 HERE = ["neither controller sees a step before it comes"]
 
 
@@ -33,10 +33,10 @@ class RezeroTaskspaceSettings(RezeroSettings):
     hold_time: float = Field(5.0, ge=1.0, le=600.0)
     settle_time: float = Field(4.0, ge=0.5, le=600.0)
 
-    unused: ClassVar[tuple[str, ...]] = (*RezeroSettings.unused, "controller", "expected_push_time", "max_pushed_speed")
-
-    def controllers(self) -> tuple[Controller, ...]:
-        return CONTROLLERS
+    only_with: ClassVar[Rules] = {
+        **with_all(RezeroSettings.only_with, "controller", *CONTROLLERS),
+        **unused("controller", "expected_push_time", "max_pushed_speed"),
+    }
 
 
 def goals(settings: RezeroTaskspaceSettings, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """The baseline of the paper's main argument: an instantaneous task-space controller (Minniti et al. 2019, section I).
 
-At every tick it looks for the torques whose accelerations now come nearest to what two tasks want: the hand's pose by a
-proportional-derivative law, and the base's balance by an LQR about the stance that carries the hand's goal. Bounded least
+At every tick it looks for the torques whose accelerations now come nearest to what two tasks want: the end effector's pose by a
+proportional-derivative law, and the base's balance by an LQR about the stance that carries the end effector's goal. Bounded least
 squares over the torques, M v̇ + h = S(q)ᵀ τ + d eliminated; nothing of the future is in it.
 """
 
@@ -24,15 +24,15 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 
 Array = np.ndarray
-#: t [s] -> the hand's position (3) [m] and quaternion (4) that are wanted.
+#: t [s] -> the end effector's position (3) [m] and quaternion (4) that are wanted.
 Goal = Callable[[float], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class TaskGains:
-    """Hand: natural frequency ``hand`` and ``turn`` [rad/s] of position and orientation (critically damped), largest errors of
-    hand and ball that count [m, rad]. Balance: weights of the LQR on ball position and speed, yaw, tilt and wheel torque.
-    ``balance``: weight of a squared acceleration of ball [m/s²] and base [rad/s²] against one of the hand; ``torque``: of
+    """End effector: natural frequency ``hand`` and ``turn`` [rad/s] of position and orientation (critically damped), largest errors of
+    end effector and ball that count [m, rad]. Balance: weights of the LQR on ball position and speed, yaw, tilt and wheel torque.
+    ``balance``: weight of a squared acceleration of ball [m/s²] and base [rad/s²] against one of the end effector; ``torque``: of
     torques [1/(N m)²]."""
 
     hand: float = 4.0
@@ -55,8 +55,8 @@ class TaskGains:
 
 class TaskSpaceController(BallController):
     """Estimator, disturbance observer, prediction to now and clamps are those of the other ball-robot controllers; ``mpc`` is
-    its model only. ``goal``: what the hand is to do; ``home`` (nx): the stance about which it balances; ``stance``: where ball
-    and base are to be (a state (nx) over time), left out: below the hand's goal as at home."""
+    its model only. ``goal``: what the end effector is to do; ``home`` (nx): the stance about which it balances; ``stance``: where ball
+    and base are to be (a state (nx) over time), left out: below the end effector's goal as at home."""
 
     stance: Callable[[float], Array] | None = None
 
@@ -93,10 +93,10 @@ class TaskSpaceController(BallController):
         mass = self.robot.base.numeric.mass_matrix(x[:n])
         free = np.linalg.solve(mass, self.disturbance - bias.ravel())
         drive = np.linalg.solve(mass, map_)
-        wanted = self._hand(t, place.ravel(), turned.ravel(), velocity.ravel()) - drift.ravel()
+        target = self._hand(t, place.ravel(), turned.ravel(), velocity.ravel()) - drift.ravel()
         rows = [jacobian @ drive, np.sqrt(g.balance) * drive[:5], np.sqrt(g.torque) * np.eye(drive.shape[1])]
         right = [
-            wanted - jacobian @ free,
+            target - jacobian @ free,
             np.sqrt(g.balance) * (self._balance(t, x) - free[:5]),
             np.sqrt(g.torque) * self._rest,
         ]
@@ -105,7 +105,7 @@ class TaskSpaceController(BallController):
         return torque
 
     def _hand(self, t: float, place: Array, turned: Array, velocity: Array) -> Array:
-        """Wanted linear and angular acceleration (6) of the hand."""
+        """Wanted linear and angular acceleration (6) of the end effector."""
         g = self.gains
         position, quaternion = self.goal(t)
         error = _short(position - place, g.position_limit)
@@ -115,7 +115,7 @@ class TaskSpaceController(BallController):
         return np.concatenate([linear, g.turn**2 * turn - 2.0 * g.turn * velocity[3:]])
 
     def _balance(self, t: float, x: Array) -> Array:
-        """Wanted acceleration (5) of ball and base: the LQR about the stance below the hand's goal, at the lean that carries arm
+        """Wanted acceleration (5) of ball and base: the LQR about the stance below the end effector's goal, at the lean that carries arm
         and estimated disturbance."""
         n = self.robot.base.nq
         ball, yaw = (self.goal(t)[0] - self._from_ball)[:2], self.home[2]
@@ -125,8 +125,8 @@ class TaskSpaceController(BallController):
         lean = lean + np.linalg.solve(self._stiffness, self.disturbance[3:5])
         away = x[:5] - np.concatenate([ball, [yaw], lean])
         away[:2] = _short(away[:2], self.gains.ball_limit)
-        wanted: Array = -self._gain @ np.concatenate([away, x[n : n + 5]])
-        return wanted
+        target: Array = -self._gain @ np.concatenate([away, x[n : n + 5]])
+        return target
 
 
 def _short(vector: Array, limit: float) -> Array:

@@ -17,13 +17,13 @@ CONTROLLERS: tuple[Controller, ...] = ("mpc", "taskspace")
 
 
 def figures(log: Log, name: str) -> dict[str, float]:
-    """Integral of the hand's position error [m s] (estimated frame), of its orientation error [rad s], of the squared torques'
+    """Integral of the end effector's position error [m s] (estimated frame), of its orientation error [rad s], of the squared torques'
     change against rest [(N m)² s], largest tilt [rad]."""
-    t, wanted, torque = log.times(f"hand_{name}"), log.array(f"wanted_{name}"), log.array(f"torque_{name}")
-    error = np.linalg.norm(log.array(f"hand_{name}") - wanted[:, :3], axis=1)
+    t, target, torque = log.times(f"hand_{name}"), log.array(f"wanted_{name}"), log.array(f"torque_{name}")
+    error = np.linalg.norm(log.array(f"hand_{name}") - target[:, :3], axis=1)
     turned = [
         np.linalg.norm(lie.quaternion_log(lie.quaternion_multiply(q, lie.quaternion_conjugate(w))))
-        for q, w in zip(log.array(f"hand_quaternion_{name}"), wanted[:, 3:], strict=True)
+        for q, w in zip(log.array(f"hand_quaternion_{name}"), target[:, 3:], strict=True)
     ]
     return {
         "position": float(np.trapezoid(error, t)),
@@ -61,9 +61,9 @@ def plots(log: Log) -> list[Plot]:
         return np.abs(torque[:, : count_wheels(log.array(f"state_{name}"), torque)])
 
     return [
-        Plot("Hand position error", "time [s]", "error [mm]", [Series(n, t[n], 1e3 * error[n]) for n in done]),
+        Plot("End effector position error", "time [s]", "error [mm]", [Series(n, t[n], 1e3 * error[n]) for n in done]),
         *(
-            Plot(f"Hand, {axis}", "time [s]", "position [m]", [
+            Plot(f"End effector, {axis}", "time [s]", "position [m]", [
                 *(Series(n, t[n], log.array(f"hand_{n}")[:, i]) for n in done),
                 Series("asked", t[done[0]], log.array(f"wanted_{done[0]}")[:, i], dashed=True),
             ])

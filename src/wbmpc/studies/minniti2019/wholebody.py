@@ -1,4 +1,4 @@
-"""`rezero-wholebody`: the hand goes round a square with a load while the ball stays (Minniti et al. 2019, Fig. 6 and 7)."""
+"""`rezero-wholebody`: the end effector goes round a square with a load while the ball stays (Minniti et al. 2019, Fig. 6 and 7)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.baselines import REGULATORS
-from wbmpc.studies.minniti2019.metrics import ball_felt, common_plots, hand_felt, rms
+from wbmpc.studies.minniti2019.metrics import common_plots, estimated_ball, estimated_end_effector, rms
 from wbmpc.studies.minniti2019.settings import AccurateSettings
 from wbmpc.studies.minniti2019.task import Task, ball_robot, bent_arm, reaching, task_scenario
 
 NAME = "rezero-wholebody"
-SUMMARY = "the hand carries 1 kg round a square while the ball stays (Minniti et al. 2019, Fig. 6)"
+SUMMARY = "the end effector carries 1 kg round a square while the ball stays (Minniti et al. 2019, Fig. 6)"
 #: Corners [m] from home, sideways and up.
 CORNERS = np.array(
     [[0.0, 0.0, 0.0], [0.0, 0.125, 0.0], [0.0, 0.125, 0.25], [0.0, -0.125, 0.25], [0.0, -0.125, 0.0], [0.0, 0.0, 0.0]]
@@ -26,7 +26,7 @@ CORNERS = np.array(
 #: The last second of every hold is judged as steady [s].
 STEADY = 1.0
 #: The share of the feedback in a torque below this [N m] is that in one of this.
-LEAST_TORQUE = 0.5
+MIN_TORQUE = 0.5
 IDEALISATIONS = ["the load is unknown to the controller"]
 
 
@@ -39,12 +39,12 @@ class RezeroWholebodySettings(AccurateSettings):
     settle_time: float = Field(8.0, ge=0.5, le=60.0)
 
 
-def hand_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) [s] and positions (n, 3) [m] of the hand: straight lines at constant speed, and holds."""
+def end_effector_path(settings: RezeroWholebodySettings, home: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) [s] and positions (n, 3) [m] of the end effector: straight lines at constant speed, and holds."""
     times, places, t = [0.0], [home], settings.settle_time
-    for before, after in itertools.pairwise(CORNERS):
+    for previous, after in itertools.pairwise(CORNERS):
         times += [t, t + settings.move_time]
-        places += [home + before, home + after]
+        places += [home + previous, home + after]
         t += settings.move_time + settings.hold_time
     return np.array(times), np.array(places)
 
@@ -56,15 +56,15 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
     second = wheels + min(1, arm.size - 1)  # of the arm's joints, if it has two
     home = robot.base.numeric.equilibrium(arm)[0]
     position, quaternion = robot.pose(home)
-    times, places = hand_path(settings, position)
+    times, places = end_effector_path(settings, position)
     ends = settings.settle_time + (settings.move_time + settings.hold_time) * np.arange(len(CORNERS))
 
-    def wanted(t: np.ndarray) -> np.ndarray:
+    def target(t: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(t, times, places[:, i]) for i in range(3)], axis=1)
 
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
         t, torque = log.times("state"), log.array("torque")
-        use, hand = t >= settings.settle_time, hand_felt(log) - wanted(t)
+        use, end_effector = t >= settings.settle_time, estimated_end_effector(log) - target(t)
         steady = [(t >= end - STEADY) & (t < end) & (t[-1] > end - 0.1) for end in ends]
         mean = lambda values: max(float(np.linalg.norm(values[w].mean(axis=0))) if w.any() else np.inf for w in steady)
         share = (
@@ -73,11 +73,11 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
             else np.inf
         )
         return {
-            "ball_error_rms_wholebody": Metric(rms(ball_felt(log)[use]), "m", goal=0.020),
-            "hand_error_rms": Metric(rms(hand[use]), "m"),
-            "steady_hand_error_max": Metric(mean(hand), "m", goal=0.005),
-            "steady_hand_error_world_max": Metric(mean(log.array("hand") - wanted(t)), "m"),
-            "steady_ball_offset_max": Metric(mean(ball_felt(log)), "m", goal=0.010),
+            "ball_error_rms_wholebody": Metric(rms(estimated_ball(log)[use]), "m", goal=0.020),
+            "hand_error_rms": Metric(rms(end_effector[use]), "m"),
+            "steady_hand_error_max": Metric(mean(end_effector), "m", goal=0.005),
+            "steady_hand_error_world_max": Metric(mean(log.array("hand") - target(t)), "m"),
+            "steady_ball_offset_max": Metric(mean(estimated_ball(log)), "m", goal=0.010),
             "feedback_share": Metric(float(share), "1", goal=0.15),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "fell": Metric(float(ending.fell), "1", goal=0.0),
@@ -89,16 +89,16 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
             Series("whole", t, torque[:, second]), Series("feedforward", t, torque[:, second] - feedback[:, second]),
             Series("feedback", t, feedback[:, second]),
         ])  # fmt: skip
-        share = 100.0 * np.abs(feedback[:, second]) / np.maximum(np.abs(torque[:, second]), LEAST_TORQUE)
+        share = 100.0 * np.abs(feedback[:, second]) / np.maximum(np.abs(torque[:, second]), MIN_TORQUE)
         ratio = Plot(
             "Feedback over the whole torque (Fig. 7, below)", "time [s]", "share [%]", [Series("share", t, share)]
         )
-        return [*common_plots(log, wanted(t), np.zeros(2)), joint, ratio]
+        return [*common_plots(log, target(t), np.zeros(2)), joint, ratio]
 
     references = {"hand": Reference.poses(times, places, quaternion)}
     if settings.controller in REGULATORS:
         grid = np.arange(0.0, float(ends[-1]), 0.05)
-        references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), wanted(grid), home)
+        references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), target(grid), home)
     task = Task(arm, float(ends[-1]), references)
     return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
 

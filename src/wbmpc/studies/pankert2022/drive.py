@@ -78,7 +78,7 @@ class _Run:
         add(f"{name}.brake", t, command.brake)
         add(f"{name}.wheel_slip", t, truth.slip)
         add(f"{name}.wheel_force", t, truth.wheel_force)
-        add(f"{name}.wanted", t, controller.wanted)
+        add(f"{name}.wanted", t, controller.target)
         speeds = [truth.joint_speeds[n] for g in ("leg", "steer", "wheel") for n in self.robot.input.groups[g]]
         add(f"{name}.joint_speed", t, speeds)
         add(f"{name}.steer", t, truth.state[self.robot.state["steer"]])

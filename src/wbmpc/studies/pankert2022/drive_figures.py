@@ -127,7 +127,7 @@ def _story(log: Log, robot: RobotModel) -> Drawing:
 
 def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
     """The tour from above and over time, the errors, the knock."""
-    t, base, wanted = log.times("tour.base"), log.array("tour.base"), log.array("tour.base_reference")
+    t, base, target = log.times("tour.base"), log.array("tour.base"), log.array("tour.base_reference")
     names = [n.removeprefix("leg_") for n in robot.state.groups["leg"]]
     legs, goals = np.degrees(log.array("tour.leg")), np.degrees(log.array("tour.leg_reference"))
     size = lambda name: (
@@ -139,11 +139,11 @@ def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
     drawn: list[Plot | Drawing] = [
         _story(log, robot),
         Plot("Base from above", "x [m]", "y [m]", [
-            Series("true", base[:, 0], base[:, 1]), Series("reference", wanted[:, 0], wanted[:, 1], dashed=True),
+            Series("true", base[:, 0], base[:, 1]), Series("reference", target[:, 0], target[:, 1], dashed=True),
         ], equal_axes=True),
         Plot("Base pose (Fig. 7)", "time [s]", "x, y [m], yaw [rad]", [
             *(Series(n, t, base[:, k]) for k, n in enumerate(("x", "y", "yaw"))),
-            *(Series(f"{n}, reference", t, wanted[:, k], dashed=True) for k, n in enumerate(("x", "y", "yaw"))),
+            *(Series(f"{n}, reference", t, target[:, k], dashed=True) for k, n in enumerate(("x", "y", "yaw"))),
         ]),
         Plot("Leg angles (Fig. 7)", "time [s]", "angle [deg]", [
             *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),

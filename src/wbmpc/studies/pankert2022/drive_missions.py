@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.swerve.defaults import HandCost, InputCost, StateCost, SwerveCost
+from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, SwerveCost
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import ExperimentSettings
@@ -28,7 +28,7 @@ class SwerveDriveSettings(ExperimentSettings):
 
     # by runs on seed 0, looked at on seed 5
     cost: SwerveCost = SwerveCost(
-        end_effector=HandCost(weight=0.0, orientation=0.0),
+        end_effector=EndEffectorCost(weight=0.0, orientation=0.0),
         state=StateCost(position=30_000.0, yaw=9000.0, leg=300.0, arm=1.0),
         input=InputCost(base=5.0, steer=0.002),
     )

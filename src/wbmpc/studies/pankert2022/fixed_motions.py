@@ -8,7 +8,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from wbmpc.bases.swerve.defaults import HandCost, InputCost, StateCost, SwerveCost
+from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, SwerveCost
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -34,7 +34,7 @@ class SwerveFixedSettings(ExperimentSettings):
     ``actuator_time_constant`` [s] that the MPC's controller assumes."""
 
     cost: SwerveCost = SwerveCost(
-        end_effector=HandCost(weight=0.0, orientation=0.0),
+        end_effector=EndEffectorCost(weight=0.0, orientation=0.0),
         state=StateCost(position=10_000.0, yaw=3000.0, arm=1.0),
         input=InputCost(base=5.0),
     )

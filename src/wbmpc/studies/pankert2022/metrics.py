@@ -12,7 +12,7 @@ def rotation_about_z(yaw: float) -> np.ndarray:
 
 
 def in_frame(pose: np.ndarray, tool_in_base: np.ndarray, height: float) -> np.ndarray:
-    """The hand in the estimated frame: estimated base pose, true forward kinematics."""
+    """The end effector in the estimated frame: estimated base pose, true forward kinematics."""
     placed = rotation_about_z(pose[2]) @ tool_in_base
     return np.array([pose[0] + placed[0], pose[1] + placed[1], height])
 

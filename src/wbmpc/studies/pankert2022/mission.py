@@ -14,8 +14,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, wheel_velocities
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.paths import rise, risen
 from wbmpc.studies.pankert2022.directions import reject_directions
+from wbmpc.studies.paths import rise, risen
 
 #: Speed [m/s] below which a wheel stands; weight of a sample close to a limit against a turn by one radian.
 STANDS, TURN_SHARE = 0.01, 0.02
@@ -195,7 +195,7 @@ def branches(angle: np.ndarray, speed: np.ndarray, low: float, high: float) -> n
 
 
 def riding(robot: RobotModel, home: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (k, 3) and quaternions (k, 4) of a hand that rides along with base poses (k, 3) as it is at ``home``."""
+    """Positions (k, 3) and quaternions (k, 4) of an end effector that rides along with base poses (k, 3) as it is at ``home``."""
     place, orientation = robot.pose(home)
     turns = np.array([lie.quaternion_multiply(lie.quaternion_about((0, 0, 1), p[2]), orientation) for p in poses])
     points = np.array([[*lie.se2_compose(p, [place[0], place[1], 0.0])[:2], place[2]] for p in poses])

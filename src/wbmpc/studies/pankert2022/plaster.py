@@ -1,4 +1,4 @@
-"""`swerve-plaster`: the hand sprays a wall in long lines while the base drives along it (Pankert et al. 2022, section IV-D)."""
+"""`swerve-plaster`: the end effector sprays a wall in long lines while the base drives along it (Pankert et al. 2022, section IV-D)."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ def terrain(spec: mujoco.MjSpec) -> None:
 
 
 class _WallSensor:
-    """Distance from the hand to the wall along the tool's axis, turned into what it says of the base's place across."""
+    """Distance from the end effector to the wall along the tool's axis, turned into what it says of the base's place across."""
 
     def __init__(self, robot: RobotModel, period: float, seed: int) -> None:
         self.robot, self._rng = robot, np.random.default_rng([seed, 2])
         self._every, self._count = max(round(1.0 / (DISTANCE_RATE * period)), 1), 0
 
     def __call__(self, plant: SwervePlant, controller: SwerveController) -> None:
-        """Correct the odometry at the sensor's rate: the hand by the planner's kinematics, the base as estimated."""
+        """Correct the odometry at the sensor's rate: the end effector by the planner's kinematics, the base as estimated."""
         self._count += 1
         if self._count % self._every:
             return
@@ -74,10 +74,10 @@ class _WallSensor:
         axis = truth.tool_rotation[:, 2]
         distance = (wall.WALL - truth.tool[1]) / axis[1] + DISTANCE_NOISE * self._rng.normal()
         x = controller.state()
-        hand, quaternion = self.robot.pose(x)
+        end_effector, quaternion = self.robot.pose(x)
         beam = lie.quaternion_to_rotation(quaternion)[1, 2]
         pose = x[self.robot.state["base"]].copy()
-        pose[1] += wall.WALL - distance * beam - hand[1]
+        pose[1] += wall.WALL - distance * beam - end_effector[1]
         assert controller.measured is not None
         controller.estimator.odometry.correct(
             controller.measured.time, pose, np.diag([UNKNOWN[0] ** 2, DISTANCE_NOISE**2, UNKNOWN[1] ** 2])
@@ -117,10 +117,12 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
         log.add("base_odometry", t, pose)
         log.add("hand", t, truth.tool)
         log.add("hand_odometry", t, in_frame(pose, truth.tool_in_base, truth.tool[2]))
-        log.add("hand_reference", t, references.hand(np.array([t]))[0])
+        log.add("hand_reference", t, references.end_effector(np.array([t]))[0])
         log.add("wheel_slip", t, truth.slip)
         if wall.WALL - truth.tool[1] < wall.NEAREST:
-            raise RunAborted(f"the hand's switch stopped it {1e3 * (wall.WALL - truth.tool[1]):.0f} mm before the wall")
+            raise RunAborted(
+                f"the end effector's switch stopped it {1e3 * (wall.WALL - truth.tool[1]):.0f} mm before the wall"
+            )
 
     loop = Loop(plant, controller, mpc, timing, references.duration, record)
     measured = lambda _: metrics(log, references, settings.sensors)

@@ -1,4 +1,4 @@
-"""Settings of `swerve-plaster`, the lines on the wall, and where hand and base shall be over time."""
+"""Settings of `swerve-plaster`, the lines on the wall, and where end effector and base shall be over time."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.paths import Approach
 from wbmpc.settings import ExperimentSettings, LocalisationSettings
-from wbmpc.studies.pankert2022.track_references import HAND_ORIENTATION
+from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
+from wbmpc.studies.paths import Approach
 
-#: Lines [m]: length, distance, lowest; the wall's place and the hand's distance from it [m]; the hand ahead of the base at the
+#: Lines [m]: length, distance, lowest; the wall's place and the end effector's distance from it [m]; the end effector ahead of the base at the
 #: start of a line [m].
 LENGTH, APART, LOWEST, WALL, STANDOFF, AHEAD = 3.5, 0.15, 0.60, 0.75, 0.10, -0.10
 LINES = 5
 #: Largest accelerations [m/s²] along the path and in its corners (half circles): 2 m/s² is the bound.
 ALONG, ACROSS = 1.5, 1.6
-#: Share of the hand's way along the wall that the base makes.
+#: Share of the end effector's way along the wall that the base makes.
 BASE_SHARE = 0.85
-#: The hand stops at this distance [m] from the wall, by a switch of its own.
+#: The end effector stops at this distance [m] from the wall, by a switch of its own.
 NEAREST = 0.03
 #: Spray: radius of the cone on the wall over its distance, step of the grid [m], thinnest coat that is no gap [share of mean].
 CONE, GRID, GAP = 2.0, 0.025, 0.7
-#: Ends of lines that are not judged, where the hand slows down to turn [m].
+#: Ends of lines that are not judged, where the end effector slows down to turn [m].
 ENDS = 0.45
-#: A hand asked to move at twice the second [m/s] that moves slower than it for the first [s] has stopped.
+#: An end effector asked to move at twice the second [m/s] that moves slower than it for the first [s] has stopped.
 STOP_TIME, STOP_SPEED = 0.3, 0.1
 
 
@@ -81,8 +81,8 @@ class Lines:
         v[0] = v[-1] = 0.0
         for index in (range(1, s.size), range(s.size - 2, -1, -1)):
             for k in index:
-                before = k - 1 if index.step > 0 else k + 1
-                v[k] = min(v[k], np.sqrt(v[before] ** 2 + 2.0 * ALONG * abs(s[k] - s[before])))
+                previous = k - 1 if index.step > 0 else k + 1
+                v[k] = min(v[k], np.sqrt(v[previous] ** 2 + 2.0 * ALONG * abs(s[k] - s[previous])))
         return s, p, v
 
     @cached_property
@@ -120,15 +120,15 @@ class Lines:
 
 
 class WallReferences:
-    """Hand and base over time; the hand comes from home first."""
+    """End effector and base over time; the end effector comes from home first."""
 
     def __init__(self, settings: SwervePlasterSettings, robot: RobotModel) -> None:
         first = np.array([AHEAD, WALL - STANDOFF, LOWEST])
-        self.approach = Approach(robot.pose(robot.home), (first, HAND_ORIENTATION))
+        self.approach = Approach(robot.pose(robot.home), (first, END_EFFECTOR_ORIENTATION))
         self.lines = Lines(settings.passes, settings.speed, self.approach.duration + 1.0)
         self.duration = float(np.ceil((self.lines.end + 0.5) * 10.0) / 10.0)
 
-    def hand(self, t: np.ndarray) -> np.ndarray:
+    def end_effector(self, t: np.ndarray) -> np.ndarray:
         """Positions (n, 3) [m]."""
         along, up = self.lines.point(t).T
         place = np.stack([AHEAD + along, np.full(t.size, WALL - STANDOFF), LOWEST + up], axis=1)
@@ -141,7 +141,7 @@ class WallReferences:
 
     def set(self, mpc: MPC, robot: RobotModel) -> None:
         t = np.arange(0.0, self.duration + 0.02, 0.02)
-        mpc.reference["hand"] = Reference.poses(t, self.hand(t), self.approach.offset(t)[1])
+        mpc.reference["hand"] = Reference.poses(t, self.end_effector(t), self.approach.offset(t)[1])
         states = np.tile(robot.home, (t.size, 1))
         states[:, robot.state["base"]] = self.base(t)
         mpc.reference["state"] = Reference(t, states)

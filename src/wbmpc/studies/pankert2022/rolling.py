@@ -90,14 +90,14 @@ class RollingController(SwerveController):
         c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
         return np.array([c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]])
 
-    def _legs(self, wanted: np.ndarray, rate: np.ndarray, brake: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _legs(self, target: np.ndarray, rate: np.ndarray, brake: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Measured leg angles (n) and the rates (n) [rad/s] at which the legs shall swing."""
         m, still = self.measured, np.zeros(self.robot.base.geometry.modules)
         assert m is not None
         if not m.leg.size:
             return still, still
         limit = self.robot.limits.input_upper[self.robot.input["leg"]]
-        return m.leg, brake * np.clip(rate + self.gains.leg_gain * (wanted - m.leg), -limit, limit)
+        return m.leg, brake * np.clip(rate + self.gains.leg_gain * (target - m.leg), -limit, limit)
 
     def _await(self, t: float, leg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steering for the motion that comes, wheels at rest."""

@@ -1,7 +1,7 @@
 """Support switches of a robot with one wheel on a block while its stretched arm turns: predicted, and learnt from.
 
 What is predicted from the model is off by what the model does not know of the robot's masses. Turns of the arm show them: the gyro
-sees when the robot begins to rock over an edge, on which its zero-moment point is then (:mod:`wbmpc.estimation.mass_offset`).
+sees when the robot begins to rock over an edge, on which its zero-moment point is then (:mod:`wbmpc.studies.pankert2022.mass_offset`).
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.estimation.mass_offset import MassOffset, Tipping
-from wbmpc.estimation.rocking import rockings
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability import StanceOf, Switch, Triangle, assess, corners, resting_triangles, support_switches, upright
+from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping
+from wbmpc.studies.pankert2022.rocking import rockings
 
 Array = NDArray[np.float64]
 #: Feet (n, 2) [m], zero-moment points (k, 2) [m] and forces (k,) [N] that press on the ground.
@@ -129,7 +129,7 @@ def predict(support: Support, offset: MassOffset | None = None) -> list[Switch]:
 
     level = support.stances_at(support.times[:1], np.array([0.0, 0.0, 1.0]))[1][0] + shift[0]
     switches = support_switches(support.times, support.feet, support.heights, stance, UNLOADED, level)
-    return [Switch(s.time - case.start, s.before, s.after) for s in switches]
+    return [Switch(s.time - case.start, s.previous, s.after) for s in switches]
 
 
 def tippings(support: Support, t: Array, gyro: Array) -> list[Tipping]:

@@ -1,4 +1,4 @@
-"""`swerve-track`: the hand follows a long sine while the base drives (Pankert et al. 2022, section IV-C, Fig. 9)."""
+"""`swerve-track`: the end effector follows a long sine while the base drives (Pankert et al. 2022, section IV-C, Fig. 9)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from wbmpc.studies.pankert2022.track_figures import SPEEDS, metrics, plots
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
 
 NAME = "swerve-track"
-SUMMARY = "the hand follows a 20.53 m sine while the swerve base drives (Pankert et al. 2022, Fig. 9)"
+SUMMARY = "the end effector follows a 20.53 m sine while the swerve base drives (Pankert et al. 2022, Fig. 9)"
 
 IDEALISATIONS = [
     "the rolling rows have a softness of 1e-6: a plan may slip by about 1e-6 m/s",
@@ -55,7 +55,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         ),
         supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
-    # the model's base has one height: what the true one lacks of it, the hand makes up for
+    # the model's base has one height: what the true one lacks of it, the end effector makes up for
     references.set(mpc, robot.home, -calibration.rise(robot.base.geometry))
     stand_still(plant, controller, timing, settings.settle_time)
     release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
@@ -79,9 +79,9 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         log.add("base_release", t, release.pose)
         log.add("hand", t, truth.tool)
         log.add("hand_odometry", t, in_frame(pose, truth.tool_in_base, truth.tool[2]))
-        wanted = lie.quaternion_to_rotation(references.orientation(np.array([t]))[0])
-        log.add("hand_rotation", t, lie.rotation_angle(rotation_about_z(pose[2]) @ truth.tool_rotation_in_base, wanted))
-        log.add("hand_reference", t, references.hand(np.array([t]))[0])
+        target = lie.quaternion_to_rotation(references.orientation(np.array([t]))[0])
+        log.add("hand_rotation", t, lie.rotation_angle(rotation_about_z(pose[2]) @ truth.tool_rotation_in_base, target))
+        log.add("hand_reference", t, references.end_effector(np.array([t]))[0])
         log.add("input", t, plans.current.feedforward(t))
         log.add("wheel_command", t, command.wheel)
         log.add("arm", t, m.arm)

@@ -9,15 +9,15 @@ import numpy as np
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.paths import nearest_distance
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.studies.pankert2022.metrics import rms, travelled
 from wbmpc.studies.pankert2022.track_references import TrackReferences
+from wbmpc.studies.paths import nearest_distance
 
 #: Groups of joints whose speeds are logged and drawn against their limits.
 SPEEDS = ("leg", "steer", "wheel", "arm")
 #: A drift over a shorter way [m] says nothing.
-LEAST_WAY = 0.1
+MIN_DISTANCE = 0.1
 
 
 def metrics(log: Log, references: TrackReferences) -> dict[str, Metric]:
@@ -33,9 +33,9 @@ def metrics(log: Log, references: TrackReferences) -> dict[str, Metric]:
     names = ("base", "base_odometry", "base_wheels", "base_release")
     base, odometry, wheels, release = (log.array(n) for n in names)
     way = travelled(base)
-    moved = way if way > LEAST_WAY else float("nan")
+    moved = way if way > MIN_DISTANCE else float("nan")
     drift = lambda pose: float(np.hypot(*(pose - base)[-1, :2])) / moved
-    hand_travel = float(np.sum(np.linalg.norm(np.diff(reference, axis=0), axis=1)))
+    end_effector_travel = float(np.sum(np.linalg.norm(np.diff(reference, axis=0), axis=1)))
     return {
         "hand_error_mean_odometry": Metric(float(estimated[use].mean()), "m", paper=0.0167, goal=0.002),
         "hand_error_max_odometry": Metric(float(estimated[use].max()), "m"),
@@ -43,7 +43,7 @@ def metrics(log: Log, references: TrackReferences) -> dict[str, Metric]:
         "hand_error_mean_world": Metric(float(world[use].mean()), "m", goal=0.020),
         "hand_orientation_error_max": Metric(float(log.array("hand_rotation")[use].max()), "rad"),
         "path_length": Metric(
-            hand_travel, "m", paper=20.53 if abs(references.path.arc_length - 20.53) < 0.01 else None
+            end_effector_travel, "m", paper=20.53 if abs(references.path.arc_length - 20.53) < 0.01 else None
         ),
         "base_path_length": Metric(way, "m", paper=15.96 if abs(references.path.length - 15.96) < 0.01 else None),
         "base_error_rms_world": Metric(rms((odometry - base)[:, :2]), "m"),
@@ -66,20 +66,20 @@ def _speed_ratios(log: Log, robot: RobotModel) -> list[Series]:
 
 
 def plots(log: Log, robot: Any, mpc: MPC, references: TrackReferences) -> list[Plot]:
-    t, hand, reference = log.times("hand"), log.array("hand"), log.array("hand_reference")
+    t, end_effector, reference = log.times("hand"), log.array("hand"), log.array("hand_reference")
     estimated, base, odometry = log.array("hand_odometry"), log.array("base"), log.array("base_odometry")
     curve = references.curve()[::40]
     axis, name = (2, "z [m]") if references.vertical else (1, "y [m]")
     solve = 1e3 * np.array(mpc.statistics.solve_times)
     error = lambda p: 1e3 * np.linalg.norm(p - reference, axis=1)
     return [
-        Plot("Hand path and its reference", "x [m]", name, [
+        Plot("End effector path and its reference", "x [m]", name, [
             Series("reference", curve[:, 0], curve[:, axis], dashed=True),
-            Series("hand, estimated frame", estimated[:, 0], estimated[:, axis]),
-            Series("hand, world", hand[:, 0], hand[:, axis]),
+            Series("end effector, estimated frame", estimated[:, 0], estimated[:, axis]),
+            Series("end effector, world", end_effector[:, 0], end_effector[:, axis]),
         ], equal_axes=True),
-        Plot("Hand error", "time [s]", "error [mm]", [
-            Series("estimated frame", t, error(estimated)), Series("world", t, error(hand)),
+        Plot("End effector error", "time [s]", "error [mm]", [
+            Series("estimated frame", t, error(estimated)), Series("world", t, error(end_effector)),
         ]),
         Plot("Base path", "x [m]", "y [m]", [
             Series("true", base[:, 0], base[:, 1]), Series("odometry", odometry[:, 0], odometry[:, 1], dashed=True),

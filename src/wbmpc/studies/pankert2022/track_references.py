@@ -1,4 +1,4 @@
-"""Settings of `swerve-track`, and where hand and base shall be over time."""
+"""Settings of `swerve-track`, and where end effector and base shall be over time."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc import lie
-from wbmpc.bases.swerve.defaults import HandCost, SwerveCost
+from wbmpc.bases.swerve.defaults import EndEffectorCost, SwerveCost
 from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.paths import Approach, SinePath
 from wbmpc.settings import ExperimentSettings, LocalisationSettings
+from wbmpc.studies.paths import Approach, SinePath
 
-#: Length of one period [m] (15.96 m for six) and heights, offsets of the hand's path [m].
+#: Length of one period [m] (15.96 m for six) and heights, offsets of the end effector's path [m].
 PERIOD_LENGTH, HEIGHT, SIDE, AHEAD = 15.96 / 6, 0.80, 0.65, 0.30
 #: How far [m] to the left of its base the UR10's tool comes at that height and so far ahead, pointing to the left; how far
 #: beyond that the peaks of the variant of that name are.
 REACH, BEYOND = 1.248, 0.030
 #: The tool's axis points to the left of the base.
-HAND_ROTATION = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-HAND_ORIENTATION = lie.rotation_to_quaternion(HAND_ROTATION)
+END_EFFECTOR_ROTATION = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+END_EFFECTOR_ORIENTATION = lie.rotation_to_quaternion(END_EFFECTOR_ROTATION)
 
 
 class SwerveTrackSettings(ExperimentSettings):
     """``periods`` of the sine (6 periods are the paper's 15.96 m), its ``amplitude`` [m] and ``variant`` (``vertical``: upright;
     ``peaks``: horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` along it [m/s]
-    (a hand that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``settle_time`` [s] of
+    (an end effector that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``settle_time`` [s] of
     standing (0: it shows under way, and the pose is corrected late); ``calibration`` of the wheels: drive (a reference drive with
     ``localisation`` first), none, or a file that 'wbmpc calibrate' wrote; ``global_poses``: whether the run itself has the
     ``localisation``; ``actuator_time_constant`` [s] that the controller assumes; ``friction``, ``smoothing``: see
     :class:`wbmpc.bases.swerve.controller.SwerveController`."""
 
-    cost: SwerveCost = SwerveCost(end_effector=HandCost(weight=4000.0))
+    cost: SwerveCost = SwerveCost(end_effector=EndEffectorCost(weight=4000.0))
     robot: str = "swerve-ur10"
     variant: Literal["horizontal", "vertical", "peaks"] = "horizontal"
     periods: int = Field(6, ge=1, le=20)
@@ -54,13 +54,13 @@ class SwerveTrackSettings(ExperimentSettings):
 
 
 class TrackReferences:
-    """Hand and base paths over time. The hand first comes from where it is at the robot's home to the path's start."""
+    """End effector and base paths over time. The end effector first comes from where it is at the robot's home to the path's start."""
 
     def __init__(self, settings: SwerveTrackSettings, robot: RobotModel) -> None:
         s = settings
         amplitude = REACH + BEYOND - SIDE if s.variant == "peaks" else s.amplitude
         self.vertical = s.variant == "vertical"
-        self.approach = Approach(robot.pose(robot.home), (np.array([AHEAD, SIDE, HEIGHT]), HAND_ORIENTATION))
+        self.approach = Approach(robot.pose(robot.home), (np.array([AHEAD, SIDE, HEIGHT]), END_EFFECTOR_ORIENTATION))
         begin = self.approach.duration + 0.5
         self.path = SinePath(amplitude, PERIOD_LENGTH * s.periods, s.periods, s.speed, start=begin, ramp=2.0)
         self.duration = float(np.ceil((self.path.end + 0.5) * 10.0) / 10.0)
@@ -70,13 +70,13 @@ class TrackReferences:
         """From when on errors count [s]: 2 s after the approach."""
         return self.approach.duration + 2.0
 
-    def hand(self, t: np.ndarray) -> np.ndarray:
-        """Positions (n, 3) [m] of the hand's reference at times t (n,) [s]."""
+    def end_effector(self, t: np.ndarray) -> np.ndarray:
+        """Positions (n, 3) [m] of the end effector's reference at times t (n,) [s]."""
         along, across = self.path.point(t)
         return self._place(along, across) + self.approach.offset(t)[0]
 
     def orientation(self, t: np.ndarray) -> np.ndarray:
-        """Quaternions (n, 4) of the hand's reference at times t (n,) [s]."""
+        """Quaternions (n, 4) of the end effector's reference at times t (n,) [s]."""
         return self.approach.offset(t)[1]
 
     def _place(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
@@ -93,10 +93,10 @@ class TrackReferences:
         return s * share, rate * share
 
     def set(self, mpc: MPC, home: np.ndarray, lift: float = 0.0) -> None:
-        """``lift`` [m]: by what the hand goes higher over the model's base than over the floor."""
+        """``lift`` [m]: by what the end effector goes higher over the model's base than over the floor."""
         robot_state, robot_input = mpc.ocp.dynamics.state, mpc.ocp.dynamics.input
         t = np.arange(0.0, self.duration + 0.02, 0.02)
-        mpc.reference["hand"] = Reference.poses(t, self.hand(t) + [0.0, 0.0, lift], self.orientation(t))
+        mpc.reference["hand"] = Reference.poses(t, self.end_effector(t) + [0.0, 0.0, lift], self.orientation(t))
         x, speed = self.base(t)
         states = np.tile(home, (t.size, 1))
         states[:, robot_state["base"]] = np.stack([x, 0.0 * x, 0.0 * x], axis=1)

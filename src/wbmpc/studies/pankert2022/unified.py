@@ -1,4 +1,4 @@
-"""`swerve-unified`: the hand holds a pose in the world while the base drives, turns and reconfigures itself.
+"""`swerve-unified`: the end effector holds a pose in the world while the base drives, turns and reconfigures itself.
 
 The title's "simultaneous navigation, reconfiguration, and manipulation" (Pankert et al. 2022, abstract and section III-A).
 With ``legs=support`` the leg targets are left out, and the margin of the zero-moment point in the support triangles is the
@@ -26,19 +26,19 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Reference, RelaxedBarrier, residuals, sets
-from wbmpc.paths import Approach
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.stability import StanceOf, leg_angles, region_margin, support_triangles
 from wbmpc.stability.geometry import Triangle
 from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, at_home
 from wbmpc.studies.pankert2022.standing import stand_still
-from wbmpc.studies.pankert2022.track_references import HAND_ORIENTATION
+from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.unified_figures import metrics, plots
 from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
+from wbmpc.studies.paths import Approach
 
 NAME = "swerve-unified"
-SUMMARY = "the hand holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"
+SUMMARY = "the end effector holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"
 
 IDEALISATIONS = [
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
@@ -46,7 +46,7 @@ IDEALISATIONS = [
     "the computation takes a constant 10 ms; legs' and arm's encoder offsets are not calibrated",
     "the time that a brake takes to open and to close is assumed, and known to the planner",
 ]
-#: Where the hand holds still [m], how long the base drives [s], when the brakes open and close after that began [s].
+#: Where the end effector holds still [m], how long the base drives [s], when the brakes open and close after that began [s].
 HOLD, DRIVE, OPENS, CLOSES = (1.0, 0.5, 0.9), 15.0, 1.0, 11.0
 #: Where the base goes: 2 m ahead, turned by 90°.
 GOAL = (2.0, 0.0, 0.5 * np.pi)
@@ -67,26 +67,28 @@ def _start(robot: RobotModel, settings: SwerveUnifiedSettings) -> np.ndarray:
     return at_home(robot, leg_angles(robot, settings.leg_start))
 
 
-def _goal(robot: RobotModel, settings: SwerveUnifiedSettings) -> np.ndarray:
-    """Leg angles (n) [rad] of the goal."""
+def _reconfigurations(robot: RobotModel, settings: SwerveUnifiedSettings, opens: float) -> tuple[Reconfiguration, ...]:
+    """To the legs' goal, once the brakes are open; none without a goal."""
+    if settings.legs.kind == "support":
+        return ()
     try:
-        return leg_angles(robot, settings.leg_goal)
+        return (Reconfiguration(opens, leg_angles(robot, settings.legs.goal)),)
     except InputError as error:
         legs = robot.base.geometry.modules
         raise InputError(
-            f"{error}; valid for leg_goal: angles, as [{', '.join(['0.2'] * legs)}]; or legs=support"
+            f"{error}; valid for legs.goal: angles, as [{', '.join(['0.2'] * legs)}]; or legs=support"
         ) from None
 
 
 def _problem(robot: RobotModel, home: np.ndarray, settings: SwerveUnifiedSettings) -> Any:
     cost = settings.cost
-    free = settings.legs == "support"
-    if free:
+    legs = settings.legs
+    if legs.kind == "support":
         cost = cost.model_copy(update={"state": cost.state.model_copy(update={"leg": 0.0})})
     ocp = swerve_problem(robot, settings.mpc, cost, ROLLING_SOFTNESS, accelerations=True)
-    if free:
+    if legs.kind == "support":
         margin = residuals.SupportMargin(robot, rear_triangles(robot, home[robot.state["leg"]]))
-        barrier = RelaxedBarrier(settings.support, settings.reserve)
+        barrier = RelaxedBarrier(legs.weight, legs.reserve)
         ocp.add(Constraint("support", margin, sets.NonNegative(), at="path+terminal", penalty=barrier))
     return ocp
 
@@ -97,13 +99,13 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
     reject_two_wheels(robot.description)  # before advice about their legs
-    approach = Approach(robot.pose(robot.home), (np.array(HOLD), HAND_ORIENTATION))
+    approach = Approach(robot.pose(robot.home), (np.array(HOLD), END_EFFECTOR_ORIENTATION))
     begin = approach.duration + 1.0
-    home, free = _start(robot, settings), settings.legs == "support"
+    home = _start(robot, settings)
     opens = begin + OPENS + settings.plant.brake_delay
     mission = Mission(
         (Leg(begin, DRIVE, GOAL),), home[robot.state["leg"]],
-        () if free else (Reconfiguration(opens, _goal(robot, settings)),),
+        _reconfigurations(robot, settings, opens),
         ((begin + OPENS, 1.0), (begin + CLOSES, 0.0)),
     )  # fmt: skip
     duration = float(np.ceil((begin + DRIVE + 3.0) * 10.0) / 10.0)
@@ -147,7 +149,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
 
     return Scenario.single(
         log, Loop(plant, controller, mpc, timing, duration, record).run,
-        lambda run: metrics(log, begin, free, len(controller.faults), controller.holds),
+        lambda run: metrics(log, begin, settings.legs.kind == "support", len(controller.faults), controller.holds),
         lambda run: plots(log, robot, begin), IDEALISATIONS,
     )  # fmt: skip
 

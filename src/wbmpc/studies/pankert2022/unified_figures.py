@@ -14,7 +14,9 @@ from wbmpc.studies.pankert2022.metrics import rms, travelled
 
 #: Errors of the base [m, rad] at the end with which it counts as there; what may keep it from there.
 THERE, TURNED = 0.05, 0.05
-REACH_NOTE = "the hand weighs more: where the arm does not reach what it holds from the goal, the base ends short of it"
+REACH_NOTE = (
+    "the end effector weighs more: where the arm does not reach what it holds from the goal, the base ends short of it"
+)
 
 
 def metrics(log: Log, begin: float, free: bool, faults: int, held: int) -> dict[str, Metric]:
@@ -48,22 +50,26 @@ def metrics(log: Log, begin: float, free: bool, faults: int, held: int) -> dict[
 
 
 def plots(log: Log, robot: RobotModel, begin: float) -> list[Plot | Drawing]:
-    t, base, odometry, wanted = (log.times("base"), *map(log.array, ("base", "base_odometry", "base_reference")))
-    hand, legs, goals = log.array("hand_odometry"), np.degrees(log.array("leg")), np.degrees(log.array("leg_reference"))
+    t, base, odometry, target = (log.times("base"), *map(log.array, ("base", "base_odometry", "base_reference")))
+    end_effector, legs, goals = (
+        log.array("hand_odometry"),
+        np.degrees(log.array("leg")),
+        np.degrees(log.array("leg_reference")),
+    )
     margins = 1e3 * log.array("support_margin")
     names = [n.removeprefix("leg_") for n in robot.state.groups["leg"]]
     error = lambda a: 1e3 * np.linalg.norm(log.array(a) - log.array("hand_reference"), axis=1)
     use = t >= begin
     return [
-        Plot("Base and hand from above", "x [m]", "y [m]", [
-            Series("base", base[:, 0], base[:, 1]), Series("base, reference", wanted[:, 0], wanted[:, 1], dashed=True),
-            Series("hand, estimated frame", hand[use, 0], hand[use, 1]),
+        Plot("Base and end effector from above", "x [m]", "y [m]", [
+            Series("base", base[:, 0], base[:, 1]), Series("base, reference", target[:, 0], target[:, 1], dashed=True),
+            Series("end effector, estimated frame", end_effector[use, 0], end_effector[use, 1]),
         ], equal_axes=True),
-        Plot("Hand error", "time [s]", "error [mm]", [
+        Plot("End effector error", "time [s]", "error [mm]", [
             Series("estimated frame", t[use], error("hand_odometry")[use]), Series("world", t[use], error("hand")[use]),
         ]),
         Plot("Base error, estimated frame", "time [s]", "error [mm, mrad]", [
-            Series(n, t, 1e3 * (odometry - wanted)[:, k]) for k, n in enumerate(("x", "y", "yaw"))
+            Series(n, t, 1e3 * (odometry - target)[:, k]) for k, n in enumerate(("x", "y", "yaw"))
         ]),
         Plot("Leg angles", "time [s]", "angle [deg]", [
             *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost
-from wbmpc.configuration import OnlyWith
-from wbmpc.settings import ExperimentSettings, Weight
+from wbmpc.configuration import kind_alone
+from wbmpc.settings import ExperimentSettings, Settings, Weight
 
 #: Where the legs begin if nothing else is said.
 AT_HOME = "home"
@@ -16,20 +16,35 @@ AT_HOME = "home"
 Configuration = str | tuple[float, ...]
 
 
+class TargetLegs(Settings):
+    """The legs go to ``goal``."""
+
+    kind: Literal["targets"] = "targets"
+    goal: Configuration = "A"
+
+
+class SupportLegs(Settings):
+    """The legs have no goal: the objective is the zero-moment point's margin in the support triangles over the two rearmost feet, of
+    ``weight`` per second (a logarithmic barrier, quadratic below ``reserve`` [m])."""
+
+    kind: Literal["support"] = "support"
+    weight: Weight = 0.05
+    reserve: float = Field(0.05, gt=0, le=0.5)
+
+
+#: What moves the legs.
+Legs = Annotated[TargetLegs | SupportLegs, Field(discriminator="kind"), BeforeValidator(kind_alone)]
+
+
 class SwerveUnifiedSettings(ExperimentSettings):
-    """``legs``: by targets (from ``leg_start`` to ``leg_goal``: H, X, A, or angles [rad] in brackets, one for each leg; the robot's
-    home and A if nothing is said) or free, with the zero-moment point's margin in the support triangles over the two rearmost feet
-    as the objective of ``support`` weight per second (a logarithmic barrier, quadratic below ``reserve`` [m]), and without a goal;
-    ``use_gyro``, ``settle_time``, ``actuator_time_constant``: as in swerve-track; ``leg_guard``: see
-    :class:`wbmpc.bases.swerve.controller.SwerveController`."""
+    """``leg_start``: H, X, A, angles [rad] in brackets, one for each leg, or home; ``legs``: what moves them from there, targets
+    (``legs.goal``, as ``leg_start``) or their support (:class:`SupportLegs`); ``use_gyro``, ``settle_time``,
+    ``actuator_time_constant``: as in swerve-track; ``leg_guard``: see :class:`wbmpc.bases.swerve.controller.SwerveController`."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
     robot: str = "swerve-ur10"
-    legs: Literal["targets", "support"] = "targets"
     leg_start: Configuration = AT_HOME
-    leg_goal: Annotated[Configuration, OnlyWith(legs="targets")] = "A"
-    support: Annotated[Weight, OnlyWith(legs="support")] = 0.05
-    reserve: Annotated[float, OnlyWith(legs="support")] = Field(0.05, gt=0, le=0.5)
+    legs: Legs = TargetLegs()
     use_gyro: bool = True
     settle_time: float = Field(20.0, ge=0, le=120)
     actuator_time_constant: float = Field(0.020, ge=0, le=0.5)

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wbmpc.estimation.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Drawing, Metric, Plot, Series
 from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, corners, draw
+from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.studies.pankert2022.support_prediction import AWAY, UNLOADED, Case, Support, predict, tippings
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def time_error(predicted: list[Switch], events: list[tuple[float, int]]) -> floa
         return float("inf")
     errors = [0.0]
     for switch, (when, wheel) in zip(predicted, events, strict=True):
-        lost = set(switch.before) - set(switch.after)
+        lost = set(switch.previous) - set(switch.after)
         errors.append(abs(switch.time - when) if lost == {wheel} else float("inf"))
     return max(errors)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.test_problems.problem import SampleProblem
+from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.model.ode import Ode
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
 

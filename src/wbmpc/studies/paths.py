@@ -65,7 +65,7 @@ class SinePath:
 
 @dataclass(frozen=True)
 class Approach:
-    """From a hand pose (position (3) [m], quaternion (4)) to another along a straight line, smoothly, from time 0 on.
+    """From an end effector pose (position (3) [m], quaternion (4)) to another along a straight line, smoothly, from time 0 on.
 
     ``duration`` [s]: as long as the largest speeds ask for; 0 where the poses are the same.
     """

@@ -1,4 +1,4 @@
-"""A force sensor in the hand: zeroed while nothing touches; not believed if it stands still, or contradicts the robot's motion."""
+"""A force sensor in the end effector: zeroed while nothing touches; not believed if it stands still, or contradicts the robot's motion."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from wbmpc.estimation.inertial import REPEATS, STANDS
 
 Array = NDArray[np.float64]
 #: Sensor and motion contradict each other by more than this [N], for so long [s], and the sensor is wrong. (What the motion says
-#: of a free hand on its way is 1.3 N at most; the hand's pull at its place beyond a panel, where no force is planned, is 5 N.)
+#: of a free end effector on its way is 1.3 N at most; the end effector's pull at its place beyond a panel, where no force is planned, is 5 N.)
 UNFELT, UNFELT_TIME = 3.0, 0.3
 #: A message farther than this [N] from the one before does not count; the next one does, whatever it says: a hit is felt one
 #: message later.
 JUMP = 30.0
 #: A touch that has lasted so long [s] is none if the motion says less than this share of its force, both averaged over the last
-#: of these times [s]. (A zero that moves by more than a touch's threshold would send the hand against a panel that is not there
+#: of these times [s]. (A zero that moves by more than a touch's threshold would send the end effector against a panel that is not there
 #: yet; sound touches: 0.55 or more, at 8 to 60 N.)
 CONFIRMED, SHARE, MEAN_TIME = 0.15, 0.4, 0.1
 #: What a sensor reads at rest is averaged over this time [s]. It is left as it is up to the first of these [N], what an ordinary
 #: zeroing leaves (0.1 N for each axis); beyond the second the sensor is broken, or something touches it: it is not believed.
-ZERO_TIME, ZERO_LEFT, ZERO_MOST = 0.3, 0.3, 5.0
+ZERO_TIME, ZERO_LEFT, MAX_ZERO = 0.3, 0.3, 5.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class ForceMonitor:
         self._last: Array | None = None
         self._jumped = False
         self._same, self._for, self._apart, self._touched = 0, 0.0, 0.0, 0.0
-        self._pushes = np.zeros(2)  # felt and found while the hand touches, averaged [N]
+        self._pushes = np.zeros(2)  # felt and found while the end effector touches, averaged [N]
 
     def judge(self, h: float, force: ArrayLike) -> Array:
         """The force (3) [N] that counts after a message, ``h`` [s] after the one before.
@@ -62,10 +62,12 @@ class ForceMonitor:
             raise InputError(f"force sensor: 'force' needs 3 numbers, got {given}")
         if self.fault:
             return np.zeros(3)
-        before, new = self._last, bool(np.isfinite(given).all())
-        again = not new or (before is not None and np.array_equal(given, before))
+        previous, new = self._last, bool(np.isfinite(given).all())
+        again = not new or (previous is not None and np.array_equal(given, previous))
         self._same, self._for = (self._same + 1, self._for + h) if again else (0, 0.0)
-        self._jumped = bool(new and before is not None and not self._jumped and np.linalg.norm(given - before) > JUMP)
+        self._jumped = bool(
+            new and previous is not None and not self._jumped and np.linalg.norm(given - previous) > JUMP
+        )
         if new and not self._jumped:
             self._last = given
         if self._same >= REPEATS and self._for >= STANDS - 1e-9:
@@ -82,7 +84,7 @@ class ForceMonitor:
     def tare(self) -> str:
         """From now on something may touch: what was read at rest is the zero, or the reason of a ``fault``, which is returned."""
         size, self._rested = float(np.linalg.norm(self._at_rest)), 0.0
-        if size > ZERO_MOST:
+        if size > MAX_ZERO:
             self.fault = self.fault or f"the force sensor reads {size:.1f} N where nothing touches"
         elif size > ZERO_LEFT:
             self.zero = self.zero + self._at_rest
@@ -91,7 +93,7 @@ class ForceMonitor:
 
     def update(self, t: float, h: float, touching: bool, felt: float, found: float) -> list[ForceFault]:
         """What is new at t [s] after another ``h`` [s] in which the sensor has ``felt`` a push [N] and the motion ``found`` one; of
-        a hand that is not ``touching`` it only counts that the motion says it is pushed."""
+        an end effector that is not ``touching`` it only counts that the motion says it is pushed."""
         known = self.fault
         self._compare(h, touching, felt, found)
         return [ForceFault(t, self.fault)] if self.fault and not known else []
@@ -108,7 +110,7 @@ class ForceMonitor:
             self.fault = (
                 f"the force sensor feels {felt:.1f} N, the robot's motion says {found:.1f} N"
                 if touching
-                else f"the hand is pushed by {found:.1f} N that the force sensor does not feel"
+                else f"the end effector is pushed by {found:.1f} N that the force sensor does not feel"
             )
 
     def _imagined(self, h: float, touching: bool, felt: float, found: float) -> bool:

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.benchmark.test_problems.problem import SampleProblem
+from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about
 from wbmpc.model.ode import Ode
 from wbmpc.model.robot import RobotModel, load_robot
@@ -30,8 +30,8 @@ def _arm() -> RobotModel:
     return load_robot("swerve-fixed-ur10")
 
 
-def hand_pose(x: ca.SX) -> FramePose:
-    """Pose of the hand for a state (x, y, yaw, six joints)."""
+def end_effector_pose(x: ca.SX) -> FramePose:
+    """Pose of the end effector for a state (x, y, yaw, six joints)."""
     tree, yaw = _arm().tree, x[2]
     joints = [tree.joint(name) for name in _arm().description.arm.joints]
     first = tree.links[joints[0]].parent
@@ -59,7 +59,7 @@ def _descends(links: tuple, i: int, root: int) -> bool:  # type: ignore[type-arg
 
 def _error(s: Symbols) -> ca.SX:
     """Position error (3) [m] and vector part of the error quaternion (3), as OCS2's quaternionDistance."""
-    pose = hand_pose(s.x)
+    pose = end_effector_pose(s.x)
     error = lie.quaternion_multiply(pose.quaternion, lie.quaternion_conjugate(s.reference[3:7]))
     return ca.vertcat(pose.position - s.reference[0:3], lie.quaternion_error_vector(error))
 
@@ -69,7 +69,7 @@ def _unicycle(x: ca.SX, u: ca.SX) -> ca.SX:
 
 
 def differential_manipulator(intervals: int = 21, step: tuple[float, float, float] = (0.2, 0.1, -0.1)) -> SampleProblem:
-    """The hand is to move by ``step`` [m] and keep its orientation, 1 s. State 9, inputs v, ω and six joint speeds."""
+    """The end effector is to move by ``step`` [m] and keep its orientation, 1 s. State 9, inputs v, ω and six joint speeds."""
     joints = list(_arm().description.arm.joints)
     dynamics = Ode({"base": ["x", "y", "yaw"], "arm": joints}, {"base": ["v", "w"], "arm": joints}, _unicycle)
     ocp = OptimalControlProblem(dynamics, 1.0, intervals)
@@ -82,7 +82,7 @@ def differential_manipulator(intervals: int = 21, step: tuple[float, float, floa
     ocp.add(Constraint("ranges", arm, sets.Box(-limit, limit), at="path+terminal", penalty=RelaxedBarrier(1e-3, 1e-3)))
     x0 = np.concatenate([np.zeros(3), _arm().home[_arm().state["arm"]]])
     x = ca.SX.sym("x", 9)
-    pose = hand_pose(x)
+    pose = end_effector_pose(x)
     position, quaternion = (np.array(v).ravel() for v in ca.Function("p", [x], [pose.position, pose.quaternion])(x0))
     references = {"hand": Reference.poses([0.0], [position + np.array(step)], quaternion)}
     return SampleProblem("differential-drive manipulator", ocp, x0, x0, np.zeros(8), references)

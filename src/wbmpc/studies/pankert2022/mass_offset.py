@@ -99,9 +99,9 @@ def estimate_mass_offset(
     prior = np.array([base, base, arm, arm])
     pairs = [t.row() for t in tippings]
     rows = np.array([r for r, _ in pairs]).reshape(-1, 4) * prior / seen  # both sides in standard deviations
-    wanted = np.array([w for _, w in pairs]) / seen
+    target = np.array([w for _, w in pairs]) / seen
     information = np.eye(4) + rows.T @ rows
     covariance = prior[:, None] * np.linalg.inv(information) * prior
-    mean = prior * np.linalg.solve(information, rows.T @ wanted)
+    mean = prior * np.linalg.solve(information, rows.T @ target)
     rank = int(np.sum(np.linalg.svd(rows, compute_uv=False) > 1.0)) if pairs else 0
     return MassOffset(mean[:2], mean[2:], covariance, rank)

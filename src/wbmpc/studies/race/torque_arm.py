@@ -5,16 +5,16 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.test_problems.multibody import Multibody
-from wbmpc.benchmark.test_problems.problem import SampleProblem
+from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.model.kinematics import constant
 from wbmpc.model.tree import Frame, Link
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference, residuals
+from wbmpc.studies.race.multibody import Multibody
 
 #: Length [m] and mass [kg] of the whole arm, however many links; radius [m] of the links; inertia of a drive [kg m²].
 LENGTH, MASS, RADIUS, ARMATURE = 1.2, 12.0, 0.05, 0.1
-#: Weights: hand [1/m²], joint angles [1/rad²] and rates, torques [1/(N m)²]; the end counts as one second.
-HAND, ANGLE, RATE, TORQUE = 100.0, 0.1, 0.1, 1e-4
+#: Weights: end effector [1/m²], joint angles [1/rad²] and rates, torques [1/(N m)²]; the end counts as one second.
+END_EFFECTOR_WEIGHT, ANGLE, RATE, TORQUE = 100.0, 0.1, 0.1, 1e-4
 _AXES = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
 
 
@@ -32,15 +32,15 @@ def torque_arm_links(joints: int) -> list[Link]:
 
 
 def torque_arm(joints: int = 6, intervals: int = 50, horizon: float = 1.0) -> SampleProblem:
-    """The hand is to go 0.3 m to the side from a bent posture at rest. State: angles and rates, input: torques [N m]."""
+    """The end effector is to go 0.3 m to the side from a bent posture at rest. State: angles and rates, input: torques [N m]."""
     names = [f"joint_{k}" for k in range(joints)]
     groups = ({"q": names, "v": names}, {"torque": names})
     dynamics = Multibody(torque_arm_links(joints), *groups, lambda q, u: u, ARMATURE)
     tip = Frame(joints - 1, np.array([0.0, 0.0, LENGTH / joints]), np.eye(3))
     ocp = OptimalControlProblem(dynamics, horizon, intervals)
-    hand = residuals.Expression(3, lambda s: dynamics.chain(s.x).frame_pose(tip).position - s.reference, 3)
+    end_effector = residuals.Expression(3, lambda s: dynamics.chain(s.x).frame_pose(tip).position - s.reference, 3)
     state = residuals.Expression(2 * joints, lambda s: s.x - s.reference, 2 * joints)
-    ocp.add(Cost("hand", hand, HAND, at="path+terminal"))
+    ocp.add(Cost("hand", end_effector, END_EFFECTOR_WEIGHT, at="path+terminal"))
     ocp.add(Cost("state", state, [ANGLE] * joints + [RATE] * joints, at="path+terminal"))
     ocp.add(Cost("torque", residuals.Expression(joints, lambda s: s.u), TORQUE))
     q0 = np.array([(0.0, 0.6, 0.1)[k % 3] * 6.0 / joints for k in range(joints)])

@@ -6,12 +6,12 @@
 from collections.abc import Callable
 from functools import partial
 
-from wbmpc.benchmark.test_problems.ballbot import ballbot
-from wbmpc.benchmark.test_problems.differential import differential_manipulator
-from wbmpc.benchmark.test_problems.problem import SampleProblem
-from wbmpc.benchmark.test_problems.small import cartpole, double_integrator
-from wbmpc.benchmark.test_problems.swerve import swerve
-from wbmpc.benchmark.test_problems.torque_arm import torque_arm
+from wbmpc.benchmark.problems import SampleProblem
+from wbmpc.studies.race.ballbot import ballbot
+from wbmpc.studies.race.differential import differential_manipulator
+from wbmpc.studies.race.small import cartpole, double_integrator
+from wbmpc.studies.race.swerve import swerve
+from wbmpc.studies.race.torque_arm import torque_arm
 
 MAKERS: dict[str, Callable[..., SampleProblem]] = {
     "double-integrator": double_integrator,

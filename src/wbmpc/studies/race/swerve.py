@@ -13,7 +13,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.test_problems.problem import SampleProblem
+from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import (
@@ -74,8 +74,8 @@ def _terms(ocp: OptimalControlProblem, robot: RobotModel, groups: tuple[str, ...
     ocp.add(Cost("posture", residuals.State(robot, joints), {g: _POSTURE[g] for g in joints}, at="path+terminal"))
     ocp.add(Cost("rates", residuals.Input(robot, rates, reference=None), {g: _RATES[g] for g in rates}))
     if "arm" in groups:
-        hand = residuals.FramePose(robot, robot.tool)
-        ocp.add(Cost("hand", hand, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
+        end_effector = residuals.FramePose(robot, robot.tool)
+        ocp.add(Cost("hand", end_effector, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
     ocp.add(Constraint("rolling", residuals.Rolling(robot)))
     ocp.add(Constraint("brakes", residuals.LockedJoints(robot)))
     barrier, limits = RelaxedBarrier(1e-3, 0.02), robot.limits
@@ -87,7 +87,7 @@ def _terms(ocp: OptimalControlProblem, robot: RobotModel, groups: tuple[str, ...
 
 
 def swerve(arm: bool = True, intervals: int = 101, horizon: float = 10.0, brakes: Brakes = "closed") -> SampleProblem:
-    """The body drives 0.2 m/s ahead from rest, the hand (with ``arm``) keeps its place on the body.
+    """The body drives 0.2 m/s ahead from rest, the end effector (with ``arm``) keeps its place on the body.
 
     ``brakes``: those of all legs, over the whole horizon, or opened from 2 s to 5 s ("events").
     """

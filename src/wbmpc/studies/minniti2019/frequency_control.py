@@ -37,9 +37,9 @@ class FrequencyAwareController(BallController):
             policy = plans.at(now)
             if policy is None:
                 break
-            wanted = self.limits.possible(self._torques_of(policy, memory, now, x))
-            memory.advance(wanted, self.period)
-            torque = self.sent.follow(wanted, torque)
+            target = self.limits.possible(self._torques_of(policy, memory, now, x))
+            memory.advance(target, self.period)
+            torque = self.sent.follow(target, torque)
             x = self._step(x, torque, self.period)
         return memory.observation(until, x)
 
@@ -52,7 +52,7 @@ class FrequencyAwareController(BallController):
         self.feedforward = self.memory.dynamics.acting(
             plans.current.state(t)[x.size :], plans.current.feedforward(t)
         )[: self.limit.size]  # fmt: skip
-        self.wanted = self._torques_of(plans.current, self.memory, t, x)
-        torque = self.limits.possible(self.wanted)
+        self.target = self._torques_of(plans.current, self.memory, t, x)
+        torque = self.limits.possible(self.target)
         self.memory.advance(torque, self.period)
         return self._drive(torque)

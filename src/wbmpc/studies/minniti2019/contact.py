@@ -1,4 +1,4 @@
-"""Whether a hand touches: force with hysteresis, debounced."""
+"""Whether an end effector touches: force with hysteresis, debounced."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The force at a hand without a force sensor: a momentum observer (De Luca and Mattone, ICRA 2003).
+"""The force at an end effector without a force sensor: a momentum observer (De Luca and Mattone, ICRA 2003).
 
 With p = M(q) v and ṗ = τ_known + τ_unknown + Ṁ v − h, where h = C v + g, the residual r' = K (ṗ − known part − r) follows the
 unknown generalised forces with bandwidth K. What it holds before the touch is the model's error; the change since then is
-explained as a force on the hand by least squares, weighted by how well each coordinate's force is known.
+explained as a force on the end effector by least squares, weighted by how well each coordinate's force is known.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class MomentumObserver:
             raise InputError(f"momentum observer: bandwidth must be positive, got {bandwidth}")
         self.mass, self.bias, self.bandwidth = mass, bias, bandwidth
         self.residual = np.zeros(0)
-        self._before: tuple[Array, Array] | None = None
+        self._previous: tuple[Array, Array] | None = None
         self._zero: Array | None = None
 
     def update(self, q: ArrayLike, v: ArrayLike, force: ArrayLike, interval: float) -> Array:
@@ -39,17 +39,17 @@ class MomentumObserver:
         n = np.size(v)
         q, v, force = (numbers("momentum observer", name, a, n) for name, a in (("q", q), ("v", v), ("force", force)))
         mass = self.mass(q)
-        if self._before is None:
+        if self._previous is None:
             self.residual = np.zeros(v.size)
         else:
-            last_mass, last_v = self._before
+            last_mass, last_v = self._previous
             middle = 0.5 * (v + last_v)
             # M v − M⁻ v⁻ = M̄ Δv + ΔM v̄: the second part is Ṁ v, which is no force
             pushed = 0.5 * (mass + last_mass) @ (v - last_v) / interval
             unknown = pushed - force + self.bias(q, middle)
             share = 1.0 - np.exp(-self.bandwidth * interval)
             self.residual = self.residual + share * (unknown - self.residual)
-        self._before = (mass, v)
+        self._previous = (mass, v)
         return self.residual
 
     def zero(self) -> None:
@@ -70,5 +70,5 @@ class MomentumObserver:
         return found
 
     def _started(self) -> None:
-        if self._before is None:
+        if self._previous is None:
             raise InputError("momentum observer: nothing is known before the first update")

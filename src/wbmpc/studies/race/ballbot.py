@@ -11,11 +11,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.test_problems.multibody import Multibody
-from wbmpc.benchmark.test_problems.problem import SampleProblem
+from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.model.kinematics import constant, rotation_about
 from wbmpc.model.tree import Link
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference, residuals
+from wbmpc.studies.race.multibody import Multibody
 
 _BALL_RADIUS, _WHEEL_RADIUS = 0.125, 0.064
 _AXES = {"yaw": (0.0, 0.0, 1.0), "pitch": (0.0, 1.0, 0.0), "roll": (1.0, 0.0, 0.0)}

@@ -1,0 +1,134 @@
+"""Numbers and names that no program should take, or print as they are. Truth: ISO/IEC 6429 (control sequences), Unicode's categories,
+the ZIP format (names of members need not differ), sizes of robots."""
+
+from __future__ import annotations
+
+import json
+import unicodedata
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wbmpc.cli import main
+from wbmpc.cli.terminal import printable
+from wbmpc.configuration import configure
+from wbmpc.errors import InputError
+from wbmpc.recording.messages import encode, fields
+from wbmpc.recording.writer import McapFile
+from wbmpc.robots import load_description
+from wbmpc.robots.description import DATA
+from wbmpc.run_files import read_log
+from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.yaml_file import parse_yaml
+
+ODD = "\x1b[2J\x1b]0;x\x07\u202e\u2028\x9b31m"
+
+
+class Cost(Settings):
+    weight: Weight = 1.0
+    start: str = "home"
+
+
+@pytest.mark.parametrize("text", ["\u0661\u0662", "\uff11", "'\u0661'", "-\u0663.5", "[1, \u0967]"])
+def test_digits_of_other_scripts_are_no_numbers(text: str) -> None:
+    assert any(unicodedata.category(c) == "Nd" and not c.isascii() for c in text)
+    with pytest.raises(InputError, match="in other digits than 0 to 9"):
+        configure(MpcSettings, [f"horizon={text}"], "toy")
+
+
+def test_words_of_other_scripts_are_words() -> None:
+    assert parse_yaml("a: r\u00e9sum\u00e9 \u0661x", "toy") == {"a": "r\u00e9sum\u00e9 \u0661x"}
+
+
+@pytest.mark.parametrize(
+    "text", ["1e300", "-1e300", "[1e13]", "{a: 1e300}", "1" + "0" * 40, "'1e300'", ".inf", "nan", "[[.nan]]"]
+)
+def test_numbers_that_no_robot_has_are_an_error_whatever_the_key(text: str) -> None:
+    with pytest.raises(InputError, match="must be a finite number, at most"):
+        configure(Cost, [f"start={text}"], "toy")
+
+
+def test_weights_are_bounded() -> None:
+    assert configure(Cost, ["weight=1e9"], "toy").weight == 1e9
+    with pytest.raises(InputError, match="weight"):
+        configure(Cost, ["weight=1e10"], "toy")
+
+
+def test_what_steers_a_terminal_is_written_out() -> None:
+    shown = printable(ODD + "\u00e9\n")
+    assert shown == "\\x1b[2J\\x1b]0;x\\x07\\u202e\\u2028\\x9b31m\u00e9\\n"
+    assert all(unicodedata.category(c)[0] != "C" for c in shown)
+
+
+def test_names_of_files_and_topics_do_not_steer_the_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    file = McapFile(path)
+    file.metadata("run", {"experiment": ODD, "seed": 1, "started": ODD})
+    text = encode("std_msgs/String", {"data": "x"}, lookup=fields, missing={})
+    file.put_bytes(f"/{ODD}", "std_msgs/String", 0.0, text)
+    file.metadata("result", {"completed": "false", "reason": ODD})
+    file.close()
+    assert main(["log", "info", str(path)]) == 0
+    assert main(["log", "info", f"{tmp_path}/{ODD}.mcap"]) == 2
+    said = capfd.readouterr()
+    assert said.out.count("\\x1b[2J") == 4 and "\\x1b[2J" in said.err
+    assert not {c for c in said.out + said.err if not c.isprintable()} - {"\n"}
+
+
+def test_two_arrays_of_one_name_are_an_error(tmp_path: Path) -> None:
+    np.save(tmp_path / "x.npy", np.zeros(3))
+    with zipfile.ZipFile(tmp_path / "log.npz", "w") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.write(tmp_path / "x.npy", "x.npy")
+        archive.write(tmp_path / "x.npy", "x.npy")
+    with pytest.raises(InputError, match=r"log\.npz: two of its arrays have one name"):
+        read_log(tmp_path / "log.npz")
+
+
+@pytest.mark.parametrize("name", ["''", "x" * 101])
+def test_names_of_robots_are_short_and_not_empty(name: str, tmp_path: Path) -> None:
+    text = (DATA / "swerve-ur10.yaml").read_text().splitlines()
+    text = [f"name: {name}" if line.startswith("name:") else line for line in text]
+    (tmp_path / "robot.yaml").write_text("\n".join(text))
+    with pytest.raises(InputError, match="key 'name'"):
+        load_description(tmp_path / "robot.yaml")
+
+
+def test_the_limit_of_a_recording_that_is_not_made_is_an_error(capfd: pytest.CaptureFixture[str]) -> None:
+    for given, says in (
+        ("5MB", "nothing is recorded without --out DIRECTORY"),
+        ("much", "a size from 1MB on is needed"),
+    ):
+        assert main(["view", "swerve-ur10", "--record-limit", given]) == 2
+        assert f"--record-limit: {'' if given == '5MB' else repr(given) + ': '}{says}" in capfd.readouterr().err
+
+
+def test_the_limit_reaches_the_recording_of_a_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("viser")
+    from wbmpc.simulation.lockstep import Ending
+    from wbmpc.view import session
+
+    limits = []
+
+    def run(robot: str, seed: int, view: object, *recorders: object) -> Ending:
+        limits.extend(recorder.limit for recorder in recorders)  # type: ignore[attr-defined]
+        return Ending("ended in the view", interrupted=True)
+
+    monkeypatch.setattr(session, "run_session", run)
+    assert main(["view", "swerve-ur10", "--out", str(tmp_path), "--record-limit", "3MB"]) == 0
+    assert limits == [3_000_000]
+
+
+def test_metrics_with_odd_names_are_printed_safely(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        metrics = {ODD: {"value": 1.0, "unit": ODD}}
+        (tmp_path / name / "metrics.json").write_text(
+            json.dumps({"experiment": name, "settings": {}, "metrics": metrics})
+        )
+        np.savez(tmp_path / name / "log.npz", x=np.zeros(2), **{"x.time": np.arange(2.0)})
+    given = ["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(tmp_path / "page.html")]
+    assert main(given) == 0
+    said = capfd.readouterr()
+    assert "\x1b" not in said.out + said.err and "\u202e" not in said.out + said.err
