@@ -13,9 +13,10 @@ import pytest
 from wheels_on_paper import ring
 
 from toys import robot
-from wbmpc.bases.ball.estimator import HISTORY, BallEstimator, JointTracker
+from wbmpc.bases.ball.estimator import HISTORY, BallEstimator
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
+from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor

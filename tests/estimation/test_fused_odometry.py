@@ -11,7 +11,8 @@ from wheels_on_paper import Drawn, ring
 from effort import draws
 from wbmpc.errors import InputError
 from wbmpc.estimation.fused_odometry import PATIENCE, FusedOdometry
-from wbmpc.estimation.odometry_filter import BIAS, OdometryNoise
+from wbmpc.estimation.odometry_filter import OdometryNoise
+from wbmpc.estimation.odometry_step import BIAS
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import fit_twist
 from wbmpc.model.wheels import ModuleGeometry

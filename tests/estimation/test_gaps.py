@@ -7,9 +7,9 @@ import pytest
 from wheels_on_paper import ring
 
 from wbmpc import lie
-from wbmpc.bases.ball.estimator import JointTracker
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
+from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.estimation.fused_odometry import FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.model.robot import load_robot

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from test_ball_filter import HOME, ROBOT, TORQUE, regulator
 
-from wbmpc.bases.ball.estimator import BallEstimator, JointTracker
+from wbmpc.bases.ball.estimator import BallEstimator
+from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.simulation.perturbation import Perturbation

@@ -10,8 +10,8 @@ docs/explanation.
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,26 +20,25 @@ from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 from wbmpc.estimation import odometry_filter as fused_filter
-from wbmpc.estimation.odometry_filter import BIAS, LATE, WHEELS, LegsShow, OdometryNoise, State, Step, advanced
+from wbmpc.estimation.odometry_filter import LegsShow, OdometryNoise, State
+from wbmpc.estimation.odometry_memory import Moment, OdometryMemory, state_of
+from wbmpc.estimation.odometry_step import BIAS, LATE, WHEELS, Interval, Way
 from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import Increment, Mask, Sample, WheelOdometry, fit_twist
-from wbmpc.estimation.wheel_slip import SlipIntensity
+from wbmpc.estimation.wheel_odometry import Increment, Mask, WheelOdometry
+from wbmpc.estimation.wheel_slip import Slip
+from wbmpc.kernel.step import Backend
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 
 #: A global pose whose normalised error squared is above this is rejected: 99.99 % of chi-square with 3 degrees of freedom.
 GATE = 21.1
-#: So many rejection in a row mean that the estimate is wrong and not the source: its next pose is taken as it is.
+#: So many rejections in a row mean that the estimate is wrong and not the source: its next pose is taken as it is.
 PATIENCE = 10
 #: A pose so little [s] ahead of the last message counts as of then (another clock, a message on its way); others do not count.
 AHEAD = 0.1
 
 
-#: Contradictions of the wheels are added up over pieces of way [m] of this length.
-PIECE = 0.05
-#: Time constant [s] of the derivatives of the twist by the wheels' corrections.
-SMOOTHING = 0.05
 #: An interval longer than this [s] is a gap: a mean of the gyro over it is none, and the wheels show only where it ended.
 GAP = 0.1
 #: Standard deviation of where a base is after a gap: this share of the wheels' way, and by this [m/s] whatever they show.
@@ -58,7 +57,8 @@ class FusedOdometry:
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
     ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``taken``, ``rejected``: how
     many global poses did and did not fit; ``misfit``: mean of the normalised squared errors of those that did (3 is expected);
-    ``contradiction``: by how much of their way the wheels contradicted each other. Raises :class:`InputError` for a calibration of
+    ``contradiction``: by how much of their way the wheels contradicted each other. ``backend``: machine code, or its source as
+    ordinary Python. Raises :class:`InputError` for a calibration of
     another number of modules, and for numbers that are not finite, of another length or negative.
     """
 
@@ -71,6 +71,7 @@ class FusedOdometry:
         noise: OdometryNoise | None = None,
         pose_std: ArrayLike = (0.0, 0.0, 0.0),
         history: float = 0.5,
+        backend: Backend = "compiled",
     ) -> None:
         n = self._n = geometry.modules
         self.geometry, self.noise = geometry, noise or OdometryNoise()
@@ -83,36 +84,40 @@ class FusedOdometry:
         p[:3, :3] = np.diag(np.square(_not_negative("pose_std", numbers("odometry", "pose_std", pose_std, 3))))
         p[BIAS, BIAS] = self.noise.gyro_bias**2
         p[WHEELS:, WHEELS:] = known.covariance
-        self._state = State(-np.inf, np.concatenate([numbers("odometry", "pose0", pose0, 3), np.zeros(2 + 2 * n)]), p)
+        start = np.concatenate([numbers("odometry", "pose0", pose0, 3), np.zeros(2 + 2 * n)])
+        self._memory = OdometryMemory(geometry, known.wheel_radius, self.noise, backend)
+        self._memory.set_state(State(-np.inf, start, p))
         finite("odometry", history=history)
-        self._keep, self._past = float(_not_negative("history", history)), deque[tuple[State, Step]]()
-        self._last: Sample | None = None
-        self._open = np.zeros(n, dtype=bool)
-        self._by_wheels = np.zeros((3, 2 * n))
-        self._slip = SlipIntensity(2 * n - 3, self.noise.slip_window)
+        self._keep, self._past = float(_not_negative("history", history)), deque[Moment]()
+        self._spare: Array | None = None  # a record that nobody needs any more
+        self._started, self._closed = False, np.zeros(n, dtype=bool)
+        self._open: Mask = self._closed
         self.twist: Array = np.zeros(3)
         self.taken = self.rejected = self._rejections = 0
-        self._misfits = self._apart = self._way = 0.0
-        self._off, self._rolled = np.zeros((self._n, 2)), np.zeros(self._n)  # since the last piece of way
+        self._misfits = 0.0
 
     # ------------------------------------------------------------------ results
     @property
+    def _state(self) -> State:
+        return self._memory.state
+
+    @property
     def pose(self) -> Array:
         """(x, y, yaw), yaw not wrapped."""
-        return self._state.mean[:3]
+        return self._memory.arrays["mean"][:3].copy()
 
     @property
     def covariance(self) -> Array:
         """(3, 3) of the pose's error, in world axes."""
-        return self._state.p[:3, :3]
+        return self._state.p[:3, :3].copy()
 
     @property
     def twist_covariance(self) -> Array:
         """(3, 3) of the error of ``twist``, as the wheels of the last interval say; 0 before the first."""
         if not self._past:
             return np.zeros((3, 3))
-        step = self._past[-1][1]
-        return step.covariance / step.h**2
+        a = self._memory.arrays
+        return a["covariance"].reshape(3, 3) / a["interval"][Interval.H] ** 2
 
     @property
     def gyro_bias(self) -> float:
@@ -122,7 +127,7 @@ class FusedOdometry:
     @property
     def slip(self) -> float:
         """Root mean square [m/s] over the wheels, one component: 0 when they agree."""
-        return float(np.sqrt(self._slip.now))
+        return float(np.sqrt(self._memory.arrays["slip"][Slip.NOW]))
 
     @property
     def misfit(self) -> float:
@@ -132,14 +137,16 @@ class FusedOdometry:
     @property
     def contradiction(self) -> float:
         """By how much of their way the wheels contradicted each other, over the whole drive: 0 when they agree."""
-        return self._apart / self._way if self._way > 0.0 else 0.0
+        way = self._memory.arrays["way"]
+        return float(way[Way.APART] / way[Way.ROLLED]) if way[Way.ROLLED] > 0.0 else 0.0
 
     @property
     def calibration(self) -> WheelCalibration:
         """What is known of the wheels by now."""
-        n, prior, c = self._n, self._prior, self._state.mean[WHEELS:]
+        n, prior, state = self._n, self._prior, self._state
+        c = state.mean[WHEELS:]
         radius = prior.wheel_radius * (1.0 + c[n:])
-        return WheelCalibration(prior.steer_offset + c[:n], prior.leg_offset, radius, self._state.p[WHEELS:, WHEELS:])
+        return WheelCalibration(prior.steer_offset + c[:n], prior.leg_offset, radius, state.p[WHEELS:, WHEELS:].copy())
 
     # ------------------------------------------------------------------ from outside
     def place(self, pose: ArrayLike, covariance: ArrayLike | None = None) -> None:
@@ -150,33 +157,33 @@ class FusedOdometry:
         p[:3, :], p[:, :3] = 0.0, 0.0
         if covariance is not None:
             p[:3, :3] = checked_covariance("place", covariance)
-        self._state = State(self._state.t, mean, p)
+        self._memory.set_state(State(self._state.t, mean, p))
         self._past.clear()
 
     def restart_clock(self) -> None:
         """Times start anew: the next message only starts; what is known stays."""
-        self._state = State(-np.inf, self._state.mean, self._state.p)
+        self._memory.record[0] = -np.inf
         self._past.clear()
-        self._last = None
+        self._started = False
 
     def bridge(self, t: float) -> None:
         """The clock jumped: the next message, of time ``t`` [s] or later, ends a gap whose length nobody knows; it counts as one
         of :data:`UNKNOWN_GAP`. Raises :class:`InputError` for a time that is not finite."""
         finite("odometry", t=t)
-        if self._last is not None:
-            self._state = replace(self._state, t=t - UNKNOWN_GAP)
+        if self._started:
+            self._memory.record[0] = t - UNKNOWN_GAP
             self._past.clear()
 
     @property
     def time(self) -> float:
         """Of the last message [s]; minus infinity before the first."""
-        return self._state.t
+        return float(self._memory.record[0])
 
     def move_clock(self, by: float) -> None:
         """The clock's zero moves: what was at time t [s] was at t + ``by``. Raises :class:`InputError` for no finite number."""
         finite("odometry", by=by)
-        self._state = replace(self._state, t=self._state.t + by)
-        self._past = deque((replace(state, t=state.t + by), step) for state, step in self._past)
+        for record in (self._memory.record, *(moment.record for moment in self._past)):
+            record[0] += by
 
     # ------------------------------------------------------------------ wheels and gyro
     def update(
@@ -198,53 +205,71 @@ class FusedOdometry:
         way over it moves the pose, the covariance grows (:data:`GAP_SHARE`, :data:`GAP_SPEED`), and global poses from before
         its end no longer count. Raises :class:`InputError` for numbers that are not finite or time that goes back.
         """
-        now = self._reader.checked(leg, steer, wheel)
-        if not np.isfinite(t) or t < self._state.t or (gyro is not None and not np.isfinite(gyro)):
+        now, arrays, time = self._reader.checked(leg, steer, wheel), self._memory.arrays, self.time
+        if not math.isfinite(t) or t < time or (gyro is not None and not math.isfinite(gyro)):
             raise InputError(
                 f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s"
             )
         weighed = None if weights is None else self._checked_weights(weights)
-        h, is_open = t - self._state.t, self._opened(brake)
-        if self._last is None:
-            self._state = self._started(t, 0.0 if gyro is None else gyro)
+        h, is_open = t - time, self._opened(brake)
+        np.concatenate(now, out=arrays["now"])
+        if not self._started:
+            self._start(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
-            self._advance(h, self._last, now, gyro, self._open & is_open, weighed)
-            while self._past and self._past[0][0].t < t - self._keep:
-                self._past.popleft()
-        self._last, self._open = now, is_open
+            self._advance(h, gyro, self._closed if is_open is self._closed else self._open & is_open, weighed)
+            while self._past and self._past[0].record[0] < t - self._keep:
+                self._spare = self._past.popleft().record
+        arrays["before"][:] = arrays["now"]
+        self._started, self._open = True, is_open
         return self.pose
 
-    def _advance(
-        self, h: float, previous: Sample, now: Sample, gyro: float | None, is_open: Mask, weights: Array | None
-    ) -> None:
-        way = float(np.max(np.abs(now[2] - previous[2]))) * self.geometry.wheel_radius
+    def _advance(self, h: float, gyro: float | None, is_open: Mask, weights: Array | None) -> None:
+        memory, arrays = self._memory, self._memory.arrays
+        way = memory.farthest() * self.geometry.wheel_radius
         leap = way > LEAP and way > LEAP_SPEED * h
         gap = h > GAP or leap
+        arrays["weights"][:] = 1.0 if weights is None or gap else weights
+        memory.legs = None
         if leap:
-            previous = now
-        step = (
-            self._bridged(h, previous, now, LEAP_STD if leap else 0.0)
-            if gap
-            else self._step(h, previous, now, gyro, is_open, weights)
-        )
-        self._past.append((self._state, step))
-        self._state = advanced(self._state, step, self.noise)
-        self.twist = step.twist / h
+            arrays["before"][:] = arrays["now"]
+        if gap:
+            self._bridge(h, LEAP_STD if leap else 0.0)
+        else:
+            memory.measure(h, 0.0 if gyro is None else gyro * h, gyro is not None)
+            if weights is None and is_open is not self._closed and is_open.any():
+                memory.legs = self._shown(is_open, h)
+        self._remember()
+        self._go_on()
+        self.twist = arrays["twist"] / h
         if gap:
             self._past.clear()
 
-    def _bridged(self, h: float, previous: Sample, now: Sample, least: float) -> Step:
+    def _remember(self) -> None:
+        record, self._spare = self._spare, None
+        if record is None:
+            record = np.empty_like(self._memory.record)
+        record[:] = self._memory.record
+        self._past.append(Moment(record, self._memory.legs))
+
+    def _go_on(self) -> None:
+        """Over the interval that the memory holds."""
+        memory, arrays = self._memory, self._memory.arrays
+        memory.advance()
+        memory.record[0] += arrays["interval"][Interval.H]
+        if memory.legs is not None:
+            memory.set_state(fused_filter.given_way(memory.state, memory.legs, arrays["correction"]))
+
+    def _bridge(self, h: float, least: float) -> None:
         """Over a gap: one motion from its begin to its end, as uncertain as what the wheels did meanwhile, and by ``least`` [m]."""
-        n, c = self._n, self._state.mean[WHEELS:].copy()
-        correct = lambda sample: (sample[0], sample[1] - c[:n], sample[2])
-        moved = fit_twist(self.geometry, self._prior.wheel_radius * (1.0 + c[n:]), correct(previous), correct(now))
-        turned = np.abs(now[1] - previous[1])  # steering that turned meanwhile: the way's direction is as uncertain
-        apart = float(np.max((GAP_SHARE + turned) * np.abs(moved.rolled))) + GAP_SPEED * h + least
-        axes = self.geometry.steer_axes(now[0])
+        n, a = self._n, self._memory.arrays
+        a["correction"][:] = a["mean"][WHEELS:]
+        self._memory.wheels.run()
+        turned = np.abs(a["now"][n : 2 * n] - a["before"][n : 2 * n])  # the way's direction is as uncertain
+        apart = float(np.max((GAP_SHARE + turned) * np.abs(a["rolled"]))) + GAP_SPEED * h + least
+        axes = self.geometry.steer_axes(a["now"][:n])
         arm = float(np.sqrt(np.mean(np.sum((axes - axes.mean(axis=0)) ** 2, axis=1))))
-        covariance = np.diag([apart, apart, apart / arm]) ** 2
-        self._by_wheels = np.zeros((3, 2 * n))
-        return Step(h, moved.twist, self._by_wheels, c, covariance, 0.0, np.nan)
+        a["covariance"][:] = (np.diag([apart, apart, apart / arm]) ** 2).ravel()
+        a["smoothed"][:], a["by_wheels"][:], a["interval"][:] = 0.0, 0.0, [h, 0.0, 0.0, 0.0]
 
     def _checked_weights(self, given: ArrayLike) -> Array:
         """Weights (n) of wheels, two or more above 0, or :class:`InputError`."""
@@ -256,69 +281,30 @@ class FusedOdometry:
     def _opened(self, brake: ArrayLike | None) -> Mask:
         """Hinges (n) that turn freely."""
         if brake is None or not self.geometry.has_hinge:
-            return np.zeros(self._n, dtype=bool)
+            return self._closed
         return np.asarray(numbers("odometry", "brake", brake, self._n) > 0.5)
 
-    def _started(self, t: float, rate: float) -> State:
+    def _start(self, t: float, rate: float) -> None:
         """The first message is late too, if the base turns already."""
-        mean, p = self._state.mean.copy(), self._state.p.copy()
+        state = self._state
+        mean, p = state.mean, state.p
         p[LATE, :], p[:, LATE] = 0.0, 0.0
         mean[LATE], p[LATE, LATE] = -rate * self.noise.mean_age, (rate * self.noise.age) ** 2
-        return State(t, mean, p)
+        self._memory.record[0] = t
 
-    def _step(
-        self, h: float, previous: Sample, now: Sample, gyro: float | None, is_open: Mask, weights: Array | None
-    ) -> Step:
-        n, c = self._n, self._state.mean[WHEELS:].copy()
-        correct = lambda sample: (sample[0], sample[1] - c[:n], sample[2])
-        radius = self._prior.wheel_radius * (1.0 + c[n:])
-        moved = fit_twist(self.geometry, radius, correct(previous), correct(now), weights)
-        # Smoothed, and of the intervals before: the age of this message is in its own derivative and in what it is
-        # compared with, and their product would look like a wrong radius.
-        by_wheels = self._by_wheels * h
-        now_by_wheels = np.concatenate([moved.by_steer_offset(), moved.by_radius()], axis=1)
-        self._by_wheels = self._by_wheels + (1.0 - np.exp(-h / SMOOTHING)) * (now_by_wheels / h - self._by_wheels)
-        turn = np.nan if gyro is None else gyro * h
-        counts = self.noise.reading**2 * float(np.sum(moved.fit[2] ** 2))
-        self._note_contradiction(moved)
-        covariance = self._twist_covariance(moved, h, weights)
-        legs = (
-            self._shown(moved, 0.5 * (previous[0] + now[0]), is_open, h) if is_open.any() and weights is None else None
-        )
-        return Step(h, moved.twist, by_wheels, c, covariance, counts, turn, legs)
-
-    def _note_contradiction(self, moved: Increment) -> None:
-        """Over pieces of way, in which the counts of encoders cancel."""
-        self._off += moved.residual
-        self._rolled += np.abs(moved.rolled)
-        if float(np.mean(self._rolled)) >= PIECE:
-            self._apart += float(np.sum(np.hypot(self._off[:, 0], self._off[:, 1])))
-            self._way += float(np.sum(self._rolled))
-            self._off[:], self._rolled[:] = 0.0, 0.0
-
-    def _shown(self, moved: Increment, leg: Array, is_open: Mask, h: float) -> LegsShow:
-        """What open legs at ``leg`` (n) say about the wheels. Noise that is alike in all directions makes this residual
+    def _shown(self, is_open: Mask, h: float) -> LegsShow:
+        """What open legs say about the wheels. Noise that is alike in all directions makes this residual
         independent of the noise of the twist, which is taken in apart from it."""
+        n, arrays, moved = self._n, self._memory.arrays, Increment.of(self._memory.wheels)
+        leg = 0.5 * (arrays["before"][:n] + arrays["now"][:n])
         rows = moved.shown_by_legs(self.geometry.steer_axes(leg) - self.geometry.hinge, is_open)
         along = np.stack([np.cos(moved.heading), np.sin(moved.heading)], axis=1) * moved.rolled[:, None]
-        each = rows.reshape(len(rows), -1, 2)
+        each = rows.reshape(len(rows), n, 2)
         by_zero = each[:, :, 0] * along[:, 1] - each[:, :, 1] * along[:, 0]
         by_radius = np.sum(each * along, axis=2)
-        way = float(np.mean(np.abs(moved.rolled)))
-        variance = (
-            max(self.noise.along, self.noise.across) ** 2 * way + self._slip.intensity * h + self.noise.reading**2
-        )
+        way, slip = float(np.mean(np.abs(moved.rolled))), float(arrays["slip"][Slip.INTENSITY])
+        variance = max(self.noise.along, self.noise.across) ** 2 * way + slip * h + self.noise.reading**2
         return LegsShow(rows @ moved.residual.ravel(), np.concatenate([by_zero, by_radius], axis=1), variance)
-
-    def _twist_covariance(self, moved: Increment, h: float, weights: Array | None) -> Array:
-        """Of the twist of one interval: rolling noise by the way, slip by what the wheels contradict each other."""
-        residual = moved.residual if weights is None else weights[:, None] * moved.residual
-        slip = self._slip.update(residual / h, float(np.mean(np.abs(moved.rolled))) / h, h) * h
-        cosine, sine, way = np.cos(moved.heading), np.sin(moved.heading), np.abs(moved.rolled)
-        along = moved.fit[:, :, 0] * cosine + moved.fit[:, :, 1] * sine
-        across = moved.fit[:, :, 1] * cosine - moved.fit[:, :, 0] * sine
-        a, s = self.noise.along**2 * way + slip, self.noise.across**2 * way + slip
-        return (along * a) @ along.T + (across * s) @ across.T
 
     # ------------------------------------------------------------------ global poses
     def correct(self, t: float, pose: ArrayLike, covariance: ArrayLike) -> bool:
@@ -327,34 +313,44 @@ class FusedOdometry:
         The filter goes back to that time, corrects, and comes forward again. False when the pose is older than the
         history, of a future that no message has come from (see ``AHEAD``), or does not fit (see ``GATE`` and ``PATIENCE``).
         Raises :class:`InputError` for what is not finite, for a covariance that is none, and where pose and filter are both
-        certain: which one is right cannot be reported. Nothing is lost then.
+        certain: which one is right cannot be decided. Nothing is lost then.
         """
         z, r = numbers("global pose", "pose", pose, 3), checked_covariance("global pose", covariance)
         if not np.isfinite(t):
             raise InputError(f"global pose: its time must be finite, got {t}")
-        oldest = self._past[0][0].t if self._past else self._state.t
-        if t < oldest or -np.inf < self._state.t < t - AHEAD:
+        oldest = self._past[0].record[0] if self._past else self.time
+        if t < oldest or -np.inf < self.time < t - AHEAD:
             return False
-        later: list[Step] = []
-        state, past = self._state, reversed(self._past)
+        memory, back = self._memory, 0
+        state, rates = memory.state, np.zeros(3)
         while state.t > t:
-            state, step = next(past)
-            later.append(step)
-        corrected = self._corrected(state, later[-1] if later else None, t, z, r)
+            back += 1
+            state = state_of(self._past[-back].record, state.mean.size)
+        if back:
+            step = self._past[-back].record[memory.state_end :]
+            rates = step[Interval.SIZE : Interval.SIZE + 3] / step[Interval.H]
+        corrected = self._corrected(state, rates, t, z, r)
         self.rejected += corrected is None
         self.taken += corrected is not None
-        state = corrected or state
-        for _ in later:
-            self._past.pop()
-        for step in reversed(later):
-            self._past.append((state, step))
-            state = advanced(state, step, self.noise)
-        self._state = state
+        if corrected is not None:
+            self._replay(corrected, back)
         return corrected is not None
 
-    def _corrected(self, state: State, step: Step | None, t: float, z: Array, r: Array) -> State | None:
-        """The state with a pose taken in that belongs to a moment of the step after it; None where it does not fit."""
-        error = fused_filter.apart(state, step, t, z)
+    def _replay(self, state: State, back: int) -> None:
+        """Go on from another ``state`` over the last ``back`` intervals."""
+        memory = self._memory
+        memory.set_state(state)
+        end = memory.state_end
+        for moment in [self._past[-k] for k in range(back, 0, -1)]:
+            moment.record[:end] = memory.record[:end]
+            memory.record[end:] = moment.record[end:]
+            memory.legs = moment.legs
+            self._go_on()
+
+    def _corrected(self, state: State, rates: Array, t: float, z: Array, r: Array) -> State | None:
+        """The state with a pose taken in that belongs to a moment of the step after it, in which the base moves at ``rates``
+        (3); None where it does not fit."""
+        error = fused_filter.apart(state, rates, t, z)
         misfit = fused_filter.misfit(state, error, r)
         if misfit > GATE:
             self._rejections += 1

@@ -1,4 +1,6 @@
-"""Mathematics of :class:`wbmpc.estimation.fused_odometry.FusedOdometry`: its state, one interval on, and what legs and global poses say.
+"""Mathematics of :class:`wbmpc.estimation.fused_odometry.FusedOdometry`: its state, and what legs and global poses say.
+
+One interval on: :mod:`wbmpc.estimation.odometry_step`.
 
 A Kalman filter on (x, y, yaw; gyro bias; lateness; steer zeros; wheel radii). Equations and sources: docs/explanation.
 """
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from wbmpc import lie
 from wbmpc.checks import finite
 from wbmpc.errors import InputError
+from wbmpc.estimation.odometry_step import WHEELS
 
 Array = NDArray[np.float64]
 
@@ -22,8 +25,6 @@ _CERTAIN = 1e-12
 #: By so much the wheels' standard deviations grow when the filter was lost: a base that nobody carried away has wheels that
 #: are worse than believed.
 DOUBTED = 3.0
-#: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
-BIAS, LATE, WHEELS = 3, 4, 5
 
 
 @dataclass(frozen=True)
@@ -64,21 +65,6 @@ class LegsShow:
 
 
 @dataclass(frozen=True)
-class Step:
-    """From one message to the next: length [s], twist and its derivative by (zeros, radii), both at the correction
-    ``fitted``, covariance of the twist, variance of the wheels' turn by counts, turn that the gyro saw (NaN without)."""
-
-    h: float
-    twist: Array
-    by_wheels: Array
-    fitted: Array
-    covariance: Array
-    counts: float
-    turn: float
-    legs: LegsShow | None = None
-
-
-@dataclass(frozen=True)
 class State:
     """``mean``: x, y, yaw, gyro bias, lateness [rad], corrections of steer zeros and of radii; ``p``: covariance of its
     error."""
@@ -94,55 +80,21 @@ def _identity(size: int) -> Array:
     return np.eye(size)
 
 
-def advanced(state: State, step: Step, noise: OdometryNoise) -> State:
-    """One interval on: the wheels' twist moves the pose, the gyro's turn corrects it and everything behind it."""
-    h, size = step.h, state.mean.size
-    twist = step.twist + step.by_wheels @ (state.mean[WHEELS:] - step.fitted)
-    mean = state.mean.copy()
-    mean[:3] = lie.se2_step(state.mean[:3], twist)
-    way, yaw = mean[:2] - state.mean[:2], state.mean[2] + 0.5 * twist[2]
-    g = np.array([[np.cos(yaw), -np.sin(yaw), -0.5 * way[1]], [np.sin(yaw), np.cos(yaw), 0.5 * way[0]], [0, 0, 1.0]])
-    a = _identity(size).copy()
-    a[0, 2], a[1, 2], a[LATE, LATE] = -way[1], way[0], 0.0
-    a[:3, WHEELS:] = g @ step.by_wheels
-    moved_noise = g @ step.covariance
-    rate = twist[2] / h if step.turn != step.turn else step.turn / h - state.mean[BIAS]
-    late = (rate * noise.age) ** 2 + step.counts
-    p = a @ state.p @ a.T
-    p[:3, :3] += moved_noise @ g.T
-    p[BIAS, BIAS] += noise.gyro_walk**2 * h
-    behind = rate * noise.mean_age
-    p[LATE, LATE], mean[LATE] = late, -behind
-    if step.turn == step.turn:
-        # what the gyro says less what it should: its bias and noise, the wheels' turn, lateness before and now
-        row = np.zeros(size)
-        row[BIAS], row[LATE], row[WHEELS:] = h, 1.0, step.by_wheels[2]
-        reached = state.p @ row
-        variance = row @ reached + step.covariance[2, 2] + late + noise.gyro**2 * h
-        cross = a @ reached
-        cross[:3] += moved_noise[:, 2]
-        cross[LATE] = -late
-        gain = cross / variance
-        mean += gain * (step.turn - state.mean[BIAS] * h - state.mean[LATE] - behind - twist[2])
-        p -= np.outer(gain, cross)
-    if step.legs is not None:
-        mean, p = _given_way(mean, p, step.legs, step.fitted)
-    return State(state.t + h, mean, p)
-
-
-def _given_way(mean: Array, p: Array, shown: LegsShow, fitted: Array) -> tuple[Array, Array]:
-    """Mean and covariance with what open legs show: that they and the wheels do not contradict each other."""
+def given_way(state: State, shown: LegsShow, fitted: Array) -> State:
+    """With what open legs show: that they and the wheels do not contradict each other; ``fitted`` (2n): the correction of the wheels
+    at which ``shown`` was found."""
+    mean, p = state.mean, state.p
     rows, apart = shown.by_wheels, shown.apart + shown.by_wheels @ (mean[WHEELS:] - fitted)
     cross = p[:, WHEELS:] @ rows.T
     s = rows @ cross[WHEELS:] + shown.variance * np.eye(len(rows))
     gain = np.linalg.solve(s, cross.T).T
-    return mean - gain @ apart, p - gain @ cross.T
+    return State(state.t, mean - gain @ apart, p - gain @ cross.T)
 
 
-def apart(state: State, step: Step | None, t: float, pose: Array) -> Array:
-    """By what (3) a pose of time ``t`` [s] is off from where a state has the base, ``step`` being the one after the state."""
-    share = 0.0 if step is None else (t - state.t) / step.h
-    there = state.mean[:3] if step is None else lie.se2_step(state.mean[:3], share * step.twist)
+def apart(state: State, rates: Array, t: float, pose: Array) -> Array:
+    """By what (3) a pose of time ``t`` [s] is off from where a state has the base, which goes on from there at ``rates`` (3)
+    [m/s, rad/s] of its body twist."""
+    there = lie.se2_step(state.mean[:3], (t - state.t) * rates)
     error = pose - there
     error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
     return np.asarray(error)

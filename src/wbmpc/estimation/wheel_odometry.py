@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc import lie
 from wbmpc.checks import each, numbers, positive
+from wbmpc.estimation.wheel_fit import WheelFit
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
@@ -42,6 +42,13 @@ class Increment:
     rolled: Array
     heading: Array
     fit: Array
+
+    @classmethod
+    def of(cls, fitted: WheelFit) -> Increment:
+        """What the arrays of a fit hold now."""
+        m, n = fitted.memory, fitted.n
+        residual, slope = m["residual"].reshape(n, 2), m["slope"].reshape(3, n, 2)
+        return cls(m["twist"].copy(), residual.copy(), m["rolled"].copy(), m["heading"].copy(), slope.copy())
 
     def by_steer_offset(self) -> Array:
         """Derivative (3, n) of the twist by the zeros of the steering: the true angle is the measured one less the zero."""
@@ -82,33 +89,13 @@ def fit_twist(
     turns by Δ: the path's chord is sin(Δ/2) / (Δ/2) of the rolled length, along the middle heading. The least squares
     solution follows from (weighted) centroids: ψ = Σ (s − s̄) × b / Σ |s − s̄|², t = b̄ − ψ ẑ × s̄.
     """
-    (leg0, steer0, wheel0), (leg1, steer1, wheel1) = previous, now
-    turn = (leg1 - leg0) + (steer1 - steer0)
-    heading = geometry.wheel_heading + 0.5 * (leg0 + leg1 + steer0 + steer1)
-    rolled = radius * (wheel1 - wheel0) * np.sinc(turn / (2.0 * np.pi))
-    s0 = geometry.steer_axes(leg0)
-    s1 = geometry.steer_axes(leg1) if (leg0 != leg1).any() else s0
-    b = s0 - s1
-    b[:, 0] += rolled * np.cos(heading)
-    b[:, 1] += rolled * np.sin(heading)
-    s = 0.5 * (s0 + s1)
-    if weights is None:
-        share, middle = np.full((len(s), 1), 1.0 / len(s)), s.sum(axis=0) / len(s)
-        away = moved = s - middle
-    else:
-        share = (weights / weights.sum())[:, None]
-        middle = (share * s).sum(axis=0)
-        away = s - middle
-        moved = share * away
-    fit = np.empty((3, *b.shape))
-    fit[2, :, 0], fit[2, :, 1] = -moved[:, 1], moved[:, 0]
-    fit[2] /= (moved * away).sum()
-    fit[0], fit[1] = share * [1.0, 0.0], share * [0.0, 1.0]
-    fit[0] += middle[1] * fit[2]
-    fit[1] -= middle[0] * fit[2]
-    twist = fit.reshape(3, -1) @ b.ravel()
-    residual = b - twist[:2] - twist[2] * (s @ _QUARTER_TURN)
-    return Increment(twist, residual, rolled, heading, fit)
+    fitted = WheelFit(geometry, radius)
+    memory = fitted.memory
+    memory["before"][:], memory["now"][:] = np.concatenate(previous), np.concatenate(now)
+    if weights is not None:
+        memory["weights"][:] = weights
+    fitted.run()
+    return Increment.of(fitted)
 
 
 def odd_one_out(residual: Array, axes: Array) -> tuple[int, float]:
@@ -150,7 +137,8 @@ class WheelOdometry:
         positive("odometry", wheel_radius=float(self.radius.min()))
         self._leg_offset = each("odometry", "leg_offset", leg_offset, n)
         self._steer_offset = each("odometry", "steer_offset", steer_offset, n)
-        self._last: Sample | None = None
+        self._fit, self._started, self._pose = WheelFit(geometry, self.radius), False, self.pose.copy()
+        self._run = self._fit.with_pose(self._pose)
         self.increment: Array = np.zeros(3)
         self.residual: Array = np.zeros((n, 2))
 
@@ -159,12 +147,14 @@ class WheelOdometry:
 
         The first call only stores them.
         """
-        now = self.checked(leg, steer, wheel)
-        if self._last is not None:
-            moved = fit_twist(self.geometry, self.radius, self._last, now)
-            self.increment, self.residual = moved.twist, moved.residual
-            self.pose = lie.se2_step(self.pose, self.increment)
-        self._last = now
+        now, memory = self.checked(leg, steer, wheel), self._fit.memory
+        np.concatenate(now, out=memory["now"])
+        if self._started:
+            self._run()
+            self.increment, self.residual = memory["twist"].copy(), memory["residual"].reshape(self._n, 2).copy()
+            self.pose = self._pose.copy()
+        memory["before"][:] = memory["now"]
+        self._started = True
         return self.pose
 
     @property
@@ -189,15 +179,16 @@ class ReleaseOdometry:
 
     def __init__(self, geometry: ModuleGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
         positive("odometry", period=period, refresh=refresh)
-        self._fit = WheelOdometry(geometry, pose0)
-        self.pose = self._fit.pose
+        self._reader = WheelOdometry(geometry, pose0)
+        self._wheels = WheelFit(geometry, self._reader.radius)
+        self.pose = self._reader.pose
         self._every, self._count = max(1, round(refresh / period)), 0
         self._held: tuple[Array, Array] | None = None
         self._last: tuple[Array, Array] | None = None
 
     def update(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Array:
         """The pose after positions (n) [rad]; the first call only stores them."""
-        now_leg, now_steer, now_wheel = self._fit.checked(leg, steer, wheel)
+        now_leg, now_steer, now_wheel = self._reader.checked(leg, steer, wheel)
         if self._held is None or self._count % self._every == 0:
             self._held = (now_leg, now_steer)
         self._count += 1
@@ -205,9 +196,11 @@ class ReleaseOdometry:
             held_leg, held_steer = self._held
             leg0, wheel0 = self._last
             swing = now_leg - leg0
-            previous = (held_leg - 0.5 * swing, held_steer + 0.5 * swing, wheel0)
-            now = (held_leg + 0.5 * swing, held_steer - 0.5 * swing, now_wheel)
-            dx, dy, turn = fit_twist(self._fit.geometry, self._fit.radius, previous, now).twist
+            memory = self._wheels.memory
+            np.concatenate([held_leg - 0.5 * swing, held_steer + 0.5 * swing, wheel0], out=memory["before"])
+            np.concatenate([held_leg + 0.5 * swing, held_steer - 0.5 * swing, now_wheel], out=memory["now"])
+            self._wheels.run()
+            dx, dy, turn = memory["twist"]
             c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
             self.pose = self.pose + np.array([c * dx - s * dy, s * dx + c * dy, turn])
         self._last = (now_leg, now_wheel)

@@ -2,52 +2,90 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.estimation.compilation import compiled
+from wbmpc.kernel.ir import Floats
+
 Array = NDArray[np.float64]
 
+#: Windows over which squares are averaged; ratio of squares that is sudden; speed [m/s] of a base that moves.
+MEMORY, SUDDEN, MOVING, FEW = 10.0, 6.0, 1e-3, 6.0
+#: How many windows there are, each half as long as the one before; what is left of slip's square in the longest when it lasts a
+#: quarter of it: 1 / 1.25 of white slip's.
+WINDOWS, LASTING = 4, 1.25
 
-class SlipIntensity:
-    """Intensity [m²/s] of the wheels' slip, each component, from what they contradict each other.
 
-    The residual's speed is averaged over the window w (encoder counts cancel, slip that lasts less long than w is left
+class Slip(IntEnum):
+    """Entries of the memory of :func:`slip_intensity`: one for each window, then single numbers."""
+
+    UNSEEN = 0
+    SQUARES = 4
+    WEIGHT = 8
+    SPEED = 12
+    MOVED = 13
+    NOW = 14  # mean square [m²/s²] of the residual's speed over the longest window
+    INTENSITY = 15
+    SIZE = 16
+
+
+def slip_memory() -> Array:
+    """The memory before the first interval."""
+    memory = np.zeros(Slip.SIZE)
+    memory[Slip.UNSEEN : Slip.UNSEEN + WINDOWS] = 1.0
+    return memory
+
+
+@compiled
+def slip_intensity(
+    slip: Floats, mean: Floats, n: int, residual: Floats, weights: Floats, rolled: Floats, window: float, h: float
+) -> float:
+    """Intensity [m²/s] of the wheels' slip, each component, from what they contradict each other: ``residual`` (n, 2) [m] of the
+    last h [s], in which they ``rolled`` (n) [m]; ``mean`` (windows, n, 2) is memory as ``slip`` is.
+
+    The residual's speed is averaged over the ``window`` w [s] (encoder counts cancel, slip that lasts less long than w is left
     with intensity / (2 w)); its square over ten windows of motion, for one has few degrees of freedom and would make lucky
     intervals look exact. A contradiction that is far above that counts at once. Shorter windows have more degrees of freedom in the
     same time, and see less of slip that lasts: the largest of their answers is the least wrong. Before enough was seen, the mean
     square over k degrees of freedom is taken for 1 + 2 / k of itself, as a variance that is known from k squares.
     """
-
-    #: windows over which squares are averaged; ratio of squares that is sudden; speed [m/s] of a base that moves
-    MEMORY, SUDDEN, MOVING, FEW = 10.0, 6.0, 1e-3, 6.0
-    #: Lengths of the windows over w; what is left of slip's square in w when it lasts a quarter of w: 1 / 1.25 of white slip's.
-    WINDOWS, LASTING = np.array([1.0, 0.5, 0.25, 0.125]), 1.25
-
-    def __init__(self, freedoms: int, window: float) -> None:
-        self.freedoms, self.window = freedoms, window
-        self.now = self.intensity = 0.0
-        self._mean: Array | float = 0.0
-        self._unseen, self._squares, self._weight = np.ones(4), np.zeros(4), np.zeros(4)
-        self._speed = self._moved = 0.0
-
-    def update(self, residual: Array, speed: float, h: float) -> float:
-        """The intensity after h [s] with residual speeds (n, 2) and mean wheel speed [m/s]."""
-        decay = np.exp(-h / (self.WINDOWS * self.window))
-        self._mean = decay[:, None] * self._mean + (1.0 - decay)[:, None] * residual.ravel()
-        self._speed = decay[0] * self._speed + (1.0 - decay[0]) * speed
-        self._unseen *= decay**2  # the mean starts from 0: it is short of this share of its variance
-        square = np.sum(self._mean**2, axis=1) / self.freedoms
+    freedoms, speed = 2.0 * n - 3.0, 0.0
+    for i in range(n):
+        speed += abs(rolled[i]) / (n * h)
+    decay = np.exp(-h / window)
+    slip[Slip.SPEED] = decay * slip[Slip.SPEED] + (1.0 - decay) * speed
+    moving, fade = slip[Slip.SPEED] > MOVING, decay ** (1.0 / MEMORY)
+    if moving:
+        slip[Slip.MOVED] = min(slip[Slip.MOVED] + h, 2.0 * MEMORY * window)
+    now, first, usual_first, largest, share = 0.0, 0.0, 0.0, 0.0, 1.0
+    for k in range(WINDOWS):
+        decay = np.exp(-h / (share * window))
+        total = 0.0
+        for j in range(2 * n):
+            e = k * 2 * n + j
+            mean[e] = decay * mean[e] + (1.0 - decay) * (weights[j // 2] * residual[j] / h)
+            total += mean[e] ** 2
+        # the mean starts from 0: it is short of this share of its variance
+        slip[Slip.UNSEEN + k] = slip[Slip.UNSEEN + k] * decay**2
+        square, unseen = total / freedoms, slip[Slip.UNSEEN + k]
         white = h * (1.0 + decay) / (1.0 - decay)  # intensity over mean square of a window: 2 w
-        self.now = float(square[0] / (1.0 - self._unseen[0]))
-        self.intensity = white[0] * self.now
-        if self._speed > self.MOVING:
-            fade = decay[0] ** (1.0 / self.MEMORY)
-            self._moved = min(self._moved + h, 2.0 * self.MEMORY * self.window)
-            self._squares = fade * self._squares + (1.0 - fade) * square
-            self._weight = fade * self._weight + (1.0 - fade) * (1.0 - self._unseen)
-            usual = self._squares / self._weight
-            known = 1.0 + self.FEW * self.WINDOWS * self.window / (self.freedoms * self._moved)
-            self.now = self.now if self.now > self.SUDDEN * usual[0] else float(usual[0])
-            self.intensity = max(white[0] * self.now, float(np.max(white * usual * known)))
-        self.intensity *= self.LASTING
-        return self.intensity
+        if k == 0:
+            now, first = square / (1.0 - unseen), white
+        if moving:
+            squares = fade * slip[Slip.SQUARES + k] + (1.0 - fade) * square
+            weight = fade * slip[Slip.WEIGHT + k] + (1.0 - fade) * (1.0 - unseen)
+            slip[Slip.SQUARES + k], slip[Slip.WEIGHT + k] = squares, weight
+            usual = squares / weight
+            if k == 0:
+                usual_first = usual
+            known = 1.0 + FEW * share * window / (freedoms * slip[Slip.MOVED])
+            largest = max(largest, white * usual * known)
+        share *= 0.5
+    if moving and not now > SUDDEN * usual_first:
+        now = usual_first
+    slip[Slip.NOW] = now
+    slip[Slip.INTENSITY] = LASTING * max(first * now, largest)
+    return slip[Slip.INTENSITY]

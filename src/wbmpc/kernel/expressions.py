@@ -27,6 +27,7 @@ from wbmpc.kernel.vectors import ARITHMETIC, COMPARE, FAST, Vectors
 
 _WHOLE: dict[type[ast.AST], str] = {ast.FloorDiv: "sdiv", ast.Mod: "srem"}
 _NUMPY = {"sqrt": "llvm.sqrt.f64", "log": "llvm.log.f64", "exp": "llvm.exp.f64", "floor": "llvm.floor.f64"}
+_NUMPY |= {"sin": "llvm.sin.f64", "cos": "llvm.cos.f64", "arcsin": "asin"}
 
 
 def is_frozen(owner: object) -> bool:
@@ -257,6 +258,9 @@ class Expressions(Vectors):
         found = self.of_vectors(name, node)
         if found is not None:
             return found
+        if name == "arctan2":
+            y, x = (self.convert(self.value(a), NUM, node).text for a in node.args)
+            return Value(NUM, self.new(f"call double @atan2(double {y}, double {x})"))
         value = self.value(node.args[0])
         if value.kind == VEC and name == "sqrt":
             t = llvm_type(VEC)

@@ -72,9 +72,11 @@ _LLVM |= {VEC: f"<{LANES} x double>", MASK: f"<{LANES} x i1>"}
 
 DECLARATIONS = "\n".join(
     f"declare double @llvm.{n}.f64(double{', double' if n == 'pow' else ''}) nounwind memory(none)"
-    for n in ("sqrt", "log", "exp", "floor", "fabs", "pow")
+    for n in ("sqrt", "log", "exp", "floor", "fabs", "pow", "sin", "cos")
 )
 DECLARATIONS += f"""
+declare double @asin(double) nounwind memory(none)
+declare double @atan2(double, double) nounwind memory(none)
 declare {_LLVM[VEC]} @llvm.fabs.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
 declare {_LLVM[VEC]} @llvm.sqrt.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)
 declare double @llvm.vector.reduce.fmax.v{LANES}f64({_LLVM[VEC]}) nounwind memory(none)

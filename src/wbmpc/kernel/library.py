@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import builtins
 import ctypes
 import hashlib
 import threading
 from collections.abc import Callable
 from functools import update_wrapper
 from importlib import import_module
+from types import FunctionType
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -26,13 +28,16 @@ class Function(Generic[P, R]):
     """A translated function: calling it runs machine code; ``python`` is the same as ordinary Python.
 
     ``short``: it takes microseconds, so that it keeps the interpreter: who lets others have it may wait long to get it back.
+    ``stepped``: it can be called with a table of arguments, by :class:`wbmpc.kernel.step.Step`.
     """
 
     def __init__(self, library: Library, python: Callable[P, R]) -> None:
         self.library, self.python = library, python
         self.signature = Signature.of(python)
         self._pointer: Any = None
-        self.short = False
+        self._by_table: Any = None
+        self._interpreted: Callable[P, R] | None = None
+        self.short = self.stepped = False
         update_wrapper(self, python)
 
     @property
@@ -47,6 +52,34 @@ class Function(Generic[P, R]):
             form = ctypes.PYFUNCTYPE if self.short else ctypes.CFUNCTYPE
             self._pointer = form(None, *kinds, ctypes.c_void_p)(address)
         return self._pointer
+
+    @property
+    def by_table(self) -> Any:
+        """The function as ctypes calls it with the address of a table: arguments, then results, 8 bytes each. It keeps the interpreter."""
+        if self._by_table is None:
+            address = self.library.address(f"{self.signature.symbol}.table")
+            self._by_table = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(address)
+        return self._by_table
+
+    @property
+    def argument_names(self) -> list[str]:
+        """The names of the arguments, in order."""
+        code = self.python.__code__
+        return list(code.co_varnames[: code.co_argcount])
+
+    @property
+    def interpreted(self) -> Callable[P, R]:
+        """As ``python``, with all functions that it calls as ordinary Python too."""
+        if self._interpreted is None:
+            python: Any = self.python
+            names = {
+                k: v.interpreted if isinstance(v, Function) else v
+                for k, v in python.__globals__.items()
+                if k in python.__code__.co_names
+            }
+            made: Any = FunctionType(python.__code__, {"__builtins__": builtins, **names}, python.__name__)
+            self._interpreted = made
+        return cast(Callable[P, R], self._interpreted)
 
     def __call__(self, *arguments: P.args, **names: P.kwargs) -> R:
         """Run the machine code. Arrays must be contiguous, of float64 or int64. With vectors: runs as Python."""
@@ -85,8 +118,29 @@ def _entry(s: Signature) -> str:
         if k == BOOL:
             lines.append(f"%b{i} = icmp ne i64 %a{i}, 0")
         passed.append(f"{llvm_type(k)} %{'b' if k == BOOL else 'a'}{i}")
+    lines += _call_and_store(s, passed, "out", 0)
+    return "\n".join([*lines, "ret void", "}"])
+
+
+def _table_entry(s: Signature) -> str:
+    """A wrapper with one argument: a table of the arguments, then of the results, of eight bytes each."""
+    lines = [f"define void @{s.symbol}.table(ptr %t) nounwind {{"]
+    passed = []
+    for i, k in enumerate(s.arguments):
+        t = llvm_type(k)
+        lines.append(f"%p{i} = getelementptr i64, ptr %t, i64 {i}")
+        lines.append(f"%a{i} = load {'i64' if k == BOOL else t}, ptr %p{i}")
+        if k == BOOL:
+            lines.append(f"%b{i} = icmp ne i64 %a{i}, 0")
+        passed.append(f"{t} %{'b' if k == BOOL else 'a'}{i}")
+    lines += _call_and_store(s, passed, "t", len(s.arguments))
+    return "\n".join([*lines, "ret void", "}"])
+
+
+def _call_and_store(s: Signature, passed: list[str], out: str, first: int) -> list[str]:
+    """The call of a function, and its results to the words of ``out`` from the ``first`` one on."""
     call = f"call {llvm_type(s.result)} @{s.symbol}({', '.join(passed)})"
-    lines.append(call if s.result == NONE else f"%r = {call}")
+    lines = [call if s.result == NONE else f"%r = {call}"]
     kinds = s.result if isinstance(s.result, tuple) else () if s.result == NONE else (s.result,)
     for i, k in enumerate(kinds):
         value = "%r"
@@ -96,9 +150,9 @@ def _entry(s: Signature) -> str:
         if k == BOOL:
             lines.append(f"%w{i} = zext i1 {value} to i64")
             value = f"%w{i}"
-        lines.append(f"%o{i} = getelementptr i64, ptr %out, i64 {i}")
+        lines.append(f"%o{i} = getelementptr i64, ptr %{out}, i64 {first + i}")
         lines.append(f"store {'double' if k == NUM else 'i64'} {value}, ptr %o{i}")
-    return "\n".join([*lines, "ret void", "}"])
+    return lines
 
 
 class Library:
@@ -120,6 +174,12 @@ class Library:
         self.functions.append(function)
         return function
 
+    def step(self, python: Callable[P, R]) -> Function[P, R]:
+        """Decorator: as :meth:`compiled`, and :class:`~wbmpc.kernel.step.Step` can bind it."""
+        function = self.compiled(python)
+        function.short = function.stepped = True
+        return function
+
     def source(self) -> str:
         """The library as LLVM IR."""
         known = {id(f): f.signature for f in self.functions}
@@ -127,7 +187,9 @@ class Library:
         parts = [Translator(f.python, f.signature, find).translate() for f in self.functions]
         text = "\n".join(parts)
         text = text.replace("\ndefine ", "\ndefine internal ").replace("define ", "define internal ", 1)
-        return "\n".join([DECLARATIONS, text, *(_entry(f.signature) for f in self.functions if _callable(f.signature))])
+        entries = [_entry(f.signature) for f in self.functions if _callable(f.signature)]
+        entries += [_table_entry(f.signature) for f in self.functions if f.stepped]
+        return "\n".join([DECLARATIONS, text, *entries])
 
     def _key(self) -> str:
         from wbmpc.kernel.codegen_target import target_text

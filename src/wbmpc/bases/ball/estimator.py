@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from wbmpc import lie
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
-from wbmpc.bases.ball.gap import GAP
+from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.ball.model import BallBase
 from wbmpc.checks import covariance as checked_covariance
-from wbmpc.checks import finite, not_negative, numbers, positive, positive_time, scales
+from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError
 from wbmpc.estimation.fused_odometry import AHEAD
 from wbmpc.model.robot import RobotModel
@@ -23,93 +23,6 @@ Array = NDArray[np.float64]
 SLOW, STANDS = 0.05, 2.0
 #: So long [s] the past is kept for poses that come late; older ones do not count.
 HISTORY = 0.6
-#: A joint's reading jumps if it is farther from the last one that counted, and from where the joint was going, than this often
-#: its speed limit allows, and this [rad] more: an arm that is flung by a hit moves faster than its drives can (0.27 rad from one
-#: message to the next, through its stops, under 900 N).
-SPEED_FACTOR, SPEED_REST = 4.0, 0.2
-#: Two steps [rad] in a row of this size, the same way, are a motion.
-FLUNG = 0.03
-#: An arm with a joint that is faster than this times its speed limit is flung, and turns the base with it: the inertial unit
-#: is right then, however far from the message before. (Seen: 34 rad/s where the limit is 4, and 2 rad/s of yaw in 2.5 ms.)
-FASTER = 2.0
-#: Rates are in doubt after a reading this far [rad] from the expected one, and farther by what its age may err by [s].
-SURPRISE, LATE = 1e-3, 2e-3
-
-
-class JointTracker:
-    """Angles (n) [rad] and rates (n) [rad/s] of joints from encoders alone: a Kalman filter of each joint, whose
-    acceleration is white noise of density ``acceleration`` [rad/s²/√Hz]. Readings are ``age`` ± ``jitter`` [s] old.
-
-    ``reading`` (n): the last ones that counted; a joint ``jumped`` (n) if its own did not: beyond what joints with a limit of their
-    ``speed`` (n) [rad/s] can do in the time since, or with the jump before it: nearer to that than to where the joint was. So a
-    step that is never undone never counts, however far the joint could have moved meanwhile; one that is undone, and a joint
-    of which no message came for a while, count by their distance. Those of ``surprised`` (n) are far from what was expected:
-    their rates are in doubt."""
-
-    def __init__(
-        self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0,
-        speed: ArrayLike = np.inf,
-    ) -> None:  # fmt: skip
-        who = "joint tracker"
-        not_negative(who, encoder=encoder, age=age, jitter=jitter)
-        positive(who, acceleration=acceleration)
-        self.angle = numbers(who, "angles", angles, np.size(angles)).copy()
-        self.rate = np.zeros_like(self.angle)
-        self._encoder, self._age, self._jitter, self._density = encoder, age, jitter, acceleration
-        one = np.ones_like(self.angle)
-        self._aa, self._ar, self._rr = 1e-2 * one, 0.0 * one, 1e-2 * one
-        self.jumped = self.surprised = np.zeros(one.shape, dtype=bool)
-        self.reading: Array | None = None
-        self._uncounted = np.zeros(one.shape)  # [s] since a reading counted
-        self._raw, self._step = (
-            self.angle.copy(),
-            np.zeros(one.shape),
-        )  # the last reading, and its distance from the one before
-        self._speed = scales(who, "speed", speed)
-        self._fastest = SPEED_FACTOR * self._speed
-
-    @property
-    def flung(self) -> bool:
-        """Whether something moves a joint faster than its drive can (:data:`FASTER`)."""
-        return bool((np.abs(self.rate) > FASTER * self._speed).any())
-
-    def update(self, interval: float, reading: Array) -> None:
-        """``interval`` [s] since the ``reading`` (n) [rad] before. Raises :class:`InputError` for numbers that cannot be."""
-        positive_time("joint tracker", interval)
-        reading = numbers("joint tracker", "reading", reading, self.angle.size)
-        if interval > GAP:
-            self._restart(reading)
-            return
-        h, s = interval, self._density**2
-        aa = self._aa + 2.0 * h * self._ar + h * h * self._rr + s * h**3 / 3.0
-        ar, rr = self._ar + h * self._rr + s * h * h / 2.0, self._rr + s * h
-        expected = self.angle + h * self.rate
-        late = self._age * self.rate
-        variance = aa + self._encoder**2 + (self._jitter * self.rate) ** 2
-        wrong = reading + late - expected
-        self.surprised = np.abs(wrong) > SURPRISE + LATE * np.abs(self.rate)
-        if self.reading is None:  # the start is not known as well as what follows
-            self.reading, self._raw = reading.copy(), reading.copy()
-        # far from the motion that there was as well, and not on its way: an arm that is flung goes on
-        off = np.minimum(np.abs(reading - self.reading), np.abs(wrong))
-        self._uncounted = np.where(self.jumped, self._uncounted, 0.0) + h
-        previous, self._step = self._step, reading - self._raw
-        self._raw = reading.copy()
-        going = (np.minimum(np.abs(previous), np.abs(self._step)) > FLUNG) & (previous * self._step > 0.0)
-        stays = self.jumped & (np.abs(self._step) < off)
-        self.jumped = (stays | (off > (self._uncounted + LATE) * self._fastest + SPEED_REST)) & ~going
-        self.reading = np.where(self.jumped, self.reading, reading)
-        gain, gain_rate = (np.where(self.jumped, 0.0, share / variance) for share in (aa, ar))
-        self.angle, self.rate = expected + gain * wrong, self.rate + gain_rate * wrong
-        self._aa, self._ar, self._rr = (1.0 - gain) * aa, (1.0 - gain) * ar, rr - gain_rate * ar
-
-    def _restart(self, reading: Array) -> None:
-        """After a gap joints are where they are read, and nobody knows how fast."""
-        one = np.ones_like(self.angle)
-        self.angle, self.rate, self.reading, self._raw = reading.copy(), 0.0 * one, reading.copy(), reading.copy()
-        self._aa, self._ar, self._rr = 1e-2 * one, 0.0 * one, one
-        self.jumped, self.surprised = np.zeros(one.shape, dtype=bool), np.ones(one.shape, dtype=bool)
-        self._uncounted, self._step = 0.0 * one, 0.0 * one
 
 
 class BallEstimator:

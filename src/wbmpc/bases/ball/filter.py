@@ -7,41 +7,41 @@ of the ball without slip, wheel encoders, and the floor's height. docs/explanati
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.stats import chi2
 
 from wbmpc import lie
-from wbmpc.bases.ball.filter_state import BA, BG, A, BallGeometry, BallNoise, BallState, P, V, cross, rotation_of, skew
+from wbmpc.bases.ball.filter_memory import FilterMemory
+from wbmpc.bases.ball.filter_state import A, BallGeometry, BallNoise, BallState, P, V, cross, skew
+from wbmpc.bases.ball.filter_step import State
 from wbmpc.bases.ball.gap import GAP, GAP_LEAN, bridged, spreads
 from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.inertial import UNKNOWN, InertialGate
+from wbmpc.kernel.step import Backend
 
 Array = NDArray[np.float64]
 GRAVITY = np.array([0.0, 0.0, 9.81])
-#: Probability of more than this surprise without a fault; variance [rad²] of rows that count for nothing; what a wheel must
-#: have turned [rad] before an encoder that does not move is called stalled: one that stays within so many counts.
-GATE, ANY, STALLED, STILL = 1e-4, 1.0, 1e-2, 3.0
+#: Probability of more than this surprise without a fault; what a wheel must have turned [rad] before an encoder that does not
+#: move is called stalled: one that stays within so many counts.
+GATE, STALLED, STILL = 1e-4, 1e-2, 3.0
 #: Variance [m², rad²] of what is called exact.
 _EXACT = 1e-14
-UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])  # ẑ ×
 
 
 @dataclass(frozen=True)
 class _Explained:
-    """A state linearised at ``guess``, its ``error`` and ``covariance``, the ``faults`` that explain the readings; ``loose``:
-    whether wheels, or the ball, slip in it."""
+    """A ``state`` after a message, its ``covariance``, by what the wheels ``turned`` (n) [rad], the ``faults`` that explain the
+    readings; ``loose``: whether wheels, or the ball, slip in it."""
 
-    guess: BallState
-    error: Array
+    state: BallState
     covariance: Array
+    turned: Array
     faults: tuple[str, ...]
     loose: bool
 
@@ -54,11 +54,12 @@ class BallFilter:
     ``faults`` of the last update, each a part and what it does: where rolling contradicts the inertial unit beyond :data:`GATE`,
     or an encoder stands while its wheel turns, those rows count for nothing; a message of the inertial ``unit`` that cannot be
     true (``imu exceeds``, ``repeats``, ``jumps``) leaves its rates and forces at those of the last good one, to :data:`UNKNOWN`.
+    ``backend``: machine code (:mod:`wbmpc.bases.ball.filter_step`, :mod:`~wbmpc.bases.ball.filter_solve`), or the same source as ordinary Python.
     """
 
     def __init__(
         self, geometry: BallGeometry, position: ArrayLike, rotation: ArrayLike, noise: BallNoise,
-        unit: InertialDescription | None = None,
+        unit: InertialDescription | None = None, backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         n = self._n = len(geometry.turn)
         self.geometry, self.noise = geometry, noise
@@ -78,8 +79,7 @@ class BallFilter:
         self._gate = float(chi2.isf(GATE, self.freedom))
         self._inertial = InertialGate(unit or InertialDescription(), self.state.rotation.T @ GRAVITY)
         self._still = STILL * np.sqrt(12.0) * noise.encoder
-        self._read, self._turned, self._stalled = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
-        self._rows = 16 + 2 * n + 1  # bias walks 6, scale 1, turning 3, push 3, shift 3, rolling n, encoders n, floor 1
+        self._memory = FilterMemory(geometry, noise, backend)
         self._first = True
         self._turning = 0.0  # the torque about the vertical that lasts [N m]
         self.rate = np.zeros(3)
@@ -100,7 +100,8 @@ class BallFilter:
             for name, value, size in (("wheel", wheel, self._n), ("gyro", gyro, 3), ("accel", accel, 3))
         )
         if self._first:
-            self.state.wheel, self._read, self._first = w.copy(), w.copy(), False
+            self.state.wheel, self._first = w.copy(), False
+            self._memory.arrays["read"][:] = w
             self.covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2
         if interval <= 0.0:
             return self.state
@@ -114,10 +115,10 @@ class BallFilter:
             raise NotFinite(
                 f"ball filter: no state follows from wheels {w}, gyro and accel {message} ({error})"
             ) from error
-        turned = best.guess.wheel - self.state.wheel
-        self.state, self.covariance, self.faults = best.guess.moved(best.error), best.covariance, best.faults
+        self.state, self.covariance, self.faults = best.state, best.covariance, best.faults
         self.rate = self._inertial.last[0] - self.state.gyro_bias
-        self._detect_stalled(w, turned)
+        self._memory.arrays["gone"][:] = best.turned
+        self._memory.detect_stalled(self._still, STALLED)
         return self.state
 
     def _bridge(self, h: float, wheel: Array) -> None:
@@ -139,8 +140,8 @@ class BallFilter:
         p[A, A] = GAP_LEAN**2 * np.eye(3) + (heading + turning**2 - GAP_LEAN**2) * np.outer(up, up)
         p[16:, 16:] = self.noise.encoder**2 * np.eye(self._n)
         self._inertial.reset()
-        self._turning, self.faults, self._read = 0.0, (), wheel.copy()
-        self._turned[:] = 0.0
+        self._turning, self.faults = 0.0, ()
+        self._memory.arrays["read"][:], self._memory.arrays["way"][:] = wheel, 0.0
 
     def _weighed(self, h: float, wheel: Array, message: Array) -> _Explained:
         """What a ``message`` (2, 3) of the inertial unit and the wheels say; without the message if it cannot be true.
@@ -164,130 +165,42 @@ class BallFilter:
         """The newer state under the mildest explanation of the rows: no fault, the ball spins on the floor, one
         wheel slips, the ball slips. If none is good enough the best one counts. ``fault``: why the inertial message is another
         one's, which says little."""
-        gyro, accel = message
-        guess = self._integrated(self.state, h, gyro, accel)
-        r, jx, jy, q = self._linearised(self.state, guess, h, wheel, accel)
-        if fault:
-            q[0:3, 0:3], q[3:6, 3:6] = ((unknown * h) ** 2 * np.eye(3) for unknown in UNKNOWN)
-        elif not self._inertial.jumps(message):
-            # a mean says the less of a motion, the more it changes to the next; spikes are judged, not believed a little less
-            for rows, new, old in zip((slice(0, 3), slice(3, 6)), message, self._inertial.last, strict=True):
-                q[rows, rows] += (self.noise.change * h) ** 2 * float((new - old) @ (new - old)) * np.eye(3)
-        rolling = slice(16, 16 + self._n)
-        plain, known = q[rolling, rolling].copy(), np.diag(np.where(self._stalled, ANY, 0.0))
+        memory = self._memory
+        a = memory.arrays
+        memory.set_state(self.state, self.covariance)
+        a["wheel"][:] = wheel
+        a["gyro"][:], a["accel"][:] = message
+        memory.linearise(h, self._turning, *self._doubt(h, message, fault))
+        choice, self.surprise = memory.explain(self._gate)
+        if choice < 0:
+            raise np.linalg.LinAlgError("the residuals are not finite")
+        memory.apply()
         certain = (
             *((f"imu {fault}",) if fault else ()),
-            *(f"wheel_{i} stalled" for i in np.flatnonzero(self._stalled)),
+            *(f"wheel_{i} stalled" for i, stands in enumerate(a["stalled"].tolist()) if stands),
         )
-        best: _Explained | None = None
-        lowest = np.inf
-        for faults, more in self._explanations():
-            q[rolling, rolling] = plain + known + more
-            error, covariance, cost = self._solved(r, jx, jy, q)
-            if not faults:
-                self.surprise = cost
-            if cost < lowest:
-                lowest, best = cost, _Explained(guess, error, covariance, certain + faults, bool(faults))
-            if lowest < self._gate:
-                break
-        if best is None:
-            raise np.linalg.LinAlgError("the residuals are not finite")
-        return best
+        covariance = a["best_covariance"].reshape(self.covariance.shape).copy()
+        turned = a["y"][State.WHEEL :] - a["x"][State.WHEEL :]
+        return _Explained(memory.new_state(), covariance, turned, certain + self._named(choice), choice > 0)
 
-    def _explanations(self) -> Iterator[tuple[tuple[str, ...], Array]]:
-        """Faults of rolling, the likely ones first, and the variance [rad²] that they give to the wheels' increments."""
-        n = self._n
-        yield (), np.zeros((n, n))
-        spin = self.geometry.turn @ self.state.rotation[2]  # of the base about the vertical
-        yield ("ball spins",), ANY * np.outer(spin, spin)
-        for i in np.flatnonzero(~self._stalled):
-            yield (f"wheel_{i} slips",), ANY * np.diag(np.eye(n)[i])
-        yield ("ball slips",), ANY * np.eye(n)
+    def _doubt(self, h: float, message: Array, fault: str) -> tuple[float, float]:
+        """By how much the variances of turning [rad²] and push [m²/s²] are above those of a motion that does not change."""
+        if fault:
+            usual = self.noise.gyro, self.noise.accel
+            rate, force = ((unknown * h) ** 2 - s**2 * h for unknown, s in zip(UNKNOWN, usual, strict=True))
+            return rate, force
+        if self._inertial.jumps(message):
+            return 0.0, 0.0
+        # a mean says the less of a motion, the more it changes to the next; spikes are judged, not believed a little less
+        change = message - self._inertial.last
+        rate, force = ((self.noise.change * h) ** 2 * np.sum(change * change, axis=1)).tolist()
+        return rate, force
 
-    def _detect_stalled(self, wheel: Array, expected: Array) -> None:
-        """An encoder that stays within a few counts (one may flicker) while its wheel must have turned by :data:`STALLED`."""
-        moves = np.abs(wheel - self._read) > self._still
-        self._turned = np.where(moves, 0.0, self._turned + expected)
-        self._stalled = ~moves & (np.abs(self._turned) > STALLED)
-        self._read = np.where(moves, wheel, self._read)
-
-    def _integrated(self, x: BallState, h: float, gyro: Array, accel: Array) -> BallState:
-        """The next state by strapdown integration and rolling: where the residuals are linearised."""
-        turn = h * (gyro - x.gyro_bias)
-        rotation = x.rotation @ rotation_of(turn)
-        middle = x.rotation @ rotation_of(0.5 * turn)
-        velocity = x.velocity + h * (middle @ (accel - x.accel_bias) - GRAVITY)
-        shift = 0.5 * h * (x.velocity + velocity) - (rotation - x.rotation) @ self.geometry.mount
-        rolled = self._rolled(middle, shift, turn)
-        wheel = x.wheel + np.exp(-x.scale) * (self.geometry.turn @ rolled)
-        return BallState(x.position + shift, velocity, rotation, x.gyro_bias, x.accel_bias, wheel, x.scale)
-
-    def _rolled(self, middle: Array, shift: Array, turn: Array) -> Array:
-        """Turning (3) [rad] of the ball relative to the base, base axes, when it rolls by ``shift`` (3) [m]."""
-        rolled: Array = middle.T @ (UP @ shift) / self.geometry.radius - turn
-        return rolled
-
-    def _linearised(
-        self, x: BallState, y: BallState, h: float, wheel: Array, accel: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Residuals r between the states x and y, their slopes by the errors of x and of y, the covariance of their noise."""
-        s, g, n, m = self.noise, self.geometry, self._n, self._rows
-        size = 16 + n
-        r, jx, jy, q = np.zeros(m), np.zeros((m, size)), np.zeros((m, size)), np.zeros((m, m))
-        turned = x.rotation.T @ y.rotation
-        turn = lie.quaternion_log(lie.rotation_to_quaternion(turned))
-        middle = x.rotation @ rotation_of(0.5 * turn)
-        one = np.eye(3)
-        # turning: Log(Rxᵀ Ry) − h (gyro − bias): zero at the guess
-        jx[0:3, A], jy[0:3, A], jx[0:3, BG] = -turned.T, one, h * one
-        q[0:3, 0:3] = one * s.gyro**2 * h
-        # push: vy − vx − h (R (accel − bias) − g): zero at the guess
-        jy[3:6, V], jx[3:6, V] = one, -one
-        jx[3:6, A], jx[3:6, BA] = h * middle @ skew(accel - x.accel_bias), h * middle
-        q[3:6, 3:6] = one * s.accel**2 * h
-        # shift: py − px − h/2 (vx + vy) + (Ry − Rx) mount: zero at the guess
-        jy[6:9, P], jx[6:9, P], jy[6:9, V], jx[6:9, V] = one, -one, -0.5 * h * one, -0.5 * h * one
-        jy[6:9, A], jx[6:9, A] = -y.rotation @ skew(g.mount), x.rotation @ skew(g.mount)
-        q[6:9, 6:9] = one * s.path**2
-        # walks of the biases, and the scale
-        for k, (part, walk) in enumerate(((BG, s.gyro_walk), (BA, s.accel_walk))):
-            rows = slice(9 + 3 * k, 12 + 3 * k)
-            jy[rows, part], jx[rows, part], q[rows, rows] = one, -one, one * walk**2 * h
-        kept = np.exp(-h / s.scale_time)
-        r[15], jy[15, 15], jx[15, 15] = y.scale - kept * x.scale, 1.0, -kept
-        q[15, 15] = s.scale**2 * (1.0 - kept**2)
-        # rolling: wheel increments − turn · (ball's turning − base's): zero at the guess
-        shift = y.position - x.position
-        across = middle.T @ UP / g.radius
-        factor = np.exp(-x.scale) * g.turn
-        rolling, by_half = slice(16, 16 + n), 0.5 * skew(across @ shift)
-        jy[rolling, 16:], jx[rolling, 16:] = np.eye(n), -np.eye(n)
-        jy[rolling, P], jx[rolling, P] = -factor @ across, factor @ across
-        jy[rolling, A], jx[rolling, A] = factor @ (one - by_half), -factor @ (turned.T + by_half)
-        jx[rolling, 15] = factor @ self._rolled(middle, shift, turn)
-        slip = g.turn @ middle.T
-        spin = s.spin**2 + (s.creeping * self._turning) ** 2
-        q[rolling, rolling] = slip @ np.diag([s.creep**2, s.creep**2, spin]) @ slip.T * h
-        # encoders: what they read was true a little before
-        speed = (y.wheel - x.wheel) / h
-        encoders = slice(16 + n, 16 + 2 * n)
-        r[encoders] = y.wheel - s.age * speed - wheel
-        jy[encoders, 16:], jx[encoders, 16:] = (1.0 - s.age / h) * np.eye(n), s.age / h * np.eye(n)
-        q[encoders, encoders] = np.eye(n) * s.encoder**2 + s.jitter**2 * np.outer(speed, speed)
-        # floor
-        r[-1], jy[-1, 2], q[-1, -1] = y.position[2], 1.0, s.floor**2
-        return r, jx, jy, q
-
-    def _solved(self, r: Array, jx: Array, jy: Array, q: Array) -> tuple[Array, Array, float]:
-        """Error of the newer state, its covariance and the cost of the redundant rows: the older one is marginalised."""
-        factor = cholesky(q + jx @ self.covariance @ jx.T, lower=True, check_finite=False)
-        white = solve_triangular(factor, np.column_stack([jy, r]), lower=True, check_finite=False)
-        slope, rest = white[:, :-1], white[:, -1]
-        information = cholesky(slope.T @ slope, lower=True, check_finite=False)
-        error = -cho_solve((information, True), slope.T @ rest, check_finite=False)
-        covariance = cho_solve((information, True), np.eye(slope.shape[1]), check_finite=False)
-        left = rest + slope @ error
-        return error, 0.5 * (covariance + covariance.T), float(left @ left)
+    def _named(self, choice: int) -> tuple[str, ...]:
+        """What slips in an explanation (:func:`wbmpc.bases.ball.filter_solve.explain`)."""
+        if choice == 0:
+            return ()
+        return (("ball spins", *(f"wheel_{i} slips" for i in range(self._n)), "ball slips")[choice - 1],)
 
     def know_lean(self, up: ArrayLike, spread: float) -> None:
         """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].

@@ -1,0 +1,168 @@
+"""The ball filter's least squares, compiled: solved under the mildest explanation of the readings.
+
+Matrices are stored by rows; n wheels, errors of ``size`` 16 + n, 17 + 2n rows of residuals (:mod:`wbmpc.bases.ball.filter_step`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.bases.ball.compilation import compiled, step
+from wbmpc.bases.ball.filter_step import Row, State
+from wbmpc.kernel.ir import Floats
+
+#: Variance [rad²] of rows that count for nothing.
+ANY = 1.0
+
+
+@compiled
+def cholesky(a: Floats, n: int) -> None:
+    """The lower triangle of ``a`` (n, n) becomes its factor; not numbers where it has none."""
+    for j in range(n):
+        pivot = a[j * n + j]
+        for k in range(j):
+            pivot -= a[j * n + k] ** 2
+        pivot = np.sqrt(pivot) if pivot > 0.0 else np.nan
+        a[j * n + j] = pivot
+        for i in range(j + 1, n):
+            total = a[i * n + j]
+            for k in range(j):
+                total -= a[i * n + k] * a[j * n + k]
+            a[i * n + j] = total / pivot
+
+
+@compiled
+def whiten(
+    n: int, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats, moved: Floats, f: Floats, w: Floats
+) -> None:
+    """``w`` (rows, size + 1): slopes by the newer state, and residuals, over the root ``f`` of what noise and the older state's
+    covariance ``p`` make of them; ``moved`` (rows, size) is scratch."""
+    size, m = 16 + n, 17 + 2 * n
+    c = size + 1
+    for i in range(m):
+        for j in range(size):
+            moved[i * size + j] = 0.0
+        for k in range(size):
+            slope = jx[i * size + k]
+            if slope != 0.0:
+                for j in range(size):
+                    moved[i * size + j] += slope * p[k * size + j]
+        for j in range(i + 1):
+            total = q[i * m + j]
+            for k in range(size):
+                total += moved[i * size + k] * jx[j * size + k]
+            f[i * m + j] = total
+    cholesky(f, m)
+    for i in range(m):
+        for j in range(size):
+            w[i * c + j] = jy[i * size + j]
+        w[i * c + size] = r[i]
+        for k in range(i):
+            share = f[i * m + k]
+            for j in range(c):
+                w[i * c + j] -= share * w[k * c + j]
+        pivot = 1.0 / f[i * m + i]
+        for j in range(c):
+            w[i * c + j] *= pivot
+
+
+@compiled
+def invert(a: Floats, inverse: Floats, out: Floats, n: int) -> None:
+    """``out`` (n, n) becomes the inverse of ``a``, of which the lower triangle counts and is lost, as ``inverse`` is."""
+    cholesky(a, n)
+    for i in range(n):
+        for j in range(n):
+            inverse[i * n + j], out[i * n + j] = 0.0, 0.0
+        inverse[i * n + i] = 1.0
+        for k in range(i):
+            share = a[i * n + k]
+            for j in range(k + 1):
+                inverse[i * n + j] -= share * inverse[k * n + j]
+        pivot = 1.0 / a[i * n + i]
+        for j in range(i + 1):
+            inverse[i * n + j] *= pivot
+    for k in range(n):
+        for i in range(k + 1):
+            share = inverse[k * n + i]
+            for j in range(i + 1):
+                out[i * n + j] += share * inverse[k * n + j]
+    for i in range(n):
+        for j in range(i):
+            out[j * n + i] = out[i * n + j]
+
+
+@step
+def solve(
+    n: int, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats, moved: Floats, f: Floats, w: Floats, a: Floats,
+    inverse: Floats, slope: Floats, error: Floats, covariance: Floats,
+) -> float:  # fmt: skip
+    """``error`` (size) of the newer state and its ``covariance``, the older one, with covariance ``p``, being marginalised; returns
+    the cost of the redundant rows, which is no number where there is no solution."""
+    size, m = 16 + n, 17 + 2 * n
+    c = size + 1
+    whiten(n, p, jx, jy, q, r, moved, f, w)
+    for i in range(size * size):
+        a[i] = 0.0
+    for i in range(size):
+        slope[i] = 0.0
+    for k in range(m):
+        for i in range(size):
+            share = w[k * c + i]
+            for j in range(i + 1):
+                a[i * size + j] += share * w[k * c + j]
+            slope[i] += share * w[k * c + size]
+    invert(a, inverse, covariance, size)
+    for i in range(size):
+        total = 0.0
+        for j in range(size):
+            total -= covariance[i * size + j] * slope[j]
+        error[i] = total
+    cost = 0.0
+    for k in range(m):
+        left = w[k * c + size]
+        for i in range(size):
+            left += w[k * c + i] * error[i]
+        cost += left**2
+    return cost
+
+
+@step
+def explain(
+    n: int, x: Floats, wheels: Floats, stalled: Floats, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats,
+    moved: Floats, f: Floats, w: Floats, a: Floats, inverse: Floats, slope: Floats, error: Floats, covariance: Floats,
+    plain: Floats, spin: Floats, best_error: Floats, best_covariance: Floats, gate: float,
+) -> tuple[int, float]:  # fmt: skip
+    """The error and covariance of the newer state under the mildest explanation of the rows: which one, and the cost without one.
+
+    0: nothing, 1: the ball spins on the floor, 2 + i: wheel i slips, 2 + n: the ball slips; −1: there is no solution. If none costs
+    less than the ``gate`` the best one counts. ``stalled`` (n): 1 for wheels whose rows count for nothing."""
+    size, m = 16 + n, 17 + 2 * n
+    best, lowest, first = -1, np.inf, 0.0
+    for i in range(n):
+        t = 3 * i
+        spin[i] = wheels[t] * x[State.ROTATION + 6] + wheels[t + 1] * x[State.ROTATION + 7]
+        spin[i] += wheels[t + 2] * x[State.ROTATION + 8]
+        for j in range(n):
+            plain[i * n + j] = q[(Row.ROLLING + i) * m + Row.ROLLING + j]
+        plain[i * n + i] += ANY * stalled[i]
+    for choice in range(n + 3):
+        if choice >= 2 and choice < 2 + n and stalled[choice - 2] > 0.0:
+            continue
+        for i in range(n):
+            for j in range(n):
+                more = ANY * spin[i] * spin[j] if choice == 1 else 0.0
+                if i == j and (choice == 2 + i or choice == 2 + n):
+                    more = ANY
+                q[(Row.ROLLING + i) * m + Row.ROLLING + j] = plain[i * n + j] + more
+        cost = solve(n, p, jx, jy, q, r, moved, f, w, a, inverse, slope, error, covariance)
+        if choice == 0:
+            first = cost
+        if cost < lowest:
+            best, lowest = choice, cost
+            for i in range(size):
+                best_error[i] = error[i]
+            for i in range(size * size):
+                best_covariance[i] = covariance[i]
+        if lowest < gate:
+            break
+    return best, first

@@ -1,0 +1,83 @@
+"""The arrays of the compiled fused odometry, and the past of which it keeps copies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.estimation.odometry_filter import LegsShow, OdometryNoise, State
+from wbmpc.estimation.odometry_step import WHEELS, Interval, Noise, Way, advance, farthest, measure
+from wbmpc.estimation.wheel_fit import WheelFit
+from wbmpc.estimation.wheel_slip import WINDOWS, slip_memory
+from wbmpc.kernel.step import Backend, bind
+from wbmpc.model.wheels import ModuleGeometry
+
+Array = NDArray[np.float64]
+
+
+class Moment(NamedTuple):
+    """A state and the interval after it: a copy of ``OdometryMemory.record``, and what open legs showed."""
+
+    record: Array
+    legs: LegsShow | None
+
+
+class OdometryMemory:
+    """``record``: time, ``mean`` (size) and ``p`` (size, size) of the state, and the last interval: ``interval``
+    (:class:`~wbmpc.estimation.odometry_step.Interval`), ``twist`` (3), ``by_wheels`` (3 · 2n), ``correction`` (2n), ``covariance``
+    (3, 3), all of them views of it. ``arrays``: everything by its name in the compiled functions.
+
+    ``measure(h, turn, has_gyro)`` finds the interval from the positions ``before`` and ``now``, ``advance()`` moves the state
+    over it; ``farthest()`` [rad]: how far the wheel turned that turned most; ``wheels``:
+    the fit alone. ``legs``: what open legs showed in the interval.
+    """
+
+    def __init__(self, geometry: ModuleGeometry, radius: Array, noise: OdometryNoise, backend: Backend) -> None:
+        n, size = geometry.modules, WHEELS + 2 * geometry.modules
+        self._made_of = geometry, radius, noise, backend
+        state = {"time": 1, "mean": size, "p": size * size}
+        step = {"interval": int(Interval.SIZE), "twist": 3, "by_wheels": 6 * n, "correction": 2 * n, "covariance": 9}
+        ends = np.cumsum([*state.values(), *step.values()])
+        self.record = np.zeros(ends[-1])
+        kept = dict(zip([*state, *step], np.split(self.record, ends[:-1]), strict=True))
+        self.wheels = WheelFit(geometry, radius, backend, twist=kept["twist"], correction=kept["correction"])
+        self.state_end = int(ends[len(state) - 1])
+        scratch = {"pose": 12, "by": 6 * n, "spread": 9, "cross": size}
+        memory = {"off": 2 * n, "rolled_off": n, "way": int(Way.SIZE), "smoothed": 6 * n, "slip_mean": WINDOWS * 2 * n}
+        self.arrays = {
+            **self.wheels.memory,
+            **kept,
+            **{name: np.zeros(length) for name, length in (scratch | memory).items()},
+            "slip": slip_memory(),
+            "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
+        }
+        a = self.arrays
+        self.measure = bind(measure, a, backend, n=n)
+        self.advance = bind(advance, a, backend, n=n)
+        self.farthest = bind(farthest, a, backend, n=n)
+        self.legs: LegsShow | None = None
+
+    @property
+    def state(self) -> State:
+        """The state now: views, which move on with the memory."""
+        return state_of(self.record, self.arrays["mean"].size)
+
+    def set_state(self, state: State) -> None:
+        """Go on from another state."""
+        a = self.arrays
+        a["time"][0], a["mean"][:], a["p"][:] = state.t, state.mean, state.p.ravel()
+
+    def __deepcopy__(self, memo: dict[int, object]) -> OdometryMemory:
+        """Views stay views of the copy's own record."""
+        made = OdometryMemory(*self._made_of)
+        for name, array in self.arrays.items():
+            made.arrays[name][:] = array
+        made.legs = self.legs
+        return made
+
+
+def state_of(record: Array, size: int) -> State:
+    """The state in a record, as views."""
+    return State(float(record[0]), record[1 : 1 + size], record[1 + size : 1 + size + size * size].reshape(size, size))

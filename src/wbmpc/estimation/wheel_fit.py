@@ -1,0 +1,145 @@
+"""The least-squares twist of steered wheels, compiled: equations in :func:`wbmpc.estimation.wheel_odometry.fit_twist`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.estimation.compilation import compiled, step
+from wbmpc.kernel.ir import Floats
+from wbmpc.kernel.step import Backend, Step, bind
+from wbmpc.model.wheels import ModuleGeometry
+
+Array = NDArray[np.float64]
+
+
+@compiled
+def sinc(x: float) -> float:
+    if x == 0.0:
+        return 1.0
+    return np.sin(x) / x
+
+
+@compiled
+def move(pose: Floats, dx: float, dy: float, dyaw: float) -> tuple[float, float]:
+    """Move ``pose`` (x, y, yaw) by a body twist with this integral, exactly; by what x and y moved."""
+    s, c = sinc(dyaw), 0.5 * dyaw * sinc(0.5 * dyaw) ** 2
+    ahead, aside = s * dx - c * dy, c * dx + s * dy
+    x = np.cos(pose[2]) * ahead - np.sin(pose[2]) * aside
+    y = np.sin(pose[2]) * ahead + np.cos(pose[2]) * aside
+    pose[0] += x
+    pose[1] += y
+    pose[2] += dyaw
+    return x, y
+
+
+@compiled
+def displacements(
+    hinge: Floats, length: Floats, leg_heading: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
+    before: Floats, now: Floats, rolled: Floats, heading: Floats, axes: Floats, moved: Floats,
+) -> None:  # fmt: skip
+    """Each wheel's path (``rolled``, ``heading``), its axis in the middle of the interval and its displacement ``moved`` (n, 2)
+    less the leg's; ``correction``: zeros (n) of the steering and relative errors (n) of the radii."""
+    for i in range(n):
+        leg0, leg1, zero = before[i], now[i], correction[i]
+        steer0, steer1 = before[n + i] - zero, now[n + i] - zero
+        turn = (leg1 - leg0) + (steer1 - steer0)
+        heading[i] = wheel_heading[i] + 0.5 * (leg0 + leg1 + steer0 + steer1)
+        way = radius[i] * (1.0 + correction[n + i]) * (now[2 * n + i] - before[2 * n + i]) * sinc(0.5 * turn)
+        x0 = hinge[2 * i] + length[i] * np.cos(leg_heading[i] + leg0)
+        y0 = hinge[2 * i + 1] + length[i] * np.sin(leg_heading[i] + leg0)
+        x1, y1 = x0, y0
+        if leg0 != leg1:
+            x1 = hinge[2 * i] + length[i] * np.cos(leg_heading[i] + leg1)
+            y1 = hinge[2 * i + 1] + length[i] * np.sin(leg_heading[i] + leg1)
+        rolled[i] = way
+        moved[2 * i], moved[2 * i + 1] = x0 - x1 + way * np.cos(heading[i]), y0 - y1 + way * np.sin(heading[i])
+        axes[2 * i], axes[2 * i + 1] = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+
+
+@step
+def fit(
+    hinge: Floats, length: Floats, leg_heading: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
+    weights: Floats, before: Floats, now: Floats, twist: Floats, residual: Floats, rolled: Floats, heading: Floats,
+    slope: Floats, axes: Floats, moved: Floats,
+) -> None:  # fmt: skip
+    """The ``twist`` (3) from true angles (legs, steering, wheels, n each) ``before`` and ``now``, and its ``slope`` (3, n, 2) by the
+    wheels' displacements."""
+    displacements(
+        hinge, length, leg_heading, wheel_heading, n, radius, correction, before, now, rolled, heading, axes, moved
+    )
+    total, mx, my = 0.0, 0.0, 0.0
+    for i in range(n):
+        total += weights[i]
+    for i in range(n):
+        share = weights[i] / total
+        mx += share * axes[2 * i]
+        my += share * axes[2 * i + 1]
+    square = 0.0
+    for i in range(n):
+        share = weights[i] / total
+        square += share * ((axes[2 * i] - mx) ** 2 + (axes[2 * i + 1] - my) ** 2)
+    dx, dy, dyaw, m = 0.0, 0.0, 0.0, 2 * n
+    for i in range(n):
+        share, j = weights[i] / total, 2 * i
+        fx, fy = -share * (axes[j + 1] - my) / square, share * (axes[j] - mx) / square
+        slope[2 * m + j], slope[2 * m + j + 1] = fx, fy
+        slope[j], slope[j + 1] = share + my * fx, my * fy
+        slope[m + j], slope[m + j + 1] = -mx * fx, share - mx * fy
+        dx += slope[j] * moved[j] + slope[j + 1] * moved[j + 1]
+        dy += slope[m + j] * moved[j] + slope[m + j + 1] * moved[j + 1]
+        dyaw += fx * moved[j] + fy * moved[j + 1]
+    twist[0], twist[1], twist[2] = dx, dy, dyaw
+    for i in range(n):
+        residual[2 * i] = moved[2 * i] - dx + dyaw * axes[2 * i + 1]
+        residual[2 * i + 1] = moved[2 * i + 1] - dy - dyaw * axes[2 * i]
+
+
+@step
+def dead_reckon(
+    hinge: Floats, length: Floats, leg_heading: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
+    weights: Floats, before: Floats, now: Floats, twist: Floats, residual: Floats, rolled: Floats, heading: Floats,
+    slope: Floats, axes: Floats, moved: Floats, pose: Floats,
+) -> None:  # fmt: skip
+    """As :func:`fit`; ``pose`` (3) moves by the twist."""
+    fit(
+        hinge, length, leg_heading, wheel_heading, n, radius, correction, weights, before, now, twist, residual, rolled,
+        heading, slope, axes, moved,
+    )  # fmt: skip
+    move(pose, twist[0], twist[1], twist[2])
+
+
+class WheelFit:
+    """The step :func:`fit` of one geometry with its arrays in ``memory``: ``before`` and ``now`` (3n) go in, ``twist`` (3),
+    ``residual`` (2n), ``rolled``, ``heading`` (n) and ``slope`` (3 · 2n) come out. ``correction`` (2n) is 0, ``weights`` (n) are 1.
+    ``given``: arrays to be used instead of own ones.
+    """
+
+    def __init__(self, geometry: ModuleGeometry, radius: Array, backend: Backend = "compiled", **given: Array) -> None:
+        n = geometry.modules
+        sizes = {
+            "twist": 3,
+            "residual": 2 * n,
+            "rolled": n,
+            "heading": n,
+            "slope": 6 * n,
+            "axes": 2 * n,
+            "moved": 2 * n,
+        }
+        sizes |= {"before": 3 * n, "now": 3 * n, "correction": 2 * n}
+        self.memory = {
+            "hinge": np.array(geometry.hinge, float).ravel(),
+            "length": np.array(geometry.leg_length, float),
+            "leg_heading": np.array(geometry.leg_heading, float),
+            "wheel_heading": np.array(geometry.wheel_heading, float),
+            "radius": np.array(np.broadcast_to(radius, n), float),
+            "weights": np.ones(n),
+            **{name: np.zeros(size) for name, size in sizes.items()},
+            **given,
+        }
+        self.n = n
+        self.run = bind(fit, self.memory, backend, n=n)
+
+    def with_pose(self, pose: Array) -> Step:
+        """The step :func:`dead_reckon` on the same arrays and on a ``pose`` (3)."""
+        return bind(dead_reckon, self.memory | {"pose": pose}, n=self.n)

@@ -1,0 +1,119 @@
+"""A compiled function with arrays of its own: one step of an estimator or of a controller, as a control tick calls it.
+
+To add one: write the step as a function of translated Python (:mod:`wbmpc.kernel.translate`) under the ``step`` decorator of a
+:class:`~wbmpc.kernel.library.Library`, keep its arrays in a dictionary by the names of its arguments, and bind the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.errors import KernelError, unknown_name
+from wbmpc.kernel.ir import BOOL, INT, INTS, NONE, NUM, NUMS
+from wbmpc.kernel.library import Function
+
+Backend = Literal["compiled", "interpreted"]
+Memory = Mapping[str, NDArray[Any]]
+
+
+class Step:
+    """``step(*numbers)`` runs a function of a library on the arrays of ``memory`` and on ``constants``, both by the names of its
+    arguments; ``numbers`` are the other arguments, in order. Returns the function's result, a tuple where there are several.
+
+    Arrays are contiguous, of float64 or int64, and do not overlap; they stay where they are, so callers write into them. A call does
+    not allocate, look anything up, or let go of the interpreter. ``backend``: machine code, or the same source as ordinary Python.
+    Compiles, or loads from the cache, when it is made. Raises :class:`KernelError` for arrays that cannot be used and for names
+    that are no arguments.
+    """
+
+    def __init__(
+        self, function: Callable[..., Any], memory: Memory, backend: Backend = "compiled", **constants: int | float
+    ) -> None:
+        if backend not in ("compiled", "interpreted"):
+            raise unknown_name("backend", backend, ("compiled", "interpreted"))
+        if not isinstance(function, Function) or not function.stepped:
+            raise KernelError(f"{function}: no step of a library (decorator 'step')")
+        self._function, self._memory, self._backend, self._constants = function, dict(memory), backend, constants
+        self._bind()
+
+    def _bind(self) -> None:
+        f, arguments = self._function, self._function.argument_names
+        for name in (*self._memory, *self._constants):
+            if name not in arguments:
+                raise unknown_name("argument", name, arguments)
+        _check_apart(f.signature.symbol, self._memory)
+        self._free = [a for a in arguments if a not in self._memory and a not in self._constants]
+        self._given: list[Any] = [self._memory.get(a, self._constants.get(a)) for a in arguments]
+        if self._backend == "compiled":
+            self._fill_table()
+        else:
+            self._places = [arguments.index(a) for a in self._free]
+
+    def _fill_table(self) -> None:
+        """The table of arguments that the machine code reads, then room for its results; eight bytes each."""
+        f = self._function
+        result = f.signature.result
+        kinds = result if isinstance(result, tuple) else () if result == NONE else (result,)
+        first = len(self._given)
+        table = np.zeros(first + len(kinds), dtype=np.int64)
+        numbers = table.view(np.float64)
+        slots: list[tuple[NDArray[Any], int]] = []
+        for i, (name, kind, value) in enumerate(zip(f.argument_names, f.signature.arguments, self._given, strict=True)):
+            if name in self._free:
+                if kind not in (NUM, INT, BOOL):
+                    raise KernelError(f"{f.signature.symbol}: there is no array '{name}'")
+                slots.append((numbers if kind == NUM else table, i))
+            elif kind in (NUMS, INTS):
+                table[i] = _address(f.signature.symbol, name, value, np.float64 if kind == NUMS else np.int64)
+            else:
+                (numbers if kind == NUM else table)[i] = value
+        self._slots = slots
+        self._results = [(numbers if k == NUM else table, first + i, k == BOOL) for i, k in enumerate(kinds)]
+        self._several = isinstance(result, tuple)
+        self._table, self._code = table, f.by_table
+        self._address = table.ctypes.data
+
+    def __call__(self, *numbers: float) -> Any:
+        if self._backend == "interpreted":
+            for place, number in zip(self._places, numbers, strict=True):
+                self._given[place] = number
+            return self._function.interpreted(*self._given)
+        for (row, i), number in zip(self._slots, numbers, strict=True):
+            row[i] = number
+        self._code(self._address)
+        if not self._results:
+            return None
+        if self._several:
+            return tuple(bool(row[i]) if truth else row[i].item() for row, i, truth in self._results)
+        row, i, truth = self._results[0]
+        return bool(row[i]) if truth else row[i].item()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Step:
+        """Arrays move with a copy of what owns them: addresses are taken anew."""
+        return Step(self._function, deepcopy(self._memory, memo), self._backend, **self._constants)
+
+
+def bind(function: Callable[..., Any], arrays: Memory, backend: Backend = "compiled", **constants: int | float) -> Step:
+    """A :class:`Step` on those of the ``arrays`` that the function has arguments for: several steps share one dictionary."""
+    names = function.argument_names if isinstance(function, Function) else ()
+    return Step(function, {name: arrays[name] for name in names if name in arrays}, backend, **constants)
+
+
+def _address(symbol: str, name: str, array: Any, dtype: type) -> int:
+    if not isinstance(array, np.ndarray) or array.dtype != dtype or not array.flags.c_contiguous:
+        raise KernelError(f"{symbol}: '{name}' needs a contiguous array of {dtype.__name__}")
+    return int(array.ctypes.data)
+
+
+def _check_apart(symbol: str, memory: Memory) -> None:
+    """Compiled code may keep numbers of one array in registers while it writes to another."""
+    spans = sorted((int(a.ctypes.data), int(a.ctypes.data) + a.nbytes, name) for name, a in memory.items())
+    for (_, end, one), (start, _, other) in pairwise(spans):
+        if start < end:
+            raise KernelError(f"{symbol}: the arrays '{one}' and '{other}' overlap")
