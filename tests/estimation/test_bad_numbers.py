@@ -257,7 +257,7 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
             "'hold' must not be negative",
         ),
         (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, rate=-1.0), "'rate' must not be negative"),
-        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, maximum=-3.0), "'most' must not be negative"),
+        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, maximum=-3.0), "'maximum' must not be negative"),
         (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, spread=(0.0, 1.0)), "'spread' must be positive"),
         (lambda: DoorNoise(rate=NAN), "door filter's noise: 'rate' must be finite"),
         (lambda: DoorNoise(walk=-1.0), "door filter's noise: 'walk' must not be negative"),
