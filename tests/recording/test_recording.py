@@ -21,6 +21,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_typestore
 
+from effort import thorough
 from frame_tree import joined, of_transforms, of_urdf, place, root
 from wbmpc import lie
 from wbmpc.bases.ball.plant import BallPlant
@@ -230,6 +231,7 @@ def test_what_ran_is_in_the_file(track: Path) -> None:
     assert scene.robot == "base_link" and {s.kind for s in scene.shapes} == {"box", "capsule", "cylinder", "plane"}
 
 
+@thorough
 def test_recording_changes_nothing(track: Path) -> None:
     settings = SwerveTrackSettings(periods=1, speed=0.8, settle_time=1.0, calibration="none")
     alone = REGISTRY["swerve-track"].run(settings, 3, None)

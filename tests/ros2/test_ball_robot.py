@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private
 
+from effort import thorough
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
@@ -122,6 +123,7 @@ def test_an_mpc_that_dies_leaves_its_last_policy(made: Callable[..., Any], caplo
     assert any("no memory" in m for m in s.messages(2))
 
 
+@thorough
 def test_an_mpc_that_gives_no_plan_for_a_while(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     """A policy that is too old is kept, and given up as soon as there is a new one."""
     s = made()
@@ -273,6 +275,7 @@ def test_time_that_goes_back_is_another_clocks(simulated: bool) -> None:
         )
 
 
+@thorough
 def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
     made: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -298,6 +301,7 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
 
 
+@thorough
 def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
     made: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -320,6 +324,7 @@ def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
 
 
+@thorough
 def test_a_moment_that_is_announced_turns_the_hand_less(made: Callable[..., Any]) -> None:
     """1.5 N m at the forearm, without the disturbance observer: with the reference the plan counts with the world's answer."""
     moved = []

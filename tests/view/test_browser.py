@@ -15,6 +15,7 @@ from browser import CHROMIUM, browser, project
 from filmed import record
 from test_live import free_port
 
+from effort import thorough
 from fake_experiment import REGISTRY, FakeSettings
 from wbmpc import lie
 from wbmpc.recording.plots import positions
@@ -88,6 +89,7 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     assert np.linalg.norm(hand_path[-1] - goal_path[-1]) < 0.03
 
 
+@thorough
 def test_the_base_is_dragged_and_legs_are_moved(tmp_path: Path) -> None:
     """In a session: the arrow of the base's goal is pulled ahead, then A is clicked, then the session begins anew."""
     process, url = start("view", "swerve-ur10", "--out", str(tmp_path))
