@@ -51,7 +51,7 @@ def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
     """Let the end effector follow the sine on the bus: mean error [m] in the estimated frame, 2 s after the beginning and later."""
     recorder, way = Recorder(bus.node), sine(settings)
     goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
-    paths = {n: bus.node.publisher(f"/{n}_path", "nav_msgs/msg/Path", DEFAULT) for n in ("hand", "base")}
+    paths = {n: bus.node.publisher(f"/{n}_path", "nav_msgs/msg/Path", DEFAULT) for n in ("end_effector", "base")}
     bus.wait_for(lambda: recorder.time > 0.0 and recorder.rows["odom"], 60.0)
     begin = recorder.time
     bus.wait_for(lambda: recorder.time - begin > rest and all(map(matched, (goal, *paths.values()))), 60.0 + rest)
@@ -64,7 +64,7 @@ def track(bus: Bus, settings: SwerveTrackSettings, rest: float) -> float:
     paths["base"].publish(
         path(start, "odom", np.array([p for p, _ in base]), np.array([q for _, q in base]), start + t)
     )
-    paths["hand"].publish(
+    paths["end_effector"].publish(
         path(start, "odom", end_effector_of(way, t), np.tile(END_EFFECTOR_ORIENTATION, (t.size, 1)), start + t)
     )
     bus.wait_for(lambda: "path" in bus.said, 60.0)

@@ -124,7 +124,7 @@ def kind_alone(value: Any) -> Any:
 
 
 def _models_of(annotation: Any) -> list[type[BaseModel]]:
-    """The models that a field may hold: one, or several that its ``kind`` tells apart."""
+    """The models that a field may hold: one, or several that its ``kind`` selects."""
     found = [c for c in (annotation, *get_args(annotation)) if isinstance(c, type) and issubclass(c, BaseModel)]
     return found if len(found) < 2 or all(KIND in m.model_fields for m in found) else found[:1]
 

@@ -27,7 +27,7 @@ STRONG = np.array([400.0, -100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def in_real_time() -> BallController:
-    return realtime.make_rezero_agent(NO_MPC, None, 400.0)  # type: ignore[arg-type]
+    return realtime.make_rezero_controller(NO_MPC, None, 400.0)  # type: ignore[arg-type]
 
 
 def at_its_limits(cost: RezeroCost) -> BallController:

@@ -172,12 +172,12 @@ def test_the_summary_compares_direction_by_direction() -> None:
     }
     lines = push_map.summary(todo, done)
     assert lines == [
-        "end effector held, 0.2 s, mpc recovers: median 80, least 80, most 90 N s (4 of 4 directions)",
-        "end effector held, 0.2 s, mpc stands: median 160, least 90, most 200 N s (4 of 4 directions)",
+        "hand held, 0.2 s, mpc recovers: median 80, least 80, most 90 N s (4 of 4 directions)",
+        "hand held, 0.2 s, mpc stands: median 160, least 90, most 200 N s (4 of 4 directions)",
         "  its ball goes 3.0 m at most where it recovers",
-        "end effector held, 0.2 s, lqr recovers: median 20, least 0, most 40 N s (3 of 4 directions)",
+        "hand held, 0.2 s, lqr recovers: median 20, least 0, most 40 N s (3 of 4 directions)",
         "  mpc over lqr: median 3.00, least 2.00 (2), 1 where lqr never does",
-        "end effector held, 0.2 s, lqr stands: median 100, least 100, most 150 N s (3 of 4 directions)",
+        "hand held, 0.2 s, lqr stands: median 100, least 100, most 150 N s (3 of 4 directions)",
         "  mpc over lqr: median 1.00, least 0.90 (3)",
         "  its ball goes 3.0 m at most where it recovers",
     ]

@@ -66,10 +66,10 @@ def test_a_force_that_pushes_the_robot_away_is_reported_and_ends_the_run(caplog:
     lean_control.check(1.0, pushed(20.0), x)
     x[n] = 0.5
     lean_control.check(1.0, pushed(50.0), x)
-    assert not lean_control.reported and not caplog.records
+    assert not lean_control.push_fault and not caplog.records
     for t in (1.5, 1.6):
         lean_control.check(t, pushed(90.0), x)
-    assert lean_control.reported == "a force of at least 90 N that lasts pushes the robot away (1.50 s)"
+    assert lean_control.push_fault == "a force of at least 90 N that lasts pushes the robot away (1.50 s)"
     assert len(caplog.records) == 1
     x[n] = 2.1
     for force in (50.0, 20.0, 50.0):  # who is driven fast by a goal is not pushed away
@@ -85,6 +85,6 @@ def test_a_fast_ball_that_rolls_back_against_the_force_or_not_for_long_goes_on()
         x[n] = speed
         lean_control.check(t, pushed(50.0), x)
     lean_control.reset()
-    assert not lean_control.reported
+    assert not lean_control.push_fault
     lean_control.check(0.1, pushed(50.0), x)
-    assert lean_control.reported.endswith("(0.10 s)")
+    assert lean_control.push_fault.endswith("(0.10 s)")

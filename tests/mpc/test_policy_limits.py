@@ -311,7 +311,7 @@ def test_a_row_at_its_limit_leaves_a_pole_its_balance() -> None:
 
 def test_rows_count_on_the_grid_that_the_solver_refines() -> None:
     """Twice as fine as the problem's: the policy and which rows count in which mode, as typed in above."""
-    mpc = MPC(planes(), SLQ.real_time(step=0.025, backend="interpreted"), first_iterations=1)
+    mpc = MPC(planes(), SLQ.real_time(step=0.025, backend="interpreted"), first_iterations=1, plan_only_limits=True)
     mpc.set_schedule(ModeSchedule((Mode("wide"), Mode("narrow")), (0.5,)))
     mpc.reset(START)
     policy = mpc.update(Observation(0.0, START))

@@ -136,9 +136,9 @@ def test_plots(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_hand_error(run: Path) -> None:
-    from wbmpc.recording.plots import hand_error
+    from wbmpc.recording.plots import end_effector_error
 
-    times, error = hand_error(read_recording(run))  # type: ignore[misc]
+    times, error = end_effector_error(read_recording(run))  # type: ignore[misc]
     np.testing.assert_array_equal(times, TIMES)
     np.testing.assert_allclose(error, np.sqrt((POSES[:, :3] ** 2).sum(axis=1)))
 

@@ -69,7 +69,7 @@ ODD = """
 def test_joints_beside_their_bodies(tmp_path) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "odd.xml").write_text(ODD)
     (tmp_path / "odd.yaml").write_text(
-        "name: odd\nmodel: odd.xml\nbase: {type: fixed, body: trunk}\narm: {joints: [slide, turn], tool: end effector}\n"
+        "name: odd\nmodel: odd.xml\nbase: {type: fixed, body: trunk}\narm: {joints: [slide, turn], tool: hand}\n"
     )
     description = load_description(tmp_path / "odd.yaml")
     for seed in range(3):

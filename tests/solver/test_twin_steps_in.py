@@ -35,7 +35,7 @@ def cart(drag=lambda v: v**2, *more: Cost | Constraint, curve=lambda x: x**2, **
 @pytest.mark.parametrize("where", ["the dynamics", "term 'curve'"])
 def test_a_lookup_table_is_interpreted_and_said_once(where: str, caplog: pytest.LogCaptureFixture) -> None:
     given = {"drag": PARABOLA} if where == "the dynamics" else {"curve": PARABOLA}
-    solver._tell.cache_clear()  # another test may have had the same problem
+    solver._warn.cache_clear()  # another test may have had the same problem
     with caplog.at_level(logging.WARNING, "wbmpc"):
         found = [Solver(cart(**given)).solve(START) for _ in range(2)][-1]  # type: ignore[arg-type]
     reported = [r.getMessage() for r in caplog.records]

@@ -123,7 +123,7 @@ def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
         object.__setattr__(part, key, changed)  # settings are frozen
         after = regulator_weights(robot, usual.model_copy(update=given), RegulatorSettings())
         reads = any(
-            not np.array_equal(getattr(previous, f), getattr(after, f)) for f in ("hand", "twist", "state", "torque")
+            not np.array_equal(getattr(previous, f), getattr(after, f)) for f in ("end_effector", "twist", "state", "torque")
         )
         for controller in ("lqr", "scheduled-lqr"):
             asked = [f"controller={controller}", f"{name}={changed}"]
@@ -235,7 +235,7 @@ def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:
         state[robot.state[group]] *= 5.0
     assert held.state == pytest.approx(state)
     assert np.array_equal(replace(held, state=usual.state).torque, usual.torque)
-    assert of(hand=0.1).hand == pytest.approx(0.1 * usual.hand)
+    assert of(hand=0.1).end_effector == pytest.approx(0.1 * usual.end_effector)
 
 
 @pytest.mark.parametrize("name", ["rezero-wholebody", "rezero-circle"])
@@ -258,7 +258,7 @@ def test_regulators_are_reported_where_the_hand_goes(name: str, monkeypatch: pyt
         if name == "rezero-circle":
             ball = rezero_circle.ball_path(settings, np.array([t]))[0]
         else:
-            times, places = rezero_wholebody.hand_path(settings, home)
+            times, places = rezero_wholebody.end_effector_path(settings, home)
             end_effector = np.array([np.interp(t, times, places[:, i]) for i in range(3)])
         assert robot.pose(x)[0] == pytest.approx(end_effector, abs=1e-3)
         assert x[:2] == pytest.approx(ball, abs=2e-3) and abs(x[2]) < 1e-9

@@ -87,7 +87,7 @@ def test_a_real_fall_of_the_baseline_is_its_ending(monkeypatch: pytest.MonkeyPat
     settings = SwerveDriveSettings(settle_time=0.0)
     mission, _ = tour(SWERVE, 0.1)
     bench = swerve_drive._Run(settings, SWERVE, 0, Log())
-    ending = bench.rival(mission, 1.0).ending
+    ending = bench.baseline(mission, 1.0).ending
     assert ending.fell and bench.log.times("rival.base")[-1] < 0.03
     assert np.isinf(swerve_drive.baseline_on_tour(settings, 0)).all()
 

@@ -31,7 +31,7 @@ def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[n
     t, door = log.times("force_high"), log.array("door_high")[:, 0]
     force = np.einsum("ij,ij->i", log.array("force_high"), log.array("normal_high"))
     touch = t[np.flatnonzero(force > 0.0)[0]]
-    release = t[np.flatnonzero(door >= SHORT.open)[0]]
+    release = t[np.flatnonzero(door >= SHORT.opening_angle)[0]]
     use = (t >= touch + 0.3) & (t < release - 0.02)
     error = np.sqrt(np.mean((force[use] - 16.0) ** 2)) / 16.0
     assert m["force_error_ratio_high"] == pytest.approx(error, abs=0.01)

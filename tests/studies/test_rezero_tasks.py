@@ -142,6 +142,6 @@ def test_unknown_load_leaves_no_offset() -> None:
 
 
 def test_the_square_has_sides_of_25_cm() -> None:
-    times, places = rezero_wholebody.hand_path(RezeroWholebodySettings(), np.array([0.3, 0.0, 0.5]))
+    times, places = rezero_wholebody.end_effector_path(RezeroWholebodySettings(), np.array([0.3, 0.0, 0.5]))
     assert np.ptp(places, axis=0) == pytest.approx([0.0, 0.25, 0.25])
     assert np.all(np.diff(times) >= 0.0)

@@ -142,6 +142,6 @@ def test_a_ball_robot_has_no_brakes() -> None:
 def test_a_fault_that_no_brake_has_is_rejected(name: str) -> None:
     """Nothing would come of it."""
     settings = swerve_track.SwerveTrackSettings
-    with pytest.raises(InputError, match=rf"plant: {name[:-2]}: nothing uses it without brake_fault=open"):
+    with pytest.raises(InputError, match=rf"plant.{name[:-2]}: nothing uses it without plant.brake_fault=open"):
         configure(settings, [f"plant.{name}"], "swerve-track")
     assert configure(settings, [f"plant.{name}", "plant.brake_fault=open"], "swerve-track").plant.brake_fault == "open"
