@@ -132,6 +132,8 @@ MALFORMED: tuple[Any, ...] = (
     {"type": "GuiUpdateMessage", "uuid": "nobody", "updates": {"value": 1}},
     {"type": "GuiUpdateMessage", "uuid": 5, "updates": []},
     {**CAMERA, "position": (_NAN, 0.0, 0.0)}, {**CAMERA, "wxyz": (0.0, 0.0, 0.0, 0.0)}, {**CAMERA, "look_at": (0.0,)},
+    {**CAMERA, "look_at": CAMERA["position"]}, {**CAMERA, "up_direction": (0.0, 0.0, 0.0)},
+    {**CAMERA, "position": (1e9, 0.0, 0.0), "look_at": (1e9, 0.0, 1e-3)},
     {"type": "TransformControlsUpdateMessage", "name": "/goal", "wxyz": _UPRIGHT, "position": "here"},
     {"type": "TransformControlsUpdateMessage", "name": 7, "wxyz": _UPRIGHT, "position": (0.0, 0.0, 0.0)},
     {"type": "ShareUrlRequest"}, {"type": "FileTransferStartUpload", "source_component_uuid": "x", "transfer_uuid": "y"},

@@ -8,12 +8,14 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from hostile import BAD_GOALS, MALFORMED, Client
+from hostile import BAD_GOALS, CAMERA, MALFORMED, Client
 from test_live import free_port
 
 from wbmpc.errors import InputError
@@ -21,7 +23,12 @@ from wbmpc.model.robot import load_robot
 from wbmpc.view import bounds
 from wbmpc.view.steering import MAX_WEIGHTS
 
-pytest.importorskip("viser")
+viser = pytest.importorskip("viser")
+msgspec = pytest.importorskip("msgspec")
+
+from wbmpc.view.frames import checked  # noqa: E402 - they need viser
+from wbmpc.view.scene import _aim  # noqa: E402
+
 #: Values that a control may not have.
 WRONG: dict[str, tuple[Any, ...]] = {
     "Speed": (0.0, float("nan"), -1.0, 1e9, "fast", True, [1.0]),
@@ -114,6 +121,44 @@ def test_a_flood_of_malformed_messages_is_a_few_lines(running: tuple[Any, Client
     client.set("End the run", True)
     _, err = process.communicate(timeout=60)
     assert "Traceback" not in err and len(err.splitlines()) < 15
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"look_at": CAMERA["position"]},
+        {"up_direction": (0.0, 0.0, 0.0)},
+        {
+            "position": (1e9, 0.0, 0.0),
+            "look_at": (1e9, 0.0, 1e-3),
+        },  # nothing is left of it where the camera is moved back
+    ],
+)
+def test_a_camera_without_a_direction_is_rejected(change: dict[str, Any]) -> None:
+    """viser could not turn it later on, in the loop that draws."""
+    assert checked(msgspec.msgpack.encode(CAMERA), lambda uuid: None)
+    with pytest.raises(InputError, match="the camera: "):
+        checked(msgspec.msgpack.encode({**CAMERA, **change}), lambda uuid: None)
+
+
+def test_a_camera_that_cannot_be_moved_stays() -> None:
+    class Camera:
+        def __setattr__(self, name: str, value: Any) -> None:
+            raise ValueError("Camera look_at cannot equal position (zero look distance).")
+
+    _aim(SimpleNamespace(camera=Camera(), atomic=nullcontext), np.zeros(3), np.ones(3))  # type: ignore[arg-type]
+
+
+def test_what_is_answered_to_a_slider_is_short() -> None:
+    server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
+    try:
+        slider = server.gui.add_slider("Force [N]", 0.0, 300.0, 5.0, 60.0)
+        message = {"type": "GuiUpdateMessage", "uuid": "x", "updates": {"value": "y" * 60_000}}
+        with pytest.raises(InputError) as caught:
+            checked(msgspec.msgpack.encode(message), lambda uuid: slider)
+        assert len(str(caught.value)) < 200
+    finally:
+        server.stop()
 
 
 # ---------------------------------------------------------------------- what a run may be asked for

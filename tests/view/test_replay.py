@@ -21,7 +21,7 @@ from wbmpc import lie, reproduce
 from wbmpc.cli import main
 from wbmpc.errors import InputError, WbmpcError
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.recording.reader import read_recording
+from wbmpc.recording.reader import Recording, read_recording
 from wbmpc.recording.writer import McapFile
 from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.view import render
@@ -139,15 +139,20 @@ def test_replay_needs_viser(run: SimpleNamespace, monkeypatch: pytest.MonkeyPatc
     assert capsys.readouterr().err == "wbmpc: replay: this needs viser: pip install 'wbmpc[viz]'\n"
 
 
-def test_the_player_shows_moments(run: SimpleNamespace) -> None:
+def test_the_player_shows_moments(run: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("viser")
     from wbmpc.view.access import Access
     from wbmpc.view.replay import Player
 
+    monkeypatch.setattr(
+        Recording, "title", "<script>steer()</script>"
+    )  # of a file that somebody sent: no script of the page
     player = Player(run.film, Access.of("127.0.0.1"), free_port())
     try:
+        assert "<script>" not in player._text.content.replace("\\<", "")
         for t in (0.0, 0.98):
             player.show(t)
+            assert "<script>" not in player._text.content.replace("\\<", "")
             shown = [h.position for h in player.stage._bodies]
             np.testing.assert_allclose(shown, run.truth.poses[t][:, :3], atol=1e-6)
         assert "0.98 s" in player._text.content

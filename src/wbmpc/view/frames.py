@@ -15,6 +15,8 @@ from wbmpc.errors import InputError
 LARGEST, FARTHEST = 65_536, 1e3
 #: How far a quaternion's norm may be from 1: browsers count in single precision.
 _UNIT = 1e-3
+#: A camera is at least this far from what it looks at, as a share of its largest coordinate, or of 1 m.
+_APART = 1e-6
 _Vector: TypeAlias = tuple[float, float, float]
 _Quaternion: TypeAlias = tuple[float, float, float, float]
 
@@ -87,6 +89,11 @@ def _check_camera(frame: _Camera) -> None:
     size = (frame.fov, frame.near, frame.far, frame.image_height, frame.image_width)
     _finite("the camera", *frame.position, *frame.look_at, *frame.up_direction, *size, maximum=1e9)
     frame.wxyz = _unit("the camera", frame.wxyz)
+    scale = max(1.0, *(abs(v) for v in (*frame.position, *frame.look_at)))
+    if not math.dist(frame.position, frame.look_at) >= _APART * scale:
+        raise InputError("the camera: it is where it looks at, so it has no direction")
+    if not math.hypot(*frame.up_direction) >= _APART:
+        raise InputError("the camera: its upward direction has the length 0")
 
 
 def _finite(what: str, *values: float, maximum: float) -> None:
@@ -112,7 +119,7 @@ def _check_input(frame: _Gui, handle: Any) -> None:
     if isinstance(handle, viser.GuiSliderHandle):
         low, high = float(handle.min), float(handle.max)
         if isinstance(value, bool | str) or not low - 1e-9 <= value <= high + 1e-9:
-            raise InputError(f"{label}: must be {low:g} to {high:g}, got {value if value == value else 'nan'}")
+            raise InputError(f"{label}: must be {low:g} to {high:g}, got {str(value)[:40]}")
     elif isinstance(handle, viser.GuiButtonGroupHandle):
         if value not in handle.options:
             raise InputError(f"{label}: must be one of {', '.join(handle.options)}, got {str(value)[:40]}")

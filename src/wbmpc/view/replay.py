@@ -179,7 +179,8 @@ class Player:
         gui, end = self.server.gui, float(film.times[-1])
         gui.main_panel.dock_right()
         name_tab(gui, film.recording.title)
-        self._text = gui.add_markdown(f"**{film.recording.title}**")
+        self._title = f"**{plain(film.recording.title)}**"
+        self._text = gui.add_markdown(self._title)
         self._playing = gui.add_checkbox("Play", True)
         self._time: Any = gui.add_slider("Time [s]", 0.0, max(end, 0.01), 0.01, 0.0)
         self._speed = gui.add_slider("Speed", 0.1, 4.0, 0.1, 1.0)
@@ -201,7 +202,7 @@ class Player:
         self.stage.show(s)
         self.stage.follow(s["poses"], bool(self._follow.value))
         numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
-        self._text.content = f"**{self.film.recording.title}**, {t:.2f} s{spoken(numbers)}"
+        self._text.content = f"{self._title}, {t:.2f} s{spoken(numbers)}"
 
     def run(self) -> None:
         """Play, again and again, until Ctrl-C. Without a browser nothing moves: a replay that was forgotten takes no time."""

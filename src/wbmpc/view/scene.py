@@ -6,6 +6,7 @@ import html
 import json
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -101,17 +102,14 @@ class ViewScene:
         self._cameras = {i: c for i, c in self._cameras.items() if i in clients}
         for i, client in clients.items():
             if i not in self._cameras:
-                with client.atomic():
-                    client.camera.position, client.camera.look_at = np.array(camera.position), np.array(camera.look_at)
+                _aim(client, np.array(camera.position), np.array(camera.look_at))
                 self._cameras[i] = (self._followed, now + _SETTLING)
             followed, ready = self._cameras[i]
             if not on:
                 self._cameras[i] = (place, ready)
             elif now > ready and _far(place - followed):
-                with client.atomic():
-                    moved = place - followed
-                    position, target = client.camera.position + moved, client.camera.look_at + moved
-                    client.camera.position, client.camera.look_at = position, target
+                moved = place - followed
+                _aim(client, client.camera.position + moved, client.camera.look_at + moved)
                 self._cameras[i] = (place, ready)
 
     def show(self, s: Mapping[str, Array], overlays: bool = True) -> None:
@@ -163,6 +161,12 @@ class ViewScene:
 
 def _far(moved: Array) -> bool:
     return float(np.linalg.norm(moved)) >= FOLLOW
+
+
+def _aim(client: viser.ClientHandle, position: Array, target: Array) -> None:
+    """Place a browser's camera; one that cannot be turned so is left as it is, for what its browser says of it is the browser's."""
+    with suppress(ValueError), client.atomic():
+        client.camera.position, client.camera.look_at = position, target
 
 
 def name_tab(gui: viser.GuiApi, title: str) -> None:
