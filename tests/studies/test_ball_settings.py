@@ -123,7 +123,8 @@ def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
         object.__setattr__(part, key, changed)  # settings are frozen
         after = regulator_weights(robot, usual.model_copy(update=given), RegulatorSettings())
         reads = any(
-            not np.array_equal(getattr(previous, f), getattr(after, f)) for f in ("end_effector", "twist", "state", "torque")
+            not np.array_equal(getattr(previous, f), getattr(after, f))
+            for f in ("end_effector", "twist", "state", "torque")
         )
         for controller in ("lqr", "scheduled-lqr"):
             asked = [f"controller={controller}", f"{name}={changed}"]
