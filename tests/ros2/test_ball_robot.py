@@ -70,6 +70,7 @@ def errors(caplog: pytest.LogCaptureFixture, text: str) -> int:
     return sum(text in r.getMessage() and r.levelno == logging.ERROR for r in caplog.records)
 
 
+@thorough
 def test_a_stream_of_one_speed_is_that_speed(made: Callable[..., Any]) -> None:
     """20 messages a second: it leans first, and then rolls at the speed that was asked for."""
     s = made(seed=3)

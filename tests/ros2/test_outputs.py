@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private
 
+from effort import thorough
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
@@ -150,6 +151,7 @@ def test_the_arm_by_trajectories_and_what_is_reported(made: Callable[..., Any], 
     assert covariance[2, 2] == covariance[3, 3] == 1e6
 
 
+@thorough
 def test_a_wrench_that_is_announced_moves_the_hand_less(made: Callable[..., Any]) -> None:
     """6 N at the tool, without the disturbance observer: with the reference the plan counts with the world's answer."""
     moved = []

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds
 
+from effort import thorough
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
@@ -81,6 +82,7 @@ def test_what_ends_ends_well(bus: Bus) -> None:
     assert "Traceback" not in bus.output() and "Exception" not in bus.output(), bus.output()
 
 
+@thorough
 def test_the_ball_robot_takes_a_step_and_outlives_its_simulator_but_not_its_controller() -> None:
     """Goals of the experiment (Minniti et al. 2019) for the first step. Without states nothing says how it leans: torques ramp to
     zero, then nobody is commanded; a new simulator and a goal, and it balances again. MuJoCo's robot after the last kill."""

@@ -86,6 +86,7 @@ class Chattering(control.ContactMonitor):
         return super().update(t, force if self._on[self._k] else 0.0)
 
 
+@thorough
 def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     """Half a second of losses from 2.5 to 20 ms: what is planned for now stays inside the cone and is no jump beyond it; without
     contact nothing is planned from the next plan on (12.5 ms, and 10 ms of delay)."""

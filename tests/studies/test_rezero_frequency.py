@@ -34,6 +34,7 @@ def test_filters_halve_the_torque_error(both) -> None:  # type: ignore[no-untype
     assert {s.name for s in both.plots[0].series} == {"plain", "shaped", "asked"}
 
 
+@thorough
 def test_rigid_drives_do_what_they_are_asked_for() -> None:
     rigid = {"wheel_spring": 0.0, "arm_spring": 0.0, "actuator_time_constant": 0.0}
     settings = RezeroFrequencySettings(

@@ -51,7 +51,8 @@ def test_a_push_moves_the_robot_and_it_comes_back(held: str, settle: float, paus
     assert [np.trapezoid(s.y, s.x) for s in shown.series] == pytest.approx([12.0, 12.0], rel=0.01)
 
 
-@pytest.mark.parametrize("controller", ["lqr", pytest.param("scheduled-lqr", marks=thorough)])
+@thorough
+@pytest.mark.parametrize("controller", ["lqr", "scheduled-lqr"])
 def test_regulators_stand_a_small_push_without_a_plan(controller: str) -> None:
     settings = RezeroPushBallSettings(forces=(40.0,), settle_time=0.5, pause=4.0, controller=controller)
     result = REGISTRY["rezero-push-ball"].run(settings, 0, None)
@@ -112,6 +113,7 @@ def test_hand_stays_inside_its_reach_on_the_circle() -> None:
     assert 0.3 < distance.max() < 0.85 * 0.6
 
 
+@thorough
 def test_hand_stays_while_the_ball_drives_round() -> None:
     result = REGISTRY["rezero-circle"].run(RezeroCircleSettings(rounds=1, settle_time=2.0), 0, None)
     m, log = values(result), result.log

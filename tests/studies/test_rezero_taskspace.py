@@ -86,6 +86,7 @@ def test_both_controllers_take_the_steps() -> None:
     np.testing.assert_array_equal(log.array("wanted_mpc"), log.array("wanted_taskspace"))
 
 
+@thorough
 def test_ctrl_c_in_the_second_part_is_reported() -> None:
     def pressed(fraction: float, note: str) -> None:
         if note.startswith("taskspace") and fraction > 0.2:
