@@ -7,6 +7,7 @@ command, which know what they break, and the shapes in the robots' own files.
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import load_robot
 from wbmpc.recording.messages import decode, encode
 from wbmpc.robots import load_description
+from wbmpc.robots.file_limits import check_size
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -136,6 +138,25 @@ def test_a_robot_file_that_asks_for_too_much_is_an_error_before_it_is_compiled(
     (tmp_path / "arm.xml").write_text(ARM.format(**{"top": "", "inside": "", "world": "", **parts}))
     with pytest.raises(InputError, match=rf"arm\.xml: line \d+: .*{says}"):
         load_description(_arm(tmp_path, "arm.xml"))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"world": '<include file="pipe.stl"/>'},
+        {"top": '<asset><mesh name="x" file="pipe.stl"/></asset>'},
+        {"top": '<compiler meshdir="meshes"/><asset><mesh name="x" file="beside.stl"/></asset>'},
+        {"top": '<asset><hfield name="x" file="/dev/zero" size="1 1 1 1"/></asset>'},
+    ],
+)
+def test_a_robot_file_that_names_a_pipe_is_an_error(parts: dict[str, str], tmp_path: Path) -> None:
+    """Whoever opened it would wait until somebody writes."""
+    (tmp_path / "meshes").mkdir()
+    os.mkfifo(tmp_path / "pipe.stl")
+    os.mkfifo(tmp_path / "meshes" / "beside.stl")
+    (tmp_path / "arm.xml").write_text(ARM.format(**{"top": "", "inside": "", "world": "", **parts}))
+    with pytest.raises(InputError, match=r"arm\.xml: line \d+: <.*is no regular file"):
+        check_size(tmp_path / "arm.xml")
 
 
 @pytest.mark.parametrize("name", ["arm.xml", "arm.urdf"])

@@ -38,6 +38,8 @@ _COUNTS = {("mesh", "params"): 300.0, ("numeric", "size"): 10_000.0, ("texture",
     )
 }
 _BODIES = ("body", "link", "composite", "flexcomp")
+#: Attributes that say where files are.
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
 
@@ -52,15 +54,27 @@ class _Count:
 
 
 def check_size(path: Path) -> None:
-    """Raise :class:`InputError` naming file and element for a robot's XML that asks for too much, or is not well-formed."""
-    _Walk(path, {}, ()).run()
+    """Raise :class:`InputError` naming file and element for a robot's XML that asks for too much, is not well-formed, or names what is
+    no regular file (a pipe, a device): its reader would wait for ever."""
+    folders, named = {path.parent}, []  # type: set[Path], list[tuple[str, Path, str]]
+    _Walk(path, {}, (), folders, named).run()
+    for where, beside, name in named:
+        for place in (folder / n for folder in (beside, *folders) for n in (name, name.rpartition("/")[2])):
+            if place.exists() and not (place.is_file() or place.is_dir()):
+                raise InputError(f"{where}: '{place}' is no regular file")
 
 
 class _Walk:
-    """One file; ``done``: what other files ask for, ``above``: files that led here."""
+    """One file; ``done``: what other files ask for, ``above``: files that led here.
 
-    def __init__(self, path: Path, done: dict[Path, _Count], above: tuple[Path, ...]) -> None:
+    Fills in ``folders``, in which files may be, and ``named``: files by the element that names them and the folder that it is in.
+    """
+
+    def __init__(
+        self, path: Path, done: dict[Path, _Count], above: tuple[Path, ...], folders: set[Path], named: list[tuple[str, Path, str]]
+    ) -> None:  # fmt: skip
         self._path, self._done, self._above = path, done, (*above, path.resolve())
+        self._folders, self._named = folders, named
         self._main = above[0].parent if above else path.parent
         self._count, self._times, self._open = _Count(), [1.0], []  # type: _Count, list[float], list[str]
 
@@ -101,7 +115,13 @@ class _Walk:
         self._add(name, _Count(times, times * (name in _BODIES), times * beside))
         if name in _AREAS and self._product(name, " ".join(attributes.get(a, "1") for a in _AREAS[name])) > MAX_PIXELS:
             self._fail(f"<{name}>: {' times '.join(_AREAS[name])} is more than {MAX_PIXELS}")
-        for attribute in attributes:
+        for attribute, value in attributes.items():
+            if attribute in _FOLDERS:
+                self._folders.add(self._main / value)
+            elif attribute.startswith("file"):
+                self._named.append(
+                    (f"{self._path}: line {self._parser.CurrentLineNumber}: <{name}>", self._path.parent, value)
+                )
             maximum = _COUNTS.get((name, attribute))
             if maximum is not None and max(self._numbers(name, attributes[attribute]), default=0.0) > maximum:
                 self._fail(f"<{name}>: '{attribute}' has a number above {maximum:g}, the largest that is read")
@@ -156,7 +176,7 @@ class _Walk:
             self._fail(f"<{element}>: '{path}' leads back to itself")
         inside = self._done.get(path.resolve())
         if inside is None:
-            inside = self._done[path.resolve()] = _Walk(path, self._done, self._above).run()
+            inside = self._done[path.resolve()] = _Walk(path, self._done, self._above, self._folders, self._named).run()
         if element == "include":
             self._count.models |= inside.models
         beside = 0.0 if self._in_body() else times * inside.beside

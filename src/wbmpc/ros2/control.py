@@ -412,12 +412,26 @@ class ControlNode:
         because it has lost its localisation at least goes nowhere."""
         topics = [c.topic for c in self.settings.command_topics(self.robot).values()]
         others = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
-        self._other_publisher = f"another node publishes on {others[0]}" if others else ""
+        self._other_publisher = f"another node publishes on {others[0]}" if others else self._second_source()
         lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""
         if (self._other_publisher or lost) and self.running:
             self._quit(self._other_publisher or lost)
         elif self._held and not (self._other_publisher or lost):
             self._held = ""
+
+    def _second_source(self) -> str:
+        """Which input with one source has two, whose turn rates or times would be taken for those of one; empty if none has.
+
+        Joint states are not such an input: several nodes may each send those of other joints.
+        """
+        inputs = {self.settings.topics.imu: "sensor_msgs/msg/Imu"}
+        if isinstance(self.clock, BusClock):
+            inputs["/clock"] = "rosgraph_msgs/msg/Clock"
+        for topic, kind in inputs.items():
+            count = sum(e.type == kind and not e.own for e in self.node.publishers(topic)) if topic else 0
+            if count > 1:
+                return f"{count} publishers on {topic}, which has one source"
+        return ""
 
     def _quit(self, message: str) -> None:
         """No more goals: a stop, or, for a robot that would fall, balance on the spot as long as that lasts."""
