@@ -31,6 +31,13 @@ class Cost(Settings):
     start: str = "home"
 
 
+@pytest.mark.parametrize("hidden", ["\ufeff", "\u0085", "\u2028", "\u2029"])
+def test_characters_that_nobody_sees_are_no_part_of_a_number(hidden: str) -> None:
+    for text in (f"{hidden}1", f"1{hidden}"):
+        with pytest.raises(InputError, match=f"U\\+{ord(hidden):04X} is a character that cannot be printed"):
+            configure(Cost, [f"weight={text}"], "run")
+
+
 @pytest.mark.parametrize("text", ["\u0661\u0662", "\uff11", "'\u0661'", "-\u0663.5", "[1, \u0967]"])
 def test_digits_of_other_scripts_are_no_numbers(text: str) -> None:
     assert any(unicodedata.category(c) == "Nd" and not c.isascii() for c in text)

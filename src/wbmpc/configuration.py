@@ -180,6 +180,10 @@ def _parse(assignment: str, where: str) -> tuple[str, Any]:
     key, equals, text = assignment.partition("=")
     if not equals or not key.strip() or not text.strip():
         raise InputError(f"{where}: --set '{assignment}': the form is key=value, e.g. mpc.rate=100")
+    # in a file YAML takes these for its own: a mark of the encoding and ends of lines
+    if hidden := next((c for c in text if c in "\ufeff\u0085\u2028\u2029"), ""):
+        shown = f"{key.strip()}={text.strip()[:80]}"
+        raise InputError(f"{where}: --set {shown!r}: U+{ord(hidden):04X} is a character that cannot be printed")
     value = parse_yaml(text, f"{where}: --set {key.strip()}={text.strip()[:80]}")
     if math.isinf(_largest(value)):
         shown = f"{key.strip()}={text.strip()[:80]}"
