@@ -20,7 +20,7 @@ if not MISSING:
 
     from wbmpc.ros2 import dds
 
-NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "43"})
+NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "57"})
 STRING = "std_msgs/msg/String"
 
 

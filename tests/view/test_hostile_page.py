@@ -34,7 +34,7 @@ WRONG: dict[str, tuple[Any, ...]] = {
     "Speed": (0.0, float("nan"), -1.0, 1e9, "fast", True, [1.0]),
     "Force [N]": (1e9, float("inf"), -5.0),
     "Time [s]": (float("nan"), 1e6),
-    "hand": (400.0, float("nan"), "heavy"),
+    "end_effector": (400.0, float("nan"), "heavy"),
     "Configuration": ("Z", 7, "__class__"),
     "Brakes open": (2, "yes", 0.5),
     "Pause": ("no", 7.0),
@@ -49,7 +49,7 @@ def running(request: pytest.FixtureRequest) -> Iterator[tuple[subprocess.Popen[s
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     client = Client(json.loads(process.stdout.readline())["url"])
-    assert client.hears(" s  \nhand error", 60.0)
+    assert client.hears(" s  \nend effector error", 60.0)
     yield process, client
     if process.poll() is None:
         process.kill()

@@ -206,7 +206,7 @@ def test_each_click_is_a_single_step() -> None:
     )
     view._steps, view._speed, view._origin = 0, 1.0, time.perf_counter() - 1.0
     for steps, paused, expected in ((2, 0.0, 0), (5, 1.0, 0), (5, 1.0, 0), (5, 1.0, 0), (5, 1.0, 1)):
-        view._orders["steps"][...], view._orders["paused"][...] = steps, paused
+        view._requests["steps"][...], view._requests["paused"][...] = steps, paused
         view._wait(0.0, None)
         assert len(held) == expected
 

@@ -94,7 +94,8 @@ def given_way(state: State, shown: LegsShow, fitted: Array) -> State:
 def apart(state: State, rates: Array, t: float, pose: Array) -> Array:
     """By what (3) a pose of time ``t`` [s] is off from where a state has the base, which goes on from there at ``rates`` (3)
     [m/s, rad/s] of its body twist."""
-    there = lie.se2_step(state.mean[:3], (t - state.t) * rates)
+    after = t - state.t if np.isfinite(state.t) else 0.0  # no message yet: it stands
+    there = lie.se2_step(state.mean[:3], after * rates)
     error = pose - there
     error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
     return np.asarray(error)
