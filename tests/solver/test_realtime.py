@@ -195,7 +195,9 @@ def test_the_compiled_driver_calls_nothing_that_allocates() -> None:
     assert {
         name
         for name in declared
-        if not re.fullmatch(r"llvm\.((sqrt|log|exp|sin|cos|floor|fabs|pow|fma)|vector\.reduce\.\w+)\.\w+|asin|atan2", name)
+        if not re.fullmatch(
+            r"llvm\.((sqrt|log|exp|sin|cos|floor|fabs|pow|fma)|vector\.reduce\.\w+)\.\w+|asin|atan2", name
+        )
     } == set()
 
 
