@@ -27,7 +27,7 @@ test: $(VENV)/.tested
 
 # a minute of tests that need no long run: what breaks often
 FAST_TESTS := tests/test_layering.py tests/test_no_base_names.py tests/test_lie.py tests/test_configuration.py tests/ocp \
-	tests/kernel/test_cache_owner.py tests/solver/test_riccati.py tests/mpc/test_policy_limits.py tests/mpc/test_shared_memory.py
+	tests/kernel/test_cache_owner.py tests/solver/test_line_search.py tests/mpc/test_policy_limits.py
 fast: $(VENV)/.tested
 	$(ENVIRONMENT) $(BIN)/python -m pytest -x -n auto --maxprocesses $(PYTEST_WORKERS) -m "not wallclock" $(FAST_TESTS)
 
