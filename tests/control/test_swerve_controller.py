@@ -401,7 +401,7 @@ def test_after_a_stop_commands_rise_as_accelerations_allow() -> None:
 
 
 def test_every_controller_of_hinged_legs_watches_their_brakes() -> None:
-    """A closed leg moves by 3 mrad each 10 ms; told to whoever listens, and kept as a message. Fixed legs have no brakes."""
+    """A closed leg moves by 3 mrad each 10 ms; reported to whoever listens, and kept as a message. Fixed legs have no brakes."""
     reported: list[object] = []
     controller, plans = (
         SwerveController(SWERVE, np.zeros(3), PERIOD, supervision=SupervisionSettings(report=reported.append)),
@@ -433,7 +433,7 @@ def test_brakes_that_a_stop_closes_are_watched_as_closed() -> None:
 
 
 def test_brakes_are_looked_at_every_10_ms(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A closed leg moves by 0.1 rad/s: told when it has gone by 10 mrad more than creeps, and at most a look later."""
+    """A closed leg moves by 0.1 rad/s: reported when it has gone by 10 mrad more than creeps, and at most a look later."""
     controller, plans, looks = SwerveController(SWERVE, np.zeros(3), PERIOD), PolicyQueue(), []
     plans.add(0.0, constant_policy(np.zeros(SWERVE.input.size)))
     assert controller.supervision.monitor is not None
@@ -448,7 +448,7 @@ def test_brakes_are_looked_at_every_10_ms(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_brakes_are_judged_when_a_new_run_begins_at_0() -> None:
-    """A leg slips 0.1 s after the clock has gone back from 1000 s: told as in the first run."""
+    """A leg slips 0.1 s after the clock has gone back from 1000 s: reported as in the first run."""
     controller = SwerveController(SWERVE, np.zeros(3), PERIOD)
     still = np.zeros(4)
     for start in (1000.0, 0.0):
@@ -460,7 +460,7 @@ def test_brakes_are_judged_when_a_new_run_begins_at_0() -> None:
 
 
 def brake_faults(leg: float, is_open: bool, end: float, how: str = "") -> list[BrakeFault]:
-    """What a controller tells until ``end`` [s] of a leg that is planned to turn by 0.2 rad/s and turns by ``leg`` [rad] within 50 ms:
+    """What a controller reports until ``end`` [s] of a leg that is planned to turn by 0.2 rad/s and turns by ``leg`` [rad] within 50 ms:
     at once one that is closed, just before the end one that is open. ``how`` the run ends then: with "no plan" or a "stop".
     """
     monitor = BrakeMonitor(SWERVE.state.groups["leg"], expected=0.02, patience=0.1)

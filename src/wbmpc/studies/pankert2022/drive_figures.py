@@ -68,7 +68,7 @@ def metrics(
     log: Log, robot: RobotModel, faults: list[str], held: int, knocked: float | None, baseline: Ending | None
 ) -> dict[str, Metric]:
     """All of them; ``held``: how often the guard held a leg on the tour; ``knocked``: when [s] the knock was over, None if there
-    was none; ``rival``: how it ended, None if it did not run. The errors of one that did not get to the end are infinite, their
+    was none; ``baseline``: how it ended, None if it did not run. The errors of one that did not get to the end are infinite, their
     ratio is no number: the part before says nothing."""
     position, yaw = _error(log, "tour")
     found = {
