@@ -12,6 +12,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,9 @@ from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.sim import TRUTH_END_EFFECTOR, TRUTH_ODOM
 
 
+@cache
 def private(domain: int) -> dict[str, str]:
-    """Environment of a bus that nobody else is on."""
+    """Environment of a bus that nobody else is on; a process configures a domain once."""
     tag = f"<CycloneDDS><Domain><Discovery><Tag>{uuid.uuid4()}</Tag></Discovery></Domain></CycloneDDS>"
     own = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "CYCLONEDDS_URI": tag}
     return {**os.environ, **own}

@@ -33,7 +33,7 @@ SETTINGS = SwerveTrackSettings(periods=1, speed=0.8, settle_time=REST, calibrati
 
 @pytest.fixture(scope="module")
 def bus() -> Iterator[Any]:
-    with open_bus(71, SEED, factor=10.0, settings={"safety": {"clock": 5.0}}) as opened:
+    with open_bus(31, SEED, factor=10.0, settings={"safety": {"clock": 5.0}}) as opened:
         yield opened
 
 
@@ -87,7 +87,7 @@ def test_the_ball_robot_takes_a_step_and_outlives_its_simulator_but_not_its_cont
     """Goals of the experiment (Minniti et al. 2019) for the first step. Without states nothing says how it leans: torques ramp to
     zero, then nobody is commanded; a new simulator and a goal, and it balances again. MuJoCo's robot after the last kill."""
     settings = RezeroStepsSettings(hold_time=4.0, settle_time=1.3, final_hold_time=0.0)
-    with open_bus(73, SEED, factor=10.0, robot="rezero", settings={"safety": {"clock": 5.0}}) as bus:
+    with open_bus(33, SEED, factor=10.0, robot="rezero", settings={"safety": {"clock": 5.0}}) as bus:
         found = steps(bus, settings, 1)
         assert found.rise < 1.0 and found.steady < 0.005 and found.tilt < np.deg2rad(17.0)
         torques: list[Any] = []
@@ -139,7 +139,7 @@ print(good / count)
 def test_the_stream_of_commands_in_real_time() -> None:
     """400 Hz for 5 s with the MPC in the same process, as a third process gets them: none is lost, and within 1 ms of their time
     is at least a quarter of what a plain process with as much to do reaches at the same time on the same machine."""
-    with open_bus(74, SEED, lockstep=False, settings={"safety": {"watchdog": 1.0, "policy": 10.0}}) as bus:
+    with open_bus(34, SEED, lockstep=False, settings={"safety": {"watchdog": 1.0, "policy": 10.0}}) as bus:
         begin = drive(bus, 10.0)
         plain: list[Any] = []
 
@@ -163,7 +163,7 @@ def test_a_controller_and_a_driver_that_hang_in_real_time() -> None:
         "rates": {"control": 100},
         "safety": {"watchdog": 1.0, "policy": 10.0, "clock": 60.0},
     }
-    with open_bus(72, SEED, lockstep=False, settings=settings) as bus:
+    with open_bus(32, SEED, lockstep=False, settings=settings) as bus:
         recorder = Recorder(bus.node)
         goal = bus.node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
         bus.wait_for(lambda: goal._writer.get_matched_subscriptions() and recorder.rows["base"], 60.0)
@@ -200,7 +200,7 @@ def test_a_killed_simulator_in_real_time(simulated: bool) -> None:
     clock it stops when states have been missing for the watchdog's 0.3 s, and is at rest after the ramp. Another process sees the
     last state and the last command that is not zero; 0.3 s are for a busy machine."""
     settings = {"use_sim_time": simulated, "rates": {"control": 100}, "safety": {"watchdog": 0.3, "policy": 10.0}}
-    with open_bus(75 + simulated, SEED, lockstep=False, settings=settings) as bus:
+    with open_bus(35 + simulated, SEED, lockstep=False, settings=settings) as bus:
         states, moving = [], []
         bus.node.subscribe("/joint_states", "sensor_msgs/msg/JointState", lambda m: states.append(time.monotonic()))
         wheel = lambda m: moving.append(time.monotonic()) if np.abs(m.data).max() > 0.0 else None

@@ -104,9 +104,7 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
             message = t.encode(kind, {"header": stamped, "name": np.array(names)[order], "position": x[3:][order]})
             bag.write(connection, k * 10_000_000, message)
     p = pair(topics={"imu": ""})
-    node = p.standin.node
-    clock = node.publisher("/clock", "rosgraph_msgs/msg/Clock")
-    joints = node.publisher("/joint_states", kind)
+    clock, joints = p.standin._clock, p.standin._joints
     assert wait_until(lambda: joints._writer.get_matched_subscriptions() and clock._writer.get_matched_subscriptions())
     with Reader(tmp_path / "bag") as bag:
         for _, at, data in bag.messages():
