@@ -1,6 +1,6 @@
 """Random problems of every kind of constraint, solved by our solver and by IPOPT: do they agree?
 
-Usage: python benchmarks/random_problems.py [--seeds 0-149] [--show]
+Usage: python benchmarks/random_problems.py [--kind random|structured] [--seeds 0-149] [--show]
 
 Every seed draws a system (one to six states, one to four inputs, sines and products), a grid of 1 to 100 intervals, costs, and
 some of: hard bounds and rows, discs, obstacles, multiplier rows, barriers, equalities of every kind, switched modes; starts inside
@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+import structured_problems
 from ipopt_baseline import IpoptBaseline
 
 from wbmpc.model.ode import Ode
@@ -111,8 +112,11 @@ def _other(r: np.random.Generator, nx: int, nu: int, modes: tuple[str, ...] | No
     return [c for share, c in found if r.random() < share]
 
 
-def draw(seed: int) -> Drawn:
-    """The problem of a seed."""
+def draw(seed: int, kind: str = "random") -> Drawn:
+    """The problem of a seed; ``kind`` "structured": see structured_problems.py."""
+    if kind == "structured":
+        ocp, start, own, what = structured_problems.draw(seed)
+        return Drawn(ocp, start, None, own, what)
     r = np.random.default_rng(seed)
     nx, nu, n = int(r.integers(1, 7)), int(r.integers(1, 5)), int(r.choice([1, 2, 5, 10, 20, 50, 100]))
     switched, horizon = bool(r.random() < 0.25), float(r.uniform(0.3, 3.0))
@@ -203,6 +207,7 @@ def other_settings(drawn: Drawn) -> str:
 def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", default="0-149")
+    parser.add_argument("--kind", choices=("random", "structured"), default="random")
     parser.add_argument("--show", action="store_true", help="every problem, not only those that differ")
     given = parser.parse_args(arguments)
     first, _, last = given.seeds.partition("-")
@@ -210,7 +215,7 @@ def main(arguments: list[str]) -> None:
     iterations: list[int] = []
     start = time.process_time()
     for seed in range(int(first), int(last or first) + 1):
-        drawn = draw(seed)
+        drawn = draw(seed, given.kind)
         solver, ours = attempt(drawn, drawn.settings)
         found, said = outcome(ours, IpoptBaseline(solver, drawn.x0), drawn.x0)
         if found.endswith("IPOPT solves it"):

@@ -134,6 +134,10 @@ def equality_rows(
     return Equalities(expression, np.array(softness, float), names)
 
 
+#: Bounds that are nearer to each other [of 1 + their size] are one.
+FIXED = 1e-7
+
+
 class _Side(NamedTuple):
     """One side of an inequality: h = sign r[i] + offset ≥ 0."""
 
@@ -144,13 +148,23 @@ class _Side(NamedTuple):
     name: str
 
 
+def fixed(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Where both bounds are one."""
+    with np.errstate(invalid="ignore"):
+        return np.isfinite(upper - lower) & (upper - lower <= FIXED * (1.0 + np.abs(lower)))
+
+
 def _sides(term: Constraint, rows: int) -> list[_Side]:
     names = row_names(term)
     if isinstance(term.set, NonNegative):
         return [_Side(i, 1.0, 0.0, 1.0, names[i]) for i in range(rows)]
     assert isinstance(term.set, Box)
     lower, upper = term.set.bounds(rows)
-    width = np.where(np.isfinite(upper - lower) & (upper > lower), upper - lower, 1.0)
+    # bounds that are equal but for rounding would be rows in a unit of rounding: the residual is fixed between them
+    held = fixed(lower, upper)
+    middle = 0.5 * (np.where(held, lower, 0.0) + np.where(held, upper, 0.0))
+    width = np.where(np.isfinite(upper - lower) & ~held, upper - lower, 1.0)
+    lower, upper = np.where(held, middle, lower), np.where(held, middle, upper)
     low = [
         _Side(int(i), 1.0, -float(lower[i]), float(width[i]), f"{names[i]} >= {lower[i]:g}")
         for i in np.flatnonzero(np.isfinite(lower))

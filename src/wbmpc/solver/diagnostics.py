@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Transcription
-from wbmpc.ocp.constraint_classification import row_names
+from wbmpc.ocp.constraint_classification import fixed, row_names
 from wbmpc.ocp.sets import Box
 from wbmpc.solver import certificate
 from wbmpc.solver.certificate import Violation
@@ -117,8 +117,9 @@ def _relaxed(term: Constraint, found: Violation) -> float:
     if not isinstance(term.set, Box):
         return RELAXED
     lower, upper = term.set.bounds(term.residual.size)
-    share = RELAXED_SHARE * float((upper - lower)[row_names(term).index(found.row)])
-    return min(RELAXED, share) if share > 0.0 else RELAXED
+    i = row_names(term).index(found.row)
+    share = RELAXED_SHARE * float(upper[i] - lower[i])
+    return RELAXED if fixed(lower[i], upper[i]) else min(RELAXED, share)
 
 
 def _no_minimum(solver: Solver) -> str:

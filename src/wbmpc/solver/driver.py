@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.solver.barrier_update import SHORT, adaptive_mu, next_mu, start_adaptive
 from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.inequalities import rows_step, start_rows, take_rows
 from wbmpc.solver.inequality_table import initial_violation, reset_violations
@@ -44,14 +45,6 @@ GO_ON, AGAIN = -1, -2
 
 
 @compiled
-def next_mu(mu: float, last: float, error: float, complementarity: float) -> float:
-    """μ for the next iteration: smaller once the present barrier problem is solved well enough (monotone rule)."""
-    while mu > last and max(error, complementarity - mu) <= 10.0 * mu:
-        mu = max(last, min(0.2 * mu, mu**1.5))
-    return mu
-
-
-@compiled
 def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     """What a solve starts from: its state, slacks and multipliers, for single shooting a motion."""
     state, rows = o[STATE], row_count(o) > 0
@@ -72,6 +65,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
         m[state + StateField.ROW_COST],
     ) = 0.0, 0.0, 0.0, 0.0
     m[state + StateField.PENALTY_FACTOR], m[state + StateField.SECOND_ORDER_SHARE] = 1.0, 1.0
+    start_adaptive(m, state)
     # in real time feedback would take the inputs of a roll-out anywhere, and one iteration does not bring them back
     rolled = 1.0 if rows and s[Setting.SINGLE_SHOOTING] * s[Setting.KEEP_MULTIPLIERS] > 0.0 else 0.0
     m[state + StateField.HOLD_INPUTS] = 1.0 + s[Setting.KEEP_MULTIPLIERS] if o[NONLINEAR_INPUT_ROWS] > 0 else rolled
@@ -181,18 +175,27 @@ def settle_rows(
     )
     # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
     solved = not compute_kkt or kkt <= max(s[Setting.TOLERANCE], 0.1 * residual)
-    take_rows(m, o, alpha, m[state + StateField.MAX_DUAL_STEP], solved)
+    mean, smallest = take_rows(m, o, alpha, m[state + StateField.MAX_DUAL_STEP], solved)
     feasible = violation <= s[Setting.FEASIBILITY] and residual <= s[Setting.FEASIBILITY]
     error = 0.0 if feasible else max(violation, residual)
     after = next_mu(mu, level, max(kkt, error) if compute_kkt else 0.0, product)
-    if m[state + StateField.MAX_PRIMAL_STEP] < 0.1:  # the slacks are at the boundary, far from the central path
-        after = min(s[Setting.INITIAL_BARRIER], 10.0 * mu)
+    adapts = compute_kkt and s[Setting.KEEP_MULTIPLIERS] == 0.0 and mean > 0.0
+    if adapts:
+        errors = (max(max(kkt, violation), max(residual, product)), max(kkt, error))
+        after = min(
+            adaptive_mu(m, state, after, errors, (mean, smallest), m[state + StateField.MAX_PRIMAL_STEP], level),
+            s[Setting.MAX_BARRIER],
+        )
+    if m[state + StateField.MAX_PRIMAL_STEP] < SHORT:  # the slacks are at the boundary, far from the central path
+        after = min(s[Setting.MAX_BARRIER], max(after, 10.0 * mu))
     if compute_kkt and (solved or alpha > 0.9):
         if residual > s[Setting.FEASIBILITY] and residual > 0.25 * last_residual:
             m[state + StateField.PENALTY_FACTOR], changed = min(4.0 * m[state + StateField.PENALTY_FACTOR], 1e6), 1.0
         last_residual = residual
     if after != mu:
-        m[state + StateField.BARRIER], m[state + StateField.FILTER_SIZE], changed = after, 0.0, 1.0
+        m[state + StateField.BARRIER], m[state + StateField.FILTER_SIZE] = after, 0.0
+        # residuals of a free μ are comparable: a step that overshoots is to be seen
+        changed = changed if adapts and m[state + StateField.FREE_BARRIER] > 0.0 else 1.0
     return last_residual, changed
 
 

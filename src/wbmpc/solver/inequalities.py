@@ -283,9 +283,11 @@ def rows_step(m: Floats, o: Integers, tau: float) -> None:
 
 
 @compiled
-def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) -> None:
-    """Slacks and multipliers move by their steps; those of MULTIPLIER rows only when ``solved``."""
+def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) -> tuple[float, float]:
+    """Slacks and multipliers move by their steps; those of MULTIPLIER rows only when ``solved``. Returns (mean, smallest)
+    of the products of slacks and multipliers; (0, 0) without any."""
     moved = primal if solved else 0.0
+    total, count, smallest = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, np.inf)
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         for j in range(0, boxes + general, LANES):
@@ -297,6 +299,16 @@ def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) 
             m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] -= change
             m[o[ROW_T] + q : o[ROW_T] + q + LANES] += primal * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
             m[o[ROW_S] + q : o[ROW_S] + q + LANES] += primal * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
+            _, penalty, active = eight_rows(m, o, first + j, k)
+            hard = active & (kind == HARD)
+            closed = hard & (penalty < np.inf)
+            lt = m[o[ROW_T] + q : o[ROW_T] + q + LANES] * m[o[ROW_L] + q : o[ROW_L] + q + LANES]
+            ys = m[o[ROW_S] + q : o[ROW_S] + q + LANES] * m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
+            total = total + np.where(hard, lt, 0.0) + np.where(closed, ys, 0.0)
+            count = count + np.where(hard, 1.0, 0.0) + np.where(closed, 1.0, 0.0)
+            smallest = np.minimum(smallest, np.minimum(np.where(hard, lt, np.inf), np.where(closed, ys, np.inf)))
+    n = np.sum(count)
+    return (np.sum(total) / n, -np.max(-smallest)) if n > 0.0 else (0.0, 0.0)
 
 
 @compiled

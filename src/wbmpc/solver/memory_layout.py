@@ -99,6 +99,9 @@ class StateField(IntEnum):
     BLOCKED_RESIDUAL = 28  # their residual since limits of the inputs are in the way (0: they are not)
     BLOCKED_TIME = 29  # since when [s]
     BLOCKING_ROW = 30  # which limit it is (−1: none)
+    # barrier_update.py
+    FREE_BARRIER = 31  # whether μ follows the products of slacks and multipliers
+    ERRORS = 32  # of the last iterations that it did: four entries
 
 
 class Setting(IntEnum):
@@ -123,6 +126,7 @@ class Setting(IntEnum):
     MIN_BARRIER = 16
     EQUALITY_BOUND = 17
     ROLLOUT_RESTART = 18
+    MAX_BARRIER = 19
 
 
 #: By how much planned inputs and states may be outside a hard row [its range].

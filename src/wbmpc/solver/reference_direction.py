@@ -11,7 +11,7 @@ from wbmpc.ocp import Transcription
 from wbmpc.ocp.transcription import MIN_SOFTNESS
 from wbmpc.solver.reference_inequalities import RowState
 from wbmpc.solver.reference_nonlinear_inputs import curvature
-from wbmpc.solver.workspace import BoxTable, box_table
+from wbmpc.solver.workspace import STATE_SIZE, BoxTable, box_table
 
 RELATIVE_SOFTNESS = 1e-12
 
@@ -70,7 +70,7 @@ class InterpretedDirections:
         n, nx, nu = problem.ocp.intervals, problem.nx, problem.nu
         self.ws = SimpleNamespace(
             grid=problem.ocp.grid.copy(), x=np.zeros((n + 1, nx)), u=np.zeros((n, nu)), w=problem.default_weights(),
-            p=np.zeros((n + 1, max(problem.node.size, 1))), k=np.zeros((n, nu, nx)), state=np.zeros(32),
+            p=np.zeros((n + 1, max(problem.node.size, 1))), k=np.zeros((n, nu, nx)), state=np.zeros(STATE_SIZE),
             rows_h=np.zeros((n + 1, max(len(problem.path.rows), len(problem.end.rows), 1))),
         )  # fmt: skip
         self.path, self.end = box_table(problem.path_boxes), box_table(problem.terminal_boxes)

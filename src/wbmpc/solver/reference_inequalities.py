@@ -120,6 +120,11 @@ class RowState:
         violation = np.where(self.hard, np.abs(h + s - t), np.where(self.equal, np.abs(h), 0.0))
         return float(cost[self.counts].sum()), float(violation[self.counts].sum())
 
+    def products(self) -> np.ndarray:
+        """Slacks times multipliers of hard rows that count, and of their L1 slacks."""
+        hard, soft = self.hard & self.counts, self.soft & self.counts
+        return np.concatenate([(self.l * self.t)[hard], ((self.penalty - self.l)[soft] * self.s[soft])])
+
     def residuals(self) -> tuple[float, float]:
         """Largest complementarity product and primal residual."""
         with np.errstate(invalid="ignore"):

@@ -116,6 +116,7 @@ class InterpretedSolver(InterpretedDirections):
 
         ``check`` is called before every iteration and may raise.
         """
+        from wbmpc.solver.barrier_update import start_adaptive
         from wbmpc.solver.receding import sample
 
         missing = lacking(self.problem, settings)
@@ -128,6 +129,7 @@ class InterpretedSolver(InterpretedDirections):
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         self.mu, self.shift = c.initial_barrier, 0.0
+        start_adaptive.python(ws.state, 0)
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
         self.hold = 1 + int(c.keep_multipliers) if self.problem.nonlinear_input_rows else int(rolled)
         start = (self.mu, c.min_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
@@ -139,6 +141,11 @@ class InterpretedSolver(InterpretedDirections):
             self._start_rows(*start)
         self.soft_residual = self._equality_values(ws.x, ws.u)
         return self._iterate_to_the_end(x0, c, log, check)
+
+    def _products(self) -> tuple[float, float]:
+        """(Mean, smallest) of slacks and multipliers; (0, 0) without any."""
+        found = np.concatenate([r.products() for r in self.own])
+        return (float(found.mean()), float(found.min())) if found.size else (0.0, 0.0)
 
     def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
         for k, rows in enumerate(self.own):
@@ -189,7 +196,8 @@ class InterpretedSolver(InterpretedDirections):
         self, x0: np.ndarray, s: dict[str, Any], c: Any, cost: float, violation: float, row: np.ndarray, run: _Progress
     ) -> int | None:
         """What comes after a direction; a status if it is the end."""
-        from wbmpc.solver.driver import CONVERGED, DIVERGED, LINE_SEARCH_FAILED, NOT_FINITE, next_mu
+        from wbmpc.solver.barrier_update import next_mu
+        from wbmpc.solver.driver import CONVERGED, DIVERGED, LINE_SEARCH_FAILED, NOT_FINITE
 
         size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
         product, residual = (max(v) for v in zip(*(r.residuals() for r in self.own), strict=True))
@@ -230,7 +238,7 @@ class InterpretedSolver(InterpretedDirections):
             return None
         run.shift = 0.2 * run.shift if run.shift > 1e-6 else 0.0
         error = max(kkt, 0.0 if feasible else max(violation, residual)) if c.compute_kkt else 0.0
-        self._settle_rows(c, (alpha, primal, dual), kkt, error, (product, residual), run)
+        self._settle_rows(c, (alpha, primal, dual), kkt, error, (product, residual, violation), run)
         self.policy, self.hold = True, run.hold
         row[4] = self.ws.state[StateField.LAST_STEP] = alpha
         self._one_more(c, alpha, run)
@@ -274,13 +282,14 @@ class InterpretedSolver(InterpretedDirections):
         return self._search(s, x0, c, base, run.penalty, run.first, primal), dual, primal
 
     def _settle_rows(
-        self, c: Any, lengths: tuple[float, float, float], kkt: float, error: float, found: tuple[float, float],
+        self, c: Any, lengths: tuple[float, float, float], kkt: float, error: float,
+        found: tuple[float, float, float],
         run: _Progress,
     ) -> None:  # fmt: skip
-        """As settle_rows of the compiled solver; ``lengths``: taken, primal, dual; ``found``: product and residual."""
-        from wbmpc.solver.driver import next_mu
+        """As settle_rows of the compiled solver; ``lengths``: taken, primal, dual; ``found``: product, residual, violation."""
+        from wbmpc.solver.barrier_update import SHORT, adaptive_mu, next_mu
 
-        (alpha, primal, dual), (product, residual) = lengths, found
+        (alpha, primal, dual), (product, residual, violation) = lengths, found
         solved = not c.compute_kkt or kkt <= max(c.tolerance, 0.1 * residual)
         self.soft_residual += alpha * self.soft_step
         for rows in self.own:
@@ -288,7 +297,12 @@ class InterpretedSolver(InterpretedDirections):
         if not self.has_rows:
             return
         after = next_mu.python(self.mu, run.level, error, product)
-        after = min(c.initial_barrier, 10.0 * self.mu) if primal < 0.1 else after
+        state, products = self.ws.state, self._products()
+        adapts = bool(c.compute_kkt) and not c.keep_multipliers and products[0] > 0.0
+        if adapts:
+            state[StateField.BARRIER], errors = self.mu, (max(kkt, violation, residual, product), error)
+            after = min(adaptive_mu.python(state, 0, after, errors, products, primal, run.level), c.max_barrier)
+        after = min(c.max_barrier, max(after, 10.0 * self.mu)) if primal < SHORT else after
         if c.compute_kkt and (solved or alpha > 0.9):
             if residual > c.feasibility and residual > 0.25 * run.last_residual:
                 run.last_kkt = np.inf
@@ -296,7 +310,9 @@ class InterpretedSolver(InterpretedDirections):
                     r.rho = min(4.0 * r.rho, 1e6)
             run.last_residual = residual
         if after != self.mu:
-            self.mu, run.last_kkt = after, np.inf
+            self.mu = after
+            if not (adapts and state[StateField.FREE_BARRIER] > 0.0):
+                run.last_kkt = np.inf
 
     def _one_more(self, c: Any, alpha: float, run: _Progress) -> None:
         """Whether there is another iteration after what was to be the last one."""

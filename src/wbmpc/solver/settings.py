@@ -16,7 +16,8 @@ class Thresholds:
 
     ``divergence``: a plan [units of the states] or a cost that is larger has diverged. ``settled``: the largest step of a solution,
     however small the gradient is. ``at_rest``: the same for soft equalities, whose residual is then theirs. ``bias``: by how much a
-    solution may still depend on the barrier parameter; ``min_barrier``: as far as it falls for that. ``jammed``: steps that slacks
+    solution may still depend on the barrier parameter; ``min_barrier``: as far as it falls for that; ``max_barrier``: as far as it
+    rises where slacks cut steps to less than a tenth. ``jammed``: steps that slacks
     cut to less, with the measured state outside a limit, are replaced by a roll-out (``rollout_restart``).
     """
 
@@ -25,6 +26,7 @@ class Thresholds:
     at_rest: float = 1e-7
     bias: float = 1e-4
     min_barrier: float = 1e-18
+    max_barrier: float = 0.1
     jammed: float = 0.25
 
 
@@ -54,7 +56,7 @@ class InteriorPoint:
 
     mode: Literal["converge", "real_time"] = "converge"
     barrier: float | None = None
-    initial_barrier: float = 0.1
+    initial_barrier: float = 0.01
     min_slack: float | None = None
     fraction_to_boundary: float = 0.995
     max_extra_iterations: int = 10
@@ -85,6 +87,7 @@ class InteriorPoint:
         min_slack = self.min_slack if self.min_slack is not None else (1e-3 if real_time else 1e-2)
         return {
             "initial_barrier": mu if real_time else max(self.initial_barrier, mu),
+            "max_barrier": mu if real_time else max(self.initial_barrier, THRESHOLDS.max_barrier, mu),
             "barrier": mu,
             "keep_multipliers": float(real_time),
             "min_slack": min_slack,
@@ -110,7 +113,7 @@ class SQP:
     ``backend``: machine code, or the interpreted twin.
     """
 
-    iterations: int = 100
+    iterations: int = 300
     tolerance: float = 1e-8
     feasibility: float = 1e-6
     min_step: float = 1e-3

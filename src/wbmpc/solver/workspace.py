@@ -110,7 +110,7 @@ BLOCKS = (
     "end_jacobian",  # (ne, lz)
     "grid_base",  # (N + 1,) the problem's own; ``grid`` may have nodes moved onto events
     "grid_old",
-    "state",  # (32,): μ, shift of the Hessian, … (see memory_layout.py)
+    "state",  # (STATE_SIZE,): μ, shift of the Hessian, … (see memory_layout.py)
     "filter",  # (64, 2): cost, violation
     "soft_residual",  # (N, equalities): residuals of soft equalities as variables, and their step
     "soft_residual_step",
@@ -140,6 +140,9 @@ BLOCKS = (
     "lane_barrier",  # (nz, 2, 8): slope and curvature of the relaxed barriers by variable
     "lane_values",  # (equalities or general rows, 8)
 )
+#: Entries of the block ``state``.
+STATE_SIZE = 40
+
 #: First index of the function addresses, of the pointer tables and of the rows' indices in the integer table.
 OFFSETS = len(DIMENSIONS)
 ADDRESSES = OFFSETS + len(BLOCKS)
@@ -273,7 +276,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "end_jacobian": (max(s.ne, 1), s.lz),
         "grid_base": (n + 1,),
         "grid_old": (n + 1,),
-        "state": (32,),
+        "state": (STATE_SIZE,),
         "filter": (64, 2),
         "soft_residual": (n, max(s.ng, 1)) if problem.soft_equalities else (1,),
         "soft_residual_step": (n, max(s.ng, 1)) if problem.soft_equalities else (1,),
