@@ -100,7 +100,9 @@ def test_a_directory_that_others_can_change_is_neither_read_nor_written(
         (lambda above: above.chmod(0o777), "0777"),
         (lambda above: above.chmod(0o770), "0770"),
         pytest.param(lambda above: os.chown(above, SOMEBODY, -1), str(SOMEBODY), marks=needs_root),
-        pytest.param(lambda above: (os.chown(above, SOMEBODY, -1), above.chmod(0o1777)), str(SOMEBODY), marks=needs_root),
+        pytest.param(
+            lambda above: (os.chown(above, SOMEBODY, -1), above.chmod(0o1777)), str(SOMEBODY), marks=needs_root
+        ),
     ],
 )
 @pytest.mark.parametrize("levels", [1, 2])
