@@ -146,7 +146,7 @@ def test_macros_are_expanded(tmp_path: Path) -> None:
     pytest.importorskip("xacrodoc")
     path = robot_file(tmp_path, "a.urdf.xacro", MACROS, xacro_arguments={"top": "1.2"})
     assert load_robot(path).limits.state_upper[0] == 1.2
-    with pytest.raises(InputError, match="ROS package 'nowhere' is not found; .* --package nowhere=FOLDER"):
+    with pytest.raises(InputError, match=r"ROS package 'nowhere' is not found; .* --package nowhere=FOLDER"):
         load_robot(robot_file(tmp_path, "b.xacro", MACROS.replace("0.8", "$(find nowhere)")))
 
 

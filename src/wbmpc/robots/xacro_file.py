@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from functools import lru_cache
@@ -13,6 +14,7 @@ from wbmpc.errors import InputError
 
 NAMESPACES = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
 NEEDED = "its macros (xacro) have to be expanded: pip install 'wbmpc[xacro]', or expand the file with ROS' own xacro"
+_MISSING = re.compile(r"Package not found: ([\w-]+)")
 #: Expanded texts that are kept: a robot is read several times.
 _KEPT = 8
 
@@ -37,7 +39,6 @@ def _expanded(
 ) -> str:
     try:
         import xacrodoc  # it also replaces the search for ROS packages of the module below
-        from xacrodoc.packages import PackageNotFoundError
         import xacro  # isort: skip
     except ImportError:
         raise InputError(f"{name}: {NEEDED}") from None
@@ -48,12 +49,11 @@ def _expanded(
     try:
         with redirect_stdout(said), redirect_stderr(said):
             return str(xacro.process_file(str(path), mappings=dict(arguments)).toxml())
-    except PackageNotFoundError as error:
-        missing = error.args[0] if error.args else "?"
-        raise InputError(
-            f"{name}: ROS package '{missing}' is not found; give its folder with 'packages: {{{missing}: FOLDER}}' in the robot's "
-            f"YAML, or --package {missing}=FOLDER"
-        ) from error
     except (Exception, SystemExit) as error:  # whatever its expressions raise
-        text = " ".join(f"{error} {said.getvalue()}".split())[:300]
-        raise InputError(f"{name}: its macros cannot be expanded: {text or type(error).__name__}") from error
+        text = " ".join(f"{error} {said.getvalue()}".split())
+        if missing := _MISSING.search(text):
+            raise InputError(
+                f"{name}: ROS package '{missing[1]}' is not found; give its folder with 'packages: {{{missing[1]}: FOLDER}}' in the "
+                f"robot's YAML, or --package {missing[1]}=FOLDER"
+            ) from error
+        raise InputError(f"{name}: its macros cannot be expanded: {text[:300] or type(error).__name__}") from error
