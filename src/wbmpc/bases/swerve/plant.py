@@ -85,7 +85,7 @@ class SwervePlant(WheeledPlant):
             "wheel": [m.wheel for m in modules],
             "arm": arm,
         }
-        spec = load_spec(description)
+        spec = load_spec(description, meshes=True)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = self.perturbation.draw(draw_rng, bodies, len(modules), len(arm))
         with named(description.model):
