@@ -12,6 +12,7 @@ import yaml
 
 from effort import thorough
 from toys import robot
+from wbmpc.bases.swerve.calibrator import steer_joints
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.estimation.wheel_calibration import WheelCalibration
@@ -20,7 +21,6 @@ from wbmpc.report import write_run
 from wbmpc.robots.description import DATA
 from wbmpc.studies.pankert2022.reference_drive import OPENING, SwerveCalibrateSettings, _phases
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
-from wbmpc.studies.pankert2022.wheel_log import steer_joints
 
 ROBOT, SEED = robot("swerve-ur10"), 5
 SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, settle_time=2.0)
