@@ -70,6 +70,8 @@ class RowGroup:
     boxes: list[Row] = field(default_factory=list)
     general: list[Row] = field(default_factory=list)
     expressions: list[ca.SX] = field(default_factory=list)
+    #: (variable, slope, offset) with slope z + offset ≥ 0, from both sides, of rows that are equalities
+    fixed: list[tuple[int, float, float]] = field(default_factory=list)
 
     @property
     def rows(self) -> list[Row]:
@@ -101,14 +103,19 @@ def row_names(term: Constraint) -> list[str]:
 
 
 def equality_rows(
-    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: RowGroup, end: RowGroup
+    terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]],
+    inequalities: Sequence[tuple[Constraint, ca.SX, ca.SX | float]],
+    x: ca.SX,
+    u: ca.SX,
+    path: RowGroup,
+    end: RowGroup,
 ) -> Equalities:
-    """Sort the rows of equality terms, given as (term, residual, switch)."""
+    """Sort the rows of equality terms, given as (term, residual, switch), and those that bounds of ``inequalities`` fix."""
     parts, softness, names = [], [], []
     z = ca.vertcat(x, u)
-    for term, r, switch in terms:
+    fixed_rows = [_fixed_part(*t, x, u, path) for t in inequalities]
+    for term, r, switch, row_name in [*((*t, row_names(t[0])) for t in terms), *fixed_rows]:
         with_input = depends(r, u)
-        row_name = row_names(term)
         soft = isinstance(term.penalty, AugmentedLagrangian)
         rho = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else EQUALITY_RHO
         if term.at == "terminal" and with_input.any():
@@ -176,6 +183,30 @@ def _sides(term: Constraint, rows: int) -> list[_Side]:
     return low + high
 
 
+def _becomes_equality(term: Constraint, with_input: np.ndarray, with_state: np.ndarray) -> np.ndarray:
+    """For every row, whether it is hard, without slack, and fixed by its bounds: a barrier has no room between them."""
+    if not (term.hard and isinstance(term.set, Box)):
+        return np.zeros(with_input.size, bool)
+    strict = np.isinf(term.slack) | (with_input & ~with_state)
+    return np.asarray(fixed(*term.set.bounds(with_input.size)) & strict)
+
+
+def _fixed_part(
+    term: Constraint, r: ca.SX, switch: ca.SX | float, x: ca.SX, u: ca.SX, path: RowGroup
+) -> tuple[Constraint, ca.SX, ca.SX | float, list[str]]:
+    """The rows of an inequality that are equalities: (term, residual minus its value, switch, names)."""
+    chosen = np.flatnonzero(_becomes_equality(term, depends(r, u), depends(r, x)))
+    if not chosen.size:
+        return term, ca.SX(0, 1), switch, []
+    assert isinstance(term.set, Box)
+    value, names = 0.5 * np.sum(term.set.bounds(r.shape[0]), axis=0), row_names(term)
+    part = ca.vertcat(*[r[int(i)] - value[i] for i in chosen])
+    selection = None if term.modes is not None else single_variables(part, ca.vertcat(x, u))
+    for index, scale, shift in selection or []:
+        path.fixed += [(index, scale, shift), (index, -scale, -shift)]
+    return term, part, switch, [names[i] for i in chosen]
+
+
 def inequality_rows(
     terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: RowGroup, end: RowGroup
 ) -> None:
@@ -185,6 +216,8 @@ def inequality_rows(
         sides = _sides(term, r.shape[0])
         selection = None if term.modes is not None else single_variables(r, z)
         with_input, with_state = depends(r, u), depends(r, x)
+        taken = _becomes_equality(term, with_input, with_state)
+        sides = [s for s in sides if not taken[s.i]]
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
         groups = [(path, term.at != "terminal", sides)]

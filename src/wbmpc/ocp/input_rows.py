@@ -13,7 +13,7 @@ from wbmpc.ocp.constraint_classification import Kind, RowGroup, single_variables
 def input_bounds(group: RowGroup, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarray]:
     """(lower, upper) (nu): what hard rows of one input alone allow it in all modes; infinite where there is none."""
     nx, z = x.shape[0], ca.vertcat(x, u)
-    hard = [(r.variable, r.sign, r.offset) for r in group.boxes if r.kind is Kind.HARD]
+    hard = [(r.variable, r.sign, r.offset) for r in group.boxes if r.kind is Kind.HARD] + group.fixed
     for expression, row in zip(group.expressions, group.general, strict=True):
         found = single_variables(expression, z) if row.kind is Kind.HARD else None
         hard += found or []

@@ -87,8 +87,9 @@ class Transcription:
         self.z = ca.vertcat(self.x, self.u)
         self.path, self.end = RowGroup(), RowGroup()
         sort = lambda terms: [(t, self.residual(t), self._switch(t.name)) for t in terms]
-        self.equalities = equality_rows(sort(ocp.equalities), self.x, self.u, self.path, self.end)
-        inequality_rows(sort(ocp.inequalities), self.x, self.u, self.path, self.end)
+        inequalities = sort(ocp.inequalities)
+        self.equalities = equality_rows(sort(ocp.equalities), inequalities, self.x, self.u, self.path, self.end)
+        inequality_rows(inequalities, self.x, self.u, self.path, self.end)
         #: whether hard rows are nonlinear in the inputs: those of a circle are, bounds and planes are not
         self.nonlinear_input_rows = nonlinear_in_inputs(self.path, self.x, self.u)
         #: whether any equality is soft

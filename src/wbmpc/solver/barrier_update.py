@@ -15,6 +15,8 @@ from wbmpc.solver.memory_layout import StateField
 
 #: For how many iterations the error is remembered, and by how much it has to fall below their largest.
 MEMORY, DECREASE = 4, 0.9
+#: Products that are even allow μ = 0 next; as little as this share of their power of 1.5 converges as fast.
+STEEPEST = 0.1
 #: Slacks that allow less of a step are far from where a small μ belongs.
 SHORT = 0.1
 
@@ -68,4 +70,5 @@ def adaptive_mu(
         m[state + StateField.ERRORS + MEMORY - 1 - i] = m[state + StateField.ERRORS + MEMORY - 2 - i]
     m[state + StateField.ERRORS] = error
     evenness = max(smallest / mean, 1e-10)
-    return max(0.1 * min(0.05 * (1.0 - evenness) / evenness, 2.0) ** 3 * mean, level)
+    centering = 0.1 * min(0.05 * (1.0 - evenness) / evenness, 2.0) ** 3
+    return max(max(centering * mean, STEEPEST * mean**1.5), level)

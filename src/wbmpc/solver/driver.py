@@ -194,8 +194,8 @@ def settle_rows(
         last_residual = residual
     if after != mu:
         m[state + StateField.BARRIER], m[state + StateField.FILTER_SIZE] = after, 0.0
-        # residuals of a free μ are comparable: a step that overshoots is to be seen
-        changed = changed if adapts and m[state + StateField.FREE_BARRIER] > 0.0 else 1.0
+        # beside a residual that is much larger the change of μ is none: a step that overshoots is to be seen
+        changed = changed if adapts and abs(after - mu) < 0.1 * kkt else 1.0
     return last_residual, changed
 
 

@@ -310,9 +310,9 @@ class InterpretedSolver(InterpretedDirections):
                     r.rho = min(4.0 * r.rho, 1e6)
             run.last_residual = residual
         if after != self.mu:
-            self.mu = after
-            if not (adapts and state[StateField.FREE_BARRIER] > 0.0):
+            if not (adapts and abs(after - self.mu) < 0.1 * kkt):
                 run.last_kkt = np.inf
+            self.mu = after
 
     def _one_more(self, c: Any, alpha: float, run: _Progress) -> None:
         """Whether there is another iteration after what was to be the last one."""
