@@ -12,12 +12,13 @@ from wbmpc.errors import InputError, NotFinite
 #: More units than this in one period or delay are a mistake in the settings.
 _MAXIMUM = 1_000_000
 _FEW = 16
+_FLOAT = np.dtype(float)
 
 
 def numbers(who: str, name: str, given: ArrayLike, size: int) -> NDArray[np.float64]:
     """``given`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
     try:
-        value = np.asarray(given, float)
+        value = given if type(given) is np.ndarray and given.dtype is _FLOAT else np.asarray(given, float)
     except (TypeError, ValueError):
         raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {given!r}") from None
     if value.shape != (size,):

@@ -7,11 +7,11 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.swerve.defaults import swerve_mpc
-from wbmpc.bases.swerve.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, plan_turns
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import Trajectory
 from wbmpc.studies.pankert2022.fixed_motions import SwerveFixedSettings
+from wbmpc.studies.pankert2022.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, plan_turns
 from wbmpc.types import Observation
 
 MODEL = robot("swerve-fixed-ur10")

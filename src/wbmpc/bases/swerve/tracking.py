@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
-from wbmpc.bases.swerve.wheel_flip import SideSlip
+from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.checks import not_negative
 from wbmpc.control.drives import DryFriction
 from wbmpc.model.robot import RobotModel

@@ -13,7 +13,6 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
-from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
@@ -34,6 +33,7 @@ from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings,
 from wbmpc.studies.pankert2022.mission import Mission, at_home, riding
 from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
+from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 
 NAME = "swerve-drive"
 SUMMARY = (

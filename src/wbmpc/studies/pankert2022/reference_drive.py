@@ -13,7 +13,7 @@ from pydantic import Field
 
 from wbmpc.bases.swerve.brake_control import FLOATING, floating
 from wbmpc.bases.swerve.calibration import calibrate
-from wbmpc.bases.swerve.calibration_log import WheelLog, record_of, steer_joints
+from wbmpc.bases.swerve.calibrator import steer_joints
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -26,6 +26,7 @@ from wbmpc.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022.directions import reject_directions
+from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 
 
 class SwerveCalibrateSettings(Settings):

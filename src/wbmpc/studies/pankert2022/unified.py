@@ -13,7 +13,6 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
-from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import ROLLING_SOFTNESS, swerve_problem
 from wbmpc.bases.swerve.estimator import EstimatorSettings
@@ -35,6 +34,7 @@ from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.unified_figures import metrics, plots
 from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
+from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 from wbmpc.studies.paths import Approach
 
 NAME = "swerve-unified"

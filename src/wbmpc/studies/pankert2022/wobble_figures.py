@@ -10,9 +10,10 @@ import numpy as np
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Drawing, Metric, Plot, Series
-from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, corners, draw
+from wbmpc.stability import CONFIGURATIONS, StanceOf, assess, corners, draw
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.studies.pankert2022.support_prediction import AWAY, UNLOADED, Case, Support, predict, tippings
+from wbmpc.studies.pankert2022.support_switches import Switch
 
 if TYPE_CHECKING:
     from wbmpc.studies.pankert2022.wobble import SwerveWobbleSettings

@@ -50,8 +50,6 @@ EDGES, NEVER = 32, 1e4
 PAST = 0.1
 #: A plan this much [rad] behind the reserve of a wheel's range has let its limit give way.
 BEYOND = 0.15
-#: Sideways speed [m/s] at which a plan lets a wheel slip; for how long [s] after it the wheel does (drives lag).
-SLIPS_AT, SLIPS_FOR = 0.02, 0.1
 
 
 @dataclass(frozen=True)
@@ -133,23 +131,6 @@ def _costs(
         return np.asarray(slips + (TOGETHER * busy + HURRY * hurried) * (slips > SLIPS) - EARLY * times)
 
     return cost
-
-
-class SideSlip:
-    """Which wheels slip sideways under a plan with flips: ``left`` (n) [s], for how long each still does. ``period`` [s] of
-    :meth:`update`."""
-
-    def __init__(self, robot: RobotModel, period: float) -> None:
-        self._geometry, self._input, self._period = robot.base.geometry, robot.input, period
-        self.left = np.zeros(robot.base.geometry.modules)
-
-    def update(self, leg: np.ndarray, steer: np.ndarray, u: np.ndarray) -> None:
-        """Under leg angles ``leg`` (n), planned steering angles ``steer`` (n) [rad] and the input u (nu)."""
-        geometry, given = self._geometry, self._input
-        v = wheel_velocities(geometry, leg, u[given["base"]], u[given["leg"]] if "leg" in given else 0.0)
-        heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
-        side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
-        self.left = np.where(np.abs(side) > SLIPS_AT, SLIPS_FOR, np.maximum(self.left - self._period, 0.0))
 
 
 def fast_enough(robot: RobotModel) -> bool:
