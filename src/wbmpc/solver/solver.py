@@ -296,12 +296,20 @@ class Solver:
         self._memory, self._table, self._start, self._numbers, self._log = (a.ctypes.data for a in arrays)
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
-        """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters."""
+        """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters.
+
+        Raises :class:`InputError` for other shapes.
+        """
+        x, u = np.ascontiguousarray(x, float), np.ascontiguousarray(u, float)
+        if x.shape != (self.problem.nx,) or u.shape != (self.problem.nu,):  # compiled code would read beyond their ends
+            raise InputError(
+                f"simulate: {self.problem.nx} states and {self.problem.nu} inputs are needed, got shapes {x.shape} and {u.shape}"
+            )
         if self.settings.backend == "interpreted":
             with self.exclusive, Interruptible():
                 return self.twin.simulate(x, u, h)
         # dozens of times in a controller's tick: the addresses that do not change are not asked for again
-        x, u, out = np.ascontiguousarray(x, float), np.ascontiguousarray(u, float), np.empty(self.problem.nx)
+        out = np.empty(self.problem.nx)
         with self.exclusive:
             self._simulate(self._memory, self._table, x.ctypes.data, u.ctypes.data, h, out.ctypes.data, self._nothing)
         return out
