@@ -68,6 +68,8 @@ class BallController:
             stops = (robot.limits.state_lower[robot.state["arm"]], robot.limits.state_upper[robot.state["arm"]])
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
+        self._known: tuple[object, int, np.ndarray] | None = None  # of which measurement and how many commands, the state now
+        self._steps_alike = type(self)._step is BallController._step
         self.clamped = False
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
@@ -75,6 +77,16 @@ class BallController:
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
+
+    def _through(self, x: np.ndarray, torques: np.ndarray) -> np.ndarray:
+        """The state x after ``torques`` (k, n + m), each for a period."""
+        if not len(torques):
+            return x
+        if self._steps_alike:
+            return self._step(x, torques, self.period)
+        for torque in torques:  # what else moves is for one step
+            x = self._step(x, torque, self.period)
+        return x
 
     def measure(self, measurement: BallMeasurement) -> None:
         """Take in this tick's (late) state; update the disturbance."""
@@ -205,17 +217,16 @@ class BallController:
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""
         assert self.measured is not None
-        x = self.measured.state
-        for torque in self.sent.since(self._late()):
-            x = self._step(x, torque, self.period)
-        return x
+        return self._through(self.measured.state, self.sent.since(self._late()))
 
     def ahead(self) -> np.ndarray:
         """The state in which the next command will act: by the dead time after now, under the torques that were sent before."""
-        x = self.state()
-        for torque in self.sent.pending():
-            x = self._step(x, torque, self.period)
-        return x
+        known, measured, sent = self._known, self.measured, self.sent
+        if known is None or known[0] is not measured or known[1] != sent.count:
+            assert measured is not None
+            late = self._late()
+            self._known = known = measured, sent.count, self._through(measured.state, sent.since(late + sent.dead, 0))
+        return known[2].copy()
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """The state at time ``until`` under the policies that will be in force, through the drives' lag."""
