@@ -56,7 +56,16 @@ class DisturbanceObserver:
                 f"{who}: 'calm' needs 2 numbers, 'gate' 1 to {self.size}, got {self.calm} and {self.gate.tolist()}"
             )
         n, gates = self.size, self.gate.size
-        sizes = {"velocity": n, "speed": n, "after": n, "mass": n * n, "force": n, "felt": gates, "mean": gates, "innovation": n}
+        sizes = {
+            "velocity": n,
+            "speed": n,
+            "after": n,
+            "mass": n * n,
+            "force": n,
+            "felt": gates,
+            "mean": gates,
+            "innovation": n,
+        }
         self._arrays = {name: np.zeros(length) for name, length in sizes.items()} | {
             "gate": np.array(self.gate, float), "clock": np.array([-np.inf, -np.inf, np.inf]),
             "settings": np.array([self.speed_gain, self.force_gain, self.hold, self.longest, self.settled, *self.calm], float),

@@ -68,7 +68,9 @@ class BallController:
             stops = (robot.limits.state_lower[robot.state["arm"]], robot.limits.state_upper[robot.state["arm"]])
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
-        self._known: tuple[object, int, np.ndarray] | None = None  # of which measurement and how many commands, the state now
+        self._known: tuple[object, int, np.ndarray] | None = (
+            None  # of which measurement and how many commands, the state now
+        )
         self._steps_alike = type(self)._step is BallController._step
         self.clamped = False
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]

@@ -8,7 +8,15 @@ from wbmpc.kernel.ir import Floats
 
 @step
 def possible(
-    n: int, size: int, torque: Floats, out: Floats, along: Floats, limit: Floats, at: Floats, room: Floats, largest: float
+    n: int,
+    size: int,
+    torque: Floats,
+    out: Floats,
+    along: Floats,
+    limit: Floats,
+    at: Floats,
+    room: Floats,
+    largest: float,
 ) -> None:
     """``torque`` (size) [N m] of n wheels and joints within ``limit`` (size), into ``out``; ``along`` (n): direction of spin, at most
     ``largest`` along it. Spins that wheel i can have beside c times what leans are -c at_i ± room_i; so is what there may be of it."""
