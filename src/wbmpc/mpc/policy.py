@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
 
@@ -143,7 +144,8 @@ class Policy:
 
     def _share(self, t: float, k: int) -> float:
         """How much of interval k has passed at time t [s], from 0 to 1."""
-        return float(min(max((t - self.times[k]) / (self.times[k + 1] - self.times[k]), 0.0), 1.0))
+        start, end = self.times[k : k + 2].tolist()
+        return float(min(max((t - start) / (end - start), 0.0), 1.0))
 
     def feedforward(self, t: float) -> np.ndarray:
         """Planned input (nu) at time t [s]."""
@@ -154,10 +156,11 @@ class Policy:
 
         Raises :class:`NotFinite` for a time or a state that is not finite.
         """
-        if not (np.isfinite(t) and np.isfinite(x).all()):
+        if not (math.isfinite(t) and np.isfinite(x).all()):
             raise NotFinite("policy: time and state must be finite")
         k = self._interval(t)
-        u: np.ndarray = self.gain[k] @ (x - self.state(t))
+        a = self._share(t, k)
+        u: np.ndarray = self.gain[k] @ (x - ((1.0 - a) * self.x[k] + a * self.x[k + 1]))
         u += self.u[k]
         return u
 
@@ -166,7 +169,7 @@ class Policy:
 
         Raises :class:`NotFinite` for a time or a state that is not finite.
         """
-        if x is None and not np.isfinite(t):
+        if x is None and not math.isfinite(t):
             raise NotFinite("policy: time and state must be finite")
         u = self.feedforward(t) if x is None else self.law(t, x)
         if self.limits is None:

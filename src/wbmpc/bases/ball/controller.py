@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -52,6 +53,7 @@ class BallController:
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
         self.limits = TorqueLimits(robot, torque.size)
+        self._cut = _ROUNDING * self.limits.limit
         self.sent = SentTorques(torque, period, drives)
         self.observer: DisturbanceObserver | None = None
         if observer:
@@ -176,7 +178,7 @@ class BallController:
             self.lean_control.check(t, self.disturbance, x)
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
-        if not np.isfinite(disturbance).all():
+        if not all(map(math.isfinite, disturbance.tolist())):
             raise NotFinite(f"the estimated disturbance is not finite{self._too_fast()}")
         return disturbance
 
@@ -214,7 +216,8 @@ class BallController:
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
-        return float(self.limits.spin @ self.sent.acted(self.sent.ticks(age))[: self.limits.spin.size])
+        spin = self.limits.spin
+        return float(spin @ self.sent.acted(self.sent.ticks(age))[: spin.size])
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""
@@ -248,8 +251,9 @@ class BallController:
 
     def command(self, t: float, plans: PolicyQueue) -> BallCommand:
         """Torques at the predicted present state."""
-        if self.forecast is not None and plans.current is not None:
-            stop_for(self.forecast.update_plan(plans.current, self._carried(), self._answered()))
+        forecast, plan = self.forecast, plans.current
+        if forecast is not None and plan is not None and plan is not forecast.seen:
+            stop_for(forecast.update_plan(plan, self._carried(), self._answered()))
         self.feedforward, self.target = self._law(
             t + self.sent.dead * self.period, self.ahead(), plans.current, acts=True
         )
@@ -263,6 +267,6 @@ class BallController:
     def _drive(self, torque: np.ndarray) -> BallCommand:
         """The command for possible torques, which the drives follow with their lag."""
         self.torque = torque
-        self.clamped = bool(np.any(np.abs(torque - self.target) > _ROUNDING * self.limit))
+        self.clamped = bool((np.abs(torque - self.target) > self._cut).any())
         self.sent.send(torque)
         return BallCommand(torque)

@@ -70,14 +70,15 @@ class FallPredictor:
         component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * end_effector
         self._component = Numeric(ca.Function("component", [x, mass, end_effector], [ca.densify(component)]))
         self._size = robot.state.size
-        self._seen: Policy | None = None
+        #: the plan that was looked at last
+        self.seen: Policy | None = None
 
     def update_plan(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> list[Fall]:
         """What follows from the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
         ``shift`` (2) [m] of the divergent component."""
-        if policy is self._seen:
+        if policy is self.seen:
             return []
-        self._seen = policy
+        self.seen = policy
         soon = policy.times[1:] <= policy.times[0] + self._ahead
         force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
         maximum = self._maximum(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
