@@ -167,7 +167,7 @@ class Balancing:
         scale = float(np.log(self.plant.draw.radius[0]))
         true = BallState(
             d.qpos[:3] - [0, 0, 0.125], velocity, rotation, sensors.bias["gyro"], sensors.bias["accel"],
-            self.plant._history[-1][3], scale,
+            self.plant.sensors.wheel, scale,
         )  # fmt: skip
         return self.estimator.filter.state.minus(true)
 

@@ -200,7 +200,7 @@ class BallFilter:
             raise np.linalg.LinAlgError("the residuals are not finite")
         memory.apply()
         stalled = a["stalled"].tolist()
-        certain = (f"imu {fault}",) if fault else ()
+        certain: tuple[str, ...] = (f"imu {fault}",) if fault else ()
         if any(stalled):
             certain += tuple(f"wheel_{i} stalled" for i, stands in enumerate(stalled) if stands)
         self.faults = certain + self._named(choice)
