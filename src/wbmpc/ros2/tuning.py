@@ -20,7 +20,7 @@ _OF_WEIGHTS = list(get_args(Weight)[1].metadata)
 
 def parameters_of(adapter: BaseAdapter, settings: RosSettings) -> Parameters:
     """``robot``, ``use_sim_time``, ``rates.*``, ``frames.*`` read-only; the weights ``cost.*`` settable."""
-    given = [
+    parameters = [
         Parameter("robot", adapter.robot.description.name, "name of the robot's description"),
         Parameter("use_sim_time", settings.use_sim_time, "whether time is that of /clock"),
         *(Parameter(f"rates.{n}", float(v), "rate [Hz]") for n, v in settings.rates.model_dump().items()),
@@ -34,7 +34,7 @@ def parameters_of(adapter: BaseAdapter, settings: RosSettings) -> Parameters:
         adapter.pending.reweigh(weights_of(adapter.problem(cost)))
         state["cost"] = cost
 
-    return Parameters(given, change)
+    return Parameters(parameters, change)
 
 
 def _weights(prefix: str, cost: Settings) -> list[Parameter]:

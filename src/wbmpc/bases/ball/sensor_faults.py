@@ -77,13 +77,13 @@ class EncoderMonitor:
 
     def __init__(
         self, wheels: int, joints: Sequence[str], stops: tuple[Array, Array] | None = None, still: float = 1.5e-4,
-        expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, least: float = 0.02, patience: float = 0.05,
+        expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, min_standstill: float = 0.02, patience: float = 0.05,
     ) -> None:  # fmt: skip
         who = "encoder monitor"
         positive(who, still=still, expected=expected, doubt=doubt, patience=patience)
-        not_negative(who, wheels=wheels, crawl=crawl, least=least)
+        not_negative(who, wheels=wheels, crawl=crawl, min_standstill=min_standstill)
         self.joints, self.wheels, self.still, self.expected = list(joints), wheels, still, expected
-        self.crawl, self.doubt, self.least, self.patience = crawl, doubt, least, patience
+        self.crawl, self.doubt, self.min_standstill, self.patience = crawl, doubt, min_standstill, patience
         self.faults: list[EncoderFault] = []
         low, high = stops or (np.full(len(self.joints), -np.inf), np.full(len(self.joints), np.inf))
         self._low, self._high = low + NEAR, high - NEAR
@@ -127,7 +127,7 @@ class EncoderMonitor:
         self._then = np.where(moves, acceleration, self._then)
         self._gone = np.where(moves, 0.0, self._gone + h * self._speed)
         self._stood = np.where(moves, 0.0, self._stood + h)
-        return np.flatnonzero((np.abs(self._gone) > self.expected) & (self._stood >= self.least - 1e-9))
+        return np.flatnonzero((np.abs(self._gone) > self.expected) & (self._stood >= self.min_standstill - 1e-9))
 
     def _lasting(self, h: float, estimator_faults: Sequence[str]) -> list[str]:
         """What the estimator says and, of wheels and ball, has said most of the time."""

@@ -134,15 +134,15 @@ class BallSensors:
 
     def encoders(self, wheel: Array, arm: Array) -> tuple[Array, Array]:
         """Readings of wheels (n) and arm (m) [rad]: quantised, with the arm's zero errors."""
-        given = {
+        readings = {
             "wheel": quantise(wheel, self._p.arm_counts),
             "arm": quantise(arm + self.arm_offset, self._p.arm_counts),
         }
         stalled = {(f.of, f.number) for f in self._acting("stalled")}
-        self._held = {(of, i): self._held.get((of, i), float(given[of][i])) for of, i in stalled}
+        self._held = {(of, i): self._held.get((of, i), float(readings[of][i])) for of, i in stalled}
         for (of, i), value in self._held.items():
-            given[of][i] = value
-        return given["wheel"], given["arm"]
+            readings[of][i] = value
+        return readings["wheel"], readings["arm"]
 
 
 def _cross(a: Array, b: Array) -> Array:
