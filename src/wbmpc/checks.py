@@ -12,12 +12,13 @@ from wbmpc.errors import InputError, NotFinite
 #: More units than this in one period or delay are a mistake in the settings.
 _MAXIMUM = 1_000_000
 _FEW = 16
+_FLOAT = np.dtype(float)
 
 
 def numbers(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
-    """``given`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
+    """``values`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
     try:
-        value = np.asarray(values, float)
+        value = values if type(values) is np.ndarray and values.dtype is _FLOAT else np.asarray(values, float)
     except (TypeError, ValueError):
         raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {values!r}") from None
     if value.shape != (size,):
@@ -29,7 +30,7 @@ def numbers(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.flo
 
 
 def each(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
-    """``given`` as :func:`numbers`, or one number for all ``size``."""
+    """``values`` as :func:`numbers`, or one number for all ``size``."""
     return numbers(who, name, np.full(size, values) if np.ndim(values) == 0 else values, size)
 
 
@@ -61,7 +62,7 @@ def positive(who: str, **values: float) -> None:
 
 
 def scales(who: str, name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """``given`` as an array of positive numbers, of which some may be infinite; else :class:`InputError` of ``who`` by ``name``."""
+    """``values`` as an array of positive numbers, of which some may be infinite; else :class:`InputError` of ``who`` by ``name``."""
     value = np.asarray(values, float)
     if not (value > 0.0).all():
         raise InputError(f"{who}: '{name}' needs positive numbers, got {value.tolist()}")
@@ -82,7 +83,7 @@ def is_covariance(matrix: ArrayLike) -> bool:
 
 
 def covariance(who: str, values: ArrayLike) -> NDArray[np.float64]:
-    """``given`` as a covariance (3, 3), or :class:`InputError` (:class:`NotFinite`) of ``who``."""
+    """``values`` as a covariance (3, 3), or :class:`InputError` (:class:`NotFinite`) of ``who``."""
     value = np.asarray(values, float)
     if value.shape != (3, 3):
         raise InputError(f"{who}: a covariance of 3 by 3 finite numbers is needed, got shape {value.shape}")
@@ -95,7 +96,7 @@ def covariance(who: str, values: ArrayLike) -> NDArray[np.float64]:
 
 def whole(key: str, length: float, unit: float, name: str, minimum: int = 1, rate: float | None = None) -> int:
     """``length`` [s] of ``key`` in units of ``unit`` [s] called ``name``; ``rate`` [Hz]: what was given instead of the length.
-    Raises :class:`InputError` for what is no whole number of them, or fewer than ``least``."""
+    Raises :class:`InputError` for what is no whole number of them, or fewer than ``minimum``."""
     if length != math.inf:
         finite(key, time=length)
     if length / unit >= _MAXIMUM:

@@ -66,7 +66,7 @@ def test_messages_that_wait_are_bounded_in_bytes(nodes: tuple[Any, Any], monkeyp
     for k in range(20):
         publisher.publish({"data": f"{k}" + "x" * 1000})
     assert wait_until(lambda: other._deferred and other._deferred[-1][1][8:10] == b"19")
-    assert [data[8:10] for _, data in other._deferred] == [b"18", b"19"]
+    assert [data[8:10] for _, data, _ in other._deferred] == [b"18", b"19"]
     other.work()
     assert len(got) == 2
 

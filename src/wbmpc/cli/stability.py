@@ -11,6 +11,7 @@ import typer
 
 from wbmpc.cli.directories import Force, new_file
 from wbmpc.errors import InputError
+from wbmpc.output_file import write_text
 
 
 def stability(
@@ -49,7 +50,7 @@ def stability(
     result = assess(model, configuration, [*push, 0.0, 0.0, 0.0][:6], slope_gravity(slope, uphill), joints)
     files = {}
     if plot is not None:
-        plot.write_text(draw(result))
+        write_text(plot, draw(result))
         files["plot"] = str(plot)
     if as_json:
         typer.echo(json.dumps({**result.summary(), "files": files}, allow_nan=False))

@@ -176,7 +176,7 @@ def unread_allowed() -> Iterator[None]:
 
 @contextmanager
 def silent(requested: bool) -> Iterator[None]:
-    """Nothing on standard output if ``wanted``."""
+    """Nothing on standard output if ``requested``."""
     if not requested:
         yield
         return

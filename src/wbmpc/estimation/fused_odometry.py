@@ -260,7 +260,7 @@ class FusedOdometry:
             memory.set_state(fused_filter.given_way(memory.state, memory.legs, arrays["correction"]))
 
     def _bridge(self, h: float, minimum: float) -> None:
-        """Over a gap: one motion from its begin to its end, as uncertain as what the wheels did meanwhile, and by ``least`` [m]."""
+        """Over a gap: one motion from its begin to its end, as uncertain as what the wheels did meanwhile, and by ``minimum`` [m]."""
         n, a = self._n, self._memory.arrays
         a["correction"][:] = a["mean"][WHEELS:]
         self._memory.wheels.run()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from wbmpc.checks import is_covariance, not_negative, numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.wheels import ModuleGeometry
+from wbmpc.output_file import write_text
 from wbmpc.yaml_file import load_yaml
 
 Array = NDArray[np.float64]
@@ -106,7 +107,7 @@ class WheelCalibration:
         head += "".join(f"# {note}\n" for note in notes)
         tail = "# Correlation of what is left of the zeros, then of the radii, modules as above: what is known better together.\n"
         tail += yaml.safe_dump({"correlation": correlation.tolist()}, default_flow_style=None, width=2**31)
-        path.write_text(head + yaml.safe_dump({"modules": rows}, sort_keys=False) + tail)
+        write_text(path, head + yaml.safe_dump({"modules": rows}, sort_keys=False) + tail)
 
     @classmethod
     def load(cls, path: Path | str, geometry: ModuleGeometry, modules: list[str]) -> WheelCalibration:

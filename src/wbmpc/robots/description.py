@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
 from typing import Annotated, Any, Self, get_args
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -24,13 +24,17 @@ from pydantic_core import PydanticCustomError
 from wbmpc.bases import available_base_types, base_type
 from wbmpc.bases.base import BaseDescription, Section
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.robots.actuation import Drive, read_drives
 from wbmpc.robots.checks import check_joints, check_tool, compiled
-from wbmpc.robots.file_limits import check_size
+from wbmpc.robots.findings import Finding
 from wbmpc.robots.fixed_joints import fix_joint
+from wbmpc.robots.inertia import mend_inertias
+from wbmpc.robots.model_file import file_of, parse
 from wbmpc.robots.model_import import keep_mechanics, reject_couplings, widen
 from wbmpc.robots.wheel_geometry import check_radii
 from wbmpc.yaml_file import load_yaml
 
+_LOG = logging.getLogger(__name__)
 DATA = Path(__file__).parent / "data"
 #: Characters of a robot's name, which is part of names of files and nodes.
 LONGEST_NAME = 64
@@ -112,13 +116,17 @@ class RobotDescription(Section):
     """A robot: where its file is, what moves it, its arm, home and limits. Units SI and radians.
 
     ``fixed_joints``: joints that are held, and where [rad or m]. Every joint of the file below the base's body is either named by
-    ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters.
+    ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters. ``packages``: folders of
+    the ROS packages that the model names (``package://``), ``xacro_arguments``: of its macros. What ``limits`` does not say of a
+    joint's velocity, effort and position, the model does.
     """
 
     name: Annotated[str, AfterValidator(_robot_name)]
     model: Path
     base: Annotated[SerializeAsAny[BaseDescription], BeforeValidator(_base_section)]
     arm: ArmDescription
+    packages: dict[str, Path] = Field(default={})
+    xacro_arguments: dict[str, str] = Field(default={})
     fixed_joints: dict[str, float] = Field(default={})
     home: dict[str, float] = Field(default={})
     limits: LimitsDescription = LimitsDescription()
@@ -184,16 +192,42 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         description = RobotDescription(**data)
     except ValidationError as error:
         raise InputError(f"{path}: {_first_fault(error, data)}") from error
-    model = description.model if description.model.is_absolute() else path.parent / description.model
-    description = description.model_copy(update={"model": model, "source": str(path)})
+    packages = {name: path.parent / folder.expanduser() for name, folder in description.packages.items()}
+    model = path.parent / description.model.expanduser()
+    description = description.model_copy(update={"model": model, "packages": packages, "source": str(path)})
     spec = load_spec(description)
     _check_names(description, spec)
+    description = _with_limits_of_the_file(description)
     model = compiled(spec, description.model)
     check_joints(description, model)
     check_tool(description, model)
     base_type(description.base.type).check(description, model)
     check_radii(description, model)
     return description
+
+
+def _with_limits_of_the_file(description: RobotDescription) -> RobotDescription:
+    """The description with the speeds and efforts that its model has for joints which ``limits`` does not name; what had to be mended
+    is logged. Raises :class:`InputError` for a joint that is used and cannot move."""
+    file = file_of(description)
+    spec = parse(file)
+    drives = read_drives(file, spec)
+    for finding in _mend(spec, description):
+        _LOG.warning("%s: %s", description.model, finding.message)
+    limits, used = description.limits, description.joints()
+    for name in used:
+        if drives.get(name, Drive()).no_range and name not in limits.position:
+            raise InputError(
+                f"{description.model}: joint '{name}' has an empty range (lower = upper): it cannot move; hold it with "
+                f"'fixed_joints: {{{name}: 0}}', or give 'limits.position: {{{name}: [LOWER, UPPER]}}' in {description.source}"
+            )
+    found = {n: drives[n] for n in used if n in drives}
+    velocity = {n: d.velocity for n, d in found.items() if d.velocity is not None and n not in limits.velocity}
+    effort = {n: d.effort for n, d in found.items() if d.effort is not None and n not in limits.effort}
+    if not velocity and not effort:
+        return description
+    update = {"velocity": {**limits.velocity, **velocity}, "effort": {**limits.effort, **effort}}
+    return description.model_copy(update={"limits": limits.model_copy(update=update)})
 
 
 def _first_fault(error: ValidationError, data: dict[str, Any]) -> str:
@@ -297,34 +331,21 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
             raise unknown_name(f"body (key 'base.{key}')", body, bodies, where=description.source)
 
 
-def load_spec(description: RobotDescription) -> mujoco.MjSpec:
-    """The robot's file as an editable MuJoCo specification of its mechanics, with its locked joints removed."""
-    path = description.model
-    if not path.is_file():
-        raise InputError(f"{description.source}: key 'model': there is no file {path}")
-    check_size(path)
-    try:
-        spec = _urdf_spec(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
-    except (ValueError, ElementTree.ParseError) as error:
-        raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
-    keep_mechanics(spec, description.base.body, path)
+def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.MjSpec:
+    """The robot's file as an editable MuJoCo specification of its mechanics, with its locked joints removed.
+
+    ``meshes``: with those meshes of a URDF that are there, for display.
+    """
+    spec = parse(file_of(description), meshes=meshes)
+    _mend(spec, description)
+    keep_mechanics(spec, description.base.body, description.model)
     reject_couplings(spec, description)
-    widen(spec, description.limits.position, path)
+    widen(spec, description.limits.position, description.model)
     for name, angle in description.fixed_joints.items():
         fix_joint(spec, name, angle, description.source)
     return spec
 
 
-def _urdf_spec(path: Path) -> mujoco.MjSpec:
-    """URDF without its meshes (planning needs none), with all links kept."""
-    root = ElementTree.parse(path).getroot()
-    for link in root.iter("link"):
-        for kind in ("visual", "collision"):
-            for element in link.findall(kind):
-                link.remove(element)
-    compiler = {"strippath": "false", "balanceinertia": "true", "fusestatic": "false", "discardvisual": "false"}
-    extension = root.find("mujoco")
-    if extension is None:
-        extension = ElementTree.SubElement(root, "mujoco")
-    ElementTree.SubElement(extension, "compiler", compiler)
-    return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+def _mend(spec: mujoco.MjSpec, description: RobotDescription) -> list[Finding]:
+    """Replace inertias that cannot be, where the base's equations do not use them; else MuJoCo names the body."""
+    return [] if description.base.uses_inertia else mend_inertias(spec, balance=True)

@@ -81,7 +81,7 @@ class DdsNode:
         self._unregister: dict[
             DataReader, Callable[[], None]
         ] = {}  # of readers that call back, what ends their entry in LOCAL
-        self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MAX_DEFERRED)
+        self._deferred: deque[tuple[Callable[[bytes, int], None], bytes, int]] = deque(maxlen=_MAX_DEFERRED)
         self._writers: list[DataWriter] = []
         self._graph = [
             BuiltinDataReader(self._participant, t) for t in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
@@ -110,45 +110,45 @@ class DdsNode:
         return DdsPublisher(writer, self.types, kind, self._where(place), self)
 
     def subscribe(
-        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
-        others: tuple[str, ...] = (), largest: int = LARGEST,
+        self, topic: str, kind: str, callback: Callable[..., None], qos: Qos = DEFAULT, deferred: bool = False,
+        others: tuple[str, ...] = (), largest: int = LARGEST, sourced: bool = False,
     ) -> Callable[[], None]:  # fmt: skip
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
         go on. Returns what ends it."""
         name = full_name(topic)
 
-        def call(data: bytes) -> None:
+        def call(data: bytes, source: int) -> None:
             try:
-                callback(self.types.decode(kind, data))
+                callback(self.types.decode(kind, data), *([source] if sourced else []))
             except Exception as error:
                 self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
-                for data in _taken(reader):
+                for data, source in _taken(reader):
                     if len(data) > largest:
                         why = f"{name}: a message of {len(data)} bytes is dropped; valid: at most {largest}"
                         self._limit.log(_LOG, logging.ERROR, name, why)
                     elif deferred:
-                        self._defer(call, data)
+                        self._defer(call, data, source)
                     else:
-                        call(data)
+                        call(data, source)
 
         ours = Ours("subscription", name, kind, qos, others)
         place = self._topic(f"rt{name}", kind, others=others)
         reader = self._read(place, self._qos(qos, kind), take, self, lambda policy: self._mismatch(ours, policy))
         return lambda: self._end(reader)
 
-    def _defer(self, call: Callable[[bytes], None], data: bytes) -> None:
-        self._deferred.append((call, data))
-        while len(self._deferred) > 1 and sum(len(d) for _, d in self._deferred) > _MOST_BYTES:
+    def _defer(self, call: Callable[[bytes, int], None], data: bytes, source: int) -> None:
+        self._deferred.append((call, data, source))
+        while len(self._deferred) > 1 and sum(len(d) for _, d, _ in self._deferred) > _MOST_BYTES:
             self._deferred.popleft()
 
     def work(self) -> None:
         """Decode the messages of deferred subscriptions that have come, and call back, in this thread."""
         while self._deferred:
-            call, data = self._deferred.popleft()
-            call(data)
+            call, data, source = self._deferred.popleft()
+            call(data, source)
 
     def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
         """Answer a service. It is seen by peers of rmw_cyclonedds, not by those of Fast DDS."""
@@ -159,7 +159,7 @@ class DdsNode:
         writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
 
         def take(reader: DataReader) -> None:
-            for data in _taken(reader):
+            for data, _ in _taken(reader):
                 head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
                 with self._lock:
                     try:
@@ -196,7 +196,7 @@ class DdsNode:
                 _wait(end, f"{name}: nobody serves it")
             write(writer, body[:4] + head + body[4:], self._where(requests), self, threading.RLock())
             while True:
-                for data in _taken(reader):
+                for data, _ in _taken(reader):
                     if data[4 : 4 + _HEADER_SIZE] == head:
                         return self.types.decode(response_type, data[:4] + data[4 + _HEADER_SIZE :])
                 _wait(end, f"{name}: no answer within {timeout:g} s")
@@ -231,7 +231,7 @@ class DdsNode:
         names, reader = self._names
         end = time.monotonic() + _ANNOUNCED
         while True:
-            for data in _taken(reader):
+            for data, _ in _taken(reader):
                 for node in self.types.decode(_INFO, data).node_entities_info_seq:
                     for gid in (*node.reader_gid_seq, *node.writer_gid_seq):
                         names[bytes(gid.data)[:16]] = node.node_name
@@ -367,10 +367,11 @@ class _Watch(Listener):  # type: ignore[misc]
             (self.set_on_offered_incompatible_qos if take is None else self.set_on_requested_incompatible_qos)(notice)
 
 
-def _taken(reader: DataReader) -> list[bytes]:
-    """The CDR of all samples that have come; none of those that only say that a writer has gone."""
+def _taken(reader: DataReader) -> list[tuple[bytes, int]]:
+    """The CDR of all samples that have come, with the handles of their writers; none of those that only say that a writer has gone."""
     with suppress(DDSException):
-        return [s.data for s in reader.take(N=64) if getattr(s, "data", None)]
+        taken = reader.take(N=64)
+        return [(s.data, s.sample_info.publication_handle) for s in taken if getattr(s, "data", None)]
     return []
 
 

@@ -40,6 +40,7 @@ class JointReader:
         self.groups = {g: [settings.bus_name(n) for n in names] for g, names in groups.items()}
         self.ignored = set(settings.ignore)
         self.names = [n for part in self.groups.values() for n in part]
+        self._known = set(self.names)
         self._speed = np.concatenate([settings.joint_speeds(robot, g) for g, names in groups.items() if names])
         self._order: tuple[list[str], np.ndarray] | None = None
         self._last: tuple[float, np.ndarray] | None = None
@@ -65,6 +66,10 @@ class JointReader:
             groups[group] = values[start : start + len(names)]
             start += len(names)
         return JointSample(stamp, groups)
+
+    def concerns(self, message: Any) -> bool:
+        """Whether a message names one of our joints: others of a robot, as a gripper's, may have a publisher of their own."""
+        return not self._known.isdisjoint(message.name)
 
     def reset(self) -> None:
         """The next message may be anywhere and at any time."""

@@ -273,6 +273,6 @@ def _because(plant: Any, mpc: Any) -> str:
 def _check(command: Any) -> None:
     """Raise :class:`NotFinite` naming the part of a command that is not finite: it must not reach the drives."""
     for name, values in vars(command).items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
+        if not np.isfinite(values).all():
+            bad = np.flatnonzero(~np.isfinite(values))
             raise NotFinite(f"command: '{name}' of drive {bad[0]} is not finite")

@@ -301,7 +301,7 @@ def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) 
 
 @compiled
 def start_rows(m: Floats, o: Integers, min_slack: float, keep: bool, keep_slacks: bool) -> None:
-    """Slacks t = max(h, ``least``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept.
+    """Slacks t = max(h, ``min_slack``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept.
 
     ``keep_slacks``: slacks that there are stay too.
     """

@@ -66,7 +66,7 @@ def _general(part: str, kind: str) -> str:
 class EncoderMonitor:
     """Watches the encoders of ``wheels`` and of named arm ``joints`` (n).
 
-    A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) for ``least`` [s] while the joint should
+    A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) for ``min_standstill`` [s] while the joint should
     have turned by ``expected`` [rad]: by its speed at the last reading that moved, less ``crawl`` [rad/s], and by how much more
     the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (A load that nobody knows of makes the model
     accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)

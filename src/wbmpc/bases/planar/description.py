@@ -15,6 +15,7 @@ class PlanarBaseDescription(BaseDescription):
     """``wheels``: names of the wheels' joints. ``wheel_radius`` [m]; left out: that of the wheels' shapes in the file."""
 
     joint_key: ClassVar[str] = "wheels"
+    uses_inertia: ClassVar[bool] = False
     limit_keys: ClassVar[tuple[str, ...]] = ("base_linear", "base_angular")
     not_applicable: ClassVar[dict[str, str]] = {"contact": _SPEEDS, "contact_frame": _SPEEDS}
 
