@@ -8,6 +8,7 @@ from functools import reduce
 import numpy as np
 import pytest
 
+from configured import check_taken
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
@@ -173,7 +174,7 @@ def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt()
     ],
 )
 def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
-    configure(REGISTRY[name].config_type, given.split(), name)
+    check_taken(name, given.split())
 
 
 @pytest.mark.parametrize(

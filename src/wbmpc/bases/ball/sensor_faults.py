@@ -97,7 +97,7 @@ class EncoderMonitor:
         surprised: NDArray[np.bool_] | None = None,
     ) -> list[EncoderFault]:  # fmt: skip
         """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
-        as the model has it for the ``interval`` [s] before (None: not known yet), what the estimator ``said``, and joints (n) whose
+        as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n) whose
         reading ``surprised`` it."""
         doubted = self._in_doubt(t, arm, surprised)
         standing: Iterable[int] = ()
