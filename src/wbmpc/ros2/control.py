@@ -461,12 +461,12 @@ class ControlNode:
 
     def rejected(self) -> dict[str, str]:
         """What was rejected, and why: goals, commands for the legs, poses; until one is taken again. And speeds that are limited."""
-        worker_commands = self.legs.rejected if self.legs is not None else ""
-        said = {
+        leg_commands = self.legs.rejected if self.legs is not None else ""
+        reasons = {
             "rejected": self.request_queue.rejected,
-            "rejected command for the legs": worker_commands,
+            "rejected command for the legs": leg_commands,
             "rejected pose": self.source.fault,
         }
-        said["legs stopped short"] = self.legs.short if self.legs is not None else ""
-        said["limited speed"] = self.request_queue.limited
-        return {key: why for key, why in said.items() if why}
+        reasons["legs stopped short"] = self.legs.short if self.legs is not None else ""
+        reasons["limited speed"] = self.request_queue.limited
+        return {key: why for key, why in reasons.items() if why}

@@ -118,7 +118,7 @@ class RosNode:
     ) -> None:
         """Answer a service, in the executor's thread."""
         self._node.create_service(
-            get_service(kind), full_name(service), lambda asked, answered: fill(answered, answer(asked))
+            get_service(kind), full_name(service), lambda request, response: fill(response, answer(request))
         )
 
     def offer(self, parameters: Parameters) -> None:
@@ -129,9 +129,9 @@ class RosNode:
                 self._node.declare_parameter(p.name, p.value, descriptor)
         result = get_message("rcl_interfaces/msg/SetParametersResult")
 
-        def change(given: list[Any]) -> Any:
+        def change(values: list[Any]) -> Any:
             try:
-                parameters.set({p.name: p.value for p in given})
+                parameters.set({p.name: p.value for p in values})
             except Exception as error:
                 return fill(result(), {"successful": False, "reason": error_message(error)})
             return fill(result(), {"successful": True})

@@ -131,8 +131,8 @@ class Solver:
             "quaternions": bool(self.ocp.dynamics.unit_quaternions),
             "backend='interpreted'": self.settings.backend != "compiled",
         }
-        for name, given in bad.items():
-            if given:
+        for name, entries in bad.items():
+            if entries:
                 raise InputError(f"hessian='exact' does not go with {name}; valid: hessian='gauss_newton'")
         return True
 
@@ -192,9 +192,9 @@ class Solver:
         linear between its nodes, inputs hold over its intervals. Raises :class:`InputError` for other shapes, and
         :class:`NotFinite` for numbers that are not finite; the trajectories then stay as they were.
         """
-        given = trajectories(self.ocp, self._given_grid, x, u)
+        start = trajectories(self.ocp, self._given_grid, x, u)
         with self.exclusive:
-            self.ws.x[:], self.ws.u[:] = given
+            self.ws.x[:], self.ws.u[:] = start
 
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
