@@ -147,11 +147,11 @@ class InterpretedSolver(InterpretedDirections):
         found = np.concatenate([r.products() for r in self.own])
         return (float(found.mean()), float(found.min())) if found.size else (0.0, 0.0)
 
-    def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
+    def _start_rows(self, mu: float, min_slack: float, keep: bool, keep_slacks: bool) -> None:
         for k, rows in enumerate(self.own):
             rows.h = self._rows(k, self.ws.x[k], self.ws.u[min(k, len(self.ws.u) - 1)])
             rows.rho = 1.0
-            rows.start(mu, least, keep, keep_slacks)
+            rows.start(mu, min_slack, keep, keep_slacks)
 
     def reset(self) -> None:
         """Slacks and multipliers start anew."""
