@@ -259,10 +259,10 @@ def restart_from_rollout(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
 
 @compiled
 def direction_status(
-    m: Floats, o: Integers, s: Floats, log: Floats, row: int, found: tuple[float, float, float, float]
+    m: Floats, o: Integers, s: Floats, log: Floats, row: int, found: tuple[float, float, float, float], size: float
 ) -> int:
     """The status that a direction ends a solve with, AGAIN where it is to be sought once more with a convex subproblem, or GO_ON.
-    ``found``: cost, violation, largest component, slope."""
+    ``found``: cost, violation, largest component, slope; ``size``: of cost and state at the start."""
     cost, violation, largest, slope = found
     if not (np.isfinite(cost) and np.isfinite(violation) and np.isfinite(slope)):
         known = np.isfinite(cost) and np.isfinite(violation)
@@ -270,7 +270,7 @@ def direction_status(
         if known and s[Setting.MAX_REGULARIZATION] > 0.0 and make_convex(m, o, s):
             return AGAIN
         return NOT_FINITE
-    if abs(cost) > THRESHOLDS.divergence or largest > THRESHOLDS.divergence:
+    if abs(cost) > THRESHOLDS.divergence * size or largest > THRESHOLDS.divergence * size:
         return DIVERGED
     return GO_ON
 
@@ -377,7 +377,7 @@ def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float,
 @compiled
 def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[int, int]:
     """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
-    penalty, first, last_kkt, last_residual, it = 0.0, 1.0, np.inf, np.inf, 0
+    penalty, first, last_kkt, last_residual, size, it = 0.0, 1.0, np.inf, np.inf, 1.0, 0
     # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
     level, last_mu, bias = s[Setting.BARRIER], s[Setting.INITIAL_BARRIER], 0.0
     begin(m, o, x0, s)
@@ -392,8 +392,10 @@ def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[i
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
+        if it == 0 and np.isfinite(cost):
+            size = max(1.0, abs(cost))
         it += 1
-        ended = direction_status(m, o, s, log, row, (cost, violation, largest, slope))
+        ended = direction_status(m, o, s, log, row, (cost, violation, largest, slope), size)
         if ended == AGAIN:
             continue
         if ended != GO_ON:

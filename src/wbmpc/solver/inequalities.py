@@ -66,6 +66,9 @@ from wbmpc.solver.memory_layout import (
 from wbmpc.solver.simd_batch import evaluate_rows, load_block, take_rows_of_lane
 from wbmpc.solver.stages import row_index, stage_end
 
+#: Of a sum, as a share of its largest part.
+ROUNDING = 1e-15
+
 
 # ---------------------------------------------------------------------- all rows of a node
 @compiled
@@ -260,7 +263,9 @@ def rows_step(m: Floats, o: Integers, tau: float) -> None:
             dual = np.maximum(dual, np.where(hard, fall, 0.0))
             slope = slope + w * np.where(hard, rise, 0.0)
             closed = penalty < np.inf
-            product = np.maximum(product, np.where(hard, np.maximum(l * t, np.where(closed, y * s, 0.0)), 0.0))
+            # y is a difference of numbers of the penalty's size
+            of_slack = np.where(closed, (y - ROUNDING * penalty) * s, 0.0)
+            product = np.maximum(product, np.where(hard, np.maximum(l * t, of_slack), 0.0))
             slack = np.where(closed, s, 0.0)
             residual = np.maximum(residual, np.where(hard, abs(h + slack - t), 0.0))
             following = np.where(hard, l + dl, l)

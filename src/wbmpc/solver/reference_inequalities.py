@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.ocp.constraint_classification import Kind, RowGroup
+from wbmpc.solver.inequalities import ROUNDING
 
 
 class RowState:
@@ -129,7 +130,7 @@ class RowState:
         """Largest complementarity product and primal residual."""
         with np.errstate(invalid="ignore"):
             product = np.where(self.hard, self.l * self.t, 0.0)
-            product = np.maximum(product, np.where(self.soft, (self.penalty - self.l) * self.s, 0.0))
+            product = np.maximum(product, np.where(self.soft, ((1.0 - ROUNDING) * self.penalty - self.l) * self.s, 0.0))
         other = np.where(self.equal, np.abs(self.h), np.abs(np.minimum(self.h, self.l / self.penalty)))
         primal = np.where(self.hard, np.abs(self.h + self.s - self.t), other)
         return float(np.max(product[self.counts], initial=0.0)), float(np.max(primal[self.counts], initial=0.0))

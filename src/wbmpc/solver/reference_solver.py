@@ -49,6 +49,7 @@ class _Progress:
     last_residual: float = np.inf
     bias: float = 0.0
     shift: float = 0.0
+    size: float = 1.0
 
 
 class InterpretedSolver(InterpretedDirections):
@@ -206,7 +207,9 @@ class InterpretedSolver(InterpretedDirections):
         if not np.isfinite([cost, violation, s["slope"]]).all():
             return NOT_FINITE
         self.ws.state[[StateField.COST, StateField.VIOLATION]] = row[:2]
-        if abs(cost) > THRESHOLDS.divergence or size > THRESHOLDS.divergence:
+        if run.count == 1:
+            run.size = max(1.0, abs(cost))
+        if max(abs(cost), size) > THRESHOLDS.divergence * run.size:
             return DIVERGED
         feasible = max(violation, residual) <= c.feasibility
         moved = max((np.abs(s[d]) / (1.0 + np.abs(z))).max() for d, z in (("dx", self.ws.x), ("du", self.ws.u)))

@@ -182,9 +182,9 @@ def linearise_end(m: Floats, o: Integers) -> tuple[float, float]:
 
 @compiled
 def symmetrise(m: Floats, o: Integers) -> None:
-    """Mirror the value function: an antisymmetric rounding error would grow with the open loop's unstable modes."""
+    """Mirror the value function, its gradient too: an antisymmetric rounding error would grow with the open loop's unstable modes."""
     value, lx = o[VALUE], o[LX]
-    for i in range(o[NX]):
+    for i in range(o[NX] + 1):
         for j in range(i):
             m[value + j * lx + i] = m[value + i * lx + j]
 
