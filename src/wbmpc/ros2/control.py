@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
+from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.base_adapter import BaseAdapter, LegCommands
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
@@ -59,6 +60,7 @@ class ControlNode:
         elif settings.use_sim_time:
             self.clock = BusClock()
         self.runner: RealTimeRunner | None = None
+        self._limit = RateLimit()
         self.rosout = Rosout(node, settings.node, self.now, self.yield_to_controller)
         try:
             self._open()
@@ -114,11 +116,11 @@ class ControlNode:
             self._stand()
         self._take_up()
         self.yield_to_controller()
-        self.adapter.inspect()
-        self._move_legs()
-        self._lead()
-        self.health.update()
-        self.publishers.publish()
+        for look in (self.adapter.inspect, self._move_legs, self._lead, self.health.update, self.publishers.publish):
+            try:
+                look()
+            except Exception as error:  # of what is beside the control of a robot that may be moving
+                self._limit.log(_LOG, logging.ERROR, str(look), f"{look.__qualname__}: {error_message(error)}")
         if self.state != self._logged:
             self._logged = self.state
             if self.runner is None or not self.runner.stopped:  # a stop is reported by the runner
