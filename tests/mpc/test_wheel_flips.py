@@ -141,7 +141,7 @@ def test_a_base_that_goes_round_does_not_stop_for_its_wheels() -> None:
         table[:, layout[group]] = values
         mpc.reference[name] = Reference(t, table)
     position, orientation = MODEL.pose(MODEL.home)
-    mpc.reference["hand"] = Reference.poses(np.zeros(1), position[None], orientation[None])
+    mpc.reference["end_effector"] = Reference.poses(np.zeros(1), position[None], orientation[None])
     mpc.reset(MODEL.home)
     x, turned_about = MODEL.home.copy(), set()
     for k in range(450):

@@ -193,11 +193,15 @@ def test_a_camera_without_a_direction_is_rejected(change: dict[str, Any]) -> Non
 
 
 def test_a_camera_that_cannot_be_moved_stays() -> None:
+    tried = []
+
     class Camera:
         def __setattr__(self, name: str, value: Any) -> None:
+            tried.append(name)
             raise ValueError("Camera look_at cannot equal position (zero look distance).")
 
     _aim(SimpleNamespace(camera=Camera(), atomic=nullcontext), np.zeros(3), np.ones(3))  # type: ignore[arg-type]
+    assert tried == ["position"]
 
 
 def test_what_is_answered_to_a_slider_is_short() -> None:

@@ -62,11 +62,11 @@ def stability(
 
 def _numbers(option: str, text: str, sizes: tuple[int, ...]) -> list[float]:
     """Finite numbers of an option, separated by commas or blanks."""
-    wanted = " or ".join(map(str, sizes))
+    valid = " or ".join(map(str, sizes))
     try:
         values = [float(v) for v in text.replace(",", " ").split()]
     except ValueError:
-        raise InputError(f"{option}: {wanted} numbers are needed, got '{text}'") from None
+        raise InputError(f"{option}: {valid} numbers are needed, got '{text}'") from None
     if len(values) not in sizes or not all(map(math.isfinite, values)):
-        raise InputError(f"{option}: {wanted} finite numbers are needed, got '{text}'")
+        raise InputError(f"{option}: {valid} finite numbers are needed, got '{text}'")
     return values

@@ -113,26 +113,26 @@ class WheelCalibration:
     def load(cls, path: Path | str, geometry: ModuleGeometry, modules: list[str]) -> WheelCalibration:
         """Read such a file; keys that are left out are the description's, and without ``correlation`` errors are independent.
         Raises :class:`InputError` naming the key."""
-        rows, given = _read(Path(path), modules)
+        rows, correlation = _read(Path(path), modules)
         value = lambda key, default: np.array([_number(path, n, key, rows[n].get(key, default)) for n in modules])
         std = np.concatenate([value("steer_offset_std", 0.0), value("wheel_radius_std", 0.0)])
         radius = value("wheel_radius", geometry.wheel_radius)
         if (radius <= 0.0).any() or (std < 0.0).any():
             raise InputError(f"{path}: radii must be positive, standard deviations must not be negative")
-        covariance = np.outer(std, std) * _correlation(path, given, list(rows), modules)
+        covariance = np.outer(std, std) * _correlation(path, correlation, list(rows), modules)
         return cls(value("steer_offset", 0.0), value("leg_offset", 0.0), radius, covariance)
 
 
 _KEYS = ("steer_offset", "leg_offset", "wheel_radius", "steer_offset_std", "wheel_radius_std")
 
 
-def _correlation(path: Path | str, given: object, order: list[str], modules: list[str]) -> Array:
+def _correlation(path: Path | str, matrix: object, order: list[str], modules: list[str]) -> Array:
     """What a file gives (2n, 2n) with its modules in their ``order``, for ``modules``; independent errors for None."""
     n = len(modules)
-    if given is None:
+    if matrix is None:
         return np.eye(2 * n)
     try:
-        values = np.asarray(given, float)
+        values = np.asarray(matrix, float)
     except (TypeError, ValueError):
         values = np.zeros(0)
     right = values.shape == (2 * n, 2 * n) and np.isfinite(values).all() and np.allclose(values, values.T, atol=1e-6)

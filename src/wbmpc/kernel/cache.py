@@ -32,9 +32,9 @@ class UntrustedCache(KernelError):
 
 def cache_directory() -> Path:
     """Where compiled code is kept: $WBMPC_CACHE_DIR, else $XDG_CACHE_HOME/wbmpc, else ~/.cache/wbmpc."""
-    given = os.environ.get("WBMPC_CACHE_DIR")
-    if given:
-        return Path(given).expanduser()
+    directory = os.environ.get("WBMPC_CACHE_DIR")
+    if directory:
+        return Path(directory).expanduser()
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "wbmpc"
 

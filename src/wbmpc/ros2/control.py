@@ -27,7 +27,7 @@ from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.rosout import Rosout
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.trajectory_client import Trajectories
-from wbmpc.ros2.tuning import parameters_of
+from wbmpc.ros2.tuning import Tuning
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings, SafeStop
@@ -90,7 +90,8 @@ class ControlNode:
         self.wrench = np.zeros(6)
         self.health = Health(self)
         self.publishers = Publishers(node, self)
-        node.offer(parameters_of(self.adapter, settings))
+        self.tuning = Tuning(self.adapter, settings)
+        node.offer(self.tuning.parameters)
 
     # ------------------------------------------------------------------ life
     def spin(self, ended: Callable[[], bool]) -> None:
@@ -107,6 +108,7 @@ class ControlNode:
     def step(self) -> None:
         """One look: goals, start and stop, messages."""
         self.node.work()
+        self.tuning.update()
         self._watch()
         if not self.running:
             self._stand()
@@ -459,12 +461,12 @@ class ControlNode:
 
     def rejected(self) -> dict[str, str]:
         """What was rejected, and why: goals, commands for the legs, poses; until one is taken again. And speeds that are limited."""
-        worker_commands = self.legs.rejected if self.legs is not None else ""
-        said = {
+        leg_commands = self.legs.rejected if self.legs is not None else ""
+        reasons = {
             "rejected": self.request_queue.rejected,
-            "rejected command for the legs": worker_commands,
+            "rejected command for the legs": leg_commands,
             "rejected pose": self.source.fault,
         }
-        said["legs stopped short"] = self.legs.short if self.legs is not None else ""
-        said["limited speed"] = self.request_queue.limited
-        return {key: why for key, why in said.items() if why}
+        reasons["legs stopped short"] = self.legs.short if self.legs is not None else ""
+        reasons["limited speed"] = self.request_queue.limited
+        return {key: why for key, why in reasons.items() if why}

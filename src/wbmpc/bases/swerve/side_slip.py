@@ -21,8 +21,8 @@ class SideSlip:
 
     def update(self, leg: np.ndarray, steer: np.ndarray, u: np.ndarray) -> None:
         """Under leg angles ``leg`` (n), planned steering angles ``steer`` (n) [rad] and the input u (nu)."""
-        geometry, given = self._geometry, self._input
-        v = wheel_velocities(geometry, leg, u[given["base"]], u[given["leg"]] if "leg" in given else 0.0)
+        geometry, inputs = self._geometry, self._input
+        v = wheel_velocities(geometry, leg, u[inputs["base"]], u[inputs["leg"]] if "leg" in inputs else 0.0)
         heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
         side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
         self.left = np.where(np.abs(side) > SLIPS_AT, SLIPS_FOR, np.maximum(self.left - self._period, 0.0))

@@ -93,7 +93,7 @@ class _Run:
         mpc = swerve_mpc(robot, s.mpc, s.cost, SteeringGuess(robot, mission.preview))
         mission.set(mpc, robot, home, duration + s.mpc.horizon)
         t = np.arange(0.0, duration, 0.1)
-        mpc.reference["hand"] = Reference.poses(t, *riding(robot, home, mission.base(t)[0]))
+        mpc.reference["end_effector"] = Reference.poses(t, *riding(robot, home, mission.base(t)[0]))
         brakes = BrakeControl(robot, delay=s.plant.brake_delay, changed=mpc.set_schedule)
         mission.apply(brakes)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)

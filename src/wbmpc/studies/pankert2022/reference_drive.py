@@ -90,7 +90,7 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     geometry, home = robot.base.geometry, robot.state.split(robot.home)
     leg, steer = home.get("leg", np.zeros(geometry.modules)), home["steer"]
     part = robot.state["steer"]
-    least, maximum = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
+    minimum, maximum = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
     closed, ramp = np.zeros(geometry.modules), s.speed / ACCELERATION
     phases = [_Phase(s.settle_time, steer, np.zeros(3), 0.0, closed)]
     opening, strokes = max(OPENING, s.plant.brake_delay + SURE), _strokes(geometry, leg, s)
@@ -98,7 +98,7 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     reject_directions(robot, np.arange(len(strokes)), np.array([twist for twist, _ in strokes]), legs, 0.0 * legs)
     for k, (twist, length) in enumerate(strokes * s.rounds):
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
-        target = target - np.pi * (target > maximum) + np.pi * (target < least)
+        target = target - np.pi * (target > maximum) + np.pi * (target < minimum)
         turning = float(np.abs(target - steer).max()) / STEER_SPEED + 1.0
         steer, brake = target, closed if twist[2] or not s.open_brakes else _opened(geometry, leg, k)
         phases += [

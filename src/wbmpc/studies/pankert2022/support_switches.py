@@ -132,10 +132,10 @@ def support_switches(
     return found
 
 
-def _checked_stance(given: tuple[Array, Array, Array], feet: int, times: int) -> tuple[Array, Array, Array]:
+def _checked_stance(stance: tuple[Array, Array, Array], feet: int, times: int) -> tuple[Array, Array, Array]:
     """Feet (n, 2), points (k, 2) and forces (k,) of finite numbers, or :class:`InputError`."""
     needed = {"feet": (feet, 2), "zero-moment points": (times, 2), "forces": (times,)}
-    arrays = [np.asarray(values, float) for values in given]
+    arrays = [np.asarray(values, float) for values in stance]
     for (name, shape), values in zip(needed.items(), arrays, strict=True):
         if values.shape != shape or not np.isfinite(values).all():
             raise InputError(f"stance: {name}: finite numbers of shape {shape} are needed, got {values.shape}")

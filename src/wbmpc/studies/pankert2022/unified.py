@@ -113,7 +113,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     mpc = MPC(_problem(robot, home, settings), settings.mpc.solver(), settings.mpc.rate, guess=guess)
     mission.set(mpc, robot, home, duration)
     t = np.arange(0.0, duration + 0.02, 0.02)
-    mpc.reference["hand"] = Reference.poses(t, np.array(HOLD) + approach.offset(t)[0], approach.offset(t)[1])
+    mpc.reference["end_effector"] = Reference.poses(t, np.array(HOLD) + approach.offset(t)[0], approach.offset(t)[1])
     brakes = BrakeControl(robot, delay=settings.plant.brake_delay, changed=mpc.set_schedule)
     mission.apply(brakes)
     plant = SwervePlant(robot.description, robot.state.split(home), settings.plant, seed)

@@ -147,10 +147,10 @@ class WheelFlipGuess(SteeringGuess):
 
     def __init__(self, robot: RobotModel, preview: Preview) -> None:
         super().__init__(robot, preview)
-        state, given = robot.state, robot.input
-        self._fastest = float(np.min(robot.limits.input_upper[given["steer"]]))
+        state, inputs = robot.state, robot.input
+        self._fastest = float(np.min(robot.limits.input_upper[inputs["steer"]]))
         self._angle = np.arange(state.size)[state["steer"]]  # places in state and input
-        self._rate, self._roll = (np.arange(given.size)[given[g]] for g in ("steer", "wheel"))
+        self._rate, self._roll = (np.arange(inputs.size)[inputs[g]] for g in ("steer", "wheel"))
         self.turns: tuple[Turn, ...] = ()
         self._references: References | dict[str, Reference] = {}
         self._lifted: tuple[Turn, ...] | None = None
@@ -297,10 +297,10 @@ class WheelFlipGuess(SteeringGuess):
         x[later, j] = angles[later]
         first = max(int(np.searchsorted(nodes, start)) - 1, 0)
         u[first:, self._rate[wheel]] = (np.diff(x[:, j]) / np.diff(nodes))[first:]
-        given, g = self.robot.input, self.robot.base.geometry
+        inputs, g = self.robot.input, self.robot.base.geometry
         for k in range(first, len(u)):
             leg, steer = self._angles(x[k])
-            v = wheel_velocities(g, leg, u[k, given["base"]])[wheel]
+            v = wheel_velocities(g, leg, u[k, inputs["base"]])[wheel]
             heading = (g.wheel_heading + g.leg_angles(leg) + steer)[wheel]
             u[k, self._roll[wheel]] = (v[0] * np.cos(heading) + v[1] * np.sin(heading)) / g.wheel_radius
 

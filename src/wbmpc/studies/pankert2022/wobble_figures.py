@@ -102,11 +102,11 @@ def _rates(log: Log, height: float) -> dict[str, Metric]:
         t = log.times(f"rate_{key}")
         true[name] = float(np.linalg.norm(log.array(f"rate_{key}"), axis=1)[t >= 0.0].max())
         imu[name] = float(_filtered(log.array(f"gyro_{key}"), t < 0.0)[t >= 0.0].max())
-    least = min(true["H"], true["X"]) / true["A"]
+    minimum = min(true["H"], true["X"]) / true["A"]
     return {
         **{f"roll_pitch_rate_max_{n}": Metric(v, "rad/s") for n, v in true.items()},
         **{f"imu_rate_max_{n}": Metric(v, "rad/s") for n, v in imu.items()},
-        "roll_pitch_rate_ratio": Metric(least, "1", paper=10.0, least=1000.0),
+        "roll_pitch_rate_ratio": Metric(minimum, "1", paper=10.0, least=1000.0),
     }
 
 
