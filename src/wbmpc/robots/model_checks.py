@@ -84,8 +84,12 @@ def check_meshes(subject: Subject) -> Iterator[Finding]:
 def check_inertias(subject: Subject) -> Iterator[Finding]:
     """Masses and inertias that no link can have."""
     needed = subject.description is not None and subject.description.base.uses_inertia
+    groups: dict[str, list[Finding]] = {}
     for finding in subject.mechanism.mended:
-        yield replace(finding, severity="error", check="") if needed else finding
+        groups.setdefault(finding.text, []).append(finding)
+    for alike in groups.values():
+        first, names = alike[0], [f.where.removeprefix("link ").strip("'") for f in alike]
+        yield replace(first, severity="error" if needed else "warning", where=_several("link", names))
 
 
 def check_world(subject: Subject) -> Iterator[Finding]:
@@ -292,9 +296,13 @@ def _bottoms(wheels: Sequence[Wheel]) -> list[float]:
     return [float(w.center[2]) - w.radius for w in wheels if w.radius is not None]
 
 
-def _joints(names: Sequence[str]) -> str:
+def _several(kind: str, names: Sequence[str]) -> str:
     shown = ", ".join(f"'{n}'" for n in names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-    return f"joint {shown}" if len(names) == 1 else f"joints {shown}"
+    return f"{kind} {shown}" if len(names) == 1 else f"{kind}s {shown}"
+
+
+def _joints(names: Sequence[str]) -> str:
+    return _several("joint", names)
 
 
 #: Name -> check, in the order in which they are reported.
