@@ -23,6 +23,8 @@ from wbmpc.robots.model_checks import Subject
 WORKING_HEIGHT = 0.8
 #: Speeds [rad/s], [m/s] of arm joints for which a file has none; of the base [m/s].
 TURN, SLIDE, BASE_SPEED = 2.0, 0.2, 1.0
+#: An arm's joint has its largest speed after this time [s].
+START = 1.0 / 3.0
 
 
 @dataclass
@@ -82,7 +84,8 @@ def make_draft(mechanism: Mechanism) -> Draft:
 
 # ---------------------------------------------------------------------- what follows from the choices
 def body_of(draft: Draft) -> str:
-    """The body that carries arm and wheels; of a base that does not move the one that stands in the world."""
+    """The highest body that is fixed to the one which carries arm and wheels; of a base that does not move the one that stands in the
+    world."""
     mechanism = draft.mechanism
     arm = mechanism.path(mechanism.parent(mechanism.joints[draft.arm.joints[0]].body))
     if not base_type(draft.base).Description.moves:
@@ -96,7 +99,9 @@ def body_of(draft: Draft) -> str:
         raise InputError(
             f"{mechanism.file.path}: wheels and arm have no common body but the world: no body is the base's"
         )
-    return common[-1]
+    carrier = draft.mechanism.model.body(common[-1])
+    weld = draft.mechanism.model.body_weldid
+    return next(b for b in common[1:] if weld[draft.mechanism.model.body(b).id] == weld[carrier.id])
 
 
 def held_joints(draft: Draft, body: str) -> dict[str, float]:
@@ -137,6 +142,11 @@ def limits_of(draft: Draft) -> tuple[dict[str, float], list[str]]:
     return {n: round(v, 4) for n, v in speeds.items()}, assumed
 
 
+def accelerations_of(draft: Draft, speeds: Mapping[str, float]) -> dict[str, float]:
+    """By joint [rad/s² or m/s²]: the base type's, and an arm's by its speeds."""
+    return {**draft.proposal.acceleration, **{n: round(speeds[n] / START, 3) for n in draft.arm.joints}}
+
+
 def base_speed(draft: Draft) -> float | None:
     """Largest speed [m/s] of a base on wheels, as they can; None where its type has no such limit."""
     if "base_linear" not in base_type(draft.base).Description.limit_keys:
@@ -165,7 +175,7 @@ def description_of(
         "arm": {"joints": list(draft.arm.joints), "tool": draft.tool},
         "fixed_joints": held,
         "home": home.angles,
-        "limits": {**limits, "velocity": speeds},
+        "limits": {**limits, "velocity": speeds, "acceleration": accelerations_of(draft, speeds)},
     }
     return {key: value for key, value in data.items() if value != {}}, home
 

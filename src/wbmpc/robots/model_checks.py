@@ -105,6 +105,15 @@ def check_world(subject: Subject) -> Iterator[Finding]:
         )
 
 
+def check_body(subject: Subject) -> Iterator[Finding]:
+    """A base that hangs on another body, as base_link on base_footprint, cannot float in the simulator."""
+    base = None if subject.description is None else subject.description.base
+    above = subject.mechanism.path(base.body)[1:-1] if base is not None and base.moves else []
+    if base is not None and above:
+        text = f"'{base.body}' hangs on '{above[-1]}': it cannot be simulated, only planned for"
+        yield Finding("warning", "", "key 'base.body'", text, f"give 'base.body: {above[0]}'")
+
+
 # ---------------------------------------------------------------------- joints
 def check_names(subject: Subject) -> Iterator[Finding]:
     """Joints without a name, which no description can hold."""
@@ -307,7 +316,7 @@ def _joints(names: Sequence[str]) -> str:
 
 #: Name -> check, in the order in which they are reported.
 CHECKS: dict[str, Check] = {
-    "macros": check_macros, "meshes": check_meshes, "inertia": check_inertias, "world": check_world, "names": check_names,
+    "macros": check_macros, "meshes": check_meshes, "inertia": check_inertias, "world": check_world, "base-body": check_body, "names": check_names,
     "joint-types": check_kinds, "velocity": check_velocities, "range": check_ranges, "mimic": check_mimics, "telescope": check_telescopes,
     "home": check_home, "tool": check_tools, "steering": check_steering, "casters": check_casters, "level": check_levels,
     "wheel-radius": check_radii,
