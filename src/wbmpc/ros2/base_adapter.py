@@ -10,7 +10,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, Bound, Guess
+from wbmpc.mpc.guess import Bound, Guess
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.terms import Weight
 from wbmpc.ros2.bus import Node
