@@ -17,8 +17,8 @@ from wbmpc.mpc.statistics import Statistics
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.solver.events import one_jump
 from wbmpc.solver.solution import COLUMNS
-from wbmpc.solver.solver import one_jump
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
@@ -189,7 +189,7 @@ class MPC:
 
     def limit_violation_message(self) -> str:
         """A message that names the row, node and amount of that, and says whether the row's slack gives way."""
-        return self.solver.missed(self.solver.status(self._outcome[0]))
+        return self.solver.violation_message(self.solver.status(self._outcome[0]))
 
     @property
     def solve_time(self) -> float:
@@ -311,7 +311,7 @@ class MPC:
         """Which limit or equality the last plan misses so that it is not used; empty if none."""
         status = self.solver.status(self._outcome[0])
         rejected = status in (Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
-        return f"{status.value} ({self.solver.missed(status)})" if rejected else ""
+        return f"{status.value} ({self.solver.violation_message(status)})" if rejected else ""
 
     def _check(self, observation: Observation) -> None:
         if not np.isfinite(observation.t):
