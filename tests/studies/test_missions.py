@@ -116,8 +116,8 @@ def test_the_baseline_drives_and_reconfigures() -> None:
     out = legs + 0.2 * np.sign(legs)
     mission = Mission((Leg(1.0, 8.0, (1.5, 0.0, 0.0)),), legs, (Reconfiguration(3.0, out),), ((2.0, 1.0), (8.0, 0.0)))
     bench.baseline(mission, 10.0)
-    assert bench.log.array("rival.base")[-1] == pytest.approx([1.5, 0.0, 0.0], abs=0.02)
-    assert bench.log.array("rival.leg")[-1] == pytest.approx(out, abs=0.02)
+    assert bench.log.array("baseline.base")[-1] == pytest.approx([1.5, 0.0, 0.0], abs=0.02)
+    assert bench.log.array("baseline.leg")[-1] == pytest.approx(out, abs=0.02)
 
 
 @thorough
