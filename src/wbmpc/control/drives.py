@@ -36,8 +36,8 @@ class DryFriction:
         """From joints that turned by ``turned`` (n) [rad] in h [s], under the last command."""
         if h <= 0.0:
             return
-        lacks = (self._mean - turned / h) * np.sign(self._mean)
-        now = np.clip(self.droop + (1.0 - np.exp(-h / LEARNED_IN)) * (lacks - self.droop), 0.0, MAXIMUM)
+        reject_missing_part = (self._mean - turned / h) * np.sign(self._mean)
+        now = np.clip(self.droop + (1.0 - np.exp(-h / LEARNED_IN)) * (reject_missing_part - self.droop), 0.0, MAXIMUM)
         self.droop = np.where(np.abs(self._mean) > TURNS, now, self.droop)
 
     def command(self, target: Array, maximum: Array | float, step: Array | float) -> Array:

@@ -84,7 +84,7 @@ class BaseAdapter(Protocol):
     settings: RosSettings
     planner: Planner
     mpc: MPC
-    pending: Pending
+    pending: PendingChanges
     controller: Any
     must_keep_running: bool
     watches: str
@@ -117,7 +117,7 @@ class BaseAdapter(Protocol):
     def estimate(self) -> Estimate | None: ...
 
 
-class Pending:
+class PendingChanges:
     """A guess for the MPC that first puts new references, weights and modes into force: in its own thread, between two solves."""
 
     def __init__(self, then: Guess | None = None) -> None:

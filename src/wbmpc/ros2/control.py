@@ -19,7 +19,7 @@ from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.external_pose import ExternalPose
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.health import Health
-from wbmpc.ros2.interpreter import TURNS, control_priority, kept_for_ticks
+from wbmpc.ros2.interpreter import TURNS, control_priority, real_time_interpreter
 from wbmpc.ros2.leg_control import LegControl
 from wbmpc.ros2.localisation import POSE_AGE, PoseSource
 from wbmpc.ros2.planning import Planned, Planning, References
@@ -97,7 +97,7 @@ class ControlNode:
     def spin(self, ended: Callable[[], bool]) -> None:
         """Until ``ended()``; then the robot is brought to rest. Garbage is collected when it suits, and young only."""
         try:
-            with kept_for_ticks() as collect:
+            with real_time_interpreter() as collect:
                 while not ended():
                     self.step()
                     collect(self.yield_to_controller)

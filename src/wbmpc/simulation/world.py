@@ -248,7 +248,7 @@ class World:
         return {name: float(self.data.qvel[v]) for name, (_, v) in self._joints.items()}
 
 
-class InWorld:
+class WorldAccess:
     """What a plant hands on to its world: time, the fall, pushes."""
 
     world: World
@@ -269,7 +269,7 @@ class InWorld:
         return self.world.diverged
 
     @property
-    def why_fell(self) -> str:
+    def fall_reason(self) -> str:
         """What counts as the fall, in words; empty while there is none."""
         if not self.fell:
             return ""

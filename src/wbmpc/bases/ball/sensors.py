@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wbmpc import lie
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.errors import unknown_name
-from wbmpc.simulation.perturbation import Draw, Perturbation, quantise
+from wbmpc.simulation.perturbation import Perturbation, PlantSample, quantise
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
@@ -68,7 +68,7 @@ class BallSensors:
     """Called after every physics step; gives messages. ``mount`` (3) [m]: the inertial unit in base axes."""
 
     def __init__(
-        self, p: Perturbation, draw: Draw, wheels: WheelGeometry, mount: Array, timestep: float, jitter: int,
+        self, p: Perturbation, draw: PlantSample, wheels: WheelGeometry, mount: Array, timestep: float, jitter: int,
         rng: np.random.Generator,
     ) -> None:  # fmt: skip
         self._p, self._h, self._rng, self._jitter = p, timestep, rng, jitter

@@ -30,7 +30,7 @@ from wbmpc.stability import CONFIGURATIONS, corners
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import metrics, plots
 from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings, straight, tour
-from wbmpc.studies.pankert2022.mission import Mission, at_home, riding
+from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses
 from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
@@ -93,7 +93,7 @@ class _Run:
         mpc = swerve_mpc(robot, s.mpc, s.cost, SteeringGuess(robot, mission.preview))
         mission.set(mpc, robot, home, duration + s.mpc.horizon)
         t = np.arange(0.0, duration, 0.1)
-        mpc.reference["end_effector"] = Reference.poses(t, *riding(robot, home, mission.base(t)[0]))
+        mpc.reference["end_effector"] = Reference.poses(t, *carried_poses(robot, home, mission.base(t)[0]))
         brakes = BrakeControl(robot, delay=s.plant.brake_delay, changed=mpc.set_schedule)
         mission.apply(brakes)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)
