@@ -83,7 +83,7 @@ def planar(position: Array, orientation: Array) -> Array:
     return np.array([position[0], position[1], yaw])
 
 
-def nearest_turn(yaw: float, to: float) -> float:
+def nearest_angle(yaw: float, to: float) -> float:
     """The angle [rad] of the same direction that is nearest to another one."""
     return to + (yaw - to + np.pi) % (2.0 * np.pi) - np.pi
 
