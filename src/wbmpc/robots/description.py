@@ -279,7 +279,7 @@ def _section(location: tuple[int | str, ...], data: dict[str, Any]) -> type[Base
         if not isinstance(key, str):
             continue
         if model is RobotDescription and key == "base":
-            model = base_type(data["base"]["type"]).Description
+            model = base_type(str(data["base"]["type"])).Description  # before its own check: YAML's ``yes`` is none
         else:
             model = _model_of(model.model_fields[key].annotation) or model
     return model
