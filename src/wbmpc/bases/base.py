@@ -227,7 +227,7 @@ class System:
     the plant's ``description``, MuJoCo's ``model`` and ``data``, ``world.frames(height)`` (see :class:`wbmpc.simulation.world.World`),
     ``push(force)`` (3) [N] on the base and ``arrange(x)``, which puts the bodies where a state (nx) has them; the controller's
     ``robot``, ``state()`` (nx) and ``stop()``, and ``base_pose()`` (7) where it has an estimate of the base. Of references a view
-    moves "hand" (poses of the end effector) and "state" (nx), where the MPC has them.
+    moves "end_effector" (poses of the end effector) and "state" (nx), where the MPC has them.
     """
 
     plant: Any

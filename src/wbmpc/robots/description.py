@@ -250,9 +250,9 @@ def _first_fault(error: ValidationError, data: dict[str, Any]) -> str:
         return fault["msg"].removeprefix("Value error, ") + more
     if fault["type"] == "base_type":
         return f"key '{key}.type': {fault['msg']}{more}"
-    given = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
+    got = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
     text = fault["msg"].removeprefix("Value error, ")
-    return f"key '{key}': {text[0].lower()}{text[1:]}{given}{more}"
+    return f"key '{key}': {text[0].lower()}{text[1:]}{got}{more}"
 
 
 def _reject_truths(value: Any, where: Path, data: dict[str, Any], location: tuple[int | str, ...] = ()) -> None:

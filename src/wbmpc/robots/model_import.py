@@ -114,10 +114,10 @@ def widen(spec: mujoco.MjSpec, position: dict[str, tuple[float, float]], path: o
     for joint in spec.joints:
         if joint.name not in position or not model.jnt_limited[joint.id]:
             continue
-        (low, high), (least, maximum) = position[joint.name], model.jnt_range[joint.id]
-        if low < least or high > maximum:
+        (low, high), (minimum, maximum) = position[joint.name], model.jnt_range[joint.id]
+        if low < minimum or high > maximum:
             turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
-            stops = np.array([min(low, least), max(high, maximum)])
+            stops = np.array([min(low, minimum), max(high, maximum)])
             joint.range = np.rad2deg(stops) if turns else stops
 
 

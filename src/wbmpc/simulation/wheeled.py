@@ -94,6 +94,12 @@ class WheeledPlant(InWorld):
         self.offsets = offsets
         self._counts = {g: p.arm_counts if g == "arm" else p.encoder_counts for g in self._names}
         self._offsets = np.concatenate([offsets[g] for g in self._names])
+        ends = np.cumsum([len(part) for part in self._names.values()]).tolist()
+        #: where each group is among all joints
+        self._parts = {g: slice(end - len(p), end) for (g, p), end in zip(self._names.items(), ends, strict=True)}
+        counts = np.concatenate([np.full(len(p), self._counts[g]) for g, p in self._names.items()])
+        self._exact = counts == 0
+        self._count = 2.0 * np.pi / np.where(self._exact, 1, counts)
         self._bias = {"gyro": draw.gyro_bias.copy(), "accel": draw.accel_bias.copy()}
         self._density = {"gyro": (p.gyro_noise, p.gyro_walk), "accel": (p.accel_noise, p.accel_walk)}
         self._ages = round(p.encoder_jitter / self.timestep)
@@ -122,6 +128,11 @@ class WheeledPlant(InWorld):
         """Positions of all joints by group, with their zero errors, all of one age up to the jitter, before they are quantised."""
         age = int(self._noise.integers(0, self._ages + 1))
         return np.asarray(self._history[max(len(self._history) - 1 - age, 0)] + self._offsets)
+
+    def quantised(self, angles: Array) -> Array:
+        """Angles of all joints [rad] as their encoders report them."""
+        read: Array = np.rint(angles / self._count) * self._count
+        return np.where(self._exact, angles, read) if self._exact.any() else read
 
     def inertial(self) -> dict[str, Array]:
         """ "gyro" [rad/s] and "accel" [m/s²] (3 each) with walking biases and the noise of a sample that stands for the time since the

@@ -28,8 +28,8 @@ class PlanarBaseDescription(BaseDescription):
 
     def radii(self) -> list[Radius]:
         """Of every wheel, where the section gives it."""
-        given = self.wheel_radius
-        return [] if given is None else [Radius("base.wheel_radius", given, "wheel", name) for name in self.wheels]
+        radius = self.wheel_radius
+        return [] if radius is None else [Radius("base.wheel_radius", radius, "wheel", name) for name in self.wheels]
 
     @model_validator(mode="after")
     def _every_wheel_once(self) -> Self:

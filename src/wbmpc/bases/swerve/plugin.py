@@ -15,7 +15,7 @@ from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
-    from wbmpc.bases.swerve.calibration_log import SwerveCalibrator
+    from wbmpc.bases.swerve.calibrator import SwerveCalibrator
     from wbmpc.bases.swerve.plant import SwervePlant
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
@@ -76,6 +76,6 @@ class SwerveBaseType(BaseType):
 
     def calibrator(self, robot: RobotModel) -> SwerveCalibrator:
         """From encoders, gyro and global poses."""
-        from wbmpc.bases.swerve.calibration_log import SwerveCalibrator
+        from wbmpc.bases.swerve.calibrator import SwerveCalibrator
 
         return SwerveCalibrator(robot)

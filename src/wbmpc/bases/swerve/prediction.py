@@ -73,8 +73,8 @@ class SwervePrediction:
 
     def _move(self, x: Array, u: Array, h: float, brake: Array) -> None:
         """Integrate input rates u over h [s] into the state x, in place; the planned steering has no lag."""
-        state, given = self.robot.state, self.robot.input
-        x[state["base"]] = lie.se2_step(x[state["base"]], u[given["base"]] * h)
+        state, inputs = self.robot.state, self.robot.input
+        x[state["base"]] = lie.se2_step(x[state["base"]], u[inputs["base"]] * h)
         for group in ("leg", "steer", "wheel", "arm"):
             if group in state:
-                x[state[group]] += u[given[group]] * (brake * h if group == "leg" else h)
+                x[state[group]] += u[inputs[group]] * (brake * h if group == "leg" else h)

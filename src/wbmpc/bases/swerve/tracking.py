@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
-from wbmpc.bases.swerve.wheel_flip import SideSlip
+from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.checks import not_negative
 from wbmpc.control.drives import DryFriction
 from wbmpc.model.robot import RobotModel
@@ -85,19 +85,19 @@ class SwerveTracking:
         self, t: float, policy: Policy, estimator: SwerveEstimator, brake: Array
     ) -> tuple[SwerveCommand, Array]:
         """Drive speeds at t [s] under ``brake`` (n, 1 = open), and the rates (n) [rad/s] of legs that go with them."""
-        given = self.robot.input
+        inputs = self.robot.input
         planned, error = self._steering_error(t, policy, estimator)
         u = self.held(policy.feedforward(t + self.settings.lag))
         if self.side_slip is not None:
             self.side_slip.update(estimator.hinge_angles, planned, u)
-        u[given["steer"]] = self._steer(u[given["steer"]], error)
+        u[inputs["steer"]] = self._steer(u[inputs["steer"]], error)
         self.target = u
         self.sent = sent = self.reachable(self.sent, u, brake)
         self.drives.follow(sent)
         wheel, excess = self._scaled_wheels(sent)
-        legs = sent[given["leg"]] * min(1.0, 1.0 / max(excess, 1e-12)) if "leg" in given else np.zeros(0)
-        self._drive_arm(sent[given["arm"]])
-        wheel, steer = self._driven("wheel", wheel), self._driven("steer", sent[given["steer"]])
+        legs = sent[inputs["leg"]] * min(1.0, 1.0 / max(excess, 1e-12)) if "leg" in inputs else np.zeros(0)
+        self._drive_arm(sent[inputs["arm"]])
+        wheel, steer = self._driven("wheel", wheel), self._driven("steer", sent[inputs["steer"]])
         return SwerveCommand(wheel, steer, self.arm.command, brake), legs
 
     def _steering_error(self, t: float, policy: Policy, estimator: SwerveEstimator) -> tuple[Array, Array]:
@@ -128,8 +128,8 @@ class SwerveTracking:
 
     def _drive_arm(self, sent: Array) -> None:
         """The arm's commands: without the sag, within limits of speed and acceleration."""
-        limits, given = self.robot.limits, self.robot.input["arm"]
-        limit, change = limits.input_upper[given], limits.input_rate[given]
+        limits, part = self.robot.limits, self.robot.input["arm"]
+        limit, change = limits.input_upper[part], limits.input_rate[part]
         arm = np.clip(sent - self.arm.sag, -limit, limit)
         last = self.arm.command
         self.arm.follow(last + np.clip(arm - last, -change * self.period, change * self.period))
@@ -156,10 +156,10 @@ class SwerveTracking:
         All but the steering goes the same share of it: one wheel that lags behind would drag the others. The steering goes as
         fast as it can: it follows planned angles. A closed brake stops its leg as hard as it likes.
         """
-        given = self.robot.input
+        inputs = self.robot.input
         step, maximum = u - sent, self.robot.limits.input_rate * self.period
-        if "leg" in given:
-            maximum[given["leg"]] = np.where(brake > 0.5, maximum[given["leg"]], np.inf)
+        if "leg" in inputs:
+            maximum[inputs["leg"]] = np.where(brake > 0.5, maximum[inputs["leg"]], np.inf)
         excess = np.maximum(np.abs(step) / maximum, 1.0)
         excess[self._together] = excess[self._together].max()
         return sent + step / excess
