@@ -3,7 +3,9 @@ the files written here."""
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -172,6 +174,36 @@ def test_options_instead_of_answers(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["new", str(path), "--yes", "--out", str(out), "--force", "--set", "limits.base_lineal=1"]) == 2
     assert "did you mean 'limits.base_linear'" in capsys.readouterr().err
     assert "wheel_radius" not in before  # the shapes show it
+
+
+class Terminal(io.StringIO):
+    """Somebody who answers."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_questions_on_a_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wheels of meshes: base type, radius, rollers, tool and height are asked, each with its proposal; an empty answer takes it."""
+    shape = '<geometry><cylinder radius="0.1" length="0.04"/></geometry>'
+    path = model(tmp_path, MECANUM.replace(shape, '<geometry><mesh filename="w.stl"/></geometry>') + ARM)
+    monkeypatch.setattr(sys, "stdin", Terminal("\n[-45, 45, 45, -45]\n0.098\npalm\n\n"))
+    out = tmp_path / "asked.yaml"
+    assert main(["new", str(path), "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    for question in (
+        "base type [omnidirectional]",
+        "radius of the wheels [m] [0.1]",
+        "rollers",
+        "frame of the end effector",
+        "height of",
+    ):
+        assert shown.count(question) == 1, shown
+    d = load_robot(out).description
+    assert d.base.model_dump()["wheel_radius"] == 0.098 and d.base.model_dump()["rollers"] == (-45.0, 45.0, 45.0, -45.0)
+    assert d.arm.tool == "palm"
 
 
 def found(path: Path, check: str) -> str:

@@ -193,6 +193,8 @@ def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel) -> Iterato
         "" if home.free is not False else "; shapes touch there"
     )
     yield f"  held: {', '.join(robot.description.fixed_joints) or 'none'}"
+    if draft.subject.driven and not robot.description.base.moves:
+        yield f"  note: its wheels stand still; why no base type drives them: wbmpc doctor {draft.mechanism.file.path}"
     found = examine_robot(str(path))
     yield f"  wbmpc doctor {path}: {found.count('error')} errors, {found.count('warning')} warnings"
     shown = draft.base in offering("system")
