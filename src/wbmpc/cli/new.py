@@ -134,12 +134,15 @@ def _write(path: Path, data: dict[str, Any], draft: Draft, home: Home) -> RobotM
     from wbmpc.model.robot import load_robot
     from wbmpc.robots.robot_yaml import write_yaml
 
-    comments = _comments(draft, home)
+    comments, previous = _comments(draft, home), path.read_bytes() if path.exists() else None
     path.write_text(write_yaml(data, comments), encoding="utf-8")
     try:
         robot = load_robot(path)
-    except BaseException:
-        path.unlink()
+    except BaseException:  # what was there before stays
+        if previous is None:
+            path.unlink()
+        else:
+            path.write_bytes(previous)
         raise
     comments["limits"] += "\n" + _weights(robot)
     path.write_text(write_yaml(data, comments), encoding="utf-8")
