@@ -1,9 +1,10 @@
 """Late joiners: a node that has been up for minutes without multicast is found by processes that start then.
 
-Usage: python benchmarks/ros2_uptime.py [--seconds 120] [--every 40] [--range LOCALHOST|SUBNET] [--rclpy PYTHON]
+Usage: python benchmarks/ros2_uptime.py [--seconds 120] [--every 40] [--range LOCALHOST|SUBNET|LOCALHOST_ONLY|STATIC_PEERS] [--rclpy PYTHON]
 Every so often two processes join: one that looks for peers by itself, configured as rmw_cyclonedds configures Cyclone DDS, and
 one that does not, and has to be found. ``--rclpy``: an interpreter that imports rclpy of a ROS 2 installation; it joins too, with
-its own RMW, and takes a message. Each has to find the node within 10 s; one line for each, exit status 1 if one does not.
+its own RMW, and takes a message. ``LOCALHOST_ONLY`` and ``STATIC_PEERS`` set these variables, with the range SUBNET; in the range
+SUBNET alone one process joins, by multicast. Each has to find the node within 10 s; one line for each, exit status 1 if one does not.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import socket
 import subprocess
 import sys
 import time
@@ -32,6 +34,9 @@ number = int(os.environ["ROS_DOMAIN_ID"])
 inner = "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
 inner += '<Peers><Peer address="localhost"/></Peers>' if sys.argv[1] == "looks" else "<Peers AddLocalhost='false'/>"
 own = f"<General><AllowMulticast>false</AllowMulticast></General><Discovery>{inner}</Discovery>"
+own = "" if sys.argv[1] == "multicast" else own
+if sys.argv[1] == "is asked":  # its multicast goes elsewhere
+    own = "<Discovery><ParticipantIndex>auto</ParticipantIndex><Ports><MulticastMetaOffset>5</MulticastMetaOffset></Ports></Discovery>"
 domain = Domain(number, f"<CycloneDDS><Domain>{own}</Domain></CycloneDDS>")
 participant = DomainParticipant(number)
 reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
@@ -57,6 +62,24 @@ while time.monotonic() - begin < 10.0:
         break
 """
 
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+RANGES = {
+    "LOCALHOST": {_RANGE: "LOCALHOST"},
+    "SUBNET": {_RANGE: "SUBNET"},
+    "LOCALHOST_ONLY": {_RANGE: "SUBNET", "ROS_LOCALHOST_ONLY": "1"},
+    "STATIC_PEERS": {_RANGE: "SUBNET", "ROS_STATIC_PEERS": "OWN"},
+}
+
+
+def own_address() -> str:
+    """Of this machine in its network, or loopback; a peer that multicasts takes nothing that comes by loopback."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("198.51.100.1", 1))  # sends nothing
+        except OSError:
+            return "127.0.0.1"
+        return str(probe.getsockname()[0])
+
 
 def join(command: list[str], environment: dict[str, str]) -> str:
     """What a late joiner prints: after which time [s] it has found the node; empty if it has not."""
@@ -69,7 +92,7 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     parser.add_argument("--seconds", type=float, default=120.0, help="uptime of the node")
     parser.add_argument("--every", type=float, default=40.0, help="seconds between two rounds of joiners")
-    parser.add_argument("--range", default="LOCALHOST", choices=("LOCALHOST", "SUBNET"))
+    parser.add_argument("--range", default="LOCALHOST", choices=tuple(RANGES))
     parser.add_argument("--rclpy", default="", help="an interpreter that imports rclpy")
     return parser.parse_args()
 
@@ -80,11 +103,10 @@ def main() -> int:
     environment = {
         **os.environ,
         "ROS_DOMAIN_ID": str(random.SystemRandom().randrange(1, 100)),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": given.range,
+        **{k: own_address() if v == "OWN" else v for k, v in RANGES[given.range].items()},
     }
-    joiners = {n: [sys.executable, "-c", PARTICIPANT, n] for n in ("is found",)}
-    if given.range == "SUBNET":
-        joiners = {}  # what they are configured for is a bus without multicast
+    first = {"SUBNET": "multicast", "STATIC_PEERS": "is asked"}.get(given.range, "is found")
+    joiners = {first: [sys.executable, "-c", PARTICIPANT, first]}
     if given.rclpy:
         joiners["rclpy"] = [given.rclpy, "-c", RCLPY]
     if given.range != "SUBNET":  # the last one: whom it has found is looked for a while, wherever that was

@@ -84,7 +84,7 @@ def test_limits_of_wheels_hold_over_the_whole_plan(tmp_path: Path):
     robot = load_robot(tmp_path / "slow.yaml")
     mpc = planar_mpc(robot)
     position, orientation = robot.pose(robot.home)
-    mpc.reference["hand"] = Reference.poses([0.0], [position + [4.0, 2.0, 0.0]], orientation)
+    mpc.reference["end_effector"] = Reference.poses([0.0], [position + [4.0, 2.0, 0.0]], orientation)
     fastest = 0.0
     for k in range(10):
         policy = mpc.update(Observation(t=0.02 * k, x=robot.home))

@@ -101,7 +101,7 @@ def test_sideways_is_stationary_without_the_guess() -> None:
     goal = robot.home.copy()
     goal[robot.state["base"]] = [0.0, 1.0, 0.0]
     end_effector, orientation = robot.pose(robot.home)
-    solver.set_reference("hand", Reference.poses([0.0], [end_effector], orientation))
+    solver.set_reference("end_effector", Reference.poses([0.0], [end_effector], orientation))
     solver.set_reference("state", Reference.constant(goal))
     solver.set_reference("input", Reference.constant(np.zeros(robot.input.size)))
     solver.warm_start(robot.home)

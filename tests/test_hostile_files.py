@@ -31,6 +31,7 @@ from wbmpc.yaml_file import load_yaml, parse_yaml
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
 BAD_YAML = [
+    ("a: -0b1_1", r"line 1, key 'a': '-0b1_1' may be read as a binary number"),
     ("a:\n  b: 010", r"line 2, key 'a.b': '010' may be read as an octal number; write 10"),
     ("a: [1, 1:30]", r"line 1, key 'a.1': '1:30' may be read as a number to the base of 60"),
     ("a: 1\nb: 2\na: 3", r"line 3, key 'a': is there twice"),
@@ -170,7 +171,7 @@ def test_entities_are_an_error(name: str, tmp_path: Path) -> None:
 
 def test_a_comment_of_dashes_is_none(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM.format(top="<!-- a -- b -->", inside="", world=""))
-    load_description(_arm(tmp_path, "arm.xml"))
+    assert load_description(_arm(tmp_path, "arm.xml")).arm.joints == ("j",)
 
 
 def _arm(folder: Path, model: str) -> Path:
@@ -185,7 +186,7 @@ def test_the_wheels_radius_is_that_of_their_shapes(radius: float, fits: bool, tm
     path = write_base(tmp_path, 3, False)
     path.write_text(path.read_text().replace("wheel_radius: 0.08", f"wheel_radius: {radius}"))
     if fits:
-        load_description(path)
+        assert load_description(path).base.wheel_radius == radius
         return
     with pytest.raises(InputError, match=rf"key 'base.wheel_radius': {radius:g} m, but .* has a radius of 0.08 m"):
         load_description(path)
@@ -198,7 +199,7 @@ def test_without_round_shapes_nothing_can_be_said_of_the_radius(tmp_path: Path) 
         shapes.read_text().replace('type="ellipsoid" size="0.08 0.02 0.08"', 'type="box" size="0.01 0.02 0.01"')
     )
     path.write_text(path.read_text().replace("wheel_radius: 0.08", "wheel_radius: 0.2"))
-    load_description(path)
+    assert load_description(path).base.wheel_radius == 0.2
 
 
 def test_the_balls_radius_is_that_of_its_sphere(tmp_path: Path) -> None:

@@ -33,9 +33,9 @@ class OnlyWith:
     """
 
     def __init__(self, choices: Mapping[str, Any] | None = None, **more: Any) -> None:
-        given = {**(choices or {}), **more}
+        rules = {**(choices or {}), **more}
         self.clauses: tuple[dict[str, tuple[Any, ...]], ...] = (
-            {name: value if isinstance(value, tuple) else (value,) for name, value in given.items()},
+            {name: value if isinstance(value, tuple) else (value,) for name, value in rules.items()},
         )
 
     def __and__(self, other: OnlyWith) -> OnlyWith:

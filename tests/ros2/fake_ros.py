@@ -250,11 +250,14 @@ class FakeNode:
     def get_subscriptions_info_by_topic(self, topic_name: str, no_mangle: bool = False) -> list[Any]:
         return self._info("subscription", topic_name)
 
+    def count_publishers(self, topic_name: str) -> int:
+        return len(self._info("publisher", topic_name))
+
     def _info(self, side: str, topic: str) -> list[Any]:
         """As TopicEndpointInfo: depth and history are not known of other processes' endpoints (rmw says 0, UNKNOWN)."""
         known = {"topic_type": "std_msgs/msg/String", "node_namespace": "/"}
         return [
-            types.SimpleNamespace(node_name=name, qos_profile=profile, **known)
+            types.SimpleNamespace(node_name=name, qos_profile=profile, endpoint_gid=[*name.encode()], **known)
             for s, t, name, profile in self.topics
             if (s, t) == (side, topic)
         ]

@@ -6,8 +6,6 @@ import logging
 import re
 import time
 from collections.abc import Callable
-from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ if not MISSING:
     from standin import PERIOD, ROBOT, check_stopped, drive
 
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
-    from wbmpc.ros2.control import ControlNode
 
 
 def test_nothing_is_sent_before_a_state_and_a_goal(pair: Callable[..., Any]) -> None:
@@ -135,21 +132,6 @@ def test_another_controller_stops_ours(pair: Callable[..., Any], caplog: pytest.
     check_stopped(p, "another node publishes on /arm_controller/commands", caplog)
     p.go(0.0)
     assert p.until(lambda: "a goal is rejected: waiting: another node publishes" in p.control.request_queue.rejected)
-
-
-@pytest.mark.parametrize(("second", "count"), [("sensor_msgs/msg/Imu", 2), ("std_msgs/msg/String", 0)])
-def test_a_second_inertial_unit_is_a_reason_to_stop(second: str, count: int) -> None:
-    """Odometry would add up the turn rates of both. A publisher of another type does not get through: it is no source."""
-    made: list[str] = []
-    seen = [SimpleNamespace(type=kind, own=False) for kind in ("sensor_msgs/msg/Imu", second)]
-    node = SimpleNamespace(publishers=lambda topic: seen if topic == "/imu" else [])
-    settings = SimpleNamespace(topics=SimpleNamespace(imu="/imu"), command_topics=lambda robot: {})
-    control: Any = SimpleNamespace(node=node, settings=settings, clock=None, robot=None, running=True, _held="")
-    control._second_source = partial(ControlNode._second_source, control)
-    control.adapter, control._quit = SimpleNamespace(must_keep_running=False), made.append
-    settings.topics.pose = ""
-    ControlNode._check_graph(control)
-    assert made == ([f"{count} publishers on /imu, which has one source"] if count else [])
 
 
 def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:

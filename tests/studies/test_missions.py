@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from configured import check_taken
 from effort import some, thorough
 from toys import robot
 from wbmpc.configuration import configure
@@ -197,7 +198,7 @@ def test_what_nothing_reads_or_nobody_can_follow_is_rejected(experiment: str, gi
     ],
 )
 def test_a_localisation_that_the_run_or_its_reference_drive_has_is_taken(experiment: str, given: list[str]) -> None:
-    configure(REGISTRY[experiment].config_type, given, experiment)
+    check_taken(experiment, given)
 
 
 def test_fixed_legs_are_rejected() -> None:

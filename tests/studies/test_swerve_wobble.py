@@ -10,10 +10,10 @@ import pytest
 from effort import thorough
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.stability import Switch
 from wbmpc.studies.pankert2022 import wobble as swerve_wobble
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, estimate_mass_offset
 from wbmpc.studies.pankert2022.support_prediction import Case, Support, predict, tippings
+from wbmpc.studies.pankert2022.support_switches import Switch
 from wbmpc.studies.pankert2022.wobble import SwerveWobbleSettings
 from wbmpc.studies.pankert2022.wobble_figures import time_error, unloaded
 

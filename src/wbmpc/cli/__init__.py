@@ -19,6 +19,7 @@ import typer
 from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
 from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory, size_of
+from wbmpc.cli.doctor import doctor
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.ros2 import ros2
@@ -62,7 +63,7 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(log)
 app.add_typer(ros2)
-for _command in (stability, calibrate, view, replay, render, compare, reproduce):
+for _command in (doctor, stability, calibrate, view, replay, render, compare, reproduce):
     app.command()(_command)
 
 
@@ -70,13 +71,13 @@ for _command in (stability, calibrate, view, replay, render, compare, reproduce)
 class _Session:
     """What :func:`main` hands to the commands; without a registry the library's own one is loaded when it is needed."""
 
-    given: Mapping[str, Experiment] | None = None
+    own_registry: Mapping[str, Experiment] | None = None
     quiet: bool = False
 
     @property
     def registry(self) -> Mapping[str, Experiment]:
-        if self.given is not None:
-            return self.given
+        if self.own_registry is not None:
+            return self.own_registry
         from wbmpc.registry import REGISTRY
 
         return REGISTRY
@@ -96,8 +97,8 @@ class _Session:
         return self.registry[name]
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(requested: bool) -> None:
+    if requested:
         typer.echo(__version__)
         raise typer.Exit
 
@@ -125,9 +126,9 @@ for _group in (app, log, ros2):
     _group.info.epilog = EVERYWHERE
 
 
-def _rearranged(given: list[str]) -> list[str]:
+def _rearranged(arguments: list[str]) -> list[str]:
     """The line without what :func:`main` has understood; ``--json`` before a command's name goes behind it."""
-    rest = [a for a in given if a not in ("--debug", "--quiet", "--verbose")]
+    rest = [a for a in arguments if a not in ("--debug", "--quiet", "--verbose")]
     command = next((i for i, a in enumerate(rest) if not a.startswith("-")), len(rest))
     front, behind = [a for a in rest[:command] if a != "--json"], rest[command:]
     if len(front) < command and behind:
@@ -406,19 +407,21 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     # One thread: linear algebra of this size only loses time by waking others (stalls of 40 ms were seen).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    given = sys.argv[1:] if arguments is None else arguments
-    debug, quiet, verbose = ("--debug" in given, "--quiet" in given, "--verbose" in given)
-    given = _rearranged(given)
+    words = sys.argv[1:] if arguments is None else arguments
+    debug, quiet, verbose = ("--debug" in words, "--quiet" in words, "--verbose" in words)
+    words = _rearranged(words)
     with unread_allowed(), terminable() as termination:
-        status = _run(given, debug, quiet, verbose, registry)
+        status = _run(words, debug, quiet, verbose, registry)
     return TERMINATED if termination.came and status == INTERRUPTED else status
 
 
-def _run(given: list[str], debug: bool, quiet: bool, verbose: bool, registry: Mapping[str, Experiment] | None) -> int:
+def _run(
+    arguments: list[str], debug: bool, quiet: bool, verbose: bool, registry: Mapping[str, Experiment] | None
+) -> int:
     """One command; what goes wrong as an exit status."""
     try:
-        with logged(verbose, debug), silent(quiet and "--json" not in given):
-            status = app(args=given, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
+        with logged(verbose, debug), silent(quiet and "--json" not in arguments):
+            status = app(args=arguments, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
         return status if isinstance(status, int) else COMPLETED
     except RunAborted as error:
         _complain(error, debug)

@@ -259,21 +259,21 @@ class FusedOdometry:
         if memory.legs is not None:
             memory.set_state(fused_filter.given_way(memory.state, memory.legs, arrays["correction"]))
 
-    def _bridge(self, h: float, least: float) -> None:
-        """Over a gap: one motion from its begin to its end, as uncertain as what the wheels did meanwhile, and by ``least`` [m]."""
+    def _bridge(self, h: float, minimum: float) -> None:
+        """Over a gap: one motion from its begin to its end, as uncertain as what the wheels did meanwhile, and by ``minimum`` [m]."""
         n, a = self._n, self._memory.arrays
         a["correction"][:] = a["mean"][WHEELS:]
         self._memory.wheels.run()
         turned = np.abs(a["now"][n : 2 * n] - a["before"][n : 2 * n])  # the way's direction is as uncertain
-        apart = float(np.max((GAP_SHARE + turned) * np.abs(a["rolled"]))) + GAP_SPEED * h + least
+        apart = float(np.max((GAP_SHARE + turned) * np.abs(a["rolled"]))) + GAP_SPEED * h + minimum
         axes = self.geometry.steer_axes(a["now"][:n])
         arm = float(np.sqrt(np.mean(np.sum((axes - axes.mean(axis=0)) ** 2, axis=1))))
         a["covariance"][:] = (np.diag([apart, apart, apart / arm]) ** 2).ravel()
         a["smoothed"][:], a["by_wheels"][:], a["interval"][:] = 0.0, 0.0, [h, 0.0, 0.0, 0.0]
 
-    def _checked_weights(self, given: ArrayLike) -> Array:
+    def _checked_weights(self, values: ArrayLike) -> Array:
         """Weights (n) of wheels, two or more above 0, or :class:`InputError`."""
-        weights = numbers("odometry", "weights", given, self._n)
+        weights = numbers("odometry", "weights", values, self._n)
         if (weights < 0.0).any() or np.sum(weights > 0.0) < 2:
             raise InputError(f"odometry: 'weights' needs {self._n} numbers, none negative, two above 0, got {weights}")
         return weights

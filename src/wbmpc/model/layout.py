@@ -52,10 +52,10 @@ class Layout:
         out = np.full(self.size, default)
         for group, value in values.items():
             part = self[group]
-            given = value if type(value) is np.ndarray else np.asarray(value, float)
-            if given.ndim and given.shape != (part.stop - part.start,):
-                raise InputError(f"group '{group}' has {part.stop - part.start} entries, got {given.size}")
-            out[part] = given
+            array = value if type(value) is np.ndarray else np.asarray(value, float)
+            if array.ndim and array.shape != (part.stop - part.start,):
+                raise InputError(f"group '{group}' has {part.stop - part.start} entries, got {array.size}")
+            out[part] = array
         return out
 
     def split(self, vector: ArrayLike) -> dict[str, NDArray[np.float64]]:

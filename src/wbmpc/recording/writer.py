@@ -34,7 +34,7 @@ _QOS = """- history: keep_last
 class McapFile:
     """Topics come into being with their first message. Times are of the simulation [s], from 0.
 
-    The library's writer end effectors a chunk to the file when it is full, and it goes to the system at once: a program that is
+    The library's writer hands a chunk to the file when it is full, and it goes to the system at once: a program that is
     killed leaves every whole chunk behind.
 
     ``limit``: bytes on the disk, about. With half of them the file is closed and becomes ``run-1.mcap``, in place of one that was

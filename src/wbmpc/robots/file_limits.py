@@ -27,7 +27,6 @@ _OF_WORLD, _LISTS = (
 _REPEAT = {"replicate": "count", "composite": "count", "flexcomp": "count"}
 #: Attributes whose product is the size of an image or a field.
 _AREAS = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
-_USED = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
 #: Attributes whose every number is a count of what is made, and its largest value.
 _COUNTS = {("mesh", "params"): 300.0, ("numeric", "size"): 10_000.0, ("texture", "width"): 2048.0} | {
     ("size", name): 10_000.0
@@ -53,11 +52,11 @@ class _Count:
     models: dict[str, Path] = field(default_factory=dict)
 
 
-def check_size(path: Path) -> None:
+def check_size(path: Path, text: bytes | None = None) -> None:
     """Raise :class:`InputError` naming file and element for a robot's XML that asks for too much, is not well-formed, or names what is
-    no regular file (a pipe, a device): its reader would wait for ever."""
+    no regular file (a pipe, a device): its reader would wait for ever. ``text``: what a file's macros became, instead of the file."""
     folders, named = {path.parent}, []  # type: set[Path], list[tuple[str, Path, str]]
-    _Walk(path, {}, (), folders, named).run()
+    _Walk(path, {}, (), folders, named).run(text)
     for where, beside, name in named:
         for place in (folder / n for folder in (beside, *folders) for n in (name, name.rpartition("/")[2])):
             if place.exists() and not (place.is_file() or place.is_dir()):
@@ -78,12 +77,13 @@ class _Walk:
         self._main = above[0].parent if above else path.parent
         self._count, self._times, self._open = _Count(), [1.0], []  # type: _Count, list[float], list[str]
 
-    def run(self) -> _Count:
-        """What the file asks for, with all that it includes."""
+    def run(self, given: bytes | None = None) -> _Count:
+        """What the file, or the text ``given`` for it, asks for, with all that it includes."""
         try:
-            if self._path.stat().st_size > LARGEST:
-                raise InputError(f"{self._path}: has {self._path.stat().st_size} bytes; at most {LARGEST} are read")
-            data = self._path.read_bytes()
+            size = self._path.stat().st_size if given is None else len(given)
+            if size > LARGEST:
+                raise InputError(f"{self._path}: has {size} bytes; at most {LARGEST} are read")
+            data = self._path.read_bytes() if given is None else given
         except OSError as error:
             raise InputError(f"{self._path}: cannot be read ({error.strerror})") from error
         # MuJoCo's parser takes comments that XML does not (with -- inside)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 
 from wbmpc.ros2.settings import GONE
+from wbmpc.ros2.sources import OneSource
 
 #: Differences of times [s] below this are none.
 _ROUNDING = 1e-7
@@ -20,7 +21,7 @@ _MEMORY = 0.5
 class BusClock:
     """See :class:`wbmpc.runtime.clock.Clock`. ``origin`` [s]: the bus's time that counts as 0; ``heard``: wall time of the last
     message with another time [s], None before the first; ``went_back``: whether time has since :meth:`restart`; ``speed``: of the
-    bus's time by the wall's, lately.
+    bus's time by the wall's, lately. ``source``: whose time it is.
 
     ``delay`` [s]: a solve takes this much of the bus's time, and controller and MPC run in turns (``in_turns``), so that nothing
     depends on the machine's speed, provided that the bus waits for the commands. None: a solve takes the time that it takes.
@@ -33,9 +34,12 @@ class BusClock:
         self._changed = threading.Condition()
         self._released = False
         self.speed = 1.0
+        self.source = OneSource("/clock")
 
-    def set(self, time_of_bus: float) -> None:
-        """The bus's time [s] is now this. Time that goes back is a simulator that was started anew."""
+    def set(self, time_of_bus: float, source: Hashable = None) -> None:
+        """The bus's time [s] is now this, says a publisher. Time that goes back is a simulator that was started anew."""
+        if not self.source.takes(source):
+            return
         with self._changed:
             self.went_back |= time_of_bus < self._time - _REORDERED
             if self.heard is None or time_of_bus != self._time:
@@ -67,6 +71,7 @@ class BusClock:
     def restart(self) -> None:
         """Now is 0."""
         self.origin, self.went_back, self._released = self._time, False, False
+        self.source.settle()
 
     def now(self) -> float:
         """Time [s]."""

@@ -13,7 +13,7 @@ from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.base_adapter import BaseAdapter, LegCommands
-from wbmpc.ros2.bus import SENSOR, Node
+from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.goals import Task
@@ -27,7 +27,7 @@ from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.rosout import Rosout
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.trajectory_client import Trajectories
-from wbmpc.ros2.tuning import parameters_of
+from wbmpc.ros2.tuning import Tuning
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings, SafeStop
@@ -79,18 +79,19 @@ class ControlNode:
         self.legs = self.adapter.leg_commands(node, self._not_for_legs, self._legs_now)
         self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._origin, steady)
         self.planning = Planning(self.adapter.references)
-        self._other_publisher, self._logged, self._held = "", "", ""
+        self._commander, self._logged, self._held = "", "", ""
         self._task: Task | None = None
         self._graph_checked_at = -np.inf
         if isinstance(self.clock, BusClock):
             clock = self.clock
-            take = lambda message: clock.set(seconds(message.clock))
-            node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR)
+            take = lambda message, source: clock.set(seconds(message.clock), source)
+            node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR, largest=SMALL, sourced=True)
         self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
         self.health = Health(self)
         self.publishers = Publishers(node, self)
-        node.offer(parameters_of(self.adapter, settings))
+        self.tuning = Tuning(self.adapter, settings)
+        node.offer(self.tuning.parameters)
 
     # ------------------------------------------------------------------ life
     def spin(self, ended: Callable[[], bool]) -> None:
@@ -107,6 +108,7 @@ class ControlNode:
     def step(self) -> None:
         """One look: goals, start and stop, messages."""
         self.node.work()
+        self.tuning.update()
         self._watch()
         if not self.running:
             self._stand()
@@ -381,6 +383,7 @@ class ControlNode:
             self.request_queue.detect_speed_inputs()
             self.source.update()
             self._check_graph()
+        self._check_others()
 
     def _after_stop(self) -> None:
         """The runner has stopped the robot: nothing that was asked for before counts any more."""
@@ -406,32 +409,30 @@ class ControlNode:
             self.robot_io.stop()  # the runner's loop waits for a time that does not come
         elif clock.went_back and self.running:
             self._halt("the time on /clock went back: the simulator was started anew")
+        elif clock.source.replaced and self.running:
+            self._halt(clock.source.replaced)
 
     def _check_graph(self) -> None:
-        """Somebody else on our command topics: two controllers on one drive are worse than none. And a robot that cannot stop
-        because it has lost its localisation at least goes nowhere."""
+        """Somebody else on our command topics: two controllers on one drive are worse than none."""
         topics = [c.topic for c in self.settings.command_topics(self.robot).values()]
         others = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
-        self._other_publisher = f"another node publishes on {others[0]}" if others else self._second_source()
+        self._commander = f"another node publishes on {others[0]}" if others else ""
+
+    @property
+    def _other_publisher(self) -> str:
+        """Who else commands the drives, or sends what has one source; empty if nobody does."""
+        clock = self.clock.source.conflict if isinstance(self.clock, BusClock) else ""
+        return self._commander or clock or self.robot_io.conflict
+
+    def _check_others(self) -> None:
+        """Nobody moves beside another publisher. And a robot that cannot stop because it has lost its localisation at least goes
+        nowhere."""
+        other = self._other_publisher
         lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""
-        if (self._other_publisher or lost) and self.running:
-            self._quit(self._other_publisher or lost)
-        elif self._held and not (self._other_publisher or lost):
+        if (other or lost) and self.running:
+            self._quit(other or lost)
+        elif self._held and not (other or lost):
             self._held = ""
-
-    def _second_source(self) -> str:
-        """Which input with one source has two, whose turn rates or times would be taken for those of one; empty if none has.
-
-        Joint states are not such an input: several nodes may each send those of other joints.
-        """
-        inputs = {self.settings.topics.imu: "sensor_msgs/msg/Imu"}
-        if isinstance(self.clock, BusClock):
-            inputs["/clock"] = "rosgraph_msgs/msg/Clock"
-        for topic, kind in inputs.items():
-            count = sum(e.type == kind and not e.own for e in self.node.publishers(topic)) if topic else 0
-            if count > 1:
-                return f"{count} publishers on {topic}, which has one source"
-        return ""
 
     def _quit(self, message: str) -> None:
         """No more goals: a stop, or, for a robot that would fall, balance on the spot as long as that lasts."""
@@ -460,12 +461,12 @@ class ControlNode:
 
     def rejected(self) -> dict[str, str]:
         """What was rejected, and why: goals, commands for the legs, poses; until one is taken again. And speeds that are limited."""
-        worker_commands = self.legs.rejected if self.legs is not None else ""
-        said = {
+        leg_commands = self.legs.rejected if self.legs is not None else ""
+        reasons = {
             "rejected": self.request_queue.rejected,
-            "rejected command for the legs": worker_commands,
+            "rejected command for the legs": leg_commands,
             "rejected pose": self.source.fault,
         }
-        said["legs stopped short"] = self.legs.short if self.legs is not None else ""
-        said["limited speed"] = self.request_queue.limited
-        return {key: why for key, why in said.items() if why}
+        reasons["legs stopped short"] = self.legs.short if self.legs is not None else ""
+        reasons["limited speed"] = self.request_queue.limited
+        return {key: why for key, why in reasons.items() if why}

@@ -13,8 +13,7 @@ import re
 import struct
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -30,11 +29,12 @@ from cyclonedds.util import duration
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, Endpoint, Qos, full_name
+from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full_name
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
+from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, Ours
 from wbmpc.ros2.network import Network
@@ -42,8 +42,6 @@ from wbmpc.ros2.parameters import Parameters, ParameterServices
 
 _LOG = logging.getLogger("wbmpc")
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-#: Of more messages, or bytes of them, that wait for :meth:`DdsNode.work` the oldest are dropped.
-_MAX_DEFERRED, _MOST_BYTES = 100, 2**24
 #: What stands before the body of a service's messages: client and number.
 _HEADER = {"client": idl_types.uint64, "number": idl_types.int64}
 _HEADER_SIZE = 16
@@ -81,7 +79,7 @@ class DdsNode:
         self._unregister: dict[
             DataReader, Callable[[], None]
         ] = {}  # of readers that call back, what ends their entry in LOCAL
-        self._deferred: deque[tuple[Callable[[bytes], None], bytes]] = deque(maxlen=_MAX_DEFERRED)
+        self._deferred = Deferred()
         self._writers: list[DataWriter] = []
         self._graph = [
             BuiltinDataReader(self._participant, t) for t in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
@@ -110,93 +108,104 @@ class DdsNode:
         return DdsPublisher(writer, self.types, kind, self._where(place), self)
 
     def subscribe(
-        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
-        others: tuple[str, ...] = (), largest: int = LARGEST,
+        self, topic: str, kind: str, callback: Callable[..., None], qos: Qos = DEFAULT, deferred: bool = False,
+        others: tuple[str, ...] = (), largest: int = LARGEST, sourced: bool = False,
     ) -> Callable[[], None]:  # fmt: skip
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
         go on. Returns what ends it."""
         name = full_name(topic)
 
-        def call(data: bytes) -> None:
+        def call(sample: tuple[bytes, int]) -> None:
+            data, source = sample
             try:
-                callback(self.types.decode(kind, data))
+                callback(self.types.decode(kind, data), *([source] if sourced else []))
             except Exception as error:
                 self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
-                for data in _taken(reader):
-                    if len(data) > largest:
-                        why = f"{name}: a message of {len(data)} bytes is dropped; valid: at most {largest}"
-                        self._limit.log(_LOG, logging.ERROR, name, why)
-                    elif deferred:
-                        self._defer(call, data)
+                for data, source in self._small(name, reader, largest):
+                    if deferred:
+                        self._deferred.put(name, call, (data, source), len(data))
                     else:
-                        call(data)
+                        call((data, source))
 
         ours = Ours("subscription", name, kind, qos, others)
         place = self._topic(f"rt{name}", kind, others=others)
         reader = self._read(place, self._qos(qos, kind), take, self, lambda policy: self._mismatch(ours, policy))
         return lambda: self._end(reader)
 
-    def _defer(self, call: Callable[[bytes], None], data: bytes) -> None:
-        self._deferred.append((call, data))
-        while len(self._deferred) > 1 and sum(len(d) for _, d in self._deferred) > _MOST_BYTES:
-            self._deferred.popleft()
+    def _small(self, name: str, reader: DataReader, largest: int) -> Iterator[tuple[bytes, int]]:
+        """What has come with the handles of its writers, but for messages of more than ``largest`` bytes."""
+        for data, source in _taken(reader):
+            if len(data) <= largest:
+                yield data, source
+                continue
+            why = f"{name}: a message of {len(data)} bytes is dropped; valid: at most {largest}"
+            self._limit.log(_LOG, logging.ERROR, name, why)
 
     def work(self) -> None:
-        """Decode the messages of deferred subscriptions that have come, and call back, in this thread."""
-        while self._deferred:
-            call, data = self._deferred.popleft()
-            call(data)
+        """Decode the messages of deferred subscriptions and services that have come, and call back, in this thread."""
+        self._deferred.work()
 
-    def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
+    def serve(
+        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False
+    ) -> None:
         """Answer a service. It is seen by peers of rmw_cyclonedds, not by those of Fast DDS."""
         name = full_name(service)
-        asked, answered = request(kind), response(kind)
+        request_type, response_type = request(kind), response(kind)
         mark = f"serviceid={_identity()};"
-        replies = self._topic(f"rr{name}Reply", answered, _HEADER)
-        writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, answered, mark))
+        replies = self._topic(f"rr{name}Reply", response_type, _HEADER)
+        writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
+
+        def reply(data: bytes) -> None:
+            head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
+            try:
+                values = answer(self.types.decode(request_type, body))
+                said = self.types.encode(response_type, values)
+            except Exception as error:
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
+                return
+            with suppress(DDSException):  # who asked has gone
+                writer.write(replies.data_type(said[:4] + head + said[4:]))
 
         def take(reader: DataReader) -> None:
-            for data in _taken(reader):
-                head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
-                with self._lock:
-                    try:
-                        values = answer(self.types.decode(asked, body))
-                    except Exception as error:
-                        self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
-                        continue
-                reply = self.types.encode(answered, values)
-                writer.write(replies.data_type(reply[:4] + head + reply[4:]))
+            for data, _ in self._small(name, reader, SMALL):
+                if deferred:
+                    self._deferred.put(name, reply, data, len(data))
+                else:
+                    with self._lock:
+                        reply(data)
 
         self._own(self._writers, writer)
-        self._read(self._topic(f"rq{name}Request", asked, _HEADER), self._qos(DEFAULT, asked, mark), take, None)
+        self._read(
+            self._topic(f"rq{name}Request", request_type, _HEADER), self._qos(DEFAULT, request_type, mark), take, None
+        )
 
     def call(self, service: str, kind: str, values: Mapping[str, Any], timeout: float = 5.0) -> Any:
         """Ask a service and wait for its answer [s]. Raises :class:`RunAborted` if none comes."""
         name = full_name(service)
-        asked, answered = request(kind), response(kind)
+        request_type, response_type = request(kind), response(kind)
         mark = f"clientid={_identity()};"
         requests, replies = (
-            self._topic(f"rq{name}Request", asked, _HEADER),
-            self._topic(f"rr{name}Reply", answered, _HEADER),
+            self._topic(f"rq{name}Request", request_type, _HEADER),
+            self._topic(f"rr{name}Reply", response_type, _HEADER),
         )
-        writer = DataWriter(self._participant, requests, qos=self._qos(DEFAULT, asked, mark))
-        reader = DataReader(self._participant, replies, qos=self._qos(DEFAULT, answered, mark))
+        writer = DataWriter(self._participant, requests, qos=self._qos(DEFAULT, request_type, mark))
+        reader = DataReader(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
         self._own(self._writers, writer)
         self._own(self._readers, reader)
         head = writer.guid.bytes[:8] + struct.pack("<q", 1)
-        body = self.types.encode(asked, values)
+        body = self.types.encode(request_type, values)
         end = time.monotonic() + timeout
         try:
             while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
                 _wait(end, f"{name}: nobody serves it")
             write(writer, body[:4] + head + body[4:], self._where(requests), self, threading.RLock())
             while True:
-                for data in _taken(reader):
+                for data, _ in _taken(reader):
                     if data[4 : 4 + _HEADER_SIZE] == head:
-                        return self.types.decode(answered, data[:4] + data[4 + _HEADER_SIZE :])
+                        return self.types.decode(response_type, data[:4] + data[4 + _HEADER_SIZE :])
                 _wait(end, f"{name}: no answer within {timeout:g} s")
         finally:
             with self._lock:
@@ -229,7 +238,7 @@ class DdsNode:
         names, reader = self._names
         end = time.monotonic() + _ANNOUNCED
         while True:
-            for data in _taken(reader):
+            for data, _ in _taken(reader):
                 for node in self.types.decode(_INFO, data).node_entities_info_seq:
                     for gid in (*node.reader_gid_seq, *node.writer_gid_seq):
                         names[bytes(gid.data)[:16]] = node.node_name
@@ -365,10 +374,11 @@ class _Watch(Listener):  # type: ignore[misc]
             (self.set_on_offered_incompatible_qos if take is None else self.set_on_requested_incompatible_qos)(notice)
 
 
-def _taken(reader: DataReader) -> list[bytes]:
-    """The CDR of all samples that have come; none of those that only say that a writer has gone."""
+def _taken(reader: DataReader) -> list[tuple[bytes, int]]:
+    """The CDR of all samples that have come, with the handles of their writers; none of those that only say that a writer has gone."""
     with suppress(DDSException):
-        return [s.data for s in reader.take(N=64) if getattr(s, "data", None)]
+        taken = reader.take(N=64)
+        return [(s.data, s.sample_info.publication_handle) for s in taken if getattr(s, "data", None)]
     return []
 
 

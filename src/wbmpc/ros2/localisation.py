@@ -88,10 +88,10 @@ class PoseSource:
         try:
             self._read(message)
         except InputError as error:
-            said = error_message(error)
-            if said != self._wrong:
-                self._limit.log(_LOG, logging.ERROR, "wrong", said)
-            self._wrong = said
+            fault = error_message(error)
+            if fault != self._wrong:
+                self._limit.log(_LOG, logging.ERROR, "wrong", fault)
+            self._wrong = fault
         else:
             self._wrong = ""
 

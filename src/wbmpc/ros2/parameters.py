@@ -22,6 +22,8 @@ TYPES: dict[type, tuple[int, str]] = {
     bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value"), str: (4, "string_value"),
 }  # fmt: skip
 _READ = {number: field for number, field in TYPES.values()}
+#: More than any node here has.
+MAX_ASKED = 200
 #: As of ROS 2's own publishers of parameter events.
 _EVENTS = Qos(depth=1000)
 
@@ -41,8 +43,8 @@ class Parameters:
     """All of a node, by name. ``changed`` gets the new values of settable ones, all of a request at once, and may raise
     :class:`InputError`: then nothing has changed. Thread-safe."""
 
-    def __init__(self, given: Iterable[Parameter], changed: Callable[[dict[str, Value]], None]) -> None:
-        self.known = {p.name: p for p in given}
+    def __init__(self, parameters: Iterable[Parameter], changed: Callable[[dict[str, Value]], None]) -> None:
+        self.known = {p.name: p for p in parameters}
         self._changed, self._lock = changed, threading.Lock()
 
     def set(self, values: Mapping[str, Any]) -> None:
@@ -93,8 +95,8 @@ def value_of(message: Any) -> Any:
     """The value of a ParameterValue; a list or None for types that no parameter here has."""
     if message.type not in _READ:
         return None
-    given = getattr(message, _READ[message.type])
-    return {1: bool, 2: int, 3: float, 4: str}[message.type](given)
+    value = getattr(message, _READ[message.type])
+    return {1: bool, 2: int, 3: float, 4: str}[message.type](value)
 
 
 def descriptor_of(p: Parameter) -> dict[str, Any]:
@@ -104,6 +106,13 @@ def descriptor_of(p: Parameter) -> dict[str, Any]:
         "name": p.name, "type": TYPES[type(p.value)][0], "description": p.description, "read_only": p.read_only,
         "floating_point_range": ends,
     }  # fmt: skip
+
+
+def _few(asked: list[Any]) -> list[Any]:
+    """What a request asks for. Raises :class:`InputError` if that is too much at once."""
+    if len(asked) > MAX_ASKED:
+        raise InputError(f"a request for {len(asked)} parameters at once; valid: at most {MAX_ASKED}")
+    return asked
 
 
 class ParameterServices:
@@ -121,32 +130,33 @@ class ParameterServices:
             ("list_parameters", "ListParameters", self._list),
             ("describe_parameters", "DescribeParameters", self._describe),
         ):
-            node.serve(f"{self.name}/{service}", f"rcl_interfaces/srv/{kind}", answer)
+            # in the node's own thread: a flood of requests does not delay the robot's states
+            node.serve(f"{self.name}/{service}", f"rcl_interfaces/srv/{kind}", answer, deferred=True)
 
     def _value(self, name: str) -> Value | None:
         p = self.parameters.known.get(name)
         return None if p is None else p.value
 
     def _get(self, request: Any) -> dict[str, Any]:
-        return {"values": [message_of(self._value(n)) for n in request.names]}
+        return {"values": [message_of(self._value(n)) for n in _few(request.names)]}
 
     def _types(self, request: Any) -> dict[str, Any]:
-        return {"types": [message_of(self._value(n))["type"] for n in request.names]}
+        return {"types": [message_of(self._value(n))["type"] for n in _few(request.names)]}
 
     def _describe(self, request: Any) -> dict[str, Any]:
         known = self.parameters.known
-        return {"descriptors": [descriptor_of(known[n]) if n in known else {"name": n} for n in request.names]}
+        return {"descriptors": [descriptor_of(known[n]) if n in known else {"name": n} for n in _few(request.names)]}
 
     def _list(self, request: Any) -> dict[str, Any]:
-        names = self.parameters.names(request.prefixes, int(request.depth))
+        names = self.parameters.names(_few(request.prefixes), int(request.depth))
         prefixes = sorted({n.rpartition(".")[0] for n in names} - {""})
         return {"result": {"names": names, "prefixes": prefixes}}
 
     def _set(self, request: Any) -> dict[str, Any]:
-        return {"results": [self._change({p.name: value_of(p.value)}) for p in request.parameters]}
+        return {"results": [self._change({p.name: value_of(p.value)}) for p in _few(request.parameters)]}
 
     def _set_all(self, request: Any) -> dict[str, Any]:
-        return {"result": self._change({p.name: value_of(p.value) for p in request.parameters})}
+        return {"result": self._change({p.name: value_of(p.value) for p in _few(request.parameters)})}
 
     def _change(self, values: dict[str, Any]) -> dict[str, Any]:
         try:

@@ -112,11 +112,11 @@ class RosPlant(ABC):
                 groups[group][i] = v + _GAIN * (p - self.last.joints[group][i])
 
 
-def _rows(what: str, given: list[Any], joints: int) -> Array:
+def _rows(what: str, values: list[Any], joints: int) -> Array:
     """One row of finite numbers for each point, or :class:`InputError`."""
-    if any(len(row) != joints for row in given):
-        raise InputError(f"trajectory: every point needs {joints} {what}, got {[len(row) for row in given]}")
-    rows = np.array([np.asarray(row, float) for row in given])
+    if any(len(row) != joints for row in values):
+        raise InputError(f"trajectory: every point needs {joints} {what}, got {[len(row) for row in values]}")
+    rows = np.array([np.asarray(row, float) for row in values])
     if not np.isfinite(rows).all():
         raise InputError(f"trajectory: {what} must be finite")
     return rows

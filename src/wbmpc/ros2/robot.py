@@ -6,8 +6,9 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.joints import Inertial, JointReader, JointSample, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.sources import OneSource
 from wbmpc.ros2.trajectory_client import Sender, senders
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.safety import SafeStop
@@ -53,6 +55,10 @@ class BusRobot:
         self._limit = RateLimit()
         self._wrong: dict[str, str] = {}  # what is wrong with the newest message, by topic
         self._reader = JointReader(adapter.robot, settings, adapter.must_keep_running)
+        # where a back end does not know whose a message is, who would fall takes it
+        topics, ambiguous = settings.topics, adapter.must_keep_running
+        self._joint_source = OneSource(topics.joint_states, self._forget_joints, ambiguous)
+        self._imu_source = OneSource(topics.imu, self._forget_imu, ambiguous)
         self._joints: tuple[JointSample, float] | None = None
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
@@ -68,17 +74,19 @@ class BusRobot:
         self._armed = False
         self._stopping: float | None = None
         self._last = adapter.rest()
-        node.subscribe(
-            settings.topics.joint_states, "sensor_msgs/msg/JointState", self._take_joints, SENSOR, largest=SMALL
-        )
-        if settings.topics.imu:
-            node.subscribe(settings.topics.imu, "sensor_msgs/msg/Imu", self._take_imu, SENSOR, largest=SMALL)
+        listen = partial(node.subscribe, qos=SENSOR, largest=SMALL, sourced=True)
+        listen(topics.joint_states, "sensor_msgs/msg/JointState", self._take_joints)
+        if topics.imu:
+            listen(topics.imu, "sensor_msgs/msg/Imu", self._take_imu)
         elif adapter.needs_imu:
             raise InputError("topics.imu: this robot needs an inertial unit")
         self._senders: list[Sender] = senders(node, adapter.robot, settings)
 
     # ------------------------------------------------------------------ from the bus
-    def _take_joints(self, message: Any) -> None:
+    def _take_joints(self, message: Any, source: Hashable = None) -> None:
+        ours = self._reader.concerns(message)
+        if not (self._joint_source.takes(source) if ours else self._joint_source.follows(source)):
+            return
         try:
             sample = self._reader.read(message)
         except InputError as error:
@@ -94,7 +102,9 @@ class BusRobot:
             self._waiting.append(self._joints)
         self._good("joints")
 
-    def _take_imu(self, message: Any) -> None:
+    def _take_imu(self, message: Any, source: Hashable = None) -> None:
+        if not self._imu_source.takes(source):
+            return
         try:
             taken, at = read_imu(message), seconds(message.header.stamp)
         except InputError as error:
@@ -113,6 +123,23 @@ class BusRobot:
             self._inertial = taken, at if isinstance(self.clock, BusClock) else time.perf_counter()
             self._fresh.append((at, taken))
             del self._fresh[:-_WAITING]
+
+    def _forget_joints(self) -> None:
+        """The next joint states are another publisher's: of another clock, and wherever they are."""
+        self._reader.reset()
+        self._behind = np.inf
+
+    def _forget_imu(self) -> None:
+        """The next readings are another publisher's."""
+        with self._lock:
+            self._fresh.clear()
+            self._read = self._previous = None
+            self._fresh_until = -np.inf
+
+    @property
+    def conflict(self) -> str:
+        """That sensors have more than one publisher; empty if they have not."""
+        return self._joint_source.conflict or self._imu_source.conflict
 
     @property
     def fault(self) -> str:
@@ -141,8 +168,10 @@ class BusRobot:
         if self._joints is None:
             return f"no joint states on {self.settings.topics.joint_states} yet"
         age = self.age()
-        if age > self.settings.safety.watchdog:
-            limit = self.settings.safety.watchdog
+        limit = self.settings.safety.watchdog
+        if age < -limit:
+            return f"the joint states on {self.settings.topics.joint_states} are stamped {-age:.3g} s ahead of /clock"
+        if age > limit:
             return f"the joint states on {self.settings.topics.joint_states} have stopped for more than {limit:g} s"
         if self.adapter.needs_imu and self._inertial is None:
             return f"nothing on {self.settings.topics.imu} yet"
@@ -159,6 +188,8 @@ class BusRobot:
     def arm(self) -> None:
         """From now on faults count; the robot is at rest."""
         self._wrong, self._stopping, self._armed, self.sent = {}, None, True, 0
+        self._joint_source.settle()
+        self._imu_source.settle()
         self._last = self.adapter.rest()
 
     def disarm(self) -> None:
@@ -171,6 +202,9 @@ class BusRobot:
         """The newest measurement, its time on the runner's clock."""
         if self.fault and self._armed and not self.adapter.must_keep_running:
             raise SafeStop(self.fault)
+        replaced = self._joint_source.replaced or self._imu_source.replaced
+        if replaced and self._armed:
+            raise SafeStop(replaced)
         joints = self._joints
         if joints is None:
             raise SafeStop(f"no joint states on {self.settings.topics.joint_states}")
@@ -178,9 +212,13 @@ class BusRobot:
         self._waiting.clear()
         imu = self._averaged(sample.stamp)
         if imu is not None and self._armed:
-            silent = self._silent_imu()
-            if silent > self.settings.safety.watchdog:
+            silent, limit = self._silent_imu(), self.settings.safety.watchdog
+            if silent > limit:
                 raise SafeStop(f"the messages on {self.settings.topics.imu} stopped {silent:.3f} s ago")
+            if silent < -limit:  # nobody would see that they stop
+                raise SafeStop(
+                    f"the messages on {self.settings.topics.imu} are stamped {-silent:.3g} s ahead of /clock"
+                )
         return self._measurement(sample, arrival, imu)
 
     def unread(self) -> Iterator[Any]:

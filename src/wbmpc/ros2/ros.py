@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import re
 import threading
-from collections import Counter, deque
+import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
@@ -18,8 +19,10 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LARGEST, Endpoint, Qos, full_name
 from wbmpc.ros2.convert import error_message
+from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.mismatch import Mismatches, Ours
 from wbmpc.ros2.parameters import Parameters, descriptor_of
+from wbmpc.ros2.sources import AMBIGUOUS
 
 try:
     from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -37,6 +40,8 @@ except ModuleNotFoundError:  # rclpy does not need it
     get_service = get_message
 
 _LOG = logging.getLogger("wbmpc")
+#: How often [s] the publishers of a topic are looked at whose number does not change.
+_LOOK = 0.5
 
 
 class RosNode:
@@ -47,7 +52,7 @@ class RosNode:
     def __init__(self, name: str) -> None:
         self.name = name
         self._mismatches, self._limit = Mismatches(self), RateLimit()
-        self._deferred: deque[tuple[Callable[[Any], None], Any]] = deque(maxlen=100)
+        self._deferred = Deferred()
         self._made: Counter[tuple[str, str]] = Counter()  # publishers and subscriptions of this node by topic
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
@@ -77,22 +82,23 @@ class RosNode:
         return RosPublisher(self._node.create_publisher(message, name, _profile(qos), event_callbacks=events), message)
 
     def subscribe(
-        self, topic: str, kind: str, callback: Callable[[Any], None], qos: Qos = DEFAULT, deferred: bool = False,
-        others: tuple[str, ...] = (), largest: int = LARGEST,
+        self, topic: str, kind: str, callback: Callable[..., None], qos: Qos = DEFAULT, deferred: bool = False,
+        others: tuple[str, ...] = (), largest: int = LARGEST, sourced: bool = False,
     ) -> Callable[[], None]:  # fmt: skip
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
         go on. Returns what ends it."""
         name = full_name(topic)
         ours = Ours("subscription", name, kind, qos, others)
         events = SubscriptionEventCallbacks(incompatible_qos=lambda e: self._mismatch(ours, e))
+        source = _Source(self._node, name, kind) if sourced else None
 
         def call(message: Any) -> None:
             try:
-                callback(message)
+                callback(message, *([] if source is None else [source.current()]))
             except Exception as error:
                 self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
-        later = lambda message: self._deferred.append((call, message))
+        later = lambda message: self._deferred.put(name, call, message)
         taken = later if deferred else call
         made = self._node.create_subscription(get_message(kind), name, taken, _profile(qos), event_callbacks=events)
         self._made["subscription", name] += 1
@@ -105,14 +111,14 @@ class RosNode:
 
     def work(self) -> None:
         """Call back for the messages of deferred subscriptions that have come, in this thread."""
-        while self._deferred:
-            call, message = self._deferred.popleft()
-            call(message)
+        self._deferred.work()
 
-    def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
-        """Answer a service."""
+    def serve(
+        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False
+    ) -> None:
+        """Answer a service, in the executor's thread."""
         self._node.create_service(
-            get_service(kind), full_name(service), lambda asked, answered: fill(answered, answer(asked))
+            get_service(kind), full_name(service), lambda request, response: fill(response, answer(request))
         )
 
     def offer(self, parameters: Parameters) -> None:
@@ -123,9 +129,9 @@ class RosNode:
                 self._node.declare_parameter(p.name, p.value, descriptor)
         result = get_message("rcl_interfaces/msg/SetParametersResult")
 
-        def change(given: list[Any]) -> Any:
+        def change(values: list[Any]) -> Any:
             try:
-                parameters.set({p.name: p.value for p in given})
+                parameters.set({p.name: p.value for p in values})
             except Exception as error:
                 return fill(result(), {"successful": False, "reason": error_message(error)})
             return fill(result(), {"successful": True})
@@ -171,6 +177,25 @@ class RosNode:
         policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
         # ROS has no name for the policy by which types differ
         self._mismatches.notice(ours, "type" if policy.startswith("invalid") else policy)
+
+
+class _Source:
+    """Whose the messages of a topic are, as far as the graph says so: rclpy has no publisher's identity beside a message. One that was
+    killed is in the graph until its lease ends (Fast DDS: 20 s)."""
+
+    def __init__(self, node: Any, topic: str, kind: str) -> None:
+        self._node, self._topic, self._kind = node, topic, kind
+        self._count, self._due, self._seen = -1, -np.inf, AMBIGUOUS
+
+    def current(self) -> Any:
+        """The only publisher, or :data:`AMBIGUOUS`. The whole list is read when its length changes, and every :data:`_LOOK`."""
+        count, now = self._node.count_publishers(self._topic), time.monotonic()
+        if count != self._count or now >= self._due:
+            self._count, self._due = count, now + _LOOK
+            infos = self._node.get_publishers_info_by_topic(self._topic)
+            ids = {bytes(i.endpoint_gid) for i in infos if i.topic_type == self._kind}
+            self._seen = ids.pop() if len(ids) == 1 else AMBIGUOUS if ids else None
+        return self._seen
 
 
 class RosPublisher:

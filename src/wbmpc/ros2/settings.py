@@ -238,8 +238,8 @@ class RosSettings(Settings):
 
     def fastest(self, robot: RobotModel) -> np.ndarray:
         """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
-        speeds, given = self.speeds, self.cmd_vel
-        target = np.array([given.base, given.base, given.turn], float)  # None: not a number
+        speeds, limits = self.speeds, self.cmd_vel
+        target = np.array([limits.base, limits.base, limits.turn], float)  # None: not a number
         if "base" in robot.input:
             return np.fmin(target, robot.limits.input_upper[robot.input["base"]])
         return np.where(np.isnan(target), [speeds.base, speeds.base, speeds.turn], target)

@@ -62,7 +62,7 @@ class Timing:
                 f"plans; valid: the controller's rate or a whole part of it"
             )
         every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
-        return cls(period, steps, every, whole("mpc.computation_delay", delay, period, "controller periods", least=0))
+        return cls(period, steps, every, whole("mpc.computation_delay", delay, period, "controller periods", minimum=0))
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
     pressed = threading.Event()
     previous: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        given: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-        previous = {n: h for n, h in given.items() if h is signal.default_int_handler or hasattr(h, "noted")}
+        handlers: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        previous = {n: h for n, h in handlers.items() if h is signal.default_int_handler or hasattr(h, "noted")}
 
     def note(number: int, frame: Any) -> None:
         if pressed.is_set():

@@ -111,7 +111,7 @@ class Perturbation(BaseModel):
         reject_unread(self)
         return self
 
-    def asked(self, name: str) -> bool:
+    def is_set(self, name: str) -> bool:
         """Whether somebody wants this of the plant: it is neither as usual nor 0, nothing of it."""
         return getattr(self, name) not in (0, type(self).model_fields[name].default)
 
@@ -119,7 +119,7 @@ class Perturbation(BaseModel):
         """Raise :class:`InputError` for the first setting that is :meth:`asked` for and that a plant does not read, with the
         reason of this setting, or the one of all others."""
         for name in type(self).model_fields:
-            if name not in reads and self.asked(name):
+            if name not in reads and self.is_set(name):
                 raise InputError(f"plant.{name}: {reasons.get(name, reason)}")
 
     @classmethod

@@ -131,8 +131,8 @@ class Solver:
             "quaternions": bool(self.ocp.dynamics.unit_quaternions),
             "backend='interpreted'": self.settings.backend != "compiled",
         }
-        for name, given in bad.items():
-            if given:
+        for name, entries in bad.items():
+            if entries:
                 raise InputError(f"hessian='exact' does not go with {name}; valid: hessian='gauss_newton'")
         return True
 
@@ -192,9 +192,9 @@ class Solver:
         linear between its nodes, inputs hold over its intervals. Raises :class:`InputError` for other shapes, and
         :class:`NotFinite` for numbers that are not finite; the trajectories then stay as they were.
         """
-        given = trajectories(self.ocp, self._given_grid, x, u)
+        start = trajectories(self.ocp, self._given_grid, x, u)
         with self.exclusive:
-            self.ws.x[:], self.ws.u[:] = given
+            self.ws.x[:], self.ws.u[:] = start
 
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
@@ -301,8 +301,12 @@ class Solver:
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters; after k times h
-        under inputs (k, nu), one after the other."""
-        u = np.asarray(u, float)
+        under inputs (k, nu), one after the other. Raises :class:`InputError` for other shapes."""
+        u, nx, nu = np.asarray(u, float), self.problem.nx, self.problem.nu
+        if np.shape(x) != (nx,) or u.ndim not in (1, 2) or u.shape[-1] != nu:
+            raise InputError(
+                f"simulate: {nx} states and {nu} inputs are needed, got shapes {np.shape(x)} and {u.shape}"
+            )
         if u.ndim == 2 and (len(u) > SIMULATED or self.settings.backend == "interpreted"):
             for row in u:
                 x = self.simulate(x, row, h)

@@ -61,8 +61,8 @@ class Followed:
 def followed(mpc: MPC | None, t: float, lift: Array) -> Followed:
     """At time t [s]; ``lift`` (3) [m] of the planner's origin above the floor."""
     goal, base, way = end_effector_goal(mpc, t, lift), np.full(3, np.nan), np.zeros((0, 3))
-    if mpc is not None and "hand" in mpc.reference:
-        way = mpc.reference["hand"].values[:, :3] + lift
+    if mpc is not None and "end_effector" in mpc.reference:
+        way = mpc.reference["end_effector"].values[:, :3] + lift
     if mpc is not None and Steering.base_of(mpc):
         base = mpc.reference["state"].at(t)[mpc.ocp.dynamics.state["base"]]
     return Followed(np.full(7, np.nan) if goal is None else goal, base, way)

@@ -12,6 +12,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
+from wbmpc.output_file import write_text
 from wbmpc.recording.plots import end_effector_error, positions
 from wbmpc.recording.reader import Recording
 from wbmpc.simulation.scene import Body, Contact, Scene
@@ -237,6 +238,6 @@ def write_page(film: Film, path: Path, port: int) -> None:
             serializer.insert_sleep(1.0 / PAGE_RATE)
         assert serializer is not None
         title = f"<title>{html.escape(film.recording.title)}</title>"
-        path.write_text(serializer.as_html().replace("<title>Viser</title>", title, 1))
+        write_text(path, serializer.as_html().replace("<title>Viser</title>", title, 1))
     finally:
         server.stop()

@@ -57,13 +57,13 @@ class FallPredictor:
         if not isinstance(plans, int | np.integer) or plans < 1:
             raise InputError(f"forecast of a fall: 'plans' must be a whole number, at least 1, got {plans}")
         balance = Balance.of(robot, numbers("forecast of a fall", "arm", arm, len(robot.state.groups["arm"])))
-        given = "force" in robot.input
-        self._force = robot.input["force"] if given else None
+        has_force = "force" in robot.input
+        self._force = robot.input["force"] if has_force else None
         self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0
         self._seconds, self._within, self._ahead = seconds, -np.inf, ahead
         n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)
         w = ca.SX.zeros(robot.parameters.size)
-        mass, end_effector = ca.SX.sym("mass"), ca.SX.sym("hand", 2)
+        mass, end_effector = ca.SX.sym("mass"), ca.SX.sym("push", 2)
         if "payload" in robot.parameters:
             w[robot.parameters["payload"]] = mass
         offset = load_offset(robot.base, x[:n], w)

@@ -26,7 +26,7 @@ def surprises(n: int, arm: Floats, surprised: Floats, anchor: Floats, still: flo
 def watch(
     n: int, arm: Floats, speed: Floats, acceleration: Floats, anchor: Floats, believed: Floats, gone: Floats, then: Floats,
     stood: Floats, low: Floats, high: Floats, standing: Floats, still: float, expected: float, crawl: float, doubt: float,
-    least: float, h: float, doubted: bool,
+    min_standstill: float, h: float, doubted: bool,
 ) -> int:  # fmt: skip
     """How many encoders, marked in ``standing`` (n), have not moved though they should have; counted anew while that is ``doubted``."""
     count = 0
@@ -39,7 +39,7 @@ def watch(
         else:  # at the first reading too
             anchor[i], believed[i], then[i] = arm[i], beyond(speed[i], crawl), acceleration[i]
             gone[i], stood[i] = 0.0, 0.0
-        standing[i] = 1.0 if abs(gone[i]) > expected and stood[i] >= least - 1e-9 else 0.0
+        standing[i] = 1.0 if abs(gone[i]) > expected and stood[i] >= min_standstill - 1e-9 else 0.0
         if standing[i] > 0.0:
             count += 1
     return count

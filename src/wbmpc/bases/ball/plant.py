@@ -134,7 +134,7 @@ class BallPlant(InWorld):
         self._last: BallMeasurement | None = None
         #: what the elastic drives do; none where all are rigid
         self.drives = self._drives() if any(self._elastic) else None
-        dead = whole("plant.actuator_dead_time", p.actuator_dead_time, timestep, "physics steps", least=0)
+        dead = whole("plant.actuator_dead_time", p.actuator_dead_time, timestep, "physics steps", minimum=0)
         self._commands: deque[Array] = deque(maxlen=1 + dead)
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)

@@ -332,7 +332,8 @@ class BallRosAdapter:
         take at least 0.1 s."""
         end_effector = task.end_effector
         return {
-            "hand": Reference.poses(end_effector.times, end_effector.positions, end_effector.orientations), "body": bodies(task, self.robot, x),
+            "end_effector": Reference.poses(end_effector.times, end_effector.positions, end_effector.orientations),
+            "body": bodies(task, self.robot, x),
             "twist": Reference.constant(np.zeros(6)),
         }  # fmt: skip
 

@@ -72,7 +72,7 @@ def _general(part: str, kind: str) -> str:
 class EncoderMonitor:
     """Watches the encoders of ``wheels`` and of named arm ``joints`` (n).
 
-    A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) for ``least`` [s] while the joint should
+    A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) for ``min_standstill`` [s] while the joint should
     have turned by ``expected`` [rad]: by its speed at the last reading that moved, less ``crawl`` [rad/s], and by how much more
     the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (A load that nobody knows of makes the model
     accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)
@@ -83,19 +83,19 @@ class EncoderMonitor:
 
     def __init__(
         self, wheels: int, joints: Sequence[str], stops: tuple[Array, Array] | None = None, still: float = 1.5e-4,
-        expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, least: float = 0.02, patience: float = 0.05,
+        expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, min_standstill: float = 0.02, patience: float = 0.05,
         backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         who = "encoder monitor"
         positive(who, still=still, expected=expected, doubt=doubt, patience=patience)
-        not_negative(who, wheels=wheels, crawl=crawl, least=least)
+        not_negative(who, wheels=wheels, crawl=crawl, min_standstill=min_standstill)
         self.joints, self.wheels, self.patience = list(joints), wheels, patience
         self.faults: list[EncoderFault] = []
         n = len(self.joints)
         low, high = stops or (np.full(n, -np.inf), np.full(n, np.inf))
         a = self._arrays = {name: np.zeros(n) for name in _ARRAYS}
         a["low"][:], a["high"][:], a["anchor"][:] = low + NEAR, high - NEAR, np.nan
-        constants = {"expected": expected, "crawl": crawl, "doubt": doubt, "least": least}
+        constants = {"expected": expected, "crawl": crawl, "doubt": doubt, "min_standstill": min_standstill}
         self._surprises = bind(surprises, a, backend, n=n, still=still)
         self._watch = bind(watch, a, backend, n=n, still=still, **constants)
         self._durations: dict[str, float] = {}
@@ -106,7 +106,7 @@ class EncoderMonitor:
         surprised: NDArray[np.bool_] | None = None,
     ) -> list[EncoderFault]:  # fmt: skip
         """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
-        as the model has it for the ``interval`` [s] before (None: not known yet), what the estimator ``said``, and joints (n) whose
+        as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n) whose
         reading ``surprised`` it."""
         a = self._arrays
         a["arm"][:] = arm

@@ -149,14 +149,14 @@ class BallSensors:
 
     def encoders(self, wheel: Array, arm: Array) -> tuple[Array, Array]:
         """Readings of wheels (n) and arm (m) [rad]: quantised, with the arm's zero errors."""
-        given = {
+        readings = {
             "wheel": quantise(wheel, self._p.arm_counts),
             "arm": quantise(arm + self.arm_offset, self._p.arm_counts),
         }
         if not (self.faults or self._held):
-            return given["wheel"], given["arm"]
+            return readings["wheel"], readings["arm"]
         stalled = {(f.of, f.number) for f in self._acting("stalled")}
-        self._held = {(of, i): self._held.get((of, i), float(given[of][i])) for of, i in stalled}
+        self._held = {(of, i): self._held.get((of, i), float(readings[of][i])) for of, i in stalled}
         for (of, i), value in self._held.items():
-            given[of][i] = value
-        return given["wheel"], given["arm"]
+            readings[of][i] = value
+        return readings["wheel"], readings["arm"]

@@ -40,7 +40,7 @@ class SentTorques:
     def __init__(self, torque: Array, period: float, settings: DriveSettings) -> None:
         self._period = period
         self.blend = 1.0 - np.exp(-period / settings.lag) if settings.lag > 0.0 else 1.0
-        self.dead = whole("actuator_dead_time", settings.dead_time, period, "controller periods", least=0)
+        self.dead = whole("actuator_dead_time", settings.dead_time, period, "controller periods", minimum=0)
         if settings.dead_time > MAX_DEAD_TIME:
             raise InputError(f"actuator_dead_time: must be at most {MAX_DEAD_TIME:g} s, got {settings.dead_time:g} s")
         self._known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead

@@ -49,14 +49,16 @@ def planar_settings() -> MpcSettings:
 def planar_problem(
     robot: RobotModel, settings: MpcSettings | None = None, cost: PlanarCost | None = None
 ) -> OptimalControlProblem:
-    """Pose of the end effector ("hand"), posture and inputs as costs; ranges, speeds and the wheels' rates as inequalities."""
+    """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds and the wheels' rates as inequalities."""
     settings, cost = settings or planar_settings(), cost or PlanarCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     limits, hard = robot.limits, settings.limits == "hard"
     effector = cost.end_effector * np.array([1.0] * 3 + [(reach(robot) / 4.0) ** 2] * 3)
     frame = residuals.FramePose(robot, robot.tool)
-    ocp.add(Cost("hand", frame, list(effector), at="path+terminal", terminal_weight=list(cost.terminal * effector)))
+    ocp.add(
+        Cost("end_effector", frame, list(effector), at="path+terminal", terminal_weight=list(cost.terminal * effector))
+    )
     arm = robot.state["arm"]
     half = np.minimum(0.5 * (limits.state_upper[arm] - limits.state_lower[arm]), _TURNS)
     ocp.add(Cost("state", residuals.State(robot), {"base": 0.0, "arm": list(cost.posture / half**2)}))
@@ -79,7 +81,7 @@ def planar_mpc(robot: RobotModel, settings: MpcSettings | None = None, cost: Pla
     settings = settings or planar_settings()
     mpc = MPC(planar_problem(robot, settings, cost), settings.solver(), settings.rate)
     position, orientation = robot.pose(robot.home)
-    mpc.reference["hand"] = Reference.poses([0.0], [position], orientation)
+    mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     mpc.reset(robot.home)

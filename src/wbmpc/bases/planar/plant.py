@@ -46,7 +46,7 @@ class PlanarPlant(WheeledPlant):
         check_perturbation(self.perturbation)
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         self._names = {"wheel": list(self.base.wheels), "arm": list(description.arm.joints)}
-        spec = load_spec(description)
+        spec = load_spec(description, meshes=True)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = self.perturbation.draw(draw_rng, bodies, len(self._names["wheel"]), len(self._names["arm"]))
         with named(description.model):

@@ -82,7 +82,13 @@ def swerve_problem(
     end = {g: list(cost.terminal * np.atleast_1d(v)) if g == "base" else cost.terminal * v for g, v in posture.items()}
     frame = residuals.FramePose(robot, robot.tool)
     ocp.add(
-        Cost("hand", frame, list(end_effector), at="path+terminal", terminal_weight=list(cost.terminal * end_effector))
+        Cost(
+            "end_effector",
+            frame,
+            list(end_effector),
+            at="path+terminal",
+            terminal_weight=list(cost.terminal * end_effector),
+        )
     )
     ocp.add(Cost("state", state, posture, at="path+terminal", terminal_weight=end))
     ocp.add(Cost("input", residuals.Input(robot), rates))

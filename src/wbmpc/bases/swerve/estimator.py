@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wbmpc import lie
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.messages import SwerveMeasurement
-from wbmpc.bases.swerve.wheel_flip import SideSlip
+from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.checks import not_negative
 from wbmpc.control.drives import Smoothing
 from wbmpc.estimation.fused_odometry import FusedOdometry

@@ -85,7 +85,7 @@ class SwervePlant(WheeledPlant):
             "wheel": [m.wheel for m in modules],
             "arm": arm,
         }
-        spec = load_spec(description)
+        spec = load_spec(description, meshes=True)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = self.perturbation.draw(draw_rng, bodies, len(modules), len(arm))
         with named(description.model):
@@ -163,14 +163,14 @@ class SwervePlant(WheeledPlant):
         home = {g: np.array([self.description.home.get(n, 0.0) for n in names]) for g, names in self._names.items()}
         groups: dict[str, Array] = {"base": np.zeros(3), **home}
         if isinstance(state, Mapping):
-            given = {g: np.asarray(v, float) for g, v in state.items()}
+            start = {g: np.asarray(v, float) for g, v in state.items()}
         elif state is None:
-            given = {}
+            start = {}
         else:
             sizes = {"base": 7 if self.base.orientation == "quaternion" else 3, **{g: len(v) for g, v in home.items()}}
             vector, stops = numbers("start", "state", state, sum(sizes.values())), np.cumsum(list(sizes.values()))
-            given = dict(zip(sizes, np.split(vector, stops[:-1]), strict=True))
-        for group, values in given.items():
+            start = dict(zip(sizes, np.split(vector, stops[:-1]), strict=True))
+        for group, values in start.items():
             if group not in groups:
                 raise unknown_name("group of the state", group, groups)
             if group == "base" and values.size == 7:

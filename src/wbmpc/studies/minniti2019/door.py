@@ -125,7 +125,7 @@ def make_controller(
     for twist in ("twist", "push_twist"):
         mpc.reference[twist] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
-    for pose in ("hand", "turn"):
+    for pose in ("end_effector", "turn"):
         mpc.reference[pose] = Reference.poses([0.0], end_effector, quaternion)
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
     controller = DoorController(
@@ -160,7 +160,7 @@ def record_door(log: Log, t: float, plant: DoorPlant, controller: DoorController
     log.add("pushing", t, float(controller.phase == "push"))
     log.add("touching", t, float(controller.contact.touching))
     log.add("impedance", t, controller.impedance)
-    log.add("hand_wanted", t, controller.mpc.reference["hand"].at(t)[:3])
+    log.add("hand_wanted", t, controller.mpc.reference["end_effector"].at(t)[:3])
 
 
 def build(settings: RezeroDoorSettings, seed: int) -> Scenario:

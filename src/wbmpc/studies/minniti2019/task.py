@@ -133,7 +133,7 @@ def ball_system(
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
     position, quaternion = robot.pose(home)
-    mpc.reference["hand"] = Reference.poses([0.0], position, quaternion)
+    mpc.reference["end_effector"] = Reference.poses([0.0], position, quaternion)
     for term, reference in references.items():
         mpc.reference[term] = reference
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)

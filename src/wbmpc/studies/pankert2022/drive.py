@@ -13,7 +13,6 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
-from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
@@ -34,6 +33,7 @@ from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings,
 from wbmpc.studies.pankert2022.mission import Mission, at_home, riding
 from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
+from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 
 NAME = "swerve-drive"
 SUMMARY = (
@@ -93,7 +93,7 @@ class _Run:
         mpc = swerve_mpc(robot, s.mpc, s.cost, SteeringGuess(robot, mission.preview))
         mission.set(mpc, robot, home, duration + s.mpc.horizon)
         t = np.arange(0.0, duration, 0.1)
-        mpc.reference["hand"] = Reference.poses(t, *riding(robot, home, mission.base(t)[0]))
+        mpc.reference["end_effector"] = Reference.poses(t, *riding(robot, home, mission.base(t)[0]))
         brakes = BrakeControl(robot, delay=s.plant.brake_delay, changed=mpc.set_schedule)
         mission.apply(brakes)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
-from wbmpc.bases.swerve.messages import SwerveCommand, scale_wheels
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import STEER_SPEED, WHEEL_SPEED, SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.model.robot import load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies.pankert2022.rolling import scale_wheels
 
 ROBOT = load_robot("swerve-ur10")
 STOP = SwerveCommand.stop()
@@ -245,9 +246,8 @@ def test_drives_clip_at_their_limits():
     p = plant(lift=0.5, settle=0.0)
     p.step(SwerveCommand(np.full(4, 99.0), np.full(4, -99.0), np.full(6, 99.0), np.zeros(4)), 1)
     assert p.data.ctrl.max() == pytest.approx(WHEEL_SPEED) and p.data.ctrl.min() == pytest.approx(-STEER_SPEED)
-    wheel, factor = scale_wheels([5.0, 20.0, -1.0, 0.0], 10.0)
-    assert factor == 0.5 and wheel == pytest.approx([2.5, 10.0, -0.5, 0.0])
-    assert scale_wheels(np.zeros(4), 10.0)[1] == 1.0
+    assert scale_wheels(np.array([5.0, 20.0, -1.0, 0.0]), 10.0) == pytest.approx([2.5, 10.0, -0.5, 0.0])
+    assert not scale_wheels(np.zeros(4), 10.0).any()
 
 
 @pytest.mark.parametrize(
