@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import socket
 import subprocess
 import sys
 import time
@@ -34,6 +35,8 @@ inner = "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</M
 inner += '<Peers><Peer address="localhost"/></Peers>' if sys.argv[1] == "looks" else "<Peers AddLocalhost='false'/>"
 own = f"<General><AllowMulticast>false</AllowMulticast></General><Discovery>{inner}</Discovery>"
 own = "" if sys.argv[1] == "multicast" else own
+if sys.argv[1] == "is asked":  # its multicast goes elsewhere
+    own = "<Discovery><ParticipantIndex>auto</ParticipantIndex><Ports><MulticastMetaOffset>5</MulticastMetaOffset></Ports></Discovery>"
 domain = Domain(number, f"<CycloneDDS><Domain>{own}</Domain></CycloneDDS>")
 participant = DomainParticipant(number)
 reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
@@ -64,8 +67,18 @@ RANGES = {
     "LOCALHOST": {_RANGE: "LOCALHOST"},
     "SUBNET": {_RANGE: "SUBNET"},
     "LOCALHOST_ONLY": {_RANGE: "SUBNET", "ROS_LOCALHOST_ONLY": "1"},
-    "STATIC_PEERS": {_RANGE: "SUBNET", "ROS_STATIC_PEERS": "127.0.0.1"},
+    "STATIC_PEERS": {_RANGE: "SUBNET", "ROS_STATIC_PEERS": "OWN"},
 }
+
+
+def own_address() -> str:
+    """Of this machine in its network, or loopback; a peer that multicasts takes nothing that comes by loopback."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("198.51.100.1", 1))  # sends nothing
+        except OSError:
+            return "127.0.0.1"
+        return str(probe.getsockname()[0])
 
 
 def join(command: list[str], environment: dict[str, str]) -> str:
@@ -90,9 +103,9 @@ def main() -> int:
     environment = {
         **os.environ,
         "ROS_DOMAIN_ID": str(random.SystemRandom().randrange(1, 100)),
-        **RANGES[given.range],
+        **{k: own_address() if v == "OWN" else v for k, v in RANGES[given.range].items()},
     }
-    first = "multicast" if given.range == "SUBNET" else "is found"
+    first = {"SUBNET": "multicast", "STATIC_PEERS": "is asked"}.get(given.range, "is found")
     joiners = {first: [sys.executable, "-c", PARTICIPANT, first]}
     if given.rclpy:
         joiners["rclpy"] = [given.rclpy, "-c", RCLPY]

@@ -130,11 +130,11 @@ def rotation_to_quaternion(r: ArrayLike) -> Array:
 
 def euler_zyx_to_rotation(yaw: float, pitch: float, roll: float) -> Array:
     """R = R_z(yaw) R_y(pitch) R_x(roll)."""
-    q = quaternion_about((0, 0, 1), yaw)
-    q = quaternion_multiply(
-        quaternion_multiply(q, quaternion_about((0, 1, 0), pitch)), quaternion_about((1, 0, 0), roll)
-    )
-    return quaternion_to_rotation(q)  # type: ignore[no-any-return]
+    (cy, sy), (cp, sp), (cr, sr) = cos_sin(yaw), cos_sin(pitch), cos_sin(roll)
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr], [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ])  # fmt: skip
 
 
 def rotation_to_euler_zyx(r: ArrayLike) -> Array:

@@ -19,8 +19,10 @@ class Log:
 
     def add(self, channel: str, t: float, value: object) -> None:
         """Append a row."""
-        self._times.setdefault(channel, []).append(float(t))
-        self._rows.setdefault(channel, []).append(np.array(value, float))
+        if channel not in self._times:
+            self._times[channel], self._rows[channel] = [], []
+        self._times[channel].append(float(t))
+        self._rows[channel].append(np.array(value, float))
 
     def extend(self, other: Log, suffix: str, channels: Sequence[str] | None = None) -> None:
         """Append the rows of another log as CHANNEL + ``suffix``: of all its ``channels``, or of these."""

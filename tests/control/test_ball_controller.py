@@ -31,6 +31,10 @@ B = np.vstack([np.zeros((N, TORQUES)), _RNG.normal(size=(N, TORQUES))])
 
 
 def linear_step(x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+    if u.ndim == 2:
+        for row in u:
+            x = linear_step(x, row, h)
+        return x
     whole = expm(h * np.block([[A, B], [np.zeros((TORQUES, 2 * N + TORQUES))]]))
     return (whole @ np.concatenate([x, u]))[: 2 * N]
 
@@ -234,7 +238,8 @@ def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
     controller.estimator = fixed  # type: ignore[assignment]
     readings = (np.ones(3), 2.0 * np.ones(3), 3.0 * np.ones(3), 4.0 * np.ones(3))
     acted = np.array([0.3, -0.1, 0.5, 9.0, 9.0, 9.0])  # two ticks ago, as old as the readings are
-    controller.sent._torques.extend([acted, np.zeros(6), np.zeros(6)])
+    for torque in (acted, np.zeros(6), np.zeros(6)):
+        controller.sent.send(torque)
     controller.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 2.0 * PERIOD, *readings))
     assert fixed.turning == pytest.approx(controller.robot.base.wheel_torque_map()[2] @ acted[:3])
     controller.measure(BallMeasurement(0.5, np.full(2 * N, np.nan), 0.0, *readings))

@@ -85,9 +85,11 @@ def filtered(seed: int, seconds: float, noise: BallNoise, exact: bool = False) -
     if not exact:
         start = Rotation.from_rotvec(rng.normal(size=3) * [s.tilt, s.tilt, s.start]).as_matrix() @ start
     f = BallFilter(GEOMETRY, ball[0, :2] + (0.0 if exact else s.start * rng.normal(size=2)), start, s)
-    f.state.velocity = velocity[0] + (0.0 if exact else s.speed * rng.normal(size=3))
-    f.state.wheel, f._read, f._first = angle[0].copy(), angle[0].copy(), False
-    f.covariance[16:, 16:] = 1e-16 * np.eye(3)
+    start = velocity[0] + (0.0 if exact else s.speed * rng.normal(size=3))
+    f.state, f._first = replace(f.state, velocity=start, wheel=angle[0]), False
+    covariance = f.covariance
+    covariance[16:, 16:] = 1e-16 * np.eye(3)
+    f.covariance = covariance
     for w, g, a in zip(wheel, gyro, accel, strict=True):
         f.update(H, w, g, a)
     true = BallState(ball[-1], velocity[-1], turn[-1].as_matrix(), gyro_bias[-1], accel_bias[-1], angle[-1], scale)
@@ -165,7 +167,7 @@ class Balancing:
         scale = float(np.log(self.plant.draw.radius[0]))
         true = BallState(
             d.qpos[:3] - [0, 0, 0.125], velocity, rotation, sensors.bias["gyro"], sensors.bias["accel"],
-            self.plant._history[-1][3], scale,
+            self.plant.sensors.wheel, scale,
         )  # fmt: skip
         return self.estimator.filter.state.minus(true)
 

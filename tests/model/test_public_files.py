@@ -152,6 +152,6 @@ def test_macros_are_expanded(tmp_path: Path) -> None:
 
 def test_a_joint_with_an_empty_range_cannot_be_used(tmp_path: Path) -> None:
     """MuJoCo would take it for one without limits."""
-    with pytest.raises(InputError, match=r"joint 'rise' has an empty range.*fixed_joints: \{rise: 0\}"):
+    with pytest.raises(InputError, match=r"joint 'rise': its range is empty.*fixed_joints: \{rise: 0\}"):
         load_robot(robot_file(tmp_path, "a.urdf", urdf(height="0")))
     load_robot(robot_file(tmp_path, "a.urdf", urdf(height="0"), limits={"position": {"rise": [0.0, 0.5]}}))

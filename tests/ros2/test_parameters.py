@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 from needs import MISSING, needs_dds, wait_until
 
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, RunAborted
 from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.parameters import Parameter, Parameters
 
@@ -19,17 +21,24 @@ pytestmark = needs_dds
 if not MISSING:
     from standin import NETWORK, ROBOT, Pair, drive
 
+    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.ros2.control import ControlNode
     from wbmpc.ros2.opening import open_node
     from wbmpc.ros2.settings import RosSettings
+    from wbmpc.ros2.tuning import Tuning
 
 
 HAND = "cost.end_effector.weight"
 
 
 def ask(p: Pair, service: str, kind: str, **values: Any) -> Any:
-    """An answer of the controller's node."""
-    return p.standin.node.call(f"/wbmpc/{service}", f"rcl_interfaces/srv/{kind}", values, timeout=30.0)
+    """An answer of the controller's node, which gives it in its own thread: this one."""
+    answers: list[Any] = []
+    given = f"/wbmpc/{service}", f"rcl_interfaces/srv/{kind}", values
+    asks = threading.Thread(target=lambda: answers.append(p.standin.node.call(*given, timeout=30.0)), daemon=True)
+    asks.start()
+    assert wait_until(lambda: p.control.step() or not asks.is_alive())
+    return answers[0]
 
 
 def number(name: str, value: float) -> dict[str, Any]:
@@ -108,6 +117,35 @@ def test_what_cannot_be_set_says_why_and_of_an_atomic_request_nothing_is(
     assert ask(p, "get_parameters", "GetParameters", names=["cost.state.yaw"]).values[0].double_value == 5.0
     first, second = ask(p, "set_parameters", "SetParameters", parameters=[good, given]).results
     assert first.successful and says in second.reason
+
+
+def test_requests_for_more_than_a_node_has_get_no_answer(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Too many names, too many bytes; who asks for what is there has an answer meanwhile."""
+    p = pair()
+    kind = "rcl_interfaces/srv/GetParameters"
+    for names, says in ((["x"] * 1000, "a request for 1000 parameters at once"), (["x" * 100_000], "is dropped")):
+        with pytest.raises(RunAborted, match="no answer"):
+            p.standin.node.call("/wbmpc/get_parameters", kind, {"names": names}, timeout=0.3)
+        assert wait_until(lambda s=says: p.control.step() or any(s in r.getMessage() for r in caplog.records))
+    assert len(ask(p, "get_parameters", "GetParameters", names=[HAND] * 100).values) == 100
+
+
+def test_setting_a_weight_costs_the_bus_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many are set: the problem is made anew once, in the node's own thread, with what was set last."""
+    made: list[Any] = []
+    adapter = SimpleNamespace(
+        robot=ROBOT, problem=lambda cost: made.append(cost) or SimpleNamespace(costs=[]),
+        pending=SimpleNamespace(reweigh=lambda weights: None),
+    )  # fmt: skip
+    tuning = Tuning(adapter, SwerveRosSettings())  # type: ignore[arg-type]
+    for k in range(100):
+        tuning.parameters.set({HAND: float(k)})
+    assert not made
+    tuning.update()
+    tuning.update()
+    assert [cost.end_effector.weight for cost in made] == [99.0]
 
 
 def test_a_change_that_is_not_taken_leaves_the_old_value() -> None:

@@ -8,8 +8,8 @@ the part and the base types that offer it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
     from wbmpc.ocp import Constraint
     from wbmpc.robots.description import LimitsDescription, RobotDescription
+    from wbmpc.robots.findings import Finding
+    from wbmpc.robots.mechanism import Mechanism
+    from wbmpc.robots.wheel_search import Wheel
     from wbmpc.ros2.base_adapter import BaseAdapter
     from wbmpc.ros2.plants import RosPlant
     from wbmpc.ros2.settings import RosSettings
@@ -64,6 +67,33 @@ class Radius:
     what: str
     name: str
     sphere: bool = False
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a base type cannot see in a file: ``key`` of its section, the ``text`` that asks, and the ``answer`` that it assumes."""
+
+    key: str
+    text: str
+    answer: Any
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """How a base type reads a file that nobody has described yet.
+
+    ``section``: keys of its ``base`` section, without ``type`` and ``body``; ``fit``: from 0 (hardly) to 1 (nothing else is possible);
+    ``reason``: what it saw, for a user; ``joints``: those that the section names; ``held``: others of the base, which stand still;
+    ``speed`` [rad/s] of wheels for which the file has none, by joint; ``questions``: what only the user knows.
+    """
+
+    section: Mapping[str, Any]
+    fit: float
+    reason: str
+    joints: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    speed: Mapping[str, float] = field(default_factory=dict)
+    questions: tuple[Question, ...] = ()
 
 
 class BaseDescription(Section):
@@ -245,6 +275,14 @@ class BaseType(Protocol):
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Raise :class:`InputError` for a robot file whose mechanics this base type does not describe."""
 
+    def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
+        """How this base type would describe a model with these driven ``wheels``; None where it cannot."""
+        return None
+
+    def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
+        """What a user has to know of a described base that loads, or should mend."""
+        return []
+
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> Base:
         """The symbolic base of a described robot."""
         reject_missing_part(description, "model")
@@ -277,7 +315,8 @@ class BaseType(Protocol):
 
 #: What the parts of a plug-in are called in errors; one that it does not define is inherited from :class:`BaseType`.
 PARTS = {
-    "check": "check of its mechanics", "model": "model", "plant": "simulated robot", "system": "simulated robot with a controller",
+    "check": "check of its mechanics", "propose": "proposal for a new robot", "diagnose": "diagnosis",
+    "model": "model", "plant": "simulated robot", "system": "simulated robot with a controller",
     "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
     "calibrator": "calibration of steered wheels",
 }  # fmt: skip

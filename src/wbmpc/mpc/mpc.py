@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
+from wbmpc.logs import RateLimit
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.policy import Policy
@@ -81,6 +82,7 @@ class MPC:
         #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
         self.events_without_node = 0
         self._reported = False
+        self._lines = RateLimit()
 
     def _check_limits(self) -> None:
         """Raise :class:`InputError` for a hard row of inputs that no policy can hold. Limits of how fast inputs change are of plans:
@@ -237,7 +239,8 @@ class MPC:
         previous, self.fault = self.fault, broken or self._rejection()
         self._faults = self._faults + 1 if self.fault else 0
         if self.fault and not previous:  # the first of a row of them
-            _LOG.warning("MPC at %.3f s: %s", observation.t, self.fault)
+            cause = "not finite" if broken else self.solver.status(status).value
+            self._lines.log(_LOG, logging.WARNING, cause, f"MPC at {observation.t:.3f} s: {self.fault}")
         return not self.fault
 
     def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
@@ -248,7 +251,7 @@ class MPC:
         try:
             self.solver.warm_start(found.x, found.u)
         except NotFinite as error:  # the last plan is the better start
-            _LOG.warning("MPC at %.3f s: the initial guess is not used: %s", t, error)
+            self._lines.log(_LOG, logging.WARNING, "guess", f"MPC at {t:.3f} s: the initial guess is not used: {error}")
 
     def _count_events(self, t: float) -> None:
         """A robot in motion is not stopped for events that find no node, but it is said, once, and shown in ``solve_info``."""

@@ -24,11 +24,12 @@ from pydantic_core import PydanticCustomError
 from wbmpc.bases import available_base_types, base_type
 from wbmpc.bases.base import BaseDescription, Section
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.robots.actuation import Drive, read_drives
+from wbmpc.robots.actuation import Drive
 from wbmpc.robots.checks import check_joints, check_tool, compiled
-from wbmpc.robots.findings import Finding
 from wbmpc.robots.fixed_joints import fix_joint
 from wbmpc.robots.inertia import mend_inertias
+from wbmpc.robots.mechanism import Mechanism, read_mechanism
+from wbmpc.robots.model_checks import AT_LOAD, Subject, examine
 from wbmpc.robots.model_file import file_of, parse
 from wbmpc.robots.model_import import keep_mechanics, reject_couplings, widen
 from wbmpc.robots.wheel_geometry import check_radii
@@ -197,7 +198,9 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
     description = description.model_copy(update={"model": model, "packages": packages, "source": str(path)})
     spec = load_spec(description)
     _check_names(description, spec)
-    description = _with_limits_of_the_file(description)
+    mechanism = read_mechanism(file_of(description))
+    description = _with_limits_of_the_model(description, mechanism.drives)
+    _examine(description, mechanism)
     model = compiled(spec, description.model)
     check_joints(description, model)
     check_tool(description, model)
@@ -206,28 +209,25 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
     return description
 
 
-def _with_limits_of_the_file(description: RobotDescription) -> RobotDescription:
-    """The description with the speeds and efforts that its model has for joints which ``limits`` does not name; what had to be mended
-    is logged. Raises :class:`InputError` for a joint that is used and cannot move."""
-    file = file_of(description)
-    spec = parse(file)
-    drives = read_drives(file, spec)
-    for finding in _mend(spec, description):
-        _LOG.warning("%s: %s", description.model, finding.message)
-    limits, used = description.limits, description.joints()
-    for name in used:
-        if drives.get(name, Drive()).no_range and name not in limits.position:
-            raise InputError(
-                f"{description.model}: joint '{name}' has an empty range (lower = upper): it cannot move; hold it with "
-                f"'fixed_joints: {{{name}: 0}}', or give 'limits.position: {{{name}: [LOWER, UPPER]}}' in {description.source}"
-            )
-    found = {n: drives[n] for n in used if n in drives}
+def _with_limits_of_the_model(description: RobotDescription, drives: dict[str, Drive]) -> RobotDescription:
+    """The description with the speeds and efforts that its model has for joints which ``limits`` does not name."""
+    limits, found = description.limits, {n: drives[n] for n in description.joints() if n in drives}
     velocity = {n: d.velocity for n, d in found.items() if d.velocity is not None and n not in limits.velocity}
     effort = {n: d.effort for n, d in found.items() if d.effort is not None and n not in limits.effort}
     if not velocity and not effort:
         return description
     update = {"velocity": {**limits.velocity, **velocity}, "effort": {**limits.effort, **effort}}
     return description.model_copy(update={"limits": limits.model_copy(update=update)})
+
+
+def _examine(description: RobotDescription, mechanism: Mechanism) -> None:
+    """Raise :class:`InputError` for the first error that checks of the model find, and log their warnings."""
+    findings = examine(Subject(mechanism, description), AT_LOAD)
+    for finding in sorted(findings, key=lambda f: f.severity != "error"):
+        if finding.severity == "error":
+            raise InputError(f"{description.model}: {finding.message}")
+        if finding.severity == "warning":
+            _LOG.warning("%s: %s", description.model, finding.message)
 
 
 def _first_fault(error: ValidationError, data: dict[str, Any]) -> str:
@@ -337,15 +337,11 @@ def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.
     ``meshes``: with those meshes of a URDF that are there, for display.
     """
     spec = parse(file_of(description), meshes=meshes)
-    _mend(spec, description)
+    if not description.base.uses_inertia:
+        mend_inertias(spec, balance=True)  # else MuJoCo names the body
     keep_mechanics(spec, description.base.body, description.model)
     reject_couplings(spec, description)
     widen(spec, description.limits.position, description.model)
     for name, angle in description.fixed_joints.items():
         fix_joint(spec, name, angle, description.source)
     return spec
-
-
-def _mend(spec: mujoco.MjSpec, description: RobotDescription) -> list[Finding]:
-    """Replace inertias that cannot be, where the base's equations do not use them; else MuJoCo names the body."""
-    return [] if description.base.uses_inertia else mend_inertias(spec, balance=True)

@@ -11,6 +11,8 @@ from wbmpc.robots.findings import Finding
 LIGHTEST = 1e-3
 #: Density [kg/m³] of the sphere whose inertia stands for one that cannot be.
 DENSITY = 1000.0
+#: MuJoCo takes smaller moments [kg m²] for none.
+_SMALLEST = 2e-14
 #: Shares by which moments may miss the inequality of triangles: rounding of exporters.
 _ROUNDING = 1e-6
 _FIX = "give its true mass and inertia in the file"
@@ -29,11 +31,20 @@ def mend_inertias(spec: mujoco.MjSpec, balance: bool) -> list[Finding]:
     """
     found = []
     for body in spec.bodies[1:]:
+        _forget_nothing(body)
         if body.explicitinertial and (fault := _fault(body)) is not None:
             _replace(body, float(body.mass) if body.mass > LIGHTEST else LIGHTEST)
             found.append(Finding("warning", "inertia", f"link '{body.name}'", f"{fault}; a sphere's is taken", _FIX))
     spec.compiler.balanceinertia = spec.compiler.balanceinertia or balance
     return found + [_weigh(body) for body in spec.bodies[1:] if body.joints and not _has_mass(body)]
+
+
+def _forget_nothing(body: mujoco.MjsBody) -> None:
+    """An inertial without mass says nothing; MuJoCo would reject its inertia where that is zero too."""
+    if body.explicitinertial and body.mass == 0.0 and np.linalg.eigvalsh(inertia_matrix(body))[0] <= _SMALLEST:
+        body.explicitinertial, body.fullinertia = False, np.full(6, np.nan)
+        for geom in body.geoms:
+            geom.mass = 0.0
 
 
 def _fault(body: mujoco.MjsBody) -> str | None:
@@ -46,7 +57,7 @@ def _fault(body: mujoco.MjsBody) -> str | None:
         return None  # it may hang on something that has mass
     if body.mass < 0.0:
         return f"its mass is {body.mass:g} kg"
-    if moments[0] <= 0.0:
+    if moments[0] <= _SMALLEST:
         return f"its inertia is not positive (least moment {moments[0]:.3g} kg m²)"
     return None
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ import mujoco
 
 from wbmpc.errors import InputError
 from wbmpc.robots.file_limits import check_size
-from wbmpc.robots.packages import locate
+from wbmpc.robots.packages import find_package, locate, package_of
 from wbmpc.robots.xacro_file import expand, has_macros
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ class ModelFile:
     root: ElementTree.Element | None
     packages: Mapping[str, Path] = field(default_factory=dict)
     macros: bool = False
+    _homes: dict[str, Path | None] = field(default_factory=dict, compare=False, repr=False)
 
     def meshes(self) -> list[str]:
         """Names of the mesh files of a URDF, each once."""
@@ -43,7 +45,15 @@ class ModelFile:
 
     def locate(self, name: str) -> Path | None:
         """The file of that name; None where it is missing."""
-        return locate(name, self.path.parent, self.packages)
+        package = package_of(name)
+        home = None if package is None else self.home(package)
+        return locate(name, self.path.parent, {} if package is None or home is None else {package: home})
+
+    def home(self, package: str) -> Path | None:
+        """The folder of a ROS package; None where it is not found."""
+        if package not in self._homes:
+            self._homes[package] = find_package(package, self.path.parent, self.packages)
+        return self._homes[package]
 
 
 def read_model(
@@ -84,28 +94,36 @@ def _is_urdf(path: Path, data: bytes) -> bool:
     return found is not None and found[1] == b"robot"
 
 
-def parse(file: ModelFile, *, meshes: bool = False) -> mujoco.MjSpec:
-    """The file as a specification that is not compiled, with all links kept. Meshes that are missing are left out; those of a URDF
-    unless ``meshes``. Raises :class:`InputError` naming the file."""
+def parse(file: ModelFile, *, meshes: bool = False, missing: list[str] | None = None) -> mujoco.MjSpec:
+    """The file as a specification that is not compiled, with all links kept. Files that are missing are left out, and named in
+    ``missing``; so are the meshes of a URDF unless ``meshes``. Raises :class:`InputError` naming the file."""
+    missing = [] if missing is None else missing
     try:
         if file.root is not None:
+            missing += [name for name in file.meshes() if file.locate(name) is None]
             return _urdf(file, meshes)
         spec = mujoco.MjSpec.from_file(str(file.path))
     except (ValueError, ElementTree.ParseError) as error:
         raise InputError(f"{file.path}: cannot be read: {' '.join(str(error).split())}") from error
-    drop_missing_files(spec)
+    missing += drop_missing_files(spec)
     return spec
 
 
 def _urdf(file: ModelFile, meshes: bool) -> mujoco.MjSpec:
     """Shapes have no mass: a link weighs what its ``inertial`` says."""
-    root = deepcopy(file.root)
-    assert root is not None
-    for link in root.iter("link"):
+    assert file.root is not None
+    root = deepcopy(file.root) if meshes else ElementTree.Element("robot", file.root.attrib)
+    if not meshes:  # what is changed is copied, and no more
+        root.extend(copy(e) if e.tag in ("link", "joint", "mujoco") else e for e in file.root)
+    for link in root.findall("link"):
         for kind in ("visual", "collision"):
             for element in link.findall(kind):
                 if not _kept(element, file, meshes and kind == "visual"):
                     link.remove(element)
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        if limit is not None and _number(limit, "lower") >= _number(limit, "upper"):
+            joint.remove(limit)  # MuJoCo ignores it too, and writes a file of its log
     compiler = {"strippath": "false", "balanceinertia": "true", "fusestatic": "false", "discardvisual": "false"}
     extension = root.find("mujoco")
     if extension is None:
@@ -115,6 +133,13 @@ def _urdf(file: ModelFile, meshes: bool) -> mujoco.MjSpec:
     for geom in spec.geoms:
         geom.mass = 0.0
     return spec
+
+
+def _number(element: ElementTree.Element, name: str) -> float:
+    try:
+        return float(element.get(name, "0"))
+    except ValueError:
+        return math.nan
 
 
 def _kept(element: ElementTree.Element, file: ModelFile, meshes: bool) -> bool:

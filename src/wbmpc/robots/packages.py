@@ -11,14 +11,10 @@ PACKAGE, FILE = "package://", "file://"
 
 
 def locate(name: str, folder: Path, packages: Mapping[str, Path]) -> Path | None:
-    """The file that a model in ``folder`` calls ``name``; None where there is none.
-
-    A ROS package is looked up in ``packages`` (its name to its folder), else it is the nearest folder above the model that is called
-    like it or whose ``package.xml`` names it.
-    """
+    """The file that a model in ``folder`` calls ``name``, with ROS packages in ``packages`` (name to folder); None where there is none."""
     if name.startswith(PACKAGE):
         package, _, rest = name.removeprefix(PACKAGE).partition("/")
-        home = find_package(package, folder, packages)
+        home = packages.get(package)
         found = None if home is None else home / rest
     elif name.startswith(FILE):
         found = Path(unquote(name.removeprefix(FILE)))
@@ -28,7 +24,8 @@ def locate(name: str, folder: Path, packages: Mapping[str, Path]) -> Path | None
 
 
 def find_package(name: str, folder: Path, packages: Mapping[str, Path]) -> Path | None:
-    """The folder of a ROS package; None where it is neither given nor around ``folder``."""
+    """The folder of a ROS package: the one in ``packages`` (its name to its folder), else the nearest around ``folder`` that is called like
+    it or whose ``package.xml`` names it; None where there is none."""
     if name in packages:
         return packages[name] if packages[name].is_dir() else None
     return next((home for home in _around(folder.resolve(), name) if _is_package(home, name)), None)

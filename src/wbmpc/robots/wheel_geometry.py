@@ -11,7 +11,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.robots.model_file import file_of
+from wbmpc.robots.model_file import ModelFile, file_of
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Radius
@@ -41,8 +41,12 @@ def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
 
 def drawn_radius(description: RobotDescription, model: mujoco.MjModel, wheel: str) -> float | None:
     """Radius [m] of the wheel on joint ``wheel`` as its shapes have it; None where they do not show it."""
-    root = file_of(description).root
-    return _of_model(model, wheel) if root is None else _of_urdf(root, wheel)
+    return radius_of(file_of(description), model, wheel)
+
+
+def radius_of(file: ModelFile, model: mujoco.MjModel, wheel: str) -> float | None:
+    """The same of a file that is read and compiled."""
+    return _of_model(model, wheel) if file.root is None else _of_urdf(file.root, wheel)
 
 
 def _compare(description: RobotDescription, radius: Radius, drawn: float | None) -> None:

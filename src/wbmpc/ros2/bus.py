@@ -65,11 +65,11 @@ class Publisher(Protocol):
 
 class Node(Protocol):
     """A node. Callbacks come from a thread of the back end, one at a time, so they must be short; those of ``deferred``
-    subscriptions from :meth:`work`. Messages have attributes as in ROS. :meth:`subscribe` gives a function that ends the
-    subscription; ``others``: types in which the node can take the same topic, if the back end can have both at once; messages
-    of more than ``largest`` bytes are dropped with a log line before they are decoded (rclpy decodes them itself).
-    With ``sourced`` the callback gets a second argument, what the message's publisher is known by (see
-    :mod:`wbmpc.ros2.sources`). :meth:`offer` makes parameters those of the node; once.
+    subscriptions from :meth:`work`, and so the answers of ``deferred`` services (rclpy answers in its own thread). Messages have
+    attributes as in ROS. :meth:`subscribe` gives a function that ends the subscription; ``others``: types in which the node can
+    take the same topic, if the back end can have both at once; messages of more than ``largest`` bytes are dropped with a log
+    line before they are decoded (rclpy decodes them itself). With ``sourced`` the callback gets a second argument, what the
+    message's publisher is known by (see :mod:`wbmpc.ros2.sources`). :meth:`offer` makes parameters those of the node; once.
 
     ``owner`` of an endpoint: its node's name, empty if that is not known. ``faults``: messages about endpoints that do not
     match, as long as these are there; ``backend``: its name.
@@ -85,7 +85,9 @@ class Node(Protocol):
         others: tuple[str, ...] = (), largest: int = LARGEST, sourced: bool = False,
     ) -> Callable[[], None]: ...  # fmt: skip
     def work(self) -> None: ...
-    def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None: ...
+    def serve(
+        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False
+    ) -> None: ...
     def offer(self, parameters: Parameters) -> None: ...
     def publishers(self, topic: str) -> list[Endpoint]: ...
     def subscribers(self, topic: str) -> list[Endpoint]: ...

@@ -29,7 +29,7 @@ from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.rosout import Rosout
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.trajectory_client import Trajectories
-from wbmpc.ros2.tuning import parameters_of
+from wbmpc.ros2.tuning import Tuning
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings, SafeStop
@@ -91,7 +91,8 @@ class ControlNode:
         self.wrench = np.zeros(6)
         self.health = Health(self)
         self.publishers = Publishers(node, self)
-        node.offer(parameters_of(self.adapter, settings))
+        self.tuning = Tuning(self.adapter, settings)
+        node.offer(self.tuning.parameters)
 
     # ------------------------------------------------------------------ life
     def spin(self, ended: Callable[[], bool]) -> None:
@@ -108,6 +109,7 @@ class ControlNode:
     def step(self) -> None:
         """One look: goals, start and stop, messages."""
         self.node.work()
+        self.tuning.update()
         self._supervise()
         if not self.running:
             self._follow_sensors()

@@ -13,8 +13,7 @@ import re
 import struct
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -30,11 +29,12 @@ from cyclonedds.util import duration
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, Endpoint, Qos, full_name
+from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full_name
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
+from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.network import Network
@@ -42,8 +42,6 @@ from wbmpc.ros2.parameters import Parameters, ParameterServices
 
 _LOG = logging.getLogger("wbmpc")
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-#: Of more messages, or bytes of them, that wait for :meth:`DdsNode.work` the oldest are dropped.
-_MAX_DEFERRED, _MOST_BYTES = 100, 2**24
 #: What stands before the body of a service's messages: client and number.
 _HEADER = {"client": idl_types.uint64, "number": idl_types.int64}
 _HEADER_SIZE = 16
@@ -81,7 +79,7 @@ class DdsNode:
         self._unregister: dict[
             DataReader, Callable[[], None]
         ] = {}  # of readers that call back, what ends their entry in LOCAL
-        self._deferred: deque[tuple[Callable[[bytes, int], None], bytes, int]] = deque(maxlen=_MAX_DEFERRED)
+        self._deferred = Deferred()
         self._writers: list[DataWriter] = []
         self._graph = [
             BuiltinDataReader(self._participant, t) for t in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
@@ -117,7 +115,8 @@ class DdsNode:
         go on. Returns what ends it."""
         name = full_name(topic)
 
-        def call(data: bytes, source: int) -> None:
+        def call(sample: tuple[bytes, int]) -> None:
+            data, source = sample
             try:
                 callback(self.types.decode(kind, data), *([source] if sourced else []))
             except Exception as error:
@@ -125,32 +124,33 @@ class DdsNode:
 
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
-                for data, source in _taken(reader):
-                    if len(data) > largest:
-                        why = f"{name}: a message of {len(data)} bytes is dropped; valid: at most {largest}"
-                        self._limit.log(_LOG, logging.ERROR, name, why)
-                    elif deferred:
-                        self._defer(call, data, source)
+                for data, source in self._small(name, reader, largest):
+                    if deferred:
+                        self._deferred.put(name, call, (data, source), len(data))
                     else:
-                        call(data, source)
+                        call((data, source))
 
         ours = OwnEndpoint("subscription", name, kind, qos, others)
         place = self._topic(f"rt{name}", kind, others=others)
         reader = self._read(place, self._qos(qos, kind), take, self, lambda policy: self._mismatch(ours, policy))
         return lambda: self._end(reader)
 
-    def _defer(self, call: Callable[[bytes, int], None], data: bytes, source: int) -> None:
-        self._deferred.append((call, data, source))
-        while len(self._deferred) > 1 and sum(len(d) for _, d, _ in self._deferred) > _MOST_BYTES:
-            self._deferred.popleft()
+    def _small(self, name: str, reader: DataReader, largest: int) -> Iterator[tuple[bytes, int]]:
+        """What has come with the handles of its writers, but for messages of more than ``largest`` bytes."""
+        for data, source in _taken(reader):
+            if len(data) <= largest:
+                yield data, source
+                continue
+            why = f"{name}: a message of {len(data)} bytes is dropped; valid: at most {largest}"
+            self._limit.log(_LOG, logging.ERROR, name, why)
 
     def work(self) -> None:
-        """Decode the messages of deferred subscriptions that have come, and call back, in this thread."""
-        while self._deferred:
-            call, data, source = self._deferred.popleft()
-            call(data, source)
+        """Decode the messages of deferred subscriptions and services that have come, and call back, in this thread."""
+        self._deferred.work()
 
-    def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
+    def serve(
+        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False
+    ) -> None:
         """Answer a service. It is seen by peers of rmw_cyclonedds, not by those of Fast DDS."""
         name = full_name(service)
         request_type, response_type = request(kind), response(kind)
@@ -158,17 +158,24 @@ class DdsNode:
         replies = self._topic(f"rr{name}Reply", response_type, _HEADER)
         writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
 
+        def reply(data: bytes) -> None:
+            head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
+            try:
+                values = answer(self.types.decode(request_type, body))
+                said = self.types.encode(response_type, values)
+            except Exception as error:
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
+                return
+            with suppress(DDSException):  # who asked has gone
+                writer.write(replies.data_type(said[:4] + head + said[4:]))
+
         def take(reader: DataReader) -> None:
-            for data, _ in _taken(reader):
-                head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
-                with self._lock:
-                    try:
-                        values = answer(self.types.decode(request_type, body))
-                    except Exception as error:
-                        self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
-                        continue
-                reply = self.types.encode(response_type, values)
-                writer.write(replies.data_type(reply[:4] + head + reply[4:]))
+            for data, _ in self._small(name, reader, SMALL):
+                if deferred:
+                    self._deferred.put(name, reply, data, len(data))
+                else:
+                    with self._lock:
+                        reply(data)
 
         self._own(self._writers, writer)
         self._read(

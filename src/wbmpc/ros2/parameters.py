@@ -22,6 +22,8 @@ TYPES: dict[type, tuple[int, str]] = {
     bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value"), str: (4, "string_value"),
 }  # fmt: skip
 _READ = {number: field for number, field in TYPES.values()}
+#: More than any node here has.
+MAX_ASKED = 200
 #: As of ROS 2's own publishers of parameter events.
 _EVENTS = Qos(depth=1000)
 
@@ -106,6 +108,13 @@ def descriptor_of(p: Parameter) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _few(asked: list[Any]) -> list[Any]:
+    """What a request asks for. Raises :class:`InputError` if that is too much at once."""
+    if len(asked) > MAX_ASKED:
+        raise InputError(f"a request for {len(asked)} parameters at once; valid: at most {MAX_ASKED}")
+    return asked
+
+
 class ParameterServices:
     """The services of rcl_interfaces for a node that has none, and /parameter_events."""
 
@@ -121,32 +130,33 @@ class ParameterServices:
             ("list_parameters", "ListParameters", self._list),
             ("describe_parameters", "DescribeParameters", self._describe),
         ):
-            node.serve(f"{self.name}/{service}", f"rcl_interfaces/srv/{kind}", answer)
+            # in the node's own thread: a flood of requests does not delay the robot's states
+            node.serve(f"{self.name}/{service}", f"rcl_interfaces/srv/{kind}", answer, deferred=True)
 
     def _value(self, name: str) -> Value | None:
         p = self.parameters.known.get(name)
         return None if p is None else p.value
 
     def _get(self, request: Any) -> dict[str, Any]:
-        return {"values": [message_of(self._value(n)) for n in request.names]}
+        return {"values": [message_of(self._value(n)) for n in _few(request.names)]}
 
     def _types(self, request: Any) -> dict[str, Any]:
-        return {"types": [message_of(self._value(n))["type"] for n in request.names]}
+        return {"types": [message_of(self._value(n))["type"] for n in _few(request.names)]}
 
     def _describe(self, request: Any) -> dict[str, Any]:
         known = self.parameters.known
-        return {"descriptors": [descriptor_of(known[n]) if n in known else {"name": n} for n in request.names]}
+        return {"descriptors": [descriptor_of(known[n]) if n in known else {"name": n} for n in _few(request.names)]}
 
     def _list(self, request: Any) -> dict[str, Any]:
-        names = self.parameters.names(request.prefixes, int(request.depth))
+        names = self.parameters.names(_few(request.prefixes), int(request.depth))
         prefixes = sorted({n.rpartition(".")[0] for n in names} - {""})
         return {"result": {"names": names, "prefixes": prefixes}}
 
     def _set(self, request: Any) -> dict[str, Any]:
-        return {"results": [self._change({p.name: value_of(p.value)}) for p in request.parameters]}
+        return {"results": [self._change({p.name: value_of(p.value)}) for p in _few(request.parameters)]}
 
     def _set_all(self, request: Any) -> dict[str, Any]:
-        return {"result": self._change({p.name: value_of(p.value) for p in request.parameters})}
+        return {"result": self._change({p.name: value_of(p.value) for p in _few(request.parameters)})}
 
     def _change(self, values: dict[str, Any]) -> dict[str, Any]:
         try:

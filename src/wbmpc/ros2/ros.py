@@ -6,7 +6,7 @@ import logging
 import re
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
@@ -19,6 +19,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LARGEST, Endpoint, Qos, full_name
 from wbmpc.ros2.convert import error_message
+from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.parameters import Parameters, descriptor_of
 from wbmpc.ros2.sources import AMBIGUOUS
@@ -51,7 +52,7 @@ class RosNode:
     def __init__(self, name: str) -> None:
         self.name = name
         self._mismatches, self._limit = Mismatches(self), RateLimit()
-        self._deferred: deque[tuple[Callable[[Any], None], Any]] = deque(maxlen=100)
+        self._deferred = Deferred()
         self._made: Counter[tuple[str, str]] = Counter()  # publishers and subscriptions of this node by topic
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
@@ -97,7 +98,7 @@ class RosNode:
             except Exception as error:
                 self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
-        later = lambda message: self._deferred.append((call, message))
+        later = lambda message: self._deferred.put(name, call, message)
         taken = later if deferred else call
         made = self._node.create_subscription(get_message(kind), name, taken, _profile(qos), event_callbacks=events)
         self._made["subscription", name] += 1
@@ -110,12 +111,12 @@ class RosNode:
 
     def work(self) -> None:
         """Call back for the messages of deferred subscriptions that have come, in this thread."""
-        while self._deferred:
-            call, message = self._deferred.popleft()
-            call(message)
+        self._deferred.work()
 
-    def serve(self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]]) -> None:
-        """Answer a service."""
+    def serve(
+        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False
+    ) -> None:
+        """Answer a service, in the executor's thread."""
         self._node.create_service(
             get_service(kind), full_name(service), lambda request, response: fill(response, answer(request))
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, get_args
 
 from pydantic import ValidationError
@@ -10,31 +11,50 @@ from wbmpc.configuration import describe
 from wbmpc.errors import InputError
 from wbmpc.ocp import OptimalControlProblem
 from wbmpc.ros2.base_adapter import BaseAdapter, Weights
+from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.parameters import Parameter, Parameters, Value
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.settings import LARGEST, Settings, Weight
 
+_LOG = logging.getLogger("wbmpc")
 #: What says in the settings' classes that a number is a weight.
 _OF_WEIGHTS = list(get_args(Weight)[1].metadata)
 
 
-def parameters_of(adapter: BaseAdapter, settings: RosSettings) -> Parameters:
-    """``robot``, ``use_sim_time``, ``rates.*``, ``frames.*`` read-only; the weights ``cost.*`` settable."""
-    parameters = [
+class Tuning:
+    """``parameters``: ``robot``, ``use_sim_time``, ``rates.*``, ``frames.*`` read-only; the weights ``cost.*`` settable.
+
+    They are set in any thread, cheaply; :meth:`update`, in the node's own, puts what was set last into force.
+    """
+
+    def __init__(self, adapter: BaseAdapter, settings: RosSettings) -> None:
+        self._adapter, self._cost = adapter, settings.cost
+        self._in_force = settings.cost
+        self.parameters = Parameters(_parameters(adapter, settings), self._change)
+
+    def _change(self, values: dict[str, Value]) -> None:
+        self._cost = changed_cost(self._cost, values)
+
+    def update(self) -> None:
+        """Give the MPC new weights, if there are some."""
+        cost = self._cost
+        if cost is self._in_force:
+            return
+        self._in_force = cost
+        try:
+            self._adapter.pending.reweigh(weights_of(self._adapter.problem(cost)))
+        except Exception as error:
+            _LOG.error("parameters: the weights do not change: %s", error_message(error))
+
+
+def _parameters(adapter: BaseAdapter, settings: RosSettings) -> list[Parameter]:
+    return [
         Parameter("robot", adapter.robot.description.name, "name of the robot's description"),
         Parameter("use_sim_time", settings.use_sim_time, "whether time is that of /clock"),
         *(Parameter(f"rates.{n}", float(v), "rate [Hz]") for n, v in settings.rates.model_dump().items()),
         *(Parameter(f"frames.{n}", str(v), "name of a frame") for n, v in settings.frames.model_dump().items()),
         *_weights("cost", settings.cost),
     ]
-    state = {"cost": settings.cost}
-
-    def change(values: dict[str, Value]) -> None:
-        cost = changed_cost(state["cost"], values)
-        adapter.pending.reweigh(weights_of(adapter.problem(cost)))
-        state["cost"] = cost
-
-    return Parameters(parameters, change)
 
 
 def _weights(prefix: str, cost: Settings) -> list[Parameter]:

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from wbmpc.solver.receding import Tables
 
 _LOG = logging.getLogger("wbmpc")
+#: So many steps at most are simulated in one call.
+SIMULATED = 64
 _STATUS = (
     Status.CONVERGED,
     Status.ITERATION_LIMIT,
@@ -285,20 +287,34 @@ class Solver:
 
         self._entry, self._out = receding_solve.pointer, (ctypes.c_int64 * 2)()
         self._simulate, self._nothing = simulate.pointer, ctypes.addressof(self._out)
+        self._x, self._u = np.zeros(self.problem.nx), np.zeros(SIMULATED * self.problem.nu)
+        self._x_at, self._u_at = self._x.ctypes.data, self._u.ctypes.data
         self.x0 = np.zeros(self.problem.nx)
         arrays = (self.ws.memory, self.ws.table, self.x0, self.numbers, self.log)
         self._memory, self._table, self._start, self._numbers, self._log = (a.ctypes.data for a in arrays)
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
-        """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters."""
+        """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters; after k times h
+        under inputs (k, nu), one after the other. Raises :class:`InputError` for other shapes."""
+        u, nx, nu = np.asarray(u, float), self.problem.nx, self.problem.nu
+        if np.shape(x) != (nx,) or u.ndim not in (1, 2) or u.shape[-1] != nu:
+            raise InputError(
+                f"simulate: {nx} states and {nu} inputs are needed, got shapes {np.shape(x)} and {u.shape}"
+            )
+        if u.ndim == 2 and (len(u) > SIMULATED or self.settings.backend == "interpreted"):
+            for row in u:
+                x = self.simulate(x, row, h)
+            return np.array(x, float)
         if self.settings.backend == "interpreted":
             with self.exclusive, Interruptible():
                 return self.twin.simulate(x, u, h)
-        # dozens of times in a controller's tick: the addresses that do not change are not asked for again
-        x, u, out = np.ascontiguousarray(x, float), np.ascontiguousarray(u, float), np.empty(self.problem.nx)
+        # dozens of times in a controller's tick: memory and addresses are kept
         with self.exclusive:
-            self._simulate(self._memory, self._table, x.ctypes.data, u.ctypes.data, h, out.ctypes.data, self._nothing)
-        return out
+            self._x[:] = x
+            self._u[: u.size] = u.reshape(-1)
+            count = len(u) if u.ndim == 2 else 1
+            self._simulate(self._memory, self._table, self._x_at, self._u_at, count, h, self._nothing)
+            return self._x.copy()
 
     def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:
         """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s].

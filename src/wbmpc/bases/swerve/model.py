@@ -36,7 +36,7 @@ NEARLY = 0.02
 
 # A wheel whose contact lies farther [m] from the steer axis is a caster, which these equations do not describe; a hinged leg that
 # is shorter [m] is moved by no wheel. Wheels that differ by more [m] in height leave the robot standing on some of them.
-_LARGEST_OFFSET, _SHORTEST_LEG, _LEVEL = 0.005, 0.005, 0.001
+LARGEST_OFFSET, _SHORTEST_LEG, _LEVEL = 0.005, 0.005, 0.001
 
 
 def read_geometry(description: RobotDescription, tree: Tree) -> tuple[ModuleGeometry, float]:
@@ -96,7 +96,7 @@ def _check_module(
             raise InputError(f"{description.source}: joint '{name}' must turn about the body's +z axis")
     if abs((poses[wheel][1] @ tree.links[wheel].axis)[2]) > 1e-6:
         raise InputError(f"{description.source}: joint '{module.wheel}' must have a horizontal axis")
-    if np.hypot(*(poses[wheel][0] - poses[steer][0])[:2]) > _LARGEST_OFFSET:
+    if np.hypot(*(poses[wheel][0] - poses[steer][0])[:2]) > LARGEST_OFFSET:
         raise InputError(f"{description.source}: wheel '{module.wheel}' must stand under the axis of '{module.steer}'")
 
 

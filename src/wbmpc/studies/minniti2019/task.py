@@ -186,7 +186,7 @@ def task_scenario(
 def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallController, torque: np.ndarray) -> None:
     """The channels of every experiment: truth, torques, disturbance and, with an estimator, what it believes."""
     truth = plant.truth()
-    log.add("state", t, plant.state())
+    log.add("state", t, truth.state)
     log.add("hand", t, truth.tool)
     log.add("hand_quaternion", t, lie.rotation_to_quaternion(truth.tool_rotation))
     log.add("tilt", t, truth.tilt)
