@@ -84,7 +84,8 @@ class Proposal:
 
     ``section``: keys of its ``base`` section, without ``type`` and ``body``; ``fit``: from 0 (hardly) to 1 (nothing else is possible);
     ``reason``: what it saw, for a user; ``joints``: those that the section names; ``held``: others of the base, which stand still;
-    ``speed`` [rad/s] of wheels for which the file has none, by joint; ``questions``: what only the user knows.
+    ``speed`` [rad/s] of joints for which the file has none, and ``acceleration`` [rad/s²], by joint; ``questions``: what only the user
+    knows.
     """
 
     section: Mapping[str, Any]
@@ -93,6 +94,7 @@ class Proposal:
     joints: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     speed: Mapping[str, float] = field(default_factory=dict)
+    acceleration: Mapping[str, float] = field(default_factory=dict)
     questions: tuple[Question, ...] = ()
 
 

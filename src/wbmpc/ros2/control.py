@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
+from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.base_adapter import BaseAdapter
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
@@ -59,6 +60,7 @@ class ControlNode:
         elif settings.use_sim_time:
             self.clock = BusClock()
         self.runner: RealTimeRunner | None = None
+        self._limit = RateLimit()
         self.rosout = Rosout(node, settings.node, self.now, self.yield_to_controller)
         try:
             self._create_parts()
@@ -115,11 +117,14 @@ class ControlNode:
             self._follow_sensors()
         self._process_requests()
         self.yield_to_controller()
-        self.adapter.inspect()
-        self.leg_control.update()
-        self._send_setpoints()
-        self.health.update()
-        self.publishers.publish()
+        parts = (
+            self.adapter.inspect, self.leg_control.update, self._send_setpoints, self.health.update, self.publishers.publish,
+        )  # fmt: skip
+        for update in parts:
+            try:
+                update()
+            except Exception as error:  # of what is beside the control of a robot that may be moving
+                self._limit.log(_LOG, logging.ERROR, str(update), f"{update.__qualname__}: {error_message(error)}")
         if self.state != self._logged:
             self._logged = self.state
             if self.runner is None or not self.runner.stopped:  # a stop is reported by the runner

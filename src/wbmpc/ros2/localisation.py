@@ -28,6 +28,8 @@ _POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped"
 _REMEMBERED = 400
 #: Time that goes back by more than this [s] is a clock that was started anew, not rounding.
 _ROUNDING = 1e-6
+#: What is known no better is not known at all [m², rad²].
+LARGEST_VARIANCE = 1e12
 #: A pose may be off by this many standard deviations besides.
 _SPREAD = 3.0
 
@@ -103,6 +105,8 @@ class PoseSource:
         pose = planar(*read_pose(message.pose.pose, topic))
         if not np.isfinite(covariance).all():
             raise InputError(f"{topic}: a number of the covariance is not finite")
+        if np.abs(covariance).max() > LARGEST_VARIANCE:
+            raise InputError(f"{topic}: a number of the covariance is too large; valid: at most {LARGEST_VARIANCE:g}")
         if not is_covariance(covariance):
             raise InputError(f"{topic}: a variance is negative")
         now, stamped = self.stamp(), seconds(message.header.stamp)
