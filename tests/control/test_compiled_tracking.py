@@ -38,9 +38,7 @@ def test_both_back_ends_say_the_same(planned: bool) -> None:
     previous = SwerveMeasurement(0.0, *(np.zeros(k) for k in (4, 4, 4, 6)))
     for k in range(80):
         plan, brake = policy(rng, 0.1) if k < 20 else fast, (rng.uniform(size=4) > 0.5).astype(float)
-        steer = plan.state(PERIOD * k + 0.02)[ROBOT.state["steer"]] + (0.5 if 5 < k < 10 else 0.01) * rng.normal(
-            size=4
-        )
+        steer = plan.state(PERIOD * k + 0.02)[ROBOT.state["steer"]] + (0.5 if 5 < k < 10 else 0.01) * rng.normal(size=4)
         estimate = SimpleNamespace(steer=steer, hinge_angles=np.zeros(4))
         now = SwerveMeasurement(PERIOD * (k + 1), *(0.01 * rng.normal(size=n) for n in (4, 4, 4, 6)))
         found, x = [], rng.normal(size=NX)
