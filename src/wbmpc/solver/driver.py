@@ -393,7 +393,7 @@ def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[i
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
         if it == 0 and np.isfinite(cost):
-            size = max(1.0, abs(cost))
+            size = min(max(1.0, abs(cost)), THRESHOLDS.divergence)
         it += 1
         ended = direction_status(m, o, s, log, row, (cost, violation, largest, slope), size)
         if ended == AGAIN:

@@ -20,7 +20,7 @@ import numpy as np
 
 from wbmpc.solver.barriers import add_square
 from wbmpc.solver.compilation import LANES, Floats, Integers, call3, compiled
-from wbmpc.solver.inequality_algebra import log_of_product, merits, steps, weights
+from wbmpc.solver.inequality_algebra import ROUNDING, log_of_product, merits, steps, weights
 from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER, eight_rows, entry, node_rows, record_violations
 from wbmpc.solver.memory_layout import (
     ADD_ROWS,
@@ -65,10 +65,6 @@ from wbmpc.solver.memory_layout import (
 )
 from wbmpc.solver.simd_batch import evaluate_rows, load_block, take_rows_of_lane
 from wbmpc.solver.stages import row_index, stage_end
-
-#: Of a sum, as a share of its largest part.
-ROUNDING = 1e-15
-
 
 # ---------------------------------------------------------------------- all rows of a node
 @compiled

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.ocp.constraint_classification import Kind, RowGroup
-from wbmpc.solver.inequalities import ROUNDING
+from wbmpc.solver.inequality_algebra import ROUNDING
 
 
 class RowState:
@@ -80,6 +80,7 @@ class RowState:
         following = -sigma * (change + e)
         with np.errstate(divide="ignore", invalid="ignore"):
             self.dl = np.where(self.hard, following, np.where(self.equal, -following, 0.0)) - self.l
+            self.dl[self.soft & (np.abs(self.dl) <= ROUNDING * self.penalty)] = 0.0
             pull = np.maximum(0.0, self.l - self.penalty * (self.h + change))
             self.dl = np.where(self.multiplier, pull - self.l, self.dl)
             self.dt = np.where(self.hard, (mu - self.l * self.t - self.t * self.dl) / self.l, 0.0)

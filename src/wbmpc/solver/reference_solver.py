@@ -208,7 +208,7 @@ class InterpretedSolver(InterpretedDirections):
             return NOT_FINITE
         self.ws.state[[StateField.COST, StateField.VIOLATION]] = row[:2]
         if run.count == 1:
-            run.size = max(1.0, abs(cost))
+            run.size = min(max(1.0, abs(cost)), THRESHOLDS.divergence)
         if max(abs(cost), size) > THRESHOLDS.divergence * run.size:
             return DIVERGED
         feasible = max(violation, residual) <= c.feasibility
