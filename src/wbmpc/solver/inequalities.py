@@ -20,7 +20,7 @@ import numpy as np
 
 from wbmpc.solver.barriers import add_square
 from wbmpc.solver.compilation import LANES, Floats, Integers, call3, compiled
-from wbmpc.solver.inequality_algebra import ROUNDING, log_of_product, merits, steps, weights
+from wbmpc.solver.inequality_algebra import log_of_product, merits, steps, weights
 from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER, eight_rows, entry, node_rows, record_violations
 from wbmpc.solver.memory_layout import (
     ADD_ROWS,
@@ -65,6 +65,11 @@ from wbmpc.solver.memory_layout import (
 )
 from wbmpc.solver.simd_batch import evaluate_rows, load_block, take_rows_of_lane
 from wbmpc.solver.stages import row_index, stage_end
+
+
+#: Of a sum, as a share of its largest part.
+ROUNDING = 1e-15
+
 
 # ---------------------------------------------------------------------- all rows of a node
 @compiled
@@ -259,9 +264,10 @@ def rows_step(m: Floats, o: Integers, tau: float) -> None:
             dual = np.maximum(dual, np.where(hard, fall, 0.0))
             slope = slope + w * np.where(hard, rise, 0.0)
             closed = penalty < np.inf
-            # y is a difference of numbers of the penalty's size
-            of_slack = np.where(closed, (y - ROUNDING * penalty) * s, 0.0)
-            product = np.maximum(product, np.where(hard, np.maximum(l * t, of_slack), 0.0))
+            # beside a penalty multipliers are differences of numbers of its size
+            noise = np.where(closed, ROUNDING * penalty, 0.0)
+            of_slack = np.where(closed, (y - noise) * s, 0.0)
+            product = np.maximum(product, np.where(hard, np.maximum((l - noise) * t, of_slack), 0.0))
             slack = np.where(closed, s, 0.0)
             residual = np.maximum(residual, np.where(hard, abs(h + slack - t), 0.0))
             following = np.where(hard, l + dl, l)

@@ -12,10 +12,6 @@ from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER
 from wbmpc.solver.memory_layout import LANES_OUT
 
 
-#: Of a sum, as a share of its largest part.
-ROUNDING = 1e-15
-
-
 @compiled
 def weights(
     kind: Vector, h: Vector, t: Vector, lam: Vector, s: Vector, y: Vector, penalty: Vector, mu: float
@@ -62,7 +58,6 @@ def steps(
     inverse, other = 1.0 / (lam * y), 1.0 / (t * s)
     by_l, by_y, by_t, by_s = y * inverse, lam * inverse, s * other, t * other
     dl = following - lam
-    dl = np.where(closed & (abs(dl) <= ROUNDING * penalty), 0.0, dl)  # noise would hold back the steps of all rows
     dt, ds = (mu - t * dl) * by_l - t, (mu + s * dl) * by_y - s
     carried = s * lam > t * y  # by the slack: δl is the small difference of large numbers
     ds = np.where(carried, t + dt - ahead - s, ds)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.ocp.constraint_classification import Kind, RowGroup
-from wbmpc.solver.inequality_algebra import ROUNDING
+from wbmpc.solver.inequalities import ROUNDING
 
 
 class RowState:
@@ -80,7 +80,6 @@ class RowState:
         following = -sigma * (change + e)
         with np.errstate(divide="ignore", invalid="ignore"):
             self.dl = np.where(self.hard, following, np.where(self.equal, -following, 0.0)) - self.l
-            self.dl[self.soft & (np.abs(self.dl) <= ROUNDING * self.penalty)] = 0.0
             pull = np.maximum(0.0, self.l - self.penalty * (self.h + change))
             self.dl = np.where(self.multiplier, pull - self.l, self.dl)
             self.dt = np.where(self.hard, (mu - self.l * self.t - self.t * self.dl) / self.l, 0.0)
@@ -130,8 +129,9 @@ class RowState:
     def residuals(self) -> tuple[float, float]:
         """Largest complementarity product and primal residual."""
         with np.errstate(invalid="ignore"):
-            product = np.where(self.hard, self.l * self.t, 0.0)
-            product = np.maximum(product, np.where(self.soft, ((1.0 - ROUNDING) * self.penalty - self.l) * self.s, 0.0))
+            noise = np.where(self.soft, ROUNDING * self.penalty, 0.0)
+            product = np.where(self.hard, (self.l - noise) * self.t, 0.0)
+            product = np.maximum(product, np.where(self.soft, (self.penalty - self.l - noise) * self.s, 0.0))
         other = np.where(self.equal, np.abs(self.h), np.abs(np.minimum(self.h, self.l / self.penalty)))
         primal = np.where(self.hard, np.abs(self.h + self.s - self.t), other)
         return float(np.max(product[self.counts], initial=0.0)), float(np.max(primal[self.counts], initial=0.0))
