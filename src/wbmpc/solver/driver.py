@@ -289,7 +289,9 @@ def convergence_status(
         bias = moved(m, o) * mu / (last_mu - mu)
     last = mu <= level or not rows
     small = not last or moved(m, o) <= THRESHOLDS.settled
-    if compute_kkt and kkt <= s[Setting.TOLERANCE] and feasible and product <= 10.0 * mu and small:
+    # where rounding of one multiplier holds back the steps of all
+    close = 100.0 if m[state + StateField.MAX_DUAL_STEP] < SHORT else 10.0
+    if compute_kkt and kkt <= s[Setting.TOLERANCE] and feasible and product <= close * mu and small:
         if last and (not rows or bias <= THRESHOLDS.bias or mu <= s[Setting.MIN_BARRIER]):
             return 1.0 * CONVERGED, level, bias
         level = max(0.2 * mu, s[Setting.MIN_BARRIER]) if last else level

@@ -66,7 +66,6 @@ from wbmpc.solver.memory_layout import (
 from wbmpc.solver.simd_batch import evaluate_rows, load_block, take_rows_of_lane
 from wbmpc.solver.stages import row_index, stage_end
 
-
 #: Of a sum, as a share of its largest part.
 ROUNDING = 1e-15
 

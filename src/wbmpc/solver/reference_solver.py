@@ -197,7 +197,7 @@ class InterpretedSolver(InterpretedDirections):
         self, x0: np.ndarray, s: dict[str, Any], c: Any, cost: float, violation: float, row: np.ndarray, run: _Progress
     ) -> int | None:
         """What comes after a direction; a status if it is the end."""
-        from wbmpc.solver.barrier_update import next_mu
+        from wbmpc.solver.barrier_update import SHORT, next_mu
         from wbmpc.solver.driver import CONVERGED, DIVERGED, LINE_SEARCH_FAILED, NOT_FINITE
 
         size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
@@ -219,7 +219,9 @@ class InterpretedSolver(InterpretedDirections):
             run.bias = moved * self.mu / (run.last_mu - self.mu)
         last, run.last_mu = self.mu <= run.level or not self.has_rows, self.mu
         small = moved <= THRESHOLDS.settled or not last
-        if c.compute_kkt and kkt <= c.tolerance and feasible and product <= 10.0 * self.mu and small:
+        blocked = min(r.reach(c.fraction_to_boundary)[1] for r in self.own) < SHORT
+        close = 100.0 if blocked else 10.0
+        if c.compute_kkt and kkt <= c.tolerance and feasible and product <= close * self.mu and small:
             if last and (not self.has_rows or run.bias <= THRESHOLDS.bias or self.mu <= c.min_barrier):
                 return CONVERGED
             run.level = max(0.2 * self.mu, c.min_barrier) if last else run.level
