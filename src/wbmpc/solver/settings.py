@@ -14,10 +14,10 @@ from wbmpc.errors import InputError, unknown_name
 class Thresholds:
     """Constants of the iteration. Steps and biases are relative to 1 + |x| and 1 + |u|.
 
-    ``divergence``: a step [units of the variables] or a cost that is larger, by the cost at the start where that is above 1, has diverged. ``settled``: the largest step of a solution,
-    however small the gradient is. ``at_rest``: the same for soft equalities, whose residual is then theirs. ``bias``: by how much a
-    solution may still depend on the barrier parameter; ``min_barrier``: as far as it falls for that; ``max_barrier``: as far as it
-    rises where slacks cut steps to less than a tenth. ``jammed``: steps that slacks
+    ``divergence``: a step [units of the variables] or a cost that is larger has diverged; times the cost at the start where that is
+    above 1. ``settled``: the largest step of a solution, however small the gradient is. ``at_rest``: the same for soft equalities,
+    whose residual is then theirs. ``bias``: by how much a solution may still depend on the barrier parameter; ``min_barrier``: as far
+    as it falls for that; ``max_barrier``: as far as it rises where slacks cut steps to less than a tenth. ``jammed``: steps that slacks
     cut to less, with the measured state outside a limit, are replaced by a roll-out (``rollout_restart``).
     """
 
