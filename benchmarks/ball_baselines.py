@@ -22,7 +22,7 @@ from wbmpc.reproduce import parse_seeds
 from wbmpc.studies.minniti2019.push_map import Point, simulated
 
 REGULATOR = {
-    "hand": (1e-3, 1.0), "torque": (0.3, 1e3), "arm": (0.01, 30.0), "posture": (0.1, 300.0), "damping": (0.03, 30.0),
+    "end_effector": (1e-3, 1.0), "torque": (0.3, 1e3), "arm": (0.01, 30.0), "posture": (0.1, 300.0), "damping": (0.03, 30.0),
     "max_error": (0.03, 3.0),
 }  # fmt: skip
 SEPARATE = {
@@ -37,7 +37,7 @@ SPACE: dict[str, dict[str, tuple[float, float]]] = {
     "separate-integral": SEPARATE,
     "separate-aware": SEPARATE,
     "taskspace": {
-        "hand": (1.5, 10.0), "turn": (1.5, 10.0), "ball": (5.0, 500.0), "ball_speed": (1.0, 50.0), "tilt": (5.0, 500.0),
+        "end_effector": (1.5, 10.0), "turn": (1.5, 10.0), "ball": (5.0, 500.0), "ball_speed": (1.0, 50.0), "tilt": (5.0, 500.0),
         "wheel_torque": (0.1, 10.0), "balance": (0.1, 10.0),
     },
 }  # fmt: skip

@@ -123,7 +123,7 @@ def _hold_goals(rig: Rig, goals: list[tuple[float, Array]]) -> None:
 
     def ask(shift: Array) -> Callable[[], None]:
         def act() -> None:
-            rig.mpc.reference["hand"] = Reference.poses([0.0], [position + shift], quaternion)
+            rig.mpc.reference["end_effector"] = Reference.poses([0.0], [position + shift], quaternion)
 
         return act
 
@@ -201,7 +201,7 @@ def _follow(rig: Rig, t: Array, end_effector: Array, base: Array, leg: Array | N
     """The end effector goes along ``end_effector`` (n, 3) from home [m], the base along ``base`` (n, 2), the legs along ``leg`` (n, 4)."""
     robot = rig.robot
     position, quaternion = robot.pose(robot.home)
-    rig.mpc.reference["hand"] = Reference.poses(t, position + end_effector, quaternion)
+    rig.mpc.reference["end_effector"] = Reference.poses(t, position + end_effector, quaternion)
     states = np.tile(robot.home, (t.size, 1))
     states[:, :2] += base
     if leg is not None:

@@ -81,7 +81,7 @@ def make_rezero_mpc(rate: float) -> MPC:
     mpc = rezero_mpc(robot, settings, BALL.cost)
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     set_home_references(mpc, robot, torque)
-    mpc.reference["hand"] = Reference.poses(*rezero_poses(), hold=True)
+    mpc.reference["end_effector"] = Reference.poses(*rezero_poses(), hold=True)
     mpc.reset(home, torque)
     return mpc
 
@@ -125,7 +125,7 @@ def make_swerve_mpc(rate: float, intervals: int = 50) -> MPC:
     robot = load_robot("swerve-ur10")
     mpc = swerve_mpc(robot, MpcSettings(rate=rate, horizon=10.0, intervals=intervals), SwerveCost())
     t = np.arange(0.0, PATH.end + 0.5, 0.02)
-    mpc.reference["hand"] = Reference.poses(t, swerve_hand(t), END_EFFECTOR_ORIENTATION)
+    mpc.reference["end_effector"] = Reference.poses(t, swerve_hand(t), END_EFFECTOR_ORIENTATION)
     s, speed = PATH.arc(t)
     share = PATH.length / PATH.arc_length
     states, inputs = np.tile(robot.home, (t.size, 1)), np.zeros((t.size, robot.input.size))

@@ -1,10 +1,10 @@
 """Experiments over seeds and under loads that the controller does not know of: masses, a slope, cables, a slippery floor, delays.
 
-Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--only NAME …] [--workers N] [--out DIR] [--report]
+Usage: python benchmarks/robustness.py [--seeds 200-219] [--conditions NAME …] [--robot ball] [--only NAME …] [--workers N] [--out DIR] [--report]
        [--publish goals loads]
 Every run is a process of its own; what is finished in DIR is not run again, so that an interrupted study goes on where it
 was (seed by seed). DIR gets table.json, table.md, goals.md (experiments and their variants against their goals) and
-robustness.png. Left out, --only is all swerve experiments; conditions of other robots and variants of other experiments are passed
+robustness.png. Left out, --only is all experiments of the robot; conditions of other robots and variants of other experiments are passed
 over. --publish puts the tables of goals and of loads, with the commits that the runs are of, into docs/results/swerve.md or ball.md.
 """
 
@@ -28,6 +28,8 @@ from wbmpc.report import versions, write_run
 from wbmpc.reproduce import Job, parse_seeds, run_all
 
 DOCS = Path(__file__).parents[1] / "docs"
+#: How the names of a robot's experiments begin.
+PREFIX = {"swerve": "swerve", "ball": "rezero"}
 #: What the robot carries and where it stands, by name: settings besides those of the protocol (friction 0.6 to 0.9, 10 ms).
 SWERVE: dict[str, tuple[str, ...]] = {
     "protocol": (),
@@ -339,15 +341,15 @@ def main() -> None:
     parser.add_argument("--seeds", default="200-219", help="as 200-219, 3 or 1,5-7")
     usual = [c for c in CONDITIONS if c not in VARIANTS]
     parser.add_argument("--conditions", nargs="*", default=usual, choices=list(CONDITIONS), metavar="NAME")
-    parser.add_argument(
-        "--only", nargs="*", default=[n for n in SHOWN if n.startswith("swerve")], choices=list(REGISTRY)
-    )
+    parser.add_argument("--robot", choices=list(PREFIX), default="swerve", help="whose experiments")
+    parser.add_argument("--only", nargs="*", choices=list(REGISTRY), help="default: all of the robot in the table")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("runs/robustness"))
     parser.add_argument("--report", action="store_true", help="run nothing, write what there is")
     parser.add_argument("--publish", nargs="*", default=[], choices=["goals", "loads"], help="tables that go into docs")
     given = parser.parse_args()
-    found = jobs(given.out, given.conditions, given.only, parse_seeds(given.seeds))
+    only = given.only or [n for n in SHOWN if n.startswith(PREFIX[given.robot])]
+    found = jobs(given.out, given.conditions, only, parse_seeds(given.seeds))
 
     def make(job: Job) -> list[str]:
         settings = CONDITIONS[found[job]]
@@ -359,7 +361,7 @@ def main() -> None:
     write(cells(found), failed, given.out)
     for job, reason in failed.items():
         print(f"{job.directory}: {reason}")
-    robot = "ball" if given.only[0].startswith("rezero") else "swerve"
+    robot = next(robot for robot, prefix in PREFIX.items() if only[0].startswith(prefix))
     if "goals" in given.publish:
         publish(
             DOCS / "results" / f"{robot}.md", f"{robot} goals", goals_markdown(against_goals(cells(found))), r"\| `"

@@ -38,7 +38,7 @@ def rezero(seconds: float) -> MPC:
     position, quaternion = robot.pose(home)
     times = np.arange(0.0, seconds, 3.0)
     steps = np.outer(np.arange(times.size) % 2, [0.1, 0.0, 0.0])
-    mpc.reference["hand"] = Reference.poses(times, position + steps, quaternion, hold=True)
+    mpc.reference["end_effector"] = Reference.poses(times, position + steps, quaternion, hold=True)
     mpc.reset(home, torque)
     return mpc
 
@@ -51,7 +51,9 @@ def swerve(seconds: float) -> MPC:
     t = np.arange(0.0, seconds, 0.1)
     along, across = path.point(t)
     position, quaternion = robot.pose(robot.home)
-    mpc.reference["hand"] = Reference.poses(t, position + np.stack([along, across, 0.0 * t], axis=1), quaternion)
+    mpc.reference["end_effector"] = Reference.poses(
+        t, position + np.stack([along, across, 0.0 * t], axis=1), quaternion
+    )
     states, inputs = np.tile(robot.home, (t.size, 1)), np.zeros((t.size, robot.input.size))
     arc, rate = path.arc(t)
     share = path.length / path.arc_length

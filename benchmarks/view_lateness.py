@@ -125,9 +125,9 @@ def measure(view: Measured, runner: RealTimeRunner, guests: Guests, seconds: flo
 def circle(runner: RealTimeRunner, seconds: float) -> None:
     """The end effector goes round and round, so that there is something to see."""
     mpc: Any = runner.mpc
-    home, t = mpc.reference["hand"].values[0], np.arange(0.0, seconds, 0.05)
+    home, t = mpc.reference["end_effector"].values[0], np.arange(0.0, seconds, 0.05)
     around = np.stack([np.cos(t) - 1.0, np.sin(t), 0.0 * t], axis=1)
-    mpc.reference["hand"] = Reference.poses(t, home[:3] + 0.06 * around, home[3:])
+    mpc.reference["end_effector"] = Reference.poses(t, home[:3] + 0.06 * around, home[3:])
 
 
 def cpu(pid: int) -> float:

@@ -13,7 +13,7 @@ robot = wb.load_robot("swerve-ur10")
 state, given, limits = robot.state, robot.input, robot.limits
 ocp = wb.OptimalControlProblem(robot.dynamics(), horizon=5.0, intervals=40, first_interval=0.02)
 end_effector = wb.residuals.FramePose(robot, robot.tool)
-ocp.add(wb.Cost("hand", end_effector, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
+ocp.add(wb.Cost("end_effector", end_effector, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
 ocp.add(
     wb.Cost(
         "posture", wb.residuals.State(robot), {"base": [1.0, 1.0, 5.0], "leg": 1.0, "arm": 0.05}, at="path+terminal"
@@ -32,7 +32,7 @@ position, orientation = robot.pose(robot.home)
 times = np.linspace(0.0, 8.0, 81)
 ahead = np.clip((times - 0.5) / 4.0, 0.0, 1.0)  # 1 m in 4 s
 path = position + np.stack([ahead, 0.1 * np.sin(2.0 * np.pi * ahead), 0.0 * ahead], axis=1)
-mpc.reference["hand"] = wb.Reference.poses(times, path, orientation)
+mpc.reference["end_effector"] = wb.Reference.poses(times, path, orientation)
 postures = np.tile(robot.home, (times.size, 1))
 postures[:, 0] = ahead
 mpc.reference["posture"] = wb.Reference(times, postures)

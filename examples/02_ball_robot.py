@@ -21,7 +21,7 @@ mpc = rezero_mpc(robot, settings, RezeroCost())
 
 position, orientation = robot.pose(home)
 aside = position + [0.0, 0.15, 0.0]
-mpc.reference["hand"] = wb.Reference.poses([0.0, 2.0], [position, aside], orientation, hold=True)
+mpc.reference["end_effector"] = wb.Reference.poses([0.0, 2.0], [position, aside], orientation, hold=True)
 mpc.reference["body"] = wb.Reference.constant(home)
 mpc.reference["twist"] = wb.Reference.constant(np.zeros(6))
 mpc.reference["torque"] = wb.Reference.constant(torque)

@@ -94,7 +94,7 @@ def drive(
     end_effector, orientation = robot.pose(home)
     turned = [lie.quaternion_about((0, 0, 1), p[2]) for p in poses]
     place = [[*lie.se2_compose(p, [end_effector[0], end_effector[1], 0.0])[:2], end_effector[2]] for p in poses]
-    mpc.reference["hand"] = Reference.poses(t, place, [lie.quaternion_multiply(q, orientation) for q in turned])
+    mpc.reference["end_effector"] = Reference.poses(t, place, [lie.quaternion_multiply(q, orientation) for q in turned])
     states = np.tile(home, (t.size, 1))
     states[:, state["base"]] = poses
     mpc.reference["state"] = Reference(t, states)

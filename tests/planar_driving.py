@@ -120,12 +120,14 @@ def follow_line(name: str, seed: int, length: float = 2.0, seconds: float = 7.0)
     share = np.linspace(0.0, 1.0, 101)
     line = start + length * np.outer(share**2 * (3.0 - 2.0 * share), [1.0, 0.0, 0.0])
     times = np.concatenate([[0.0], 0.5 + seconds * share])
-    system.mpc.reference["hand"] = Reference.poses(times, np.vstack([start, line]), np.tile(orientation, (102, 1)))
+    system.mpc.reference["end_effector"] = Reference.poses(
+        times, np.vstack([start, line]), np.tile(orientation, (102, 1))
+    )
     errors: list[tuple[float, float]] = []
 
     def record(t: float, command: Any, plans: Any) -> None:
         if round(t / system.timing.period) % 20 == 0:
-            goal, truth = system.mpc.reference["hand"].at(t)[:3], system.plant.truth()
+            goal, truth = system.mpc.reference["end_effector"].at(t)[:3], system.plant.truth()
             estimate = robot.pose(system.controller.state())[0]
             errors.append((float(np.linalg.norm(estimate - goal)), float(np.linalg.norm(truth.tool - goal))))
 

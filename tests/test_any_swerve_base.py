@@ -19,12 +19,11 @@ from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
-from wbmpc.model.wheels import beyond_range
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import assess, corners, leg_angles
 from wbmpc.studies.pankert2022 import brakes as swerve_brakes
 from wbmpc.studies.pankert2022 import unified as swerve_unified
-from wbmpc.studies.pankert2022.directions import reject_directions
+from wbmpc.studies.pankert2022.directions import beyond_range, reject_directions
 from wbmpc.studies.pankert2022.mission import at_home
 from wbmpc.studies.pankert2022.rolling import RollingController
 from wbmpc.studies.pankert2022.unified import rear_triangles

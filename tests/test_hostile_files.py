@@ -26,11 +26,13 @@ from wbmpc.model.robot import load_robot
 from wbmpc.recording.messages import decode, encode
 from wbmpc.robots import load_description
 from wbmpc.robots.file_limits import check_size
+from wbmpc.robots.packages import find_package
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
 BAD_YAML = [
+    ("a: -0b1_1", r"line 1, key 'a': '-0b1_1' may be read as a binary number"),
     ("a:\n  b: 010", r"line 2, key 'a.b': '010' may be read as an octal number; write 10"),
     ("a: [1, 1:30]", r"line 1, key 'a.1': '1:30' may be read as a number to the base of 60"),
     ("a: 1\nb: 2\na: 3", r"line 3, key 'a': is there twice"),
@@ -159,6 +161,35 @@ def test_a_robot_file_that_names_a_pipe_is_an_error(parts: dict[str, str], tmp_p
         check_size(tmp_path / "arm.xml")
 
 
+@pytest.mark.parametrize("name", ["x" * 5000, "x" * 300 + ".urdf", "a/" * 3000 + "b.xml"])
+def test_a_name_that_no_file_system_takes_is_an_error(name: str, tmp_path: Path) -> None:
+    """Of a model, and of what a model names: pathlib raises for these where it says no to others."""
+    with pytest.raises(InputError, match="key 'model': there is no file"):
+        load_description(_arm(tmp_path, name))
+    mesh = f'<asset><mesh name="m" file="{name}.stl"/></asset>'
+    (tmp_path / "arm.xml").write_text(ARM.format(top=mesh, inside="", world=""))
+    check_size(tmp_path / "arm.xml")
+    with pytest.raises(InputError):
+        load_description(tmp_path / f"{name}.yaml")
+
+
+@pytest.mark.parametrize("kind", ["yes", "no", "5", "[a]", "{a: yes}", "~"])
+def test_a_base_type_that_is_no_text_is_an_error_with_its_key(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM.format(top="", inside="", world=""))
+    path = _arm(tmp_path, "arm.xml")
+    path.write_text(path.read_text().replace("type: fixed", f"type: {kind}"))
+    with pytest.raises(InputError, match=r"key 'base\.type"):
+        load_description(path)
+
+
+@pytest.mark.parametrize(
+    "manifest", [b"<package><name>", b'<?xml version="1.0" encoding="no-such"?><a/>', b"\xff\xfe<"]
+)
+def test_a_damaged_manifest_beside_a_model_is_none(manifest: bytes, tmp_path: Path) -> None:
+    (tmp_path / "package.xml").write_bytes(manifest)
+    assert find_package("robot", tmp_path, {}) is None
+
+
 @pytest.mark.parametrize("name", ["arm.xml", "arm.urdf"])
 def test_entities_are_an_error(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(
@@ -170,7 +201,7 @@ def test_entities_are_an_error(name: str, tmp_path: Path) -> None:
 
 def test_a_comment_of_dashes_is_none(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM.format(top="<!-- a -- b -->", inside="", world=""))
-    load_description(_arm(tmp_path, "arm.xml"))
+    assert load_description(_arm(tmp_path, "arm.xml")).arm.joints == ("j",)
 
 
 def _arm(folder: Path, model: str) -> Path:
@@ -185,7 +216,7 @@ def test_the_wheels_radius_is_that_of_their_shapes(radius: float, fits: bool, tm
     path = write_base(tmp_path, 3, False)
     path.write_text(path.read_text().replace("wheel_radius: 0.08", f"wheel_radius: {radius}"))
     if fits:
-        load_description(path)
+        assert load_description(path).base.wheel_radius == radius
         return
     with pytest.raises(InputError, match=rf"key 'base.wheel_radius': {radius:g} m, but .* has a radius of 0.08 m"):
         load_description(path)
@@ -198,7 +229,7 @@ def test_without_round_shapes_nothing_can_be_said_of_the_radius(tmp_path: Path) 
         shapes.read_text().replace('type="ellipsoid" size="0.08 0.02 0.08"', 'type="box" size="0.01 0.02 0.01"')
     )
     path.write_text(path.read_text().replace("wheel_radius: 0.08", "wheel_radius: 0.2"))
-    load_description(path)
+    assert load_description(path).base.wheel_radius == 0.2
 
 
 def test_the_balls_radius_is_that_of_its_sphere(tmp_path: Path) -> None:

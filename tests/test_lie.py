@@ -153,3 +153,13 @@ def test_se2_log_undoes_the_step(x: float, y: float, yaw: float, dx: float, dy: 
     for turns in (-1, 0, 1):
         after = lie.se2_step(pose, [dx, dy, w]) + [0.0, 0.0, 2.0 * np.pi * turns]
         np.testing.assert_allclose(lie.se2_log(pose, after), [dx, dy, w], atol=1e-9)
+
+
+def test_angles_that_are_infinite_give_no_numbers() -> None:
+    """As NumPy's functions, and without an exception: a simulation that diverges ends with a message of its own."""
+    with np.errstate(invalid="ignore"):
+        for found in (
+            lie.euler_zyx_to_rotation(np.inf, 0.0, 0.0), lie.se2_step([0, 0, np.inf], [1, 0, 0]), lie.se2_exp([1, 0, np.inf]),
+            lie.euler_zyx_rates(0.0, np.inf, [1, 1, 1]),
+        ):  # fmt: skip
+            assert np.isnan(found).any()

@@ -190,8 +190,8 @@ class RailBaseType(BaseType):
         return RailPlant(robot)
 
     def system(self, robot: RobotModel, seed: int) -> System:
-        plant, mpc = self.plant(robot, None, seed), reaching(robot, "hand")
-        mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(robot.home)[0]], robot.pose(robot.home)[1])
+        plant, mpc = self.plant(robot, None, seed), reaching(robot, "end_effector")
+        mpc.reference["end_effector"] = Reference.poses([0.0], [robot.pose(robot.home)[0]], robot.pose(robot.home)[1])
         mpc.reset(robot.home)
         return System(plant, RailController(robot), mpc, Timing.of(plant.timestep, 200.0, mpc.rate, 0.0))
 

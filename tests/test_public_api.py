@@ -48,7 +48,7 @@ def test_a_program_solves_and_controls_with_public_names_alone() -> None:
 
 def test_a_robot_takes_the_programs_problem() -> None:
     robot = wb.load_robot("differential-ur10")
-    assert list(user_program.problem_of(robot).terms) == ["hand", "speed", "limits"]
+    assert list(user_program.problem_of(robot).terms) == ["end_effector", "speed", "limits"]
 
 
 def test_a_program_runs_and_records_an_experiment_of_its_own(tmp_path: Path) -> None:

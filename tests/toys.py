@@ -234,7 +234,7 @@ def swerve_solver(n: int = 15, horizon: float = 6.0, first: float = 0.05, **sqp:
     along = 0.2 * np.where(t < 2.0, t * t / 4.0, t - 1.0)
     position, quaternion = model.pose(model.home)
     path = np.stack([position[0] + along, position[1] + 0.1 * np.sin(2.0 * along), 0 * t + position[2]], axis=1)
-    solver.set_reference("hand", Reference.poses(t, path, quaternion))
+    solver.set_reference("end_effector", Reference.poses(t, path, quaternion))
     states, inputs = np.tile(model.home, (t.size, 1)), np.zeros((t.size, model.input.size))
     states[:, 0], inputs[:, 0] = along, 0.2 * np.clip(t / 2.0, 0.0, 1.0)
     solver.set_reference("state", Reference(t, states))
@@ -250,7 +250,7 @@ def rezero_solver(n: int = 15, step: float = 0.1, **sqp: object) -> Solver:
     solver = Solver(rezero_problem(model, settings, RezeroCost()), SQP(**{"iterations": 300, **sqp}))
     home, torque = model.base.numeric.equilibrium(model.home[model.state["arm"]])
     position, quaternion = model.pose(home)
-    solver.set_reference("hand", Reference.poses([0.0], [position + np.array([step, 0.0, 0.0])], quaternion))
+    solver.set_reference("end_effector", Reference.poses([0.0], [position + np.array([step, 0.0, 0.0])], quaternion))
     solver.set_reference("body", Reference.constant(home))
     solver.set_reference("twist", Reference.constant(np.zeros(6)))
     solver.set_reference("torque", Reference.constant(torque))
@@ -266,8 +266,8 @@ def random_stage(solver: Solver, rng: np.random.Generator) -> tuple[np.ndarray, 
     for q in d.unit_quaternions:
         x[q : q + 4] /= np.linalg.norm(x[q : q + 4])
     p = 0.5 * rng.normal(size=problem.node.size)
-    if "reference.hand" in problem.node.slices:
-        start = problem.node.slices["reference.hand"].start
+    if "reference.end_effector" in problem.node.slices:
+        start = problem.node.slices["reference.end_effector"].start
         p[start + 3 : start + 7] /= np.linalg.norm(p[start + 3 : start + 7])
     p[problem.node.slices["mode"]] = rng.integers(0, 2, d.mode.size)
     w = solver.constants.copy()

@@ -22,7 +22,7 @@ class Settings(BaseModel):
 def problem_of(robot: wb.RobotModel) -> wb.OptimalControlProblem:
     """The end effector follows a pose, within the limits of the inputs."""
     ocp = wb.OptimalControlProblem(robot.dynamics(), horizon=1.0, intervals=10, first_interval=0.02)
-    ocp.add(wb.Cost("hand", wb.residuals.FramePose(robot, robot.tool), [1000.0] * 3 + [200.0] * 3))
+    ocp.add(wb.Cost("end_effector", wb.residuals.FramePose(robot, robot.tool), [1000.0] * 3 + [200.0] * 3))
     ocp.add(wb.Cost("speed", wb.residuals.Input(robot), {"base": 0.5, "arm": 0.1}))
     limits = wb.sets.Box(robot.limits.input_lower, robot.limits.input_upper)
     ocp.add(wb.Constraint("limits", wb.residuals.Input(robot, reference=None), limits, hard=True))

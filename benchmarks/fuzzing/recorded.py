@@ -117,7 +117,7 @@ def scenes(rng: random.Random, folder: Path) -> Case:
                     "colour": [1.0, 1, 1, 1], "vertices": [], "faces": []}],
     }  # fmt: skip
     kind, expected = rng.choice(("as it is", "missing", "other", "deep", "text")), INVALID
-    text = ""
+    text: str | None = None
     if kind == "as it is":
         expected = VALID
     elif kind == "missing":
@@ -130,7 +130,7 @@ def scenes(rng: random.Random, folder: Path) -> Case:
         text += "]" * len(text)
     else:
         text = json.dumps(scene)[: rng.randint(0, 60)]
-    text = text or json.dumps(scene)
+    text = json.dumps(scene) if text is None else text
     return Case(f"scene: {kind}: {text[:60]}", expected, call=lambda: _scene(text))
 
 

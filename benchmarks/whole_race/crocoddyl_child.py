@@ -47,7 +47,7 @@ def action(spec: Spec, state: Any, model: Any, step: float, terminal: bool) -> A
     costs = crocoddyl.CostModelSum(state, actuation.nu)
     tip, hand = model.getFrameId("tip"), spec["hand"]
     target = crocoddyl.ResidualModelFrameTranslation(state, tip, np.array(hand["position"]), actuation.nu)
-    costs.addCost("hand", crocoddyl.CostModelResidual(state, weighted(hand["weight"]), target), 1.0)
+    costs.addCost("end_effector", crocoddyl.CostModelResidual(state, weighted(hand["weight"]), target), 1.0)
     if "orientation" in hand:
         goal = pin.SE3(np.array(hand["orientation"]), np.array(hand["position"]))
         turn = crocoddyl.ResidualModelFrameRotation(state, tip, goal.rotation, actuation.nu)

@@ -66,7 +66,7 @@ def _links(links: Sequence[Link]) -> list[dict[str, Any]]:
 def torque_arm_spec(joints: int, intervals: int, integrator: str = "rk2", repeat: int = 30) -> dict[str, Any]:
     """:func:`wbmpc.studies.race.torque_arm` for the child."""
     problem = arm(joints, intervals)
-    hand, state = problem.references["hand"].values[0], problem.references["state"].values[0]
+    hand, state = problem.references["end_effector"].values[0], problem.references["state"].values[0]
     return {
         "kind": "multibody",
         "integrator": integrator,

@@ -12,14 +12,15 @@ from wbmpc.errors import InputError, NotFinite
 #: More units than this in one period or delay are a mistake in the settings.
 _MAXIMUM = 1_000_000
 _FEW = 16
+_FLOAT = np.dtype(float)
 
 
-def numbers(who: str, name: str, given: ArrayLike, size: int) -> NDArray[np.float64]:
-    """``given`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
+def numbers(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
+    """``values`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
     try:
-        value = np.asarray(given, float)
+        value = values if type(values) is np.ndarray and values.dtype is _FLOAT else np.asarray(values, float)
     except (TypeError, ValueError):
-        raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {given!r}") from None
+        raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {values!r}") from None
     if value.shape != (size,):
         raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {value}")
     # few numbers are checked several times as fast one by one
@@ -28,14 +29,14 @@ def numbers(who: str, name: str, given: ArrayLike, size: int) -> NDArray[np.floa
     return value
 
 
-def each(who: str, name: str, given: ArrayLike, size: int) -> NDArray[np.float64]:
-    """``given`` as :func:`numbers`, or one number for all ``size``."""
-    return numbers(who, name, np.full(size, given) if np.ndim(given) == 0 else given, size)
+def each(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
+    """``values`` as :func:`numbers`, or one number for all ``size``."""
+    return numbers(who, name, np.full(size, values) if np.ndim(values) == 0 else values, size)
 
 
-def finite(who: str, **given: float) -> None:
+def finite(who: str, **values: float) -> None:
     """Raise :class:`NotFinite` for the first number that is not finite, :class:`InputError` for what is none, by its name."""
-    for name, value in given.items():
+    for name, value in values.items():
         try:
             good = math.isfinite(value)
         except TypeError:
@@ -44,25 +45,25 @@ def finite(who: str, **given: float) -> None:
             raise NotFinite(f"{who}: '{name}' must be finite, got {value}")
 
 
-def not_negative(who: str, **given: float) -> None:
+def not_negative(who: str, **values: float) -> None:
     """Raise :class:`InputError` (:class:`NotFinite`) for the first number that is not finite or below 0, by its name."""
-    finite(who, **given)
-    for name, value in given.items():
+    finite(who, **values)
+    for name, value in values.items():
         if value < 0.0:
             raise InputError(f"{who}: '{name}' must not be negative, got {value}")
 
 
-def positive(who: str, **given: float) -> None:
+def positive(who: str, **values: float) -> None:
     """Raise :class:`InputError` (:class:`NotFinite`) for the first number that is not finite or not above 0, by its name."""
-    finite(who, **given)
-    for name, value in given.items():
+    finite(who, **values)
+    for name, value in values.items():
         if value <= 0.0:
             raise InputError(f"{who}: '{name}' must be positive, got {value}")
 
 
-def scales(who: str, name: str, given: ArrayLike) -> NDArray[np.float64]:
-    """``given`` as an array of positive numbers, of which some may be infinite; else :class:`InputError` of ``who`` by ``name``."""
-    value = np.asarray(given, float)
+def scales(who: str, name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """``values`` as an array of positive numbers, of which some may be infinite; else :class:`InputError` of ``who`` by ``name``."""
+    value = np.asarray(values, float)
     if not (value > 0.0).all():
         raise InputError(f"{who}: '{name}' needs positive numbers, got {value.tolist()}")
     return value
@@ -81,9 +82,9 @@ def is_covariance(matrix: ArrayLike) -> bool:
     return bool(values[0] >= -1e-9 * max(values[-1], 0.0))
 
 
-def covariance(who: str, given: ArrayLike) -> NDArray[np.float64]:
-    """``given`` as a covariance (3, 3), or :class:`InputError` (:class:`NotFinite`) of ``who``."""
-    value = np.asarray(given, float)
+def covariance(who: str, values: ArrayLike) -> NDArray[np.float64]:
+    """``values`` as a covariance (3, 3), or :class:`InputError` (:class:`NotFinite`) of ``who``."""
+    value = np.asarray(values, float)
     if value.shape != (3, 3):
         raise InputError(f"{who}: a covariance of 3 by 3 finite numbers is needed, got shape {value.shape}")
     if not np.isfinite(value).all():
@@ -93,20 +94,20 @@ def covariance(who: str, given: ArrayLike) -> NDArray[np.float64]:
     return value
 
 
-def whole(key: str, length: float, unit: float, name: str, least: int = 1, rate: float | None = None) -> int:
+def whole(key: str, length: float, unit: float, name: str, minimum: int = 1, rate: float | None = None) -> int:
     """``length`` [s] of ``key`` in units of ``unit`` [s] called ``name``; ``rate`` [Hz]: what was given instead of the length.
-    Raises :class:`InputError` for what is no whole number of them, or fewer than ``least``."""
+    Raises :class:`InputError` for what is no whole number of them, or fewer than ``minimum``."""
     if length != math.inf:
         finite(key, time=length)
     if length / unit >= _MAXIMUM:
         raise InputError(f"{key}: {length:g} s is too long, more than a million {name} of {unit * 1e3:g} ms")
     count = round(length / unit)
-    if count < least or abs(length - count * unit) > 1e-9:
-        below, above = max(math.floor(length / unit), least), max(math.ceil(length / unit), least)
+    if count < minimum or abs(length - count * unit) > 1e-9:
+        below, above = max(math.floor(length / unit), minimum), max(math.ceil(length / unit), minimum)
         if rate is None:
             valid = " or ".join(dict.fromkeys(f"{n * unit:g}" for n in (below, above))) + " s"
         else:
             valid = " or ".join(dict.fromkeys(f"{1.0 / (n * unit):.6g}" for n in (above, below))) + " Hz"
-        given = f"{length:g} s" if rate is None else f"{rate:g} Hz ({length * 1e3:g} ms)"
-        raise InputError(f"{key}: {given} is not a whole number of {name} of {unit * 1e3:g} ms; valid: e.g. {valid}")
+        text = f"{length:g} s" if rate is None else f"{rate:g} Hz ({length * 1e3:g} ms)"
+        raise InputError(f"{key}: {text} is not a whole number of {name} of {unit * 1e3:g} ms; valid: e.g. {valid}")
     return count

@@ -33,9 +33,9 @@ class OnlyWith:
     """
 
     def __init__(self, choices: Mapping[str, Any] | None = None, **more: Any) -> None:
-        given = {**(choices or {}), **more}
+        rules = {**(choices or {}), **more}
         self.clauses: tuple[dict[str, tuple[Any, ...]], ...] = (
-            {name: value if isinstance(value, tuple) else (value,) for name, value in given.items()},
+            {name: value if isinstance(value, tuple) else (value,) for name, value in rules.items()},
         )
 
     def __and__(self, other: OnlyWith) -> OnlyWith:
@@ -333,7 +333,7 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str) ->
         raise InputError(f"{where}: --set {describe(error, model)}") from error
 
 
-def reject_truths(model: type[BaseModel], data: Any) -> Any:
+def reject_booleans(model: type[BaseModel], data: Any) -> Any:
     """``data`` of a model, unless it has true or false (YAML: yes, on, no, off) where a field needs a number or a text: Python
     takes them for 1 and 0. Raises ``ValueError`` with the field. Models inside check themselves."""
     for name, value in data.items() if isinstance(data, dict) else ():

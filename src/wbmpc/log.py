@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from wbmpc.output_file import whole_file
+
 
 class Log:
     """Channels, each with rows of the same width and their times [s]."""
@@ -17,8 +19,10 @@ class Log:
 
     def add(self, channel: str, t: float, value: object) -> None:
         """Append a row."""
-        self._times.setdefault(channel, []).append(float(t))
-        self._rows.setdefault(channel, []).append(np.array(value, float))
+        if channel not in self._times:
+            self._times[channel], self._rows[channel] = [], []
+        self._times[channel].append(float(t))
+        self._rows[channel].append(np.array(value, float))
 
     def extend(self, other: Log, suffix: str, channels: Sequence[str] | None = None) -> None:
         """Append the rows of another log as CHANNEL + ``suffix``: of all its ``channels``, or of these."""
@@ -40,7 +44,8 @@ class Log:
         return np.array(self._rows[channel])
 
     def save(self, path: Path) -> None:
-        """Write a NumPy archive: CHANNEL and CHANNEL.time for each channel."""
+        """Write a NumPy archive, whole or not at all: CHANNEL and CHANNEL.time for each channel."""
         arrays = {c: self.array(c) for c in self._rows}
         arrays |= {f"{c}.time": self.times(c) for c in self._rows}
-        np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
+        with whole_file(path) as partial:
+            np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]

@@ -19,6 +19,7 @@ import numpy as np
 
 from wbmpc import __version__
 from wbmpc.errors import NotWritten
+from wbmpc.output_file import write_text
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 
 #: Name of the recording in a run's directory.
@@ -206,18 +207,12 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
         "versions": versions(),
     }
     text = json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n"
-    target, part = Path(files["log"]), directory / "metrics.json.part"
     try:
-        result.log.save(target)
-        target = Path(files["report"])
-        target.write_text(page(result))
-        target = Path(files["metrics"])
-        part.write_text(text)
-        part.replace(target)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        target.unlink(missing_ok=True)
-        raise NotWritten(f"{target}: cannot be written ({error.strerror}); {_elsewhere(result, text)}") from error
+        result.log.save(Path(files["log"]))
+        write_text(Path(files["report"]), page(result))
+        write_text(Path(files["metrics"]), text)
+    except NotWritten as error:
+        raise NotWritten(f"{error}; {_elsewhere(result, text)}") from error
     return files
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from wbmpc.errors import InputError
+from wbmpc.output_file import write_text
 from wbmpc.report import RUN_FILES, document, goal_text, number, table
 from wbmpc.result import Metric
 from wbmpc.run_files import read_metrics
@@ -79,7 +80,7 @@ def finished(site: Path) -> list[Job]:
     return sorted(jobs, key=lambda job: (job.name, job.seed))
 
 
-def whole_site(jobs: Iterable[Job], site: Path, order: Sequence[str] = ()) -> list[Job]:
+def jobs_of_site(jobs: Iterable[Job], site: Path, order: Sequence[str] = ()) -> list[Job]:
     """``jobs`` and what else is finished there, by experiment (as in ``order``, others after them) and seed."""
     places = {name: k for k, name in enumerate(order)}
     found = dict.fromkeys([*jobs, *finished(site)])
@@ -188,7 +189,7 @@ def _metric_rows(metrics: dict[str, Any]) -> list[list[str]]:
 def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool = True) -> Path:
     """The index and a page for each experiment; links are relative, nothing comes from a network. Returns the index.
 
-    ``jobs``: all that it shows (see :func:`whole_site`).
+    ``jobs``: all that it shows (see :func:`jobs_of_site`).
     """
     found, sections = summarise(jobs), []
     names = list(dict.fromkeys(j.name for j in jobs))
@@ -199,7 +200,7 @@ def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool =
             sections.append(f"<h2>{html.escape(name)}</h2><p>No run gave a result. {why}</p>")
             continue
         page = out / name / "index.html"
-        page.write_text(_experiment_page(name, found[name], lost, _clip(jobs, name, out, clips)))
+        write_text(page, _experiment_page(name, found[name], lost, _clip(jobs, name, out, clips)))
         completed = sum(r["completed"] for r in found[name]["runs"].values())
         paper = {
             n: m for n, m in found[name]["metrics"].items() if any(m[k] is not None for k in ("paper", "goal", "least"))
@@ -215,7 +216,7 @@ def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool =
     )
     body = f'<h1>Experiments</h1><p class="sub">{about}</p>{_count(found)}{"".join(sections)}{_versions(found)}'
     index = out / "index.html"
-    index.write_text(document("Experiments", body, plots=False))
+    write_text(index, document("Experiments", body, plots=False))
     return index
 
 

@@ -1,8 +1,8 @@
 """The one reader of YAML: files of robots, calibrations and buses, and the values of settings.
 
 YAML 1.1 as PyYAML reads it, without what a settings file does not need and what a reader may take otherwise than its writer:
-equal keys, tags, anchors and aliases, octal (``010``) and sexagesimal (``1:30``) numbers. Dates are text. Size and depth are
-limited.
+equal keys, tags, anchors and aliases, octal (``010``), binary (``0b11``) and sexagesimal (``1:30``) numbers. Dates are text.
+Size and depth are limited.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ LARGEST, DEEPEST, MAX_VALUES, MAX_DIGITS = 256 * 1024, 32, 8_000, 300
 #: Numbers as in YAML 1.2, which takes 1e-3 without a point, too.
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _OCTAL = re.compile(r"[-+]?0[0-9_]+")
+_BINARY = re.compile(r"[-+]?0b[01_]+")
 _SEXAGESIMAL = re.compile(r"[-+]?[0-9][0-9_]*(:[0-9]+)+(\.[0-9_]*)?")
 #: Control characters and halves of surrogate pairs, which no file name and no terminal takes.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
@@ -145,6 +146,8 @@ class _Reader:
             digits = text.lstrip("+-").lstrip("0_") or "0"
             sign = "-" if text.startswith("-") else ""
             self._fail(event, path, f"'{text}' may be read as an octal number; write {sign}{digits}, or quote a text")
+        if _BINARY.fullmatch(text):
+            self._fail(event, path, f"'{text[:40]}' may be read as a binary number; write its digits, or quote a text")
         if _SEXAGESIMAL.fullmatch(text):
             self._fail(
                 event, path, f"'{text}' may be read as a number to the base of 60; write it out, or quote a text"

@@ -67,12 +67,12 @@ def test_losses_count_what_is_missed(monkeypatch: pytest.MonkeyPatch, tmp_path: 
             asked.append(list(settings))
             return {"metrics": figures[name]}
 
-    store, gains = Written(tmp_path / "runs"), {"hand": 0.3}
+    store, gains = Written(tmp_path / "runs"), {"end_effector": 0.3}
     # a fall 4, rise 1.5 s, two powers of ten over 1 mm, two pushes, 2 m at most
     assert ball_baselines.loss(store, "pushes", "lqr", gains, 0) == pytest.approx(4.0 + 1.5 + 2.0 + 2.0 + 2.0)
     # 40 mm are two units, an infinite error the most there is
     assert ball_baselines.loss(store, "square", "lqr", gains, 0) == pytest.approx(2.0 + 20.0)
-    assert all({"controller=lqr", "baseline.lqr.hand=0.3"} <= set(given) for given in asked)
+    assert all({"controller=lqr", "baseline.lqr.end_effector=0.3"} <= set(given) for given in asked)
 
 
 def test_finished_runs_are_not_done_again_and_make_the_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -120,7 +120,14 @@ def test_the_push_does_the_work_of_a_force_at_the_base(robot: ModelledRobot) -> 
 
 
 #: Wheels that hardly do anything: found by a search for what stands, wherever it goes.
-ROLLS_AWAY = {"hand": 2.92e-4, "torque": 4220.0, "arm": 0.039, "posture": 60.0, "damping": 0.936, "max_error": 0.174}
+ROLLS_AWAY = {
+    "end_effector": 2.92e-4,
+    "torque": 4220.0,
+    "arm": 0.039,
+    "posture": 60.0,
+    "damping": 0.936,
+    "max_error": 0.174,
+}
 
 
 def test_to_stand_is_not_to_come_back(robot: ModelledRobot) -> None:

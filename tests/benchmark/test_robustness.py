@@ -162,3 +162,18 @@ def test_docs_have_their_marks() -> None:
     ):
         text = (robustness.DOCS / "results" / name).read_text()
         assert text.index(f"<!-- {mark} -->") < text.index(f"<!-- end of {mark} -->")
+
+
+@pytest.mark.parametrize(("robot", "prefix"), [("swerve", "swerve-"), ("ball", "rezero-")])
+def test_a_robot_selects_its_experiments(robot: str, prefix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    selected: list[str] = []
+
+    def jobs(out: Path, conditions: list[str], only: list[str], seeds: object) -> dict[object, str]:
+        selected.extend(only)
+        raise SystemExit
+
+    monkeypatch.setattr(robustness, "jobs", jobs)
+    monkeypatch.setattr("sys.argv", ["robustness.py", "--robot", robot])
+    with pytest.raises(SystemExit):
+        robustness.main()
+    assert selected and all(name.startswith(prefix) for name in selected)

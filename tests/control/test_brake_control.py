@@ -105,7 +105,7 @@ def test_the_mpc_moves_open_legs_only() -> None:
     goal = home.copy()
     goal[leg] -= 0.3 * np.sign(home[leg])
     mpc.reference["state"] = Reference.constant(goal)
-    mpc.reference["hand"] = Reference.poses([0.0], *[np.atleast_2d(v) for v in SWERVE.pose(home)])
+    mpc.reference["end_effector"] = Reference.poses([0.0], *[np.atleast_2d(v) for v in SWERVE.pose(home)])
     mpc.reset(home)
     policy = mpc.update(Observation(0.0, home))
     moved = np.abs(policy.x[:, leg] - home[leg])

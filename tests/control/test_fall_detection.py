@@ -77,9 +77,9 @@ def test_a_learnt_force_moves_the_lean_from_which_falls_count() -> None:
     lean = next(
         p
         for p in np.arange(0.2, 0.8, 0.005)
-        if forecast._maximum(lean_control(p)[None], 0.0, np.zeros(2)) > 1.3 * 0.1256
+        if forecast._component_of(lean_control(p), 0.0, np.zeros(2), 0.0, 0.0) > 1.3 * 0.1256
     )
-    away = np.array(forecast._component(lean_control(lean), 0.0, np.zeros(2))).ravel()
+    away = forecast._component(lean_control(lean), 0.0, np.zeros(2))[0].ravel()
     for k in range(20):
         stop_for(answered.update(0.0025 * k, lean_control(lean), shift=-0.06 * away / np.linalg.norm(away)))
     with pytest.raises(FallPredicted):
@@ -94,7 +94,7 @@ def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
     lean = next(
         p
         for p in np.arange(0.2, 0.6, 0.005)
-        if forecast._maximum(lean_control(p)[None], 0.0, np.zeros(2)) > 1.1 * forecast.reach
+        if forecast._component_of(lean_control(p), 0.0, np.zeros(2), 0.0, 0.0) > 1.1 * forecast.reach
     )
     for k in range(40):
         stop_for(forecast.update(0.0025 * k, lean_control(lean), force=(against, 0.0)))

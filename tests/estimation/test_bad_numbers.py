@@ -25,10 +25,11 @@ from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.fused_odometry import AHEAD, FusedOdometry
 from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import ReleaseOdometry, WheelOdometry
+from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 from wbmpc.studies.minniti2019.momentum import MomentumObserver
+from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 from wbmpc.studies.pankert2022.rocking import rockings
 
 H, NAN = 0.0025, float("nan")
@@ -105,7 +106,7 @@ def place() -> tuple[Callable[..., Any], Callable[[], Any]]:
 
 def lean() -> tuple[Callable[..., Any], Callable[[], Any]]:
     filter_ = stood().filter
-    return filter_.know_lean, lambda: np.concatenate([filter_.state.rotation, filter_.covariance[6:9, 6:9]])
+    return filter_.correct_lean, lambda: np.concatenate([filter_.state.rotation, filter_.covariance[6:9, 6:9]])
 
 
 WHOLE, ONE = (0.1 * np.ones(10), np.zeros(3), H), np.ones(2)

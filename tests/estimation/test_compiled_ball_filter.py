@@ -83,7 +83,7 @@ def test_slopes_are_the_derivatives_of_the_residuals() -> None:
     )
     wheel, gyro, accel = x.wheel + 0.01, rng.normal(size=3), GRAVITY + rng.normal(size=3)
     memory = FilterMemory(g, s, "compiled")
-    memory.set_state(x, np.zeros((19, 19)))
+    memory.state = x
     a = memory.arrays
     a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, gyro, accel
     memory.linearise(H, 0.4, 0.0, 0.0)

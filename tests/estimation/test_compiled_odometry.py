@@ -6,14 +6,13 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
-from wheels_on_paper import ring
+from wheels_on_paper import fit_twist, ring
 
 from wbmpc import lie
 from wbmpc.estimation.fused_odometry import FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.estimation.odometry_memory import OdometryMemory
 from wbmpc.estimation.odometry_step import BIAS, LATE, WHEELS, Interval
-from wbmpc.estimation.wheel_odometry import fit_twist
 
 FOUR = ring(4)
 

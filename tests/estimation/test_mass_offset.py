@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wbmpc import stability
 from wbmpc.errors import InputError
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping, estimate_mass_offset
+from wbmpc.studies.pankert2022.support_switches import Switch, support_switches, upright
 
 FEET = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])
 MIDDLE, REACH, TALL, STEP = np.array([-0.01, 0.01]), 0.2, 0.5, 0.05
@@ -28,12 +28,12 @@ def model(up: np.ndarray, heading: np.ndarray) -> np.ndarray:
     return MIDDLE + turned(heading, np.array([REACH, 0.0])) - TALL * up[:2] / up[2]
 
 
-def switches(foot: int, base: np.ndarray, arm: np.ndarray) -> tuple[np.ndarray, list[stability.Switch]]:
+def switches(foot: int, base: np.ndarray, arm: np.ndarray) -> tuple[np.ndarray, list[Switch]]:
     """With a step under one foot: heights (n), and when a table with this offset switches; the arm's heading is the time."""
     heights = np.where(np.arange(4) == foot, STEP, 0.0)
     shift = base + turned(HEADING, arm)
     stance = lambda up, _: (FEET, model(up, HEADING) + shift, np.ones(HEADING.size))
-    return heights, stability.support_switches(HEADING, FEET, heights, stance)
+    return heights, support_switches(HEADING, FEET, heights, stance)
 
 
 def tippings(foot: int, base: np.ndarray, arm: np.ndarray) -> list[Tipping]:
@@ -42,7 +42,7 @@ def tippings(foot: int, base: np.ndarray, arm: np.ndarray) -> list[Tipping]:
     out = []
     for s in found:
         edge = FEET[sorted(set(s.previous) & set(s.after))]
-        point = model(stability.upright(FEET, heights, s.previous), np.array([s.time]))[0]
+        point = model(upright(FEET, heights, s.previous), np.array([s.time]))[0]
         out.append(Tipping(edge, point, s.time))
     return out
 

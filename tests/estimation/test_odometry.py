@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, null_space
+from wheels_on_paper import fit_twist
 
 from wbmpc.errors import InputError
-from wbmpc.estimation.wheel_odometry import ReleaseOdometry, WheelOdometry, fit_twist, odd_one_out
+from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
 from wbmpc.model.robot import load_robot
+from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 
 ROBOT = load_robot("swerve-ur10")
 GEOMETRY = ROBOT.base.geometry

@@ -7,7 +7,22 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.estimation.wheel_fit import WheelFit
+from wbmpc.estimation.wheel_odometry import Increment, Sample
 from wbmpc.model.wheels import ModuleGeometry
+
+
+def fit_twist(
+    geometry: ModuleGeometry, radius: np.ndarray, previous: Sample, now: Sample, weights: np.ndarray | None = None
+) -> Increment:
+    """The motion that fits two samples of true angles best; ``radius`` (n) [m]; ``weights`` (n) of the wheels (1 when left out)."""
+    fitted = WheelFit(geometry, radius)
+    memory = fitted.memory
+    memory["before"][:], memory["now"][:] = np.concatenate(previous), np.concatenate(now)
+    if weights is not None:
+        memory["weights"][:] = weights
+    fitted.run()
+    return Increment.of(fitted)
 
 
 def ring(modules: int, hinged: bool = True, radius: float = 0.1) -> ModuleGeometry:

@@ -45,15 +45,16 @@ def mode(path: Path) -> int:
 def test_what_is_made_is_the_users_alone_whatever_the_umask(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, umask: int
 ) -> None:
-    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "missing" / "cache"))
     previous = os.umask(umask)
     try:
         cache.save("key", CODE, {})
         below = cache.trusted_folder("below")
     finally:
         os.umask(previous)
-    assert mode(tmp_path / "cache") == mode(below) == 0o700
-    assert mode(tmp_path / "cache" / "key.bin") == 0o600
+    made = tmp_path / "missing" / "cache"
+    assert mode(made.parent) == mode(made) == mode(below) == 0o700
+    assert mode(made / "key.bin") == 0o600
     assert cache.load("key") == (CODE, {})
 
 
@@ -91,6 +92,58 @@ def test_a_directory_that_others_can_change_is_neither_read_nor_written(
     assert sorted(p.name for p in folder.iterdir()) == previous
     assert len(caplog.records) == 1  # once
     assert str(folder) in caplog.text and reason in caplog.text and "compiled in memory" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda above: above.chmod(0o777), "0777"),
+        (lambda above: above.chmod(0o770), "0770"),
+        pytest.param(lambda above: os.chown(above, SOMEBODY, -1), str(SOMEBODY), marks=needs_root),
+        pytest.param(
+            lambda above: (os.chown(above, SOMEBODY, -1), above.chmod(0o1777)), str(SOMEBODY), marks=needs_root
+        ),
+    ],
+)
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_directory_that_others_can_replace_is_neither_read_nor_written(
+    folder: Path, spoil: Callable[[Path], None], reason: str, levels: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Who may write to a directory above may rename the cache and put another in its place."""
+    spoil(folder.parents[levels - 1])
+    previous = sorted(p.name for p in folder.iterdir())
+    assert cache.load("key") is None
+    cache.save("other", CODE, {})
+    with pytest.raises(cache.UntrustedCache):
+        cache.trusted_folder("below")
+    assert sorted(p.name for p in folder.iterdir()) == previous
+    assert len(caplog.records) == 1  # once
+    assert str(folder.parents[levels - 1]) in caplog.text and reason in caplog.text
+
+
+def test_a_directory_below_one_with_the_sticky_bit_is_used(folder: Path) -> None:
+    """As below /tmp: others may add to it, and not rename what is there."""
+    folder.parent.chmod(0o1777)
+    assert cache.load("key") == (CODE, {"nx": 1})
+
+
+def test_a_link_leads_to_where_others_can_replace_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
+    """What counts is where a directory is, not by which way it is reached."""
+    (tmp_path / "way").symlink_to(folder.parent)
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "way" / "cache"))
+    assert cache.load("key") == (CODE, {"nx": 1}) and cache.trusted_folder("below") == folder / "below"
+    folder.parent.chmod(0o777)
+    assert cache.load("key") is None
+
+
+def test_nothing_is_made_where_others_can_replace_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "open" / "more" / "cache"))
+    cache.save("key", CODE, {})
+    assert not list((tmp_path / "open").iterdir())
 
 
 def linked(file: Path) -> None:

@@ -180,7 +180,7 @@ def test_the_plan_keeps_the_lean_within_its_limit() -> None:
         place, quaternion = ROBOT.pose(home)
         for name, value in (("body", home), ("twist", np.zeros(6)), ("torque", torque)):
             solver.set_reference(name, Reference.constant(value))
-        solver.set_reference("hand", Reference.poses([0.0], [place + [1.5, 0.0, 0.0]], quaternion))
+        solver.set_reference("end_effector", Reference.poses([0.0], [place + [1.5, 0.0, 0.0]], quaternion))
         solver.warm_start(home, torque)
         found = solver.solve(home)
         balance = Balance.of(ROBOT, ROBOT.home[ROBOT.state["arm"]])

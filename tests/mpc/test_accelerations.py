@@ -32,7 +32,7 @@ def test_plans_follow_each_other_within_accelerations_and_stop_in_time() -> None
     model = narrow(0.25)
     mpc = swerve_mpc(model, SETTINGS, SwerveCost())
     position, quaternion = model.pose(model.home)
-    mpc.reference["hand"] = Reference.poses([0.0], [position + [0.0, 0.0, 0.6]], quaternion)
+    mpc.reference["end_effector"] = Reference.poses([0.0], [position + [0.0, 0.0, 0.6]], quaternion)
     mpc.reference["state"] = Reference.constant(model.home)
     mpc.reference["input"] = Reference.constant(np.zeros(model.input.size))
     mpc.reset(model.home)

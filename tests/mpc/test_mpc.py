@@ -200,7 +200,7 @@ def test_observations_are_checked() -> None:
     with pytest.raises(InputError, match=r"did you mean 'state'\?"):
         mpc.reference["stat"] = Reference.constant(np.zeros(4))
     assert "state" in mpc.reference
-    assert "hand" not in mpc.reference
+    assert "end_effector" not in mpc.reference
     np.testing.assert_array_equal(mpc.reference["state"].values, np.zeros((1, 4)))
 
 

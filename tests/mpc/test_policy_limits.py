@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from realtime_toys import Force, Measured, ToyAgent, ToyRobot
+from realtime_toys import Force, Measured, ToyController, ToyRobot
 from toys import Rows, ToyDynamics
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotFinite
 from wbmpc.mpc.mpc import MPC
-from wbmpc.mpc.policy import InputLimits
+from wbmpc.mpc.policy import InputLimits, Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem
 from wbmpc.ocp.sets import Box, NonNegative
@@ -61,7 +61,19 @@ def test_after_a_push_the_policy_is_at_its_bound(mpc: MPC) -> None:
         assert mpc.limits.count - previous == (not LOWER <= asked[0] <= UPPER) == (abs(push[1]) > 1.0)
 
 
-def test_bounds_in_any_spelling_but_not_wishes_or_modes() -> None:
+def test_a_state_of_another_shape_is_an_error_and_not_spread(mpc: MPC) -> None:
+    """NumPy would take one number for all of a state, and plan and feedback would not say so."""
+    policy = mpc.update(Observation(0.0, np.zeros(2)))
+    for x in (1.0, np.ones(1), np.ones((2, 1)), np.ones((1, 2)), np.ones(0), np.ones(3)):
+        for ask in (policy, policy.law):
+            with pytest.raises(InputError, match=r"policy: a state of 2 numbers is needed, got shape"):
+                ask(0.0, x)
+    gain = np.broadcast_to([[1e200, -1e200]], policy.gain.shape)
+    with pytest.raises(NotFinite, match="so far from the plan"):
+        Policy(policy.times, policy.x, policy.u, gain, limits=policy.limits)(0.0, np.full(2, 1e200))
+
+
+def test_bounds_in_any_spelling_but_not_soft_or_switched_ones() -> None:
     """Beside rows of several variables, and scaled; soft ones, ranges of states and bounds of one mode do not count."""
     mixed = Rows(3, lambda s: ca.vertcat(4.0 - 2.0 * s.u[1], 3.0 + s.u[0] - s.x[1], 0.5 * (s.u[1] + 3.0)))
     problem = trolley(
@@ -115,7 +127,7 @@ def test_the_bounds_travel_with_the_policy(mpc: MPC) -> None:
     assert taken(2.0, x)[0] == LOWER and taken.limits.count == 2
 
 
-class Plain(ToyAgent):
+class Plain(ToyController):
     """Sends what the policy says, and does not count anything."""
 
     def __init__(self) -> None:

@@ -7,11 +7,11 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.swerve.defaults import swerve_mpc
-from wbmpc.bases.swerve.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, plan_turns
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import Trajectory
 from wbmpc.studies.pankert2022.fixed_motions import SwerveFixedSettings
+from wbmpc.studies.pankert2022.wheel_flip import EARLY, TURN, Turn, WheelFlipGuess, plan_turns
 from wbmpc.types import Observation
 
 MODEL = robot("swerve-fixed-ur10")
@@ -141,7 +141,7 @@ def test_a_base_that_goes_round_does_not_stop_for_its_wheels() -> None:
         table[:, layout[group]] = values
         mpc.reference[name] = Reference(t, table)
     position, orientation = MODEL.pose(MODEL.home)
-    mpc.reference["hand"] = Reference.poses(np.zeros(1), position[None], orientation[None])
+    mpc.reference["end_effector"] = Reference.poses(np.zeros(1), position[None], orientation[None])
     mpc.reset(MODEL.home)
     x, turned_about = MODEL.home.copy(), set()
     for k in range(450):

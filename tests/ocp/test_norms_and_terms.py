@@ -178,7 +178,10 @@ def test_bad_constraints() -> None:
         (lambda: CapturePoint(robot("rezero"), 4.7, answer=np.nan), "capture point: 'answer' must be finite"),
         (lambda: CapturePoint(robot("rezero"), 4.7, directions=0), "directions must be a whole number"),
         (lambda: PanelContact(None, -1.0), "panel contact: rate must not be negative"),
-        (lambda: residuals.FrictionCone(load_robot("rezero", contact="force"), 0.5, np.nan), "'least' must be finite"),
+        (
+            lambda: residuals.FrictionCone(load_robot("rezero", contact="force"), 0.5, np.nan),
+            "'min_push' must be finite",
+        ),
         (lambda: residuals.FrameTwist(robot("rezero"), "tol"), r"did you mean 'tool'\?"),
         (lambda: residuals.FrameWrench(robot("rezero"), "tool"), "loaded with contact='force' or contact='wrench'"),
         (lambda: residuals.FrameWrench(robot("swerve-ur10"), "tool0"), "inputs are speeds it has no effect"),

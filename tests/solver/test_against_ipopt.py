@@ -102,7 +102,7 @@ def quaternion_solver(orientation: str, n: int = 12) -> Solver:
     """End effector, input and joint terms only, so that both bases mean the same; rk4 makes both integrators exact enough."""
     model = robot("swerve-ur10", orientation=orientation)
     ocp = OptimalControlProblem(model.dynamics(), 1.5, n, integrator="rk4")
-    ocp.add(Cost("hand", residuals.FramePose(model, model.tool), [100.0] * 3 + [20.0] * 3, at="path+terminal"))
+    ocp.add(Cost("end_effector", residuals.FramePose(model, model.tool), [100.0] * 3 + [20.0] * 3, at="path+terminal"))
     ocp.add(
         Cost(
             "joints",
@@ -119,7 +119,7 @@ def quaternion_solver(orientation: str, n: int = 12) -> Solver:
     ocp.add(Constraint("speeds", residuals.Input(model, reference=None), box, penalty=RelaxedBarrier(1e-3, 0.02)))
     solver = Solver(ocp, SQP(iterations=300))
     position, quaternion = model.pose(model.home)
-    solver.set_reference("hand", Reference.poses([0.0], [position + np.array([0.4, 0.2, 0.05])], quaternion))
+    solver.set_reference("end_effector", Reference.poses([0.0], [position + np.array([0.4, 0.2, 0.05])], quaternion))
     parts = [model.home[model.state[g]] for g in ("leg", "steer", "arm")]
     solver.set_reference("joints", Reference.constant(np.concatenate(parts)))
     solver.warm_start(model.home, np.eye(1, model.input.size).ravel() * 0.2)

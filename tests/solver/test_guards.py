@@ -190,6 +190,22 @@ def test_ctrl_c_is_a_keyboard_interrupt_wherever_it_comes(backend: str, what: st
     assert done.stdout.strip() == "{'KeyboardInterrupt': 40}"
 
 
+def test_a_signal_within_what_leaving_calls_comes_out_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python looks for signals in every function, also of its own module that sets their handlers."""
+    previous, asked = signal.getsignal(signal.SIGINT), signal.getsignal
+    sent: list[int] = []
+
+    def getsignal(number: int) -> object:
+        if number == signal.SIGINT and not sent:
+            sent.append(number)
+            os.kill(os.getpid(), number)
+        return asked(number)
+
+    with pytest.raises(KeyboardInterrupt), Interruptible():
+        monkeypatch.setattr(signal, "getsignal", getsignal)
+    assert sent and asked(signal.SIGINT) is previous
+
+
 class _Odd(Exception):
     pass
 

@@ -1,7 +1,7 @@
 """Hard limits in closed loop on the model, one iteration per step, while pushes come. Truth: the limits themselves.
 
 The model that is driven differs from the planned one: inputs arrive 5 % weaker. Loops without the slack reset and with
-relaxed barriers show that the scenarios press hard enough to tell.
+relaxed barriers show that the scenarios press hard enough to show a difference.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def ball_robot(variant: str) -> Excess:
     solver.set_reference("body", Reference.constant(home))
     solver.set_reference("twist", Reference.constant(np.zeros(6)))
     solver.set_reference("torque", Reference.constant(torque))
-    solver.set_reference("hand", Reference.poses([0.0], [position], quaternion))
+    solver.set_reference("end_effector", Reference.poses([0.0], [position], quaternion))
     solver.warm_start(home, torque)
     speed, arm = model.state["base_velocity"], model.state["arm_velocity"]
 
@@ -94,7 +94,7 @@ def ball_robot(variant: str) -> Excess:
                 x[arm] += way * np.array([1.0, 4.5, -2.0])
             if abs(t - when - 0.6) < 1e-6:
                 shift = np.array([0.15 * way, 0.15, 0.1])
-                solver.set_reference("hand", Reference.poses([0.0], [position + shift], quaternion))
+                solver.set_reference("end_effector", Reference.poses([0.0], [position + shift], quaternion))
         return x
 
     return drive(solver, "rezero", home.copy(), 0.02, 150, push)
@@ -111,7 +111,7 @@ def swerve_robot(variant: str) -> Excess:
     t = np.linspace(0.0, 10.0, 201)
     position, quaternion = model.pose(model.home)
     along = 0.2 * np.maximum(t - 0.3, 0.0)
-    solver.set_reference("hand", Reference.poses(t, position + np.outer(along, [1.0, 0.0, 0.0]), quaternion))
+    solver.set_reference("end_effector", Reference.poses(t, position + np.outer(along, [1.0, 0.0, 0.0]), quaternion))
     states = np.tile(model.home, (t.size, 1))
     states[:, 0] = along
     for legs, start, end in (((0, 1), 0.43, 1.37), ((2, 3), 1.71, 2.63)):

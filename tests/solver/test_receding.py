@@ -68,11 +68,11 @@ TIMES = np.array([0.1, 0.4, 0.5, 0.9, 1.1])
 
 
 def sampled(
-    reference: Reference, t0: float = 0.0, term: str = "hand", schedule: ModeSchedule | None = None
+    reference: Reference, t0: float = 0.0, term: str = "end_effector", schedule: ModeSchedule | None = None
 ) -> np.ndarray:
     model = robot("rezero")
     ocp = OptimalControlProblem(model.dynamics(), 1.3, 40)
-    ocp.add(Cost("hand", residuals.FramePose(model, "tool")))
+    ocp.add(Cost("end_effector", residuals.FramePose(model, "tool")))
     ocp.add(Cost("twist", residuals.FrameTwist(model, "tool")))
     solver = SOLVER.setdefault("s", Solver(ocp, SQP(iterations=1)))
     tables = make_tables(solver.problem, {term: reference}, schedule or ModeSchedule((Mode("m"),)))

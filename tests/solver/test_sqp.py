@@ -143,6 +143,25 @@ def test_short_horizons(n: int) -> None:
     np.testing.assert_allclose(found.u, lq.kkt(lq.x0)[1], atol=1e-5)
 
 
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_simulate_takes_whole_states_and_inputs_alone(backend: str) -> None:
+    """Compiled code knows addresses and no lengths: it would read on beyond the end."""
+    lq = LinearQuadratic(3, 2, 0)
+    solver = Solver(lq.problem(), SQP(backend=backend))
+    x, u = np.zeros(3), np.zeros(2)
+    for bad in (
+        (0.0, u),
+        (np.zeros(0), u),
+        (np.zeros(4), u),
+        (np.zeros((1, 3)), u),
+        (x, 0.0),
+        (x, np.zeros(1)),
+        (x, np.zeros((2, 1))),
+    ):
+        with pytest.raises(InputError, match="simulate: 3 states and 2 inputs are needed, got shapes"):
+            solver.simulate(*bad, 0.1)
+
+
 @pytest.mark.parametrize("integrator", ["rk2", "rk4"])
 def test_simulate_is_the_twins_step_and_the_truth(integrator: str) -> None:
     """rk4 with small steps against SciPy's integrator; both backends alike."""

@@ -60,7 +60,7 @@ def test_it_balances_under_a_push(tmp_path: Path, wheels: int, zenith: float, wr
     settings = mpc_settings(barrier_mu=3e-2)
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
     set_home_references(mpc, robot, torque, home)
-    mpc.reference["hand"] = Reference.poses([0.0], *robot.pose(home))
+    mpc.reference["end_effector"] = Reference.poses([0.0], *robot.pose(home))
     plant = BallPlant(robot.description, home, torque, Perturbation(), seed=1)
     timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.computation_delay)
     controller = BallController(

@@ -12,7 +12,7 @@ import yaml
 
 from effort import thorough
 from toys import robot
-from wbmpc.bases.swerve.calibration_log import steer_joints
+from wbmpc.bases.swerve.calibrator import steer_joints
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
 from wbmpc.estimation.wheel_calibration import WheelCalibration

@@ -190,5 +190,5 @@ def test_the_hand_makes_up_for_wheels_that_are_smaller_than_described() -> None:
     references = TrackReferences(TRACK, swerve)
     references.set(mpc, swerve.home, -known.rise(geometry))  # type: ignore[arg-type]
     t = np.array([3.0])
-    height = given["hand"].at(3.0)[2]
+    height = given["end_effector"].at(3.0)[2]
     assert height - references.end_effector(t)[0, 2] == pytest.approx(3e-4, abs=1e-6)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wbmpc.configuration import configure
-from wbmpc.registry import REGISTRY
+from configured import check_taken
 from wbmpc.studies import regression
 from wbmpc.studies.regression import FAST, FULL, differences, key, main
 
@@ -48,7 +47,7 @@ def test_an_outcome_differs_before_its_metrics() -> None:
 
 @pytest.mark.parametrize(("name", "settings"), FAST + FULL)
 def test_every_case_is_one_that_can_be_run(name: str, settings: tuple[str, ...]) -> None:
-    configure(REGISTRY[name].config_type, settings, name)
+    check_taken(name, settings)
 
 
 def test_recording_goes_on_and_comparing_finds_what_changed(

@@ -48,7 +48,7 @@ def test_no_other_torques_come_nearer_to_what_the_hand_wants() -> None:
     after, turned = ROBOT.pose(x + np.r_[1e-6 * x[8:], np.zeros(8)])
     spin = np.ravel(lie.quaternion_log(lie.quaternion_multiply(turned, lie.quaternion_conjugate(quaternion)))) / 1e-6
     velocity = np.concatenate([(after - place) / 1e-6, spin])
-    target = np.concatenate([gains.hand**2 * (goal - place), np.zeros(3)]) - 2.0 * gains.hand * velocity
+    target = np.concatenate([gains.end_effector**2 * (goal - place), np.zeros(3)]) - 2.0 * gains.end_effector * velocity
     miss = lambda torque: float(np.sum((hand_acceleration(x, torque) - target) ** 2))
     torque, rng = controller._solve(0.0, x), np.random.default_rng(0)
     assert np.all(np.abs(torque) < controller.limit - 1e-3) or miss(torque) < miss(TORQUE)
@@ -62,7 +62,7 @@ def test_torques_of_the_baseline_respect_the_limits() -> None:
     mpc = rezero_mpc(ROBOT, mpc_settings(3e-2), RezeroCost())
     far = (ROBOT.pose(HOME)[0] + [2.0, 0.0, 0.0], ROBOT.pose(HOME)[1])
     controller = TaskSpaceController(
-        ROBOT, mpc, lambda t: far, replace(TaskGains(), hand=40.0), HOME, TORQUE, 0.0025, DriveSettings()
+        ROBOT, mpc, lambda t: far, replace(TaskGains(), end_effector=40.0), HOME, TORQUE, 0.0025, DriveSettings()
     )
     torque = controller._solve(0.0, HOME)
     assert np.all(np.abs(torque) <= controller.limit + 1e-9)

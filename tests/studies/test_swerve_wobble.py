@@ -10,10 +10,10 @@ import pytest
 from effort import thorough
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.stability import Switch
 from wbmpc.studies.pankert2022 import wobble as swerve_wobble
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, estimate_mass_offset
 from wbmpc.studies.pankert2022.support_prediction import Case, Support, predict, tippings
+from wbmpc.studies.pankert2022.support_switches import Switch
 from wbmpc.studies.pankert2022.wobble import SwerveWobbleSettings
 from wbmpc.studies.pankert2022.wobble_figures import time_error, unloaded
 
@@ -51,7 +51,7 @@ def test_predicted_switches_are_those_of_the_physics(result) -> None:  # type: i
 
 
 @thorough
-def test_a_turn_before_tells_of_the_masses(result) -> None:  # type: ignore[no-untyped-def]
+def test_a_turn_before_shows_the_masses(result) -> None:  # type: ignore[no-untyped-def]
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert m["calibration_tippings"] == 2.0
     assert m["support_switch_time_error_max"] < 0.4 * m["support_switch_time_error_nominal_max"] < np.inf

@@ -21,7 +21,7 @@ panels = pytest.importorskip("wbmpc.view.panel")
 @pytest.fixture
 def panel() -> Any:
     server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
-    yield panels.Panel(server, Mailbox(REQUESTS), Controls("test", ("hand",), legs=True, base=True))
+    yield panels.Panel(server, Mailbox(REQUESTS), Controls("test", ("end_effector",), legs=True, base=True))
     server.stop()
 
 

@@ -56,7 +56,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     folder, truth = tmp_path_factory.mktemp("run"), Truth()
     mpc = record(folder, truth)
     return SimpleNamespace(
-        folder=folder, truth=truth, film=Film(read_recording(folder)), goal=mpc.reference["hand"].at(0.0)
+        folder=folder, truth=truth, film=Film(read_recording(folder)), goal=mpc.reference["end_effector"].at(0.0)
     )
 
 

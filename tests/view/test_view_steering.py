@@ -73,7 +73,7 @@ def test_a_goal_is_given_in_the_world() -> None:
     seen = np.array([1.0, 0.5, 0.8, *lie.quaternion_about((0, 1, 0), 0.2)])
     requests["goals"][...], requests["goal"][...] = 1, seen
     steering.apply(0.0, requests, drift)
-    given = running.mpc.reference["hand"].at(0.0)
+    given = running.mpc.reference["end_effector"].at(0.0)
     np.testing.assert_allclose(lie.pose_compose(drift, given), seen, atol=1e-12)
 
 
@@ -119,13 +119,13 @@ def on_its_way(robot: Any, seed: int) -> tuple[Any, ...]:
     states[:, robot.state["base"].start] += gone
     inputs[:, robot.input["base"].start] = SPEED * moving
     position, orientation = robot.pose(robot.home)
-    mpc.reference["hand"] = Reference.poses(t, position + gone[:, None] * [1.0, 0.0, 0.0], orientation)
+    mpc.reference["end_effector"] = Reference.poses(t, position + gone[:, None] * [1.0, 0.0, 0.0], orientation)
     mpc.reference["state"], mpc.reference["input"] = Reference(t, states), Reference(t, inputs)
     return plant, controller, mpc, timing
 
 
 def test_a_driving_base_goes_on_while_its_legs_move() -> None:
-    """Told of MuJoCo: it neither turns back towards where its reference began nor stops."""
+    """Truth: MuJoCo. It neither turns back towards where its reference began nor stops."""
     seen: list[tuple[float, float]] = []
     look = lambda t, running: seen.append((t, running.plant.truth().pose[0]))
     order = {"configurations": 1, "configuration": list(CONFIGURATIONS).index("A")}
@@ -213,7 +213,7 @@ def test_weights_act_without_compiling() -> None:
     firm = drive(made, "swerve-ur10", 5.0, [(0.2, base)])
     steering = Steering(firm, np.zeros(3))
     factors = np.ones(16)
-    factors[[c.name for c in steering.costs].index("hand")] = 1e-3
+    factors[[c.name for c in steering.costs].index("end_effector")] = 1e-3
     soft = drive(made, "swerve-ur10", 5.0, [(0.1, {"weights": factors}), (0.2, base)])
     assert firm.mpc.solver.kernel is not None
     far = [np.linalg.norm(r.plant.truth().tool - home) for r in (firm, soft)]
@@ -243,7 +243,7 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
     rejected: list[str] = []
     steering = Steering(running, np.zeros(3), rejected.append)
     position, turn = running.controller.robot.pose(running.controller.robot.home)
-    previous = running.mpc.reference["hand"]
+    previous = running.mpc.reference["end_effector"]
     bad: list[dict[str, Any]] = [
         {"goals": 1, "goal": [np.nan, *position[1:], *turn]}, {"goals": 2, "goal": [*position, 0.0, 0, 0, 0]},
         {"goals": 3, "goal": [1e9, 0.0, 1.0, *turn]}, {"pushes": 1, "push": [np.nan, 0.0, 0.0], "push_time": 1.0},
@@ -260,5 +260,5 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
         steering.apply(0.1 * k, requests, NOWHERE)
         steering.apply(0.1 * k + 0.05, requests, NOWHERE)  # said once, not at every tick
         assert len(rejected) == k + 1, wrong
-    assert running.mpc.reference["hand"] is previous
+    assert running.mpc.reference["end_effector"] is previous
     np.testing.assert_array_equal(running.mpc.solver.constants, weights)

@@ -8,8 +8,8 @@ the part and the base types that offer it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
     from wbmpc.ocp import Constraint
     from wbmpc.robots.description import LimitsDescription, RobotDescription
+    from wbmpc.robots.findings import Finding
+    from wbmpc.robots.mechanism import Mechanism
+    from wbmpc.robots.wheel_search import Wheel
     from wbmpc.ros2.base_adapter import BaseAdapter
     from wbmpc.ros2.plants import RosPlant
     from wbmpc.ros2.settings import RosSettings
@@ -66,6 +69,35 @@ class Radius:
     sphere: bool = False
 
 
+@dataclass(frozen=True)
+class Question:
+    """What a base type cannot see in a file: ``key`` of its section, the ``text`` that asks, and the ``answer`` that it assumes."""
+
+    key: str
+    text: str
+    answer: Any
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """How a base type reads a file that nobody has described yet.
+
+    ``section``: keys of its ``base`` section, without ``type`` and ``body``; ``fit``: from 0 (hardly) to 1 (nothing else is possible);
+    ``reason``: what it saw, for a user; ``joints``: those that the section names; ``held``: others of the base, which stand still;
+    ``speed`` [rad/s] of joints for which the file has none, and ``acceleration`` [rad/s²], by joint; ``questions``: what only the user
+    knows.
+    """
+
+    section: Mapping[str, Any]
+    fit: float
+    reason: str
+    joints: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    speed: Mapping[str, float] = field(default_factory=dict)
+    acceleration: Mapping[str, float] = field(default_factory=dict)
+    questions: tuple[Question, ...] = ()
+
+
 class BaseDescription(Section):
     """The ``base`` section of a robot file: what all base types have. A base type adds its own keys in a subclass.
 
@@ -74,6 +106,8 @@ class BaseDescription(Section):
 
     #: Whether the base moves: then ``body`` is a body of the file, not its world.
     moves: ClassVar[bool] = True
+    #: Whether the planner's equations have masses and inertias: then a link whose inertia cannot be is an error, else it is replaced.
+    uses_inertia: ClassVar[bool] = True
     #: The key of the section that names joints; "" where none does. Error messages say it.
     joint_key: ClassVar[str] = ""
     #: Keys of other base types that do not apply to this one, and why: the error of a file that has them.
@@ -193,7 +227,7 @@ class System:
     the plant's ``description``, MuJoCo's ``model`` and ``data``, ``world.frames(height)`` (see :class:`wbmpc.simulation.world.World`),
     ``push(force)`` (3) [N] on the base and ``arrange(x)``, which puts the bodies where a state (nx) has them; the controller's
     ``robot``, ``state()`` (nx) and ``stop()``, and ``base_pose()`` (7) where it has an estimate of the base. Of references a view
-    moves "hand" (poses of the end effector) and "state" (nx), where the MPC has them.
+    moves "end_effector" (poses of the end effector) and "state" (nx), where the MPC has them.
     """
 
     plant: Any
@@ -243,39 +277,48 @@ class BaseType(Protocol):
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Raise :class:`InputError` for a robot file whose mechanics this base type does not describe."""
 
+    def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
+        """How this base type would describe a model with these driven ``wheels``; None where it cannot."""
+        return None
+
+    def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
+        """What a user has to know of a described base that loads, or should mend."""
+        return []
+
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> Base:
         """The symbolic base of a described robot."""
-        lacks(description, "model")
+        reject_missing_part(description, "model")
 
     def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> Any:
         """The simulated robot at home, perturbed against the model; see :class:`System`."""
-        lacks(robot.description, "plant")
+        reject_missing_part(robot.description, "plant")
 
     def system(self, robot: RobotModel, seed: int) -> System:
         """Plant, controller and MPC with default settings: what views and first runs start from."""
-        lacks(robot.description, "system")
+        reject_missing_part(robot.description, "system")
 
     def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
         """The settings of this base type's controller on a ROS 2 bus."""
-        lacks(description, "ros_settings")
+        reject_missing_part(description, "ros_settings")
 
     def ros(self, robot: RobotModel, settings: Any, period: float) -> BaseAdapter:
         """The adapter of this base type on a ROS 2 bus (:class:`wbmpc.ros2.base_adapter.BaseAdapter`) with settings of
         :meth:`ros_settings`; ``period`` [s] of the controller."""
-        lacks(robot.description, "ros")
+        reject_missing_part(robot.description, "ros")
 
     def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
         """The simulated robot's side of a ROS 2 bus (:class:`wbmpc.ros2.plants.RosPlant`)."""
-        lacks(robot.description, "ros_plant")
+        reject_missing_part(robot.description, "ros_plant")
 
     def calibrator(self, robot: RobotModel) -> Calibrator:
         """What finds the wheels' calibration from a log."""
-        lacks(robot.description, "calibrator")
+        reject_missing_part(robot.description, "calibrator")
 
 
 #: What the parts of a plug-in are called in errors; one that it does not define is inherited from :class:`BaseType`.
 PARTS = {
-    "check": "check of its mechanics", "model": "model", "plant": "simulated robot", "system": "simulated robot with a controller",
+    "check": "check of its mechanics", "propose": "proposal for a new robot", "diagnose": "diagnosis",
+    "model": "model", "plant": "simulated robot", "system": "simulated robot with a controller",
     "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
     "calibrator": "calibration of steered wheels",
 }  # fmt: skip
@@ -285,7 +328,7 @@ PARTS = {
 offering: Callable[[str], list[str]] = lambda part: []
 
 
-def lacks(description: RobotDescription, part: str) -> NoReturn:
+def reject_missing_part(description: RobotDescription, part: str) -> NoReturn:
     """Raise :class:`InputError`: the robot's base type does not define a part of the plug-in; names those that do."""
     raise InputError(
         f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} "

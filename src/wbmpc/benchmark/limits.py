@@ -27,12 +27,12 @@ def _milliseconds(solver: Solver, x0: np.ndarray, passes: int = 200) -> float:
 
 def _without_limits(problem: Problem, settings: SQP) -> Solver:
     """The same problem and references with its inequalities taken out."""
-    given = problem.solver
-    for term in given.ocp.inequalities:
-        del given.ocp.terms[term.name]
-    solver = Solver(given.ocp, settings)
-    solver.references, solver.schedule = given.references, given.schedule
-    start = given.trajectory(copy=False)
+    solver_of_problem = problem.solver
+    for term in solver_of_problem.ocp.inequalities:
+        del solver_of_problem.ocp.terms[term.name]
+    solver = Solver(solver_of_problem.ocp, settings)
+    solver.references, solver.schedule = solver_of_problem.references, solver_of_problem.schedule
+    start = solver_of_problem.trajectory(copy=False)
     solver.warm_start(start.x, start.u)
     return solver
 

@@ -111,10 +111,10 @@ class Stages:
 
     def constraint(self) -> ca.Function:
         """[−F(x, u); equality rows; hard rows]."""
-        t, given = self.t, self.symbols[:4]
+        t, arguments = self.t, self.symbols[:4]
         end = _step(t.values["dynamics"], t.x, t.u, t.p, t.w, t.h, self.rk4)
-        hard = [_box_rows(t.path.boxes, t.z), t.values["rows"](*given)]
-        return self._function("stage_rows", [ca.vertcat(-_normalised(t, end), t.values["equality"](*given), *hard)])
+        hard = [_box_rows(t.path.boxes, t.z), t.values["rows"](*arguments)]
+        return self._function("stage_rows", [ca.vertcat(-_normalised(t, end), t.values["equality"](*arguments), *hard)])
 
     def jacobian(self) -> ca.Function:
         """Jacobian of :meth:`constraint` by (x, u), by the chain rule through the integrator's stages."""

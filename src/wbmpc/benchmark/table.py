@@ -11,6 +11,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from wbmpc.output_file import write_text
+
 
 def number(value: Any, digits: int = 3) -> str:
     if value is None:
@@ -101,6 +103,6 @@ def text(figures: dict[str, Any], width: int = 118, more: Sequence[Table] = ()) 
 def write(figures: dict[str, Any], directory: Path, table: str) -> dict[str, str]:
     """``race.json`` and ``race.txt`` with its ``table``: paths by kind."""
     files = {"json": directory / "race.json", "table": directory / "race.txt"}
-    files["json"].write_text(json.dumps(figures, indent=1))
-    files["table"].write_text(table)
+    write_text(files["json"], json.dumps(figures, indent=1))
+    write_text(files["table"], table)
     return {kind: str(path) for kind, path in files.items()}

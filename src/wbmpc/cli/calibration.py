@@ -43,7 +43,7 @@ def _calibrator(name: str) -> Calibrator:
     return base_type(robot.description.base.type).calibrator(robot)
 
 
-def _calibrator_of(file: Path, given: str | None) -> Calibrator:
+def _calibrator_of(file: Path, robot: str | None) -> Calibrator:
     """Of the robot of a log: as given, or from the metrics.json beside it. Raises :class:`InputError` where these have other
     bases."""
     from wbmpc.run_files import read_metrics
@@ -52,19 +52,19 @@ def _calibrator_of(file: Path, given: str | None) -> Calibrator:
     try:
         message = str(read_metrics(metrics)["settings"]["robot"])
     except (InputError, KeyError) as error:
-        if given is None:
+        if robot is None:
             raise InputError(f"--robot: is needed, {metrics} does not say which robot this was") from error
-        return _calibrator(given)
-    if given is None or given == message:
+        return _calibrator(robot)
+    if robot is None or robot == message:
         return _calibrator(message)
-    found = _calibrator(given)
+    found = _calibrator(robot)
     try:
         there = _calibrator(message)
     except InputError:  # a file that is not there any more
         return found
     if not _same_base(found.geometry, there.geometry):
         raise InputError(
-            f"--robot: {metrics} says that this was '{message}', whose base is another than that of '{given}'; leave --robot out, or "
+            f"--robot: {metrics} says that this was '{message}', whose base is another than that of '{robot}'; leave --robot out, or "
             "give the log.npz without the metrics.json beside it"
         )
     return found

@@ -45,16 +45,16 @@ def size_of(option: str, text: str) -> int:
     return int(size)
 
 
-def new_file(option: str, given: Path | None, default: Path, force: bool) -> Path:
+def new_file(option: str, chosen: Path | None, default: Path, force: bool) -> Path:
     """The file that ``option`` names, or else one beside ``default`` that is not there yet.
 
     Raises :class:`InputError` if the named one is there and ``force`` is not given, or cannot be written.
     """
-    if given is not None:
-        reject_existing(option, [given], force)
-        if not given.parent.is_dir():
-            raise InputError(f"{option}: '{given}': there is no directory '{given.parent}'")
-    path = given or (default if force else _free(default))
+    if chosen is not None:
+        reject_existing(option, [chosen], force)
+        if not chosen.parent.is_dir():
+            raise InputError(f"{option}: '{chosen}': there is no directory '{chosen.parent}'")
+    path = chosen or (default if force else _free(default))
     _try_to_write(option, path)
     return path
 
@@ -82,11 +82,11 @@ def writable_directory(option: str, path: Path) -> None:
         raise InputError(f"{option}: cannot write into '{path}'")
 
 
-def new_directory(option: str, given: Path | None, default: Path, force: bool) -> Path:
+def new_directory(option: str, chosen: Path | None, default: Path, force: bool) -> Path:
     """A directory for files that :func:`reject_existing` then looks at; a chosen one is not there yet."""
-    if given is not None and given.exists() and not given.is_dir():
-        raise InputError(f"{option}: '{given}' is a file; give a directory")
-    return given or (default if force else _free(default))
+    if chosen is not None and chosen.exists() and not chosen.is_dir():
+        raise InputError(f"{option}: '{chosen}' is a file; give a directory")
+    return chosen or (default if force else _free(default))
 
 
 def reject_existing(option: str, paths: Iterable[Path], force: bool) -> None:
@@ -122,18 +122,18 @@ def run_directory(out: Path | None, name: str, seed: int) -> Iterator[Path]:
 
     What was made for it and stays empty is removed again.
     """
-    wanted = out or Path("runs") / f"{name}-seed{seed}"
-    missing = [path for path in (wanted, *wanted.parents) if not path.exists()]
-    directory = _chosen(out, wanted)
+    target = out or Path("runs") / f"{name}-seed{seed}"
+    missing = [path for path in (target, *target.parents) if not path.exists()]
+    directory = _chosen(out, target)
     try:
         yield directory
     finally:
-        for path in dict.fromkeys((directory, *missing) if directory != wanted else missing):
+        for path in dict.fromkeys((directory, *missing) if directory != target else missing):
             with suppress(OSError):
                 path.rmdir()  # succeeds only if nothing was written
 
 
-def _chosen(out: Path | None, wanted: Path) -> Path:
+def _chosen(out: Path | None, target: Path) -> Path:
     from wbmpc.report import RUN_FILES
 
     if out is not None:
@@ -141,6 +141,6 @@ def _chosen(out: Path | None, wanted: Path) -> Path:
         if not any((out / file).exists() for file in RUN_FILES):
             return out
     try:
-        return _reserve(wanted)
+        return _reserve(target)
     except OSError as error:
-        raise InputError(f"'{wanted}' cannot be made ({error.strerror}); give another directory with --out") from error
+        raise InputError(f"'{target}' cannot be made ({error.strerror}); give another directory with --out") from error

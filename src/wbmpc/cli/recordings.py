@@ -10,6 +10,7 @@ import typer
 
 from wbmpc.cli.directories import Force, new_directory, new_file, reject_existing, writable_directory
 from wbmpc.cli.terminal import printable
+from wbmpc.output_file import write_text
 
 if TYPE_CHECKING:
     from wbmpc.recording.reader import Recording
@@ -81,7 +82,7 @@ def plot(
     recording = read_recording(file)
     path = new_file("--out", out, recording.path.with_name("plots.html"), force)
     plots = of_topics(recording, topics) if topics else overview(recording)
-    path.write_text(plots_page(recording.title, str(recording.path), plots))
+    write_text(path, plots_page(recording.title, str(recording.path), plots))
     typer.echo(json.dumps({"page": str(path)}) if as_json else f"the plots are in {path}")
 
 
@@ -140,7 +141,7 @@ def compare(
     notes = [note for note in (experiments(figures), *notes) if note]
     about = "; ".join([f"{first} (solid) and {second} (dashed)", *notes])
     plots = overlay(runs, names, wheels(figures[0]))
-    out.write_text(plots_page(f"{names[0]} and {names[1]}", about, plots))
+    write_text(out, plots_page(f"{names[0]} and {names[1]}", about, plots))
     if as_json:
         output = {"runs": [str(first), str(second)], "metrics": rows, "settings": changed, "notes": notes}
         typer.echo(json.dumps({**output, "page": str(out)}))

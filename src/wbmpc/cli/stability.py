@@ -11,6 +11,7 @@ import typer
 
 from wbmpc.cli.directories import Force, new_file
 from wbmpc.errors import InputError
+from wbmpc.output_file import write_text
 
 
 def stability(
@@ -49,7 +50,7 @@ def stability(
     result = assess(model, configuration, [*push, 0.0, 0.0, 0.0][:6], slope_gravity(slope, uphill), joints)
     files = {}
     if plot is not None:
-        plot.write_text(draw(result))
+        write_text(plot, draw(result))
         files["plot"] = str(plot)
     if as_json:
         typer.echo(json.dumps({**result.summary(), "files": files}, allow_nan=False))
@@ -61,11 +62,11 @@ def stability(
 
 def _numbers(option: str, text: str, sizes: tuple[int, ...]) -> list[float]:
     """Finite numbers of an option, separated by commas or blanks."""
-    wanted = " or ".join(map(str, sizes))
+    valid = " or ".join(map(str, sizes))
     try:
         values = [float(v) for v in text.replace(",", " ").split()]
     except ValueError:
-        raise InputError(f"{option}: {wanted} numbers are needed, got '{text}'") from None
+        raise InputError(f"{option}: {valid} numbers are needed, got '{text}'") from None
     if len(values) not in sizes or not all(map(math.isfinite, values)):
-        raise InputError(f"{option}: {wanted} finite numbers are needed, got '{text}'")
+        raise InputError(f"{option}: {valid} finite numbers are needed, got '{text}'")
     return values

@@ -127,14 +127,14 @@ def logged(verbose: bool, debug: bool = False) -> Iterator[None]:
     """What the library notes, on standard error: warnings, or everything; with ``debug`` tracebacks too."""
     log, handler = logging.getLogger("wbmpc"), logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Printable("wbmpc: %(message)s"))
-    before = log.level
+    previous = log.level
     log.addHandler(handler)
     log.setLevel(logging.DEBUG if debug else logging.INFO if verbose else logging.WARNING)
     try:
         yield
     finally:
         log.removeHandler(handler)
-        log.setLevel(before)
+        log.setLevel(previous)
 
 
 class _Tolerant:
@@ -175,9 +175,9 @@ def unread_allowed() -> Iterator[None]:
 
 
 @contextmanager
-def silent(wanted: bool) -> Iterator[None]:
-    """Nothing on standard output if ``wanted``."""
-    if not wanted:
+def silent(requested: bool) -> Iterator[None]:
+    """Nothing on standard output if ``requested``."""
+    if not requested:
         yield
         return
     with redirect_stdout(io.StringIO()):

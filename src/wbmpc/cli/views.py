@@ -84,14 +84,14 @@ def view(
     from wbmpc.report import RECORDING, about_run
     from wbmpc.view.session import run_session
 
-    shown, reason, wanted = open_view(robot, host, port, no_token, as_json=as_json), "an error of the program", False
+    shown, reason, expected = open_view(robot, host, port, no_token, as_json=as_json), "an error of the program", False
     with nullcontext() if out is None else run_directory(out, robot, seed) as directory:
         recorders = []
         if directory is not None:
             recorders = [Recorder(directory / RECORDING, about_run(f"view {robot}", seed, {}), limit)]
         try:
             ending = run_session(robot, seed, shown, *recorders)
-            reason, wanted = ending.reason, ending.interrupted or shown.ended or not ending.reason
+            reason, expected = ending.reason, ending.interrupted or shown.ended or not ending.reason
         finally:
             shown.close()
             for recorder in recorders:
@@ -99,8 +99,8 @@ def view(
     typer.echo(reason, err=True)
     for recorder in recorders:
         typer.echo(recorder.failure or f"the recording is {recorder.path}", err=True)
-        wanted = wanted and not recorder.failure
-    _leave(ABORTED if not wanted else 0)
+        expected = expected and not recorder.failure
+    _leave(ABORTED if not expected else 0)
 
 
 def _view_realtime(robot: str, seed: int, host: str, port: int, no_token: bool, as_json: bool) -> None:
@@ -187,17 +187,17 @@ def render(
     from wbmpc.view.render import render as draw
     from wbmpc.view.replay import Film
 
-    wanted = [(path, kind) for path, kind in ((mp4, ".mp4"), (gif, ".gif"), (png, ".png")) if path is not None]
-    if not wanted:
+    targets = [(path, kind) for path, kind in ((mp4, ".mp4"), (gif, ".gif"), (png, ".png")) if path is not None]
+    if not targets:
         raise InputError("render: what to write is missing; valid: --mp4 FILE, --gif FILE, --png FILE")
-    for path, kind in wanted:
+    for path, kind in targets:
         if path.suffix.lower() != kind:
             raise InputError(f"--{kind[1:]}: '{path}' must end in {kind}")
         new_file(f"--{kind[1:]}", path, path, force)
     if not start >= 0.0:
         raise InputError(f"--start: must not be negative, got {start:g}")
     film = Film(read_recording(file))
-    drawn = {str(path): draw(film, path, (start, end), (width, height), speed) for path, _ in wanted}
+    drawn = {str(path): draw(film, path, (start, end), (width, height), speed) for path, _ in targets}
     if as_json:
         typer.echo(json.dumps({"pictures": drawn}))
         return

@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from wbmpc.kernel.library import Library
 
-LIBRARY = Library("estimators", rooms=("estimation", "kernel"), modules=("wbmpc.estimation.odometry_step",))
+_STEPS = ("odometry_step", "disturbance_step")
+LIBRARY = Library("estimators", rooms=("estimation", "kernel"), modules=tuple(f"wbmpc.estimation.{m}" for m in _STEPS))
 compiled, step = LIBRARY.compiled, LIBRARY.step

@@ -24,14 +24,14 @@ import numpy as np
 
 from wbmpc.checks import finite, not_negative, numbers, positive_time, scales
 from wbmpc.errors import InputError
-
-#: The share of the gate from which on a steady innovation counts: no push needs to be distinguished from it, only noise.
-STEADY = 0.35
+from wbmpc.estimation.disturbance_step import observe
+from wbmpc.kernel.step import Backend, bind
 
 
 @dataclass
 class DisturbanceObserver:
-    """``step(x, u, h)``: the model's state after h seconds; ``mass(q)``: M. Units: SI."""
+    """``step(x, u, h)``: the model's state after h seconds; ``mass(q)``: M. Units: SI. ``backend``: machine code
+    (:mod:`wbmpc.estimation.disturbance_step`), or the same source as ordinary Python."""
 
     step: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
     mass: Callable[[np.ndarray], np.ndarray]
@@ -43,6 +43,7 @@ class DisturbanceObserver:
     longest: float = 0.5
     settled: float = 1.0
     calm: tuple[float, float] = (0.5, 0.2)  # m/s², rad/s
+    backend: Backend = "compiled"
 
     def __post_init__(self) -> None:
         """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; ``gate`` and ``calm`` may be infinite."""
@@ -54,50 +55,48 @@ class DisturbanceObserver:
             raise InputError(
                 f"{who}: 'calm' needs 2 numbers, 'gate' 1 to {self.size}, got {self.calm} and {self.gate.tolist()}"
             )
-        self.force = np.zeros(self.size)
-        self._speed: np.ndarray | None = None
-        self._held_until, self._lasts_until = -np.inf, -np.inf
-        self._since, self._mean = np.inf, np.zeros(self.gate.size)
+        n, gates = self.size, self.gate.size
+        sizes = {
+            "velocity": n,
+            "speed": n,
+            "after": n,
+            "mass": n * n,
+            "force": n,
+            "felt": gates,
+            "mean": gates,
+            "innovation": n,
+        }
+        self._arrays = {name: np.zeros(length) for name, length in sizes.items()} | {
+            "gate": np.array(self.gate, float), "clock": np.array([-np.inf, -np.inf, np.inf]),
+            "settings": np.array([self.speed_gain, self.force_gain, self.hold, self.longest, self.settled, *self.calm], float),
+        }  # fmt: skip
+        self._observe = bind(observe, self._arrays, self.backend, size=n, gates=gates)
+        self._state, self._started = np.zeros(2 * n), False
         self.learning = 1.0  # how much of a constant disturbance the last update can have learnt
+
+    @property
+    def force(self) -> np.ndarray:
+        """The estimate (nq)."""
+        return self._arrays["force"].copy()
+
+    @force.setter
+    def force(self, value: np.ndarray) -> None:
+        self._arrays["force"][:] = value
 
     def update(self, t: float, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """Estimate (nq,) after a measured state x (2 nq) at time t [s]; the input u acts from then for h [s].
 
         Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
-        n = self.size
+        n, a = self.size, self._arrays
         finite("disturbance observer", t=t)
         positive_time("disturbance observer", h)
         x = numbers("disturbance observer", "state", x, 2 * n)
         u = numbers("disturbance observer", "input", u, np.size(u))
-        q, v = x[:n], x[n:]
-        if self._speed is None:
-            self._speed = v.copy()
-        innovation = v - self._speed
-        felt = innovation[: self.gate.size] / self.gate
-        self._lasts(t, felt, h)
-        if np.abs(felt).max() > 1.0:
-            self._held_until = t + self.hold
-        lasts = t < self._lasts_until
-        held = t < self._held_until and not lasts
-        previous = self._speed
-        after = self.step(np.concatenate([q, previous]), u, h)
-        self._speed = after[n:] + h * self.speed_gain * innovation
-        acceleration = np.hypot(*(after[n : n + 2] - previous[:2])) / h
-        moving = (acceleration / self.calm[0]) ** 2 + (np.hypot(*v[3:5]) / self.calm[1]) ** 2
-        gain = 0.0 if held else self.force_gain if lasts else self.force_gain / (1.0 + moving)
-        self.force = self.force + h * gain * (self.mass(q) @ innovation)
-        self.learning = 0.0 if lasts or held else 1.0 / (1.0 + moving)
+        a["velocity"][:] = x[n:]
+        if not self._started:
+            a["speed"][:], self._started = x[n:], True
+        self._state[:n], self._state[n:] = x[:n], a["speed"]
+        a["after"][:] = self.step(self._state.copy(), u, h)[n : 2 * n]
+        a["mass"][:] = self.mass(x[:n]).reshape(-1)
+        self.learning = self._observe(t, h)
         return self.force
-
-    def _lasts(self, t: float, felt: np.ndarray, h: float) -> None:
-        """Whether the innovation ``felt``, as shares of the gate, is that of a force that lasts: for longer than a push it has
-        been one and the same, within 60 degrees of its own mean since it began."""
-        if np.abs(felt).max() <= STEADY:
-            self._since = np.inf
-            return
-        length = np.linalg.norm(felt)
-        if not np.isfinite(self._since) or felt @ self._mean < 0.5 * length * np.linalg.norm(self._mean):
-            self._since, self._mean = t, felt.copy()
-        self._mean += h / (t - self._since + h) * (felt - self._mean)
-        if t - self._since >= self.longest:
-            self._lasts_until = t + self.settled

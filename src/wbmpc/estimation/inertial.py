@@ -25,22 +25,25 @@ class InertialGate:
 
     def __init__(self, unit: InertialDescription, rest: Array) -> None:
         """``rest`` (3) [m/s²]: what the accelerometer reads before the first message."""
-        self._range = np.array([[unit.rate], [unit.acceleration]])
+        self._full = FULL * unit.rate, FULL * unit.acceleration
         self.last = np.stack([np.zeros(3), rest])
-        self._given: Array | None = None
+        self._given: list[list[float]] | None = None
         self._counted = self._jumped = False
-        self._same, self._for = np.zeros(2, dtype=int), np.zeros(2)
+        self._same, self._for = [0, 0], [0.0, 0.0]
 
     def judge(self, h: float, message: Array) -> str:
         """What is wrong with a message (2, 3), ``h`` [s] after the one before: it ``exceeds`` the range, or ``repeats`` itself;
         empty if nothing is."""
-        again = np.zeros(2, dtype=bool) if self._given is None else (message == self._given).all(axis=1)
-        self._given = message
-        self._same, self._for = np.where(again, self._same + 1, 0), np.where(again, self._for + h, 0.0)
-        if (np.abs(message) >= FULL * self._range).any():  # units that are at their end say just that
-            return "exceeds"
-        stands = (self._same >= REPEATS) & (self._for >= STANDS - 1e-9)
-        return "repeats" if stands.any() else ""
+        given, before = message.tolist(), self._given
+        self._given = given
+        exceeds = stands = False
+        for k, (row, full) in enumerate(zip(given, self._full, strict=True)):
+            same = before is not None and row == before[k]
+            self._same[k] = self._same[k] + 1 if same else 0
+            self._for[k] = self._for[k] + h if same else 0.0
+            exceeds |= max(map(abs, row)) >= full  # units that are at their end say just that
+            stands |= self._same[k] >= REPEATS and self._for[k] >= STANDS - 1e-9
+        return "exceeds" if exceeds else "repeats" if stands else ""
 
     def jumps(self, message: Array) -> bool:
         """Whether a message (2, 3) is farther from the last one that counted than a robot on its wheels can get it."""

@@ -47,8 +47,8 @@ class OffsetObserver:
         labels = dynamics.state.names if measured is None else tuple(measured)
         self.measured = np.array([dynamics.state.index(name) for name in labels], int)
         nx, nd = dynamics.state.size, len(self.names)
-        given = np.zeros(dynamics.mode.size) if np.size(mode) == 0 else mode
-        m = numbers("offset observer", "mode", given, dynamics.mode.size)
+        modes = np.zeros(dynamics.mode.size) if np.size(mode) == 0 else mode
+        m = numbers("offset observer", "mode", modes, dynamics.mode.size)
         self.mode, self.labels = m, labels
         self.noise = _positive("noise", noise, len(labels)) ** 2
         self._walk = np.concatenate([_positive("process", process, nx), _positive("walk", walk, nd)]) ** 2
@@ -166,9 +166,9 @@ def _null_space(matrix: Array, tolerance: float) -> Array:
 
 
 def _positive(name: str, value: ArrayLike, size: int) -> Array:
-    given = np.asarray(value, float)
-    if given.ndim and given.shape != (size,):
-        raise InputError(f"offset observer, {name}: one number or {size} are needed, got {given.size}")
-    if not (np.isfinite(given).all() and np.all(given > 0.0)):
-        raise InputError(f"offset observer, {name}: must be positive and finite, got {given.tolist()}")
-    return np.broadcast_to(given, size).copy()
+    values = np.asarray(value, float)
+    if values.ndim and values.shape != (size,):
+        raise InputError(f"offset observer, {name}: one number or {size} are needed, got {values.size}")
+    if not (np.isfinite(values).all() and np.all(values > 0.0)):
+        raise InputError(f"offset observer, {name}: must be positive and finite, got {values.tolist()}")
+    return np.broadcast_to(values, size).copy()

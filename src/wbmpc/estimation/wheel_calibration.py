@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from wbmpc.checks import is_covariance, not_negative, numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.wheels import ModuleGeometry
+from wbmpc.output_file import write_text
 from wbmpc.yaml_file import load_yaml
 
 Array = NDArray[np.float64]
@@ -106,32 +107,32 @@ class WheelCalibration:
         head += "".join(f"# {note}\n" for note in notes)
         tail = "# Correlation of what is left of the zeros, then of the radii, modules as above: what is known better together.\n"
         tail += yaml.safe_dump({"correlation": correlation.tolist()}, default_flow_style=None, width=2**31)
-        path.write_text(head + yaml.safe_dump({"modules": rows}, sort_keys=False) + tail)
+        write_text(path, head + yaml.safe_dump({"modules": rows}, sort_keys=False) + tail)
 
     @classmethod
     def load(cls, path: Path | str, geometry: ModuleGeometry, modules: list[str]) -> WheelCalibration:
         """Read such a file; keys that are left out are the description's, and without ``correlation`` errors are independent.
         Raises :class:`InputError` naming the key."""
-        rows, given = _read(Path(path), modules)
+        rows, correlation = _read(Path(path), modules)
         value = lambda key, default: np.array([_number(path, n, key, rows[n].get(key, default)) for n in modules])
         std = np.concatenate([value("steer_offset_std", 0.0), value("wheel_radius_std", 0.0)])
         radius = value("wheel_radius", geometry.wheel_radius)
         if (radius <= 0.0).any() or (std < 0.0).any():
             raise InputError(f"{path}: radii must be positive, standard deviations must not be negative")
-        covariance = np.outer(std, std) * _correlation(path, given, list(rows), modules)
+        covariance = np.outer(std, std) * _correlation(path, correlation, list(rows), modules)
         return cls(value("steer_offset", 0.0), value("leg_offset", 0.0), radius, covariance)
 
 
 _KEYS = ("steer_offset", "leg_offset", "wheel_radius", "steer_offset_std", "wheel_radius_std")
 
 
-def _correlation(path: Path | str, given: object, order: list[str], modules: list[str]) -> Array:
+def _correlation(path: Path | str, matrix: object, order: list[str], modules: list[str]) -> Array:
     """What a file gives (2n, 2n) with its modules in their ``order``, for ``modules``; independent errors for None."""
     n = len(modules)
-    if given is None:
+    if matrix is None:
         return np.eye(2 * n)
     try:
-        values = np.asarray(given, float)
+        values = np.asarray(matrix, float)
     except (TypeError, ValueError):
         values = np.zeros(0)
     right = values.shape == (2 * n, 2 * n) and np.isfinite(values).all() and np.allclose(values, values.T, atol=1e-6)

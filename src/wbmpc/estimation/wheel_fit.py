@@ -1,4 +1,9 @@
-"""The least-squares twist of steered wheels, compiled: equations in :func:`wbmpc.estimation.wheel_odometry.fit_twist`."""
+"""The least-squares twist of steered wheels, compiled.
+
+Wheel i moves in the body's frame by t + ψ ẑ × s_i + Δs_i. With rates that are constant over the interval its heading
+turns by Δ: the path's chord is sin(Δ/2) / (Δ/2) of the rolled length, along the middle heading. The least squares
+solution follows from (weighted) centroids: ψ = Σ (s − s̄) × b / Σ |s − s̄|², t = b̄ − ψ ẑ × s̄.
+"""
 
 from __future__ import annotations
 

@@ -50,11 +50,6 @@ class Increment:
         residual, slope = m["residual"].reshape(n, 2), m["slope"].reshape(3, n, 2)
         return cls(m["twist"].copy(), residual.copy(), m["rolled"].copy(), m["heading"].copy(), slope.copy())
 
-    def by_steer_offset(self) -> Array:
-        """Derivative (3, n) of the twist by the zeros of the steering: the true angle is the measured one less the zero."""
-        across = self.fit[:, :, 1] * np.cos(self.heading) - self.fit[:, :, 0] * np.sin(self.heading)
-        return np.asarray(-across * self.rolled)
-
     def shown_by_legs(self, arms: Array, is_open: Mask) -> Array:
         """Components (k, 2n) of the residual, orthonormal, that cannot be slip while some hinges are open; ``arms`` (n, 2) [m]
         from hinge to steer axis, ``is_open`` (n) bool.
@@ -78,24 +73,6 @@ class Increment:
         """Derivative (3, n) of the twist by the wheels' radii, relative."""
         along = self.fit[:, :, 0] * np.cos(self.heading) + self.fit[:, :, 1] * np.sin(self.heading)
         return np.asarray(along * self.rolled)
-
-
-def fit_twist(
-    geometry: ModuleGeometry, radius: Array, previous: Sample, now: Sample, weights: Array | None = None
-) -> Increment:
-    """The motion that fits two samples of true angles best; ``radius`` (n) [m]; ``weights`` (n) of the wheels (1 when left out).
-
-    Wheel i moves in the body's frame by t + ψ ẑ × s_i + Δs_i. With rates that are constant over the interval its heading
-    turns by Δ: the path's chord is sin(Δ/2) / (Δ/2) of the rolled length, along the middle heading. The least squares
-    solution follows from (weighted) centroids: ψ = Σ (s − s̄) × b / Σ |s − s̄|², t = b̄ − ψ ẑ × s̄.
-    """
-    fitted = WheelFit(geometry, radius)
-    memory = fitted.memory
-    memory["before"][:], memory["now"][:] = np.concatenate(previous), np.concatenate(now)
-    if weights is not None:
-        memory["weights"][:] = weights
-    fitted.run()
-    return Increment.of(fitted)
 
 
 def odd_one_out(residual: Array, axes: Array) -> tuple[int, float]:
@@ -131,16 +108,29 @@ class WheelOdometry:
         steer_offset: ArrayLike = 0.0,
     ) -> None:
         n = self._n = geometry.modules
-        self.geometry, self.pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
+        self.geometry, self._pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
         radius = geometry.wheel_radius if wheel_radius is None else wheel_radius
         self.radius = each("odometry", "wheel_radius", radius, n)
         positive("odometry", wheel_radius=float(self.radius.min()))
         self._leg_offset = each("odometry", "leg_offset", leg_offset, n)
         self._steer_offset = each("odometry", "steer_offset", steer_offset, n)
-        self._fit, self._started, self._pose = WheelFit(geometry, self.radius), False, self.pose.copy()
+        self._fit, self._started = WheelFit(geometry, self.radius), False
         self._run = self._fit.with_pose(self._pose)
-        self.increment: Array = np.zeros(3)
-        self.residual: Array = np.zeros((n, 2))
+
+    @property
+    def pose(self) -> Array:
+        """(x, y, yaw)."""
+        return self._pose.copy()
+
+    @property
+    def increment(self) -> Array:
+        """(dx, dy, dyaw) [m, rad]."""
+        return self._fit.memory["twist"].copy()
+
+    @property
+    def residual(self) -> Array:
+        """(n, 2) [m]."""
+        return self._fit.memory["residual"].reshape(self._n, 2).copy()
 
     def update(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Array:
         """The pose after positions (n) [rad] of legs (empty or ignored for fixed legs), steering and wheels.
@@ -151,8 +141,6 @@ class WheelOdometry:
         np.concatenate(now, out=memory["now"])
         if self._started:
             self._run()
-            self.increment, self.residual = memory["twist"].copy(), memory["residual"].reshape(self._n, 2).copy()
-            self.pose = self._pose.copy()
         memory["before"][:] = memory["now"]
         self._started = True
         return self.pose
@@ -170,38 +158,3 @@ class WheelOdometry:
         # fixed legs have no angle; their heading is part of the geometry
         angle = numbers("odometry", "leg", leg, n) - self._leg_offset if self.geometry.has_hinge else np.zeros(n)
         return angle, steered, rolled
-
-
-class ReleaseOdometry:
-    """The odometry of the release of Pankert et al. 2022, as a baseline: angles of steering and legs are refreshed every
-    ``refresh`` [s] only, speeds instead of increments, Euler integration. ``period`` [s] between two updates. Raises
-    :class:`InputError` for times that are not positive."""
-
-    def __init__(self, geometry: ModuleGeometry, pose0: ArrayLike, period: float, refresh: float = 0.05) -> None:
-        positive("odometry", period=period, refresh=refresh)
-        self._reader = WheelOdometry(geometry, pose0)
-        self._wheels = WheelFit(geometry, self._reader.radius)
-        self.pose = self._reader.pose
-        self._every, self._count = max(1, round(refresh / period)), 0
-        self._held: tuple[Array, Array] | None = None
-        self._last: tuple[Array, Array] | None = None
-
-    def update(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Array:
-        """The pose after positions (n) [rad]; the first call only stores them."""
-        now_leg, now_steer, now_wheel = self._reader.checked(leg, steer, wheel)
-        if self._held is None or self._count % self._every == 0:
-            self._held = (now_leg, now_steer)
-        self._count += 1
-        if self._last is not None:
-            held_leg, held_steer = self._held
-            leg0, wheel0 = self._last
-            swing = now_leg - leg0
-            memory = self._wheels.memory
-            np.concatenate([held_leg - 0.5 * swing, held_steer + 0.5 * swing, wheel0], out=memory["before"])
-            np.concatenate([held_leg + 0.5 * swing, held_steer - 0.5 * swing, now_wheel], out=memory["now"])
-            self._wheels.run()
-            dx, dy, turn = memory["twist"]
-            c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
-            self.pose = self.pose + np.array([c * dx - s * dy, s * dx + c * dy, turn])
-        self._last = (now_leg, now_wheel)
-        return self.pose

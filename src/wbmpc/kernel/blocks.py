@@ -129,8 +129,8 @@ def chain(pattern: list[list[int]], nz: int, ld: int, width: int) -> str:
             o.append(f"%os{r}.{s} = add i64 %v{r}, {LANES * s * ld}")
             o.append(f"%ps{r}.{s} = getelementptr double, ptr %s, i64 %os{r}.{s}")
             o.append(f"%ls{r}.{s} = load {t}, ptr %ps{r}.{s}")
-            given = f"{t} %ls{r}.{s}, {t} %f{r}.{s}, {t} %s{r}.{i}"
-            o.append(f"%s{r}.{i + 1} = call {t} @llvm.fmuladd.v{width}f64({given})")
+            arguments = f"{t} %ls{r}.{s}, {t} %f{r}.{s}, {t} %s{r}.{i}"
+            o.append(f"%s{r}.{i + 1} = call {t} @llvm.fmuladd.v{width}f64({arguments})")
         total = f"%s{r}.{len(states)}"
         o += [f"store {t} {total}, ptr %pt{r}", f"%la{r} = load {t}, ptr %pa{r}"]
         o.append(f"%na{r} = call {t} @llvm.fmuladd.v{width}f64({t} {total}, {t} %w, {t} %la{r})")

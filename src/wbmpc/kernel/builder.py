@@ -86,8 +86,8 @@ class Builder:
         kind = tuple(str(p.kind) for p in parts)
         text = "poison"
         for i, part in enumerate(parts):
-            given = f"{llvm_type(part.kind)} {part.text}"
-            text = self.new(f"insertvalue {llvm_type(kind)} {text}, {given}, {i}")
+            element = f"{llvm_type(part.kind)} {part.text}"
+            text = self.new(f"insertvalue {llvm_type(kind)} {text}, {element}, {i}")
         return Value(kind, text)
 
     def unpack(self, whole: Value) -> list[Value]:

@@ -1,7 +1,7 @@
 """Object code on disk: found by the hash of the problem, checked before use, replaced atomically.
 
 What is loaded from here runs. So directory and files count only where they belong to the user of this process and nobody else
-may write to them; otherwise everything is compiled in memory.
+may write to them, nor put others in their place from a directory above; otherwise everything is compiled in memory.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class UntrustedCache(KernelError):
 
 def cache_directory() -> Path:
     """Where compiled code is kept: $WBMPC_CACHE_DIR, else $XDG_CACHE_HOME/wbmpc, else ~/.cache/wbmpc."""
-    given = os.environ.get("WBMPC_CACHE_DIR")
-    if given:
-        return Path(given).expanduser()
+    directory = os.environ.get("WBMPC_CACHE_DIR")
+    if directory:
+        return Path(directory).expanduser()
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "wbmpc"
 
@@ -65,14 +65,46 @@ def _distrust(path: Path, found: os.stat_result) -> str:
     return ""
 
 
+def _distrust_above(folder: Path) -> str:
+    """Why others may put something else in the place of a directory: one above it is neither root's nor the user's, or may be
+    written by others, who may then rename all that is in it. With the sticky bit, as /tmp has it, they may not."""
+    # from the root on: what was looked at holds the next one in its place
+    for above in reversed(_real(folder).parents):
+        try:
+            found = above.lstat()
+        except FileNotFoundError:  # is made later on, as the user's alone
+            return ""
+        if found.st_uid not in (0, os.geteuid()):
+            return f"{folder} is in {above}, which belongs to the user with number {found.st_uid}"
+        if found.st_mode & _OTHERS and not found.st_mode & stat.S_ISVTX:
+            mode = f"{stat.S_IMODE(found.st_mode):04o}"
+            return f"{folder} is in {above}, which can be changed by others (mode {mode}; 'chmod go-w {above}' keeps them out)"
+    return ""
+
+
+def _real(path: Path) -> Path:
+    """Without links, of which each may lead elsewhere later on."""
+    return Path(os.path.realpath(path))
+
+
+def _make(folder: Path) -> None:
+    """A directory, and all above it that are missing, as the user's alone."""
+    for missing in reversed([p for p in (folder, *folder.parents) if not p.exists()]):
+        missing.mkdir(mode=0o700, exist_ok=True)
+    folder.mkdir(exist_ok=True)  # raises where a file stands in the way
+
+
 @contextmanager
 def _opened(folder: Path, create: bool) -> Iterator[int]:
     """A descriptor of a directory that is the user's alone. All files are then reached through it, whatever becomes of the path.
 
     Raises :class:`UntrustedCache`, or OSError where there is none.
     """
+    why = _distrust_above(folder)
+    if why:
+        raise UntrustedCache(why)
     if create:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _make(folder)
     why = _distrust(folder, folder.lstat())  # a link too: another user's may lead anywhere
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
@@ -89,8 +121,8 @@ def trusted_folder(name: str) -> Path:
 
     Raises :class:`UntrustedCache`, or OSError where it cannot be made.
     """
-    folder = cache_directory() / name
-    with _opened(folder.parent, create=True), _opened(folder, create=True):
+    folder = _real(cache_directory()) / name
+    with _opened(cache_directory(), create=True), _opened(folder, create=True):
         return folder
 
 

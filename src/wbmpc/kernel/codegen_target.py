@@ -21,9 +21,9 @@ def target() -> tuple[str, str]:
 
     ``WBMPC_TARGET`` (name, or name and comma-separated features after a colon) compiles for another one of the same family.
     """
-    given = os.environ.get("WBMPC_TARGET")
-    if given:
-        name, _, features = given.partition(":")
+    name = os.environ.get("WBMPC_TARGET")
+    if name:
+        name, _, features = name.partition(":")
         return name, features
     features = llvm.get_host_cpu_features()
     flags = features.flatten()

@@ -281,10 +281,10 @@ def _step_groups(transcription: Transcription, jacobian: ca.Sparsity, sizes: Siz
     """Groups of [A b B] that a step fills: all of them where a jump may follow, which mixes rows."""
     if transcription.jumps:
         return list(range(sizes.nx * sizes.lz // blocks.LANES))
-    given = np.zeros(jacobian.shape, dtype=bool)
-    given[tuple(np.array(jacobian.get_triplet(), dtype=int))] = True
+    nonzero = np.zeros(jacobian.shape, dtype=bool)
+    nonzero[tuple(np.array(jacobian.get_triplet(), dtype=int))] = True
     stages = 4 if transcription.ocp.integrator == "rk4" else 2
-    rows, columns = np.nonzero(blocks.sensitivity_pattern(given, stages, transcription.ocp.dynamics.unit_quaternions))
+    rows, columns = np.nonzero(blocks.sensitivity_pattern(nonzero, stages, transcription.ocp.dynamics.unit_quaternions))
     entries = rows * sizes.lz + columns + (columns >= sizes.nx)
     gaps = np.arange(sizes.nx) * sizes.lz + sizes.nx
     return blocks.groups_of(int(p) for p in [*entries, *gaps])

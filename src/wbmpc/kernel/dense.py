@@ -20,8 +20,8 @@ class Body:
     """Straight-line vector code of one function with pointer arguments."""
 
     def __init__(self, name: str, arguments: str) -> None:
-        given = ", ".join(f"ptr noalias %{a}" for a in arguments.split())
-        self.lines = [f"define void @{name}({given}) nounwind {{"]
+        parameters = ", ".join(f"ptr noalias %{a}" for a in arguments.split())
+        self.lines = [f"define void @{name}({parameters}) nounwind {{"]
         self.count = 0
 
     def new(self, text: str) -> str:
@@ -129,8 +129,8 @@ def _tile(
         o.append(f"%{p}.e{q} = insertelement {V} poison, double {scalar}, i32 0")
         o.append(f"%{p}.v{q} = shufflevector {V} %{p}.e{q}, {V} poison, <8 x i32> zeroinitializer")
         for i in rows:
-            given = f"{V} %{p}.av{i}, {V} %{p}.v{q}, {V} %{p}.a{q}.{i}"
-            o.append(f"%{p}.n{q}.{i} = call {V} @llvm.fmuladd.v8f64({given})")
+            operands = f"{V} %{p}.av{i}, {V} %{p}.v{q}, {V} %{p}.a{q}.{i}"
+            o.append(f"%{p}.n{q}.{i} = call {V} @llvm.fmuladd.v8f64({operands})")
     o += [f"%{p}.k1 = add i64 %{p}.k, 1", f"%{p}.c = icmp eq i64 %{p}.k1, {inner}"]
     o += [f"br i1 %{p}.c, label %{p}x, label %{p}l", f"{p}x:"]
     for q, i in cells:

@@ -279,16 +279,16 @@ class Expressions(Vectors):
         if len(node.args) != target.count + 1:
             raise self.fail(node, f"an address and {target.count} pointers are needed")
         values = [self.convert(self.value(a), INT, node).text for a in node.args]
-        address, *given = [self.new(f"inttoptr i64 {v} to ptr") for v in values]
-        self.lines.append(f"call void {address}({', '.join(f'ptr {g}' for g in given)})")
+        address, *pointers = [self.new(f"inttoptr i64 {v} to ptr") for v in values]
+        self.lines.append(f"call void {address}({', '.join(f'ptr {g}' for g in pointers)})")
         return Value(NONE, "")
 
     def library_call(self, signature: Signature, node: ast.Call) -> Value:
         if len(node.args) != len(signature.arguments):
             raise self.fail(node, f"{len(signature.arguments)} arguments are needed")
-        given = [self.convert(self.value(a), k, node) for a, k in zip(node.args, signature.arguments, strict=True)]
+        arguments = [self.convert(self.value(a), k, node) for a, k in zip(node.args, signature.arguments, strict=True)]
         text = f"call {llvm_type(signature.result)} @{signature.symbol}("
-        text += ", ".join(f"{llvm_type(g.kind)} {g.text}" for g in given) + ")"
+        text += ", ".join(f"{llvm_type(g.kind)} {g.text}" for g in arguments) + ")"
         if signature.result == NONE:
             self.lines.append(text)
             return Value(NONE, "")

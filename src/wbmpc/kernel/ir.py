@@ -104,10 +104,10 @@ class Signature(NamedTuple):
     @classmethod
     def of(cls, function: Callable[..., Any]) -> Signature:
         """The signature of a function of translated Python from its annotations (as text: ``from __future__ import annotations``)."""
-        given = inspect.signature(function)
-        arguments = tuple(_annotated(function, p.annotation) for p in given.parameters.values())
+        signature = inspect.signature(function)
+        arguments = tuple(_annotated(function, p.annotation) for p in signature.parameters.values())
         symbol = f"{function.__module__.rsplit('.', 1)[-1]}_{function.__name__}"
-        return cls(symbol, _annotated(function, given.return_annotation), arguments)
+        return cls(symbol, _annotated(function, signature.return_annotation), arguments)
 
 
 class Value(NamedTuple):

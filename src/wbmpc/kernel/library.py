@@ -87,17 +87,17 @@ class Function(Generic[P, R]):
             return self.python(*arguments, **names)
         if names:
             raise KernelError(f"{self.signature.symbol}: arguments are given by position")
-        given, result = [], self.signature.result
+        converted, result = [], self.signature.result
         values: tuple[Any, ...] = arguments
         for value, kind in zip(values, self.signature.arguments, strict=True):
             if kind in (NUMS, INTS):
                 if value.dtype != (np.float64 if kind == NUMS else np.int64) or not value.flags.c_contiguous:
                     raise KernelError(f"{self.signature.symbol}: contiguous float64 or int64 arrays are needed")
                 value = value.ctypes.data
-            given.append(value)
+            converted.append(value)
         kinds = result if isinstance(result, tuple) else () if result == NONE else (result,)
         out = ((ctypes.c_double if kinds and kinds[0] == NUM else ctypes.c_int64) * max(len(kinds), 1))()
-        self.pointer(*given, ctypes.addressof(out))
+        self.pointer(*converted, ctypes.addressof(out))
         found = tuple(bool(v) if k == BOOL else v for v, k in zip(out, kinds, strict=False))
         returned: Any = found if isinstance(result, tuple) else found[0] if found else None
         return cast(R, returned)
@@ -111,8 +111,8 @@ def _callable(s: Signature) -> bool:
 
 def _entry(s: Signature) -> str:
     """A wrapper with plain C arguments: truth values as integers, results through a pointer."""
-    given = [f"{'i64' if k == BOOL else llvm_type(k)} %a{i}" for i, k in enumerate(s.arguments)]
-    lines = [f"define void @{s.symbol}.entry({', '.join([*given, 'ptr %out'])}) nounwind {{"]
+    parameters = [f"{'i64' if k == BOOL else llvm_type(k)} %a{i}" for i, k in enumerate(s.arguments)]
+    lines = [f"define void @{s.symbol}.entry({', '.join([*parameters, 'ptr %out'])}) nounwind {{"]
     passed = []
     for i, k in enumerate(s.arguments):
         if k == BOOL:

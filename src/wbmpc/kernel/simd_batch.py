@@ -73,12 +73,12 @@ class _Lanes(Emitter):
 
     def call(self, name: str, values: list[str]) -> str:
         t = self.number
-        given = ", ".join(f"{t} {v}" for v in values)
+        arguments = ", ".join(f"{t} {v}" for v in values)
         if name in _NATIVE:
-            return self.new(f"call {t} @llvm.{_NATIVE[name]}.v{self.width}f64({given})")
+            return self.new(f"call {t} @llvm.{_NATIVE[name]}.v{self.width}f64({arguments})")
         if name in ("sin", "cos"):
             return self.angle(values[0])[name == "cos"]
-        return self.new(f"call {t} @each_{name}({given})")
+        return self.new(f"call {t} @each_{name}({arguments})")
 
     def angle(self, value: str) -> tuple[str, str]:
         """Sine and cosine of a value, both at once."""
@@ -136,8 +136,8 @@ def _each(name: str, width: int) -> str:
     h, arguments = _Helper(width), ["a", "b"] if name in TWO else ["a"]
     result = "poison"
     for i in range(width):
-        given = [h.new(f"extractelement {h.t} %{a}, i32 {i}") for a in arguments]
-        one = h.new(f"call double @{name}({', '.join(f'double {g}' for g in given)})")
+        lanes = [h.new(f"extractelement {h.t} %{a}, i32 {i}") for a in arguments]
+        one = h.new(f"call double @{name}({', '.join(f'double {g}' for g in lanes)})")
         result = h.new(f"insertelement {h.t} {result}, double {one}, i32 {i}")
     head = f"define internal {h.t} @each_{name}({', '.join(f'{h.t} %{a}' for a in arguments)}) nounwind {{"
     return "\n".join([head, *h.lines, f"ret {h.t} {result}", "}"])

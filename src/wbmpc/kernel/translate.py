@@ -32,12 +32,12 @@ class Translator(Expressions):
 
     def translate(self) -> str:
         """The function as LLVM IR."""
-        given = []
+        parameters = []
         names = [a.arg for a in self.tree.args.args]
         if len(names) != len(self.signature.arguments):
             raise self.fail(self.tree, "the signature has another number of arguments")
         for name, kind in zip(names, self.signature.arguments, strict=True):
-            given.append(f"{llvm_type(kind)}{' noalias' if kind in (NUMS, INTS) else ''} %a.{name}")
+            parameters.append(f"{llvm_type(kind)}{' noalias' if kind in (NUMS, INTS) else ''} %a.{name}")
             if kind in (NUMS, INTS):
                 self.slots[name] = (kind, f"%a.{name}")
             else:
@@ -46,7 +46,7 @@ class Translator(Expressions):
         self.lines.append("ret void" if self.signature.result == NONE else "unreachable")
         large = len(self.lines) > LARGE and VEC not in (*self.signature.arguments, *self.signature.result)
         rules = "nounwind noinline" if large else "nounwind"
-        head = f"define {llvm_type(self.signature.result)} @{self.signature.symbol}({', '.join(given)}) {rules} {{"
+        head = f"define {llvm_type(self.signature.result)} @{self.signature.symbol}({', '.join(parameters)}) {rules} {{"
         return "\n".join([head, *self.head, *self.lines, "}"])
 
     def block(self, body: list[ast.stmt]) -> None:
@@ -171,8 +171,8 @@ class Translator(Expressions):
     def constant_step(self, call: ast.Call) -> int:
         if len(call.args) < 3:
             return 1
-        given = call.args[2]
-        step = self.names.get(given.id) if isinstance(given, ast.Name) else ast.literal_eval(given)
+        argument = call.args[2]
+        step = self.names.get(argument.id) if isinstance(argument, ast.Name) else ast.literal_eval(argument)
         if not isinstance(step, int) or step == 0:
             raise self.fail(call, "the step must be a constant")
         return step

@@ -67,11 +67,11 @@ class _Augmented:
         inner_x = ca.SX.sym("xi", self._inner)
         inner_u = ca.SX.sym("ui", self.dynamics.input.size)
         f, j = self.dynamics.jacobian(inner_x, inner_u, w, m)
-        given = self._inputs(x, u)
-        f, j = ca.substitute([f, j], [inner_x, inner_u], [x[: self._inner], given])
+        inputs = self._inputs(x, u)
+        f, j = ca.substitute([f, j], [inner_x, inner_u], [x[: self._inner], inputs])
         outer = ca.vertcat(x, u)
         own = self._own(x, u)
-        chain = ca.jacobian(ca.vertcat(x[: self._inner], given), outer)
+        chain = ca.jacobian(ca.vertcat(x[: self._inner], inputs), outer)
         return ca.vertcat(f, own), ca.vertcat(j @ chain, ca.jacobian(own, outer))
 
 
@@ -146,7 +146,7 @@ class FrequencyShaping(_Augmented):
 
     def __init__(self, dynamics: Any, filters: Mapping[str, InputFilter | Sequence[InputFilter]]) -> None:
         super().__init__(dynamics, tuple(filters), "_filter", "_shaped")
-        self.filters = {group: self._each(group, given) for group, given in filters.items()}
+        self.filters = {group: self._each(group, own) for group, own in filters.items()}
         every = [f for group in self.groups for f in self.filters[group]]
         self._own_input = np.concatenate(
             [np.arange(dynamics.input.size)[dynamics.input[g]] for g in self.groups] or [[]]
@@ -154,20 +154,20 @@ class FrequencyShaping(_Augmented):
         self._own_input = self._own_input.astype(int)
         self.zero, self.pole, self.high = (np.array([getattr(f, n) for f in every]) for n in ("zero", "pole", "high"))
 
-    def _each(self, group: str, given: InputFilter | Sequence[InputFilter]) -> tuple[InputFilter, ...]:
+    def _each(self, group: str, filters: InputFilter | Sequence[InputFilter]) -> tuple[InputFilter, ...]:
         size = len(self.dynamics.input.groups[group])
-        each = (given,) * size if isinstance(given, InputFilter) else tuple(given)
+        each = (filters,) * size if isinstance(filters, InputFilter) else tuple(filters)
         if len(each) != size:
             raise InputError(f"filters of '{group}': one or {size} are needed, got {len(each)}")
         return each
 
     def _inputs(self, x: ca.SX, u: ca.SX) -> ca.SX:
-        acting = ca.SX(self.weighed(x, u))
+        acting = ca.SX(self.shaped_input(x, u))
         for k, i in enumerate(self._own_input):
             acting[i] = (u[i] + (self.pole[k] - self.zero[k]) * x[self._inner + k]) / self.high[k]
         return acting
 
-    def weighed(self, x: ca.SX, u: ca.SX) -> ca.SX:
+    def shaped_input(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """The inner input (nu) with ν in the place of the filtered entries: what frequency-aware costs see."""
         return u  # the groups have other names and the same places
 

@@ -24,9 +24,10 @@ class Layout:
         self.names = tuple(f"{group}.{name}" for group, names in self.groups.items() for name in names)
 
     def __getitem__(self, group: str) -> slice:
-        if group not in self._slices:
-            raise unknown_name("group", group, self.groups)
-        return self._slices[group]
+        try:
+            return self._slices[group]
+        except KeyError:
+            raise unknown_name("group", group, self.groups) from None
 
     def __contains__(self, group: str) -> bool:
         return group in self.groups
@@ -51,10 +52,10 @@ class Layout:
         out = np.full(self.size, default)
         for group, value in values.items():
             part = self[group]
-            given = np.asarray(value, float)
-            if given.ndim and given.shape != (part.stop - part.start,):
-                raise InputError(f"group '{group}' has {part.stop - part.start} entries, got {given.size}")
-            out[part] = given
+            array = value if type(value) is np.ndarray else np.asarray(value, float)
+            if array.ndim and array.shape != (part.stop - part.start,):
+                raise InputError(f"group '{group}' has {part.stop - part.start} entries, got {array.size}")
+            out[part] = array
         return out
 
     def split(self, vector: ArrayLike) -> dict[str, NDArray[np.float64]]:

@@ -28,13 +28,13 @@ class Numeric:
         own = self._own
         if not hasattr(own, "run"):
             self._open()
-        for place, value in zip(own.given, values, strict=True):
+        for place, value in zip(own.arguments, values, strict=True):
             array = np.asarray(value, float)
             if array.size != place.size:
                 raise InputError(f"{self.function.name()}: {place.size} numbers are needed, got {array.size}")
-            place[:] = array.ravel(order="F")
+            place[:] = array.ravel(order="F") if array.ndim > 1 else array
         own.run()
-        return [np.array(place.reshape(shape, order="F"), order="C") for place, shape in own.found]
+        return [place.copy() for place in own.found]
 
     def __deepcopy__(self, _: dict[int, object]) -> Numeric:
         return Numeric(self.function)
@@ -42,11 +42,11 @@ class Numeric:
     def _open(self) -> None:
         f, own = self.function, self._own
         own.buffer, own.run = f.buffer()
-        own.given = [np.zeros(f.numel_in(i)) for i in range(f.n_in())]
+        own.arguments = [np.zeros(f.numel_in(i)) for i in range(f.n_in())]
         shapes = [f.size_out(i) for i in range(f.n_out())]
         own.results = [np.zeros(rows * columns) for rows, columns in shapes]
-        own.found = list(zip(own.results, shapes, strict=True))
-        for i, place in enumerate(own.given):
+        own.found = [place.reshape(shape, order="F") for place, shape in zip(own.results, shapes, strict=True)]
+        for i, place in enumerate(own.arguments):
             own.buffer.set_arg(i, memoryview(place))
         for i, place in enumerate(own.results):
             own.buffer.set_res(i, memoryview(place))

@@ -67,15 +67,6 @@ def rolling_inverse_kinematics(
     return target, speed
 
 
-def beyond_range(steer: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> Array:
-    """By how much [rad] wheels at angles ``steer`` (..., n) are out of their ranges (n), whichever way round they roll."""
-    low, high = np.broadcast_arrays(np.asarray(lower, float), np.asarray(upper, float))
-    all_round = high - low >= np.pi
-    middle = np.where(all_round, 0.0, 0.5 * (np.where(all_round, 0.0, low) + np.where(all_round, 0.0, high)))
-    off = np.abs((np.asarray(steer, float) - middle + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
-    return np.where(all_round, 0.0, np.maximum(off - 0.5 * (high - low), 0.0))
-
-
 def aligned_steering(geometry: ModuleGeometry, leg: ArrayLike, steer: ArrayLike) -> Array:
     """Steering angles (n,) [rad] near ``steer`` that have a common centre: those of the twist that slips least there.
 

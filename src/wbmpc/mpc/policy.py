@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from wbmpc.errors import NotFinite
+from wbmpc.errors import InputError, NotFinite
 from wbmpc.solver import Solution
 
 #: Share of a bound (or of 1, where that is more) beyond which an input counts as cut: the rest is rounding.
@@ -143,7 +144,8 @@ class Policy:
 
     def _share(self, t: float, k: int) -> float:
         """How much of interval k has passed at time t [s], from 0 to 1."""
-        return float(min(max((t - self.times[k]) / (self.times[k + 1] - self.times[k]), 0.0), 1.0))
+        start, end = self.times[k : k + 2].tolist()
+        return float(min(max((t - start) / (end - start), 0.0), 1.0))
 
     def feedforward(self, t: float) -> np.ndarray:
         """Planned input (nu) at time t [s]."""
@@ -152,21 +154,28 @@ class Policy:
     def law(self, t: float, x: np.ndarray) -> np.ndarray:
         """Input (nu) at time t [s] that feedback asks for in the state x (nx), limits or not: for who cuts it in another way.
 
-        Raises :class:`NotFinite` for a time or a state that is not finite.
+        Raises :class:`InputError` for another shape, :class:`NotFinite` for a time or a state that is not finite, or so large that the
+        input is not.
         """
-        if not (np.isfinite(t) and np.isfinite(x).all()):
+        if np.shape(x) != self.x[0].shape:
+            raise InputError(f"policy: a state of {self.x.shape[1]} numbers is needed, got shape {np.shape(x)}")
+        if not (math.isfinite(t) and np.isfinite(x).all()):
             raise NotFinite("policy: time and state must be finite")
         k = self._interval(t)
-        u: np.ndarray = self.gain[k] @ (x - self.state(t))
+        a = self._share(t, k)
+        with np.errstate(over="ignore", invalid="ignore"):
+            u: np.ndarray = self.gain[k] @ (x - ((1.0 - a) * self.x[k] + a * self.x[k + 1]))
         u += self.u[k]
+        if not np.isfinite(u).all():  # no limit could hold it
+            raise NotFinite("policy: the state is so far from the plan that the input is not finite")
         return u
 
     def __call__(self, t: float, x: np.ndarray | None = None) -> np.ndarray:
         """Input (nu) within ``limits`` at time t [s] for the measured state (nx); the feed-forward alone when x is left out.
 
-        Raises :class:`NotFinite` for a time or a state that is not finite.
+        Raises what :meth:`law` raises.
         """
-        if x is None and not np.isfinite(t):
+        if x is None and not math.isfinite(t):
             raise NotFinite("policy: time and state must be finite")
         u = self.feedforward(t) if x is None else self.law(t, x)
         if self.limits is None:

@@ -96,10 +96,10 @@ class SupportMargin:
     reference = 6
 
     def __post_init__(self) -> None:
-        given = [None] if self.supports is None else list(self.supports)
-        if not given:
+        supports = [None] if self.supports is None else list(self.supports)
+        if not supports:
             raise InputError("support margin: supports must name at least one group of modules")
-        polygons = tuple(counter_clockwise(self.robot, feet) for feet in given)
+        polygons = tuple(counter_clockwise(self.robot, feet) for feet in supports)
         groups, start = {}, 0
         for feet in polygons:
             groups["-".join(map(str, feet))] = slice(start, start + len(feet))

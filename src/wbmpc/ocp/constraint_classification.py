@@ -216,11 +216,11 @@ def _own_rows(
     kind = Kind.MULTIPLIER if multiplier else Kind.HARD
     widths = _paired_widths(sides, selection)
     scales = row_scales(r, z)
-    for s, given in zip(sides, widths, strict=True):
+    for s, width in zip(sides, widths, strict=True):
         # hard rows in units of their range; without one, and with multipliers, of the variables
-        width = float(scales[s.i]) if multiplier or given == 1.0 else given
+        width = float(scales[s.i]) if multiplier or width == 1.0 else width
         # rows of inputs alone can always be held
-        slack = np.inf if with_input[s.i] and not with_state[s.i] else term.slack * width / given
+        slack = np.inf if with_input[s.i] and not with_state[s.i] else term.slack * width / width
         penalty = term.penalty.rho * width**2 if isinstance(term.penalty, AugmentedLagrangian) else slack
         if selection is not None:
             index, scale, shift = selection[s.i]

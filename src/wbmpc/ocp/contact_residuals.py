@@ -46,12 +46,12 @@ class FrictionCone:
     """An end effector that can only push, and not slide: rows [N] that are to be at least zero.
 
     Reference: the unit normal n (3) of an upright surface, into it. With the robot's push F = −(force of the world on it):
-    ``push``: nᵀF − ``least``; ``cone``: a pyramid inside the cone, μ nᵀF/√2 ± F along two tangents (μ = ``friction``).
+    ``push``: nᵀF − ``min_push`` [N]; ``cone``: a pyramid inside the cone, μ nᵀF/√2 ± F along two tangents (μ = ``friction``).
     """
 
     robot: RobotModel
     friction: float
-    least: float = 0.0
+    min_push: float = 0.0
     group: str = "force"
 
     size, reference = 5, 3
@@ -60,11 +60,11 @@ class FrictionCone:
     def __post_init__(self) -> None:
         if self.group not in self.robot.input:
             raise unknown_name("input group", self.group, self.robot.input.groups, where=self.robot.description.name)
-        finite("friction cone", friction=self.friction, least=self.least)
+        finite("friction cone", friction=self.friction, min_push=self.min_push)
         if not self.friction > 0.0:
             raise InputError(f"friction cone: friction must be positive, got {self.friction}")
 
     def __call__(self, s: Symbols) -> ca.SX:
         push, side, rise = ca.vertsplit(push_on_surface(-s.u[self.robot.input[self.group]], s.reference))
         maximum = self.friction / np.sqrt(2.0) * push
-        return ca.vertcat(push - self.least, maximum - side, maximum + side, maximum - rise, maximum + rise)
+        return ca.vertcat(push - self.min_push, maximum - side, maximum + side, maximum - rise, maximum + rise)

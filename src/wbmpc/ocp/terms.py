@@ -108,12 +108,12 @@ def expand_rows(value: Weight, residual: Residual, where: str) -> np.ndarray:
 def _expand(value: float | Sequence[float], size: int, where: str) -> np.ndarray:
     """``size`` finite numbers that are not negative from one or ``size``."""
     try:
-        given = np.asarray(value, float)
+        array = np.asarray(value, float)
     except (TypeError, ValueError):
         raise InputError(f"{where}: one number or {size} are needed, got {value!r}") from None
-    if given.ndim and given.shape != (size,):
-        raise InputError(f"{where}: one number or {size} are needed, got {given.size}")
-    if not np.isfinite(given).all() or np.any(given < 0.0):
-        bad = given[~(np.isfinite(given) & (given >= 0.0))].flat[0] if given.ndim else given
+    if array.ndim and array.shape != (size,):
+        raise InputError(f"{where}: one number or {size} are needed, got {array.size}")
+    if not np.isfinite(array).all() or np.any(array < 0.0):
+        bad = array[~(np.isfinite(array) & (array >= 0.0))].flat[0] if array.ndim else array
         raise InputError(f"{where}: must be finite and not negative, got {float(bad):g}")
-    return np.broadcast_to(given, size).copy()
+    return np.broadcast_to(array, size).copy()

@@ -120,15 +120,15 @@ class Transcription:
     def check_schedule(self, schedule: ModeSchedule) -> None:
         """Raise :class:`InputError` for mode values out of range, or a mode that a term names and no schedule has: one that is
         neither among the problem's ``modes`` nor, if it has none, in this schedule."""
-        declared, given = self.ocp.modes, list(dict.fromkeys(mode.name for mode in schedule.modes))
-        for name in given if declared and schedule is not DEFAULT else ():
+        declared, used = self.ocp.modes, list(dict.fromkeys(mode.name for mode in schedule.modes))
+        for name in used if declared and schedule is not DEFAULT else ():
             if name not in declared:
                 raise unknown_name("mode", name, declared, where="mode schedule")
         unset = " (no mode schedule is set)" if schedule is DEFAULT else ""
         for term in (self.ocp.terms[t] for t in self.switched):
             for name in term.modes or ():
-                if name not in (declared or given):
-                    raise unknown_name("mode", name, declared or given, where=f"term '{term.name}', modes{unset}")
+                if name not in (declared or used):
+                    raise unknown_name("mode", name, declared or used, where=f"term '{term.name}', modes{unset}")
         bounds = getattr(self.ocp.dynamics, "mode_bounds", {})
         for mode, (group, (low, high)) in product(schedule.modes, bounds.items()):
             values = np.atleast_1d(np.asarray(mode.values.get(group, low), float))

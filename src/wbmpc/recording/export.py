@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.output_file import whole_file
 from wbmpc.recording.reader import Recording, Table
 
 #: Topics that are one text for the whole run, and belong into no table.
@@ -47,7 +48,7 @@ def file_name(topic: str) -> str:
 
 def _csv(tables: dict[str, Table], paths: list[Path]) -> None:
     for path, table in zip(paths, tables.values(), strict=True):
-        with path.open("w", newline="") as file:
+        with whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["time", *table.columns])
             # tolist() gives Python's numbers, whose text has all their digits
@@ -60,7 +61,8 @@ def _npz(tables: dict[str, Table], paths: list[Path]) -> None:
     for name, table in tables.items():
         arrays[f"{file_name(name)}/time"] = table.times
         arrays |= {f"{file_name(name)}/{column}": values for column, values in table.columns.items()}
-    np.savez_compressed(paths[0], **arrays)  # type: ignore[arg-type]
+    with whole_file(paths[0]) as partial:
+        np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
 
 
 def _parquet_module() -> tuple[object, object]:
@@ -79,7 +81,8 @@ def _parquet(tables: dict[str, Table], paths: list[Path]) -> None:
     import pyarrow.parquet
 
     for path, table in zip(paths, tables.values(), strict=True):
-        pyarrow.parquet.write_table(pyarrow.table({"time": table.times, **table.columns}), path)
+        with whole_file(path) as partial:
+            pyarrow.parquet.write_table(pyarrow.table({"time": table.times, **table.columns}), partial)
 
 
 FORMS: dict[str, Callable[[dict[str, Table], list[Path]], None]] = {"csv": _csv, "npz": _npz, "parquet": _parquet}

@@ -77,9 +77,9 @@ class Observer:
 
 def end_effector_goal(mpc: MPC | None, t: float, lift: Array) -> Array | None:
     """The end effector's reference (7) of an MPC at time t [s] above the floor, None if its problem has none; ``lift`` (3) [m]."""
-    if mpc is None or "hand" not in mpc.reference or mpc.reference["hand"].values.shape[1] != 7:
+    if mpc is None or "end_effector" not in mpc.reference or mpc.reference["end_effector"].values.shape[1] != 7:
         return None
-    goal = mpc.reference["hand"].at(t)
+    goal = mpc.reference["end_effector"].at(t)
     return np.concatenate([goal[:3] + lift, goal[3:]])
 
 

@@ -84,6 +84,7 @@ class Recorder:
         every = lambda rate: max(1, round(1.0 / (rate * running.timing.period)))
         self._every = {"states": every(STATES), "links": every(LINKS), "plans": every(PLANS)}
         self._templates.clear()
+        self._stamped = (-np.inf, 0, 0)  # a time [s] and its stamp
         if self.file is not None:
             self._start = self._last = self._last + PAUSE
             self._begin_loop(scene)
@@ -155,8 +156,10 @@ class Recorder:
         template = self._templates.get((topic, key))
         if template is None:
             template = self._templates[topic, key] = Template(kind, make())
-        now = stamp(self._last)
-        self.file.put_bytes(topic, kind, self._last, template(now["sec"], now["nanosec"], values))
+        if self._stamped[0] != self._last:
+            now = stamp(self._last)
+            self._stamped = self._last, now["sec"], now["nanosec"]
+        self.file.put_bytes(topic, kind, self._last, template(*self._stamped[1:], values))
 
     def _header(self, frame: str) -> dict[str, Any]:
         return {"stamp": stamp(self._last), "frame_id": frame}
@@ -172,8 +175,8 @@ class Recorder:
     def _numbers(self, prefix: str, parts: Any) -> None:
         """Every field of a command or measurement that holds an array, on a topic of its own."""
         for name, values in vars(parts).items() if parts is not None else ():
-            if isinstance(values, np.ndarray) and values.size:
-                make = partial(_array_message, name, values)
+            if type(values) is np.ndarray and values.size:
+                make = lambda name=name, values=values: _array_message(name, values)
                 self._fill(f"{prefix}/{name}", "std_msgs/Float64MultiArray", values.size, values, make)
 
     def _states(self, moment: Moment) -> None:

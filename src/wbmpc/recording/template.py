@@ -27,17 +27,26 @@ class Template:
         stamps: list[int] = []
         floats: list[int] = []
         _places(kind, message, 0, stamps, floats)
-        self._stamps, self._floats = np.array(stamps, int) // 4, np.array(floats, int) // 8
+        self._stamps, self._size = np.array(stamps, int) // 4, len(floats)
         self._words, self._doubles = self._body.view("<u4"), self._body.view("<f8")
+        self._floats = _slice(np.array(floats, int) // 8)
 
     def __call__(self, seconds: int, nanoseconds: int, values: np.ndarray) -> bytes:
         """Time [s, ns] and numbers; raises :class:`InputError` if there are more or fewer of these than places."""
-        if values.size != self._floats.size:
-            raise InputError(f"message: needs {self._floats.size} numbers, got {values.size}")
-        self._words[self._stamps] = seconds
-        self._words[self._stamps + 1] = nanoseconds
+        if values.size != self._size:
+            raise InputError(f"message: needs {self._size} numbers, got {values.size}")
+        if self._stamps.size:
+            self._words[self._stamps] = seconds
+            self._words[self._stamps + 1] = nanoseconds
         self._doubles[self._floats] = values.ravel()
-        return self._header + self._body.tobytes()[: self._length]
+        return self._header + self._body.data[: self._length]
+
+
+def _slice(index: np.ndarray) -> slice | np.ndarray:
+    """The same places as a slice, where they follow each other."""
+    if index.size and (np.diff(index) == 1).all():
+        return slice(int(index[0]), int(index[-1]) + 1)
+    return index
 
 
 def _places(kind: str, value: Any, at: int, stamps: list[int], floats: list[int]) -> int:

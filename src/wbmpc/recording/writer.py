@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
 from wbmpc import __version__
 from wbmpc.recording.messages import Message, encode, full_name, schema
+from wbmpc.recording.quick_writer import QuickWriter
 
 #: Bytes of a chunk before compression: what a killed run loses at most.
 CHUNK = 128 * 1024
@@ -33,11 +34,12 @@ _QOS = """- history: keep_last
 class McapFile:
     """Topics come into being with their first message. Times are of the simulation [s], from 0.
 
-    The library's writer end effectors a chunk to the file when it is full, and it goes to the system at once: a program that is
+    The library's writer hands a chunk to the file when it is full, and it goes to the system at once: a program that is
     killed leaves every whole chunk behind.
 
     ``limit``: bytes on the disk, about. With half of them the file is closed and becomes ``run-1.mcap``, in place of one that was
-    there, and a new one begins; both are whole recordings, and the newest half of the limit is always there.
+    there, and a new one begins; both are whole recordings, and the newest half of the limit is always there. What every file begins
+    with counts for at most half of it: a scene larger than that makes the files larger.
     """
 
     def __init__(self, path: Path, limit: int = LIMIT) -> None:
@@ -50,10 +52,14 @@ class McapFile:
 
     def _open(self) -> None:
         self._file = self.path.open("wb")
-        self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer = QuickWriter(
+            self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
         self._writer.start(profile="ros2", library=f"wbmpc {__version__}")
+        self._size = 0  # of the file, as of its last message
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
+        self._end = self._half  # from which size on the next file begins
 
     def _rotate(self, t: float) -> None:
         """Make this file the one before, in place of another, and go on in a new one that stands by itself."""
@@ -67,6 +73,12 @@ class McapFile:
             self._writer.add_attachment(0, nanoseconds(at), name, "application/json", data)
         for topic, (kind, data) in self._latched.items():
             self._append(topic, kind, t, data, True)
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Leave half of a file to messages, however much every file begins with."""
+        given = (data for _, data in (*self._attached.values(), *self._latched.values()))
+        self._end = max(self._half, sum(map(len, given)) + self._half // 2)
 
     def put(self, topic: str, kind: str, t: float, message: Message, *, latched: bool = False) -> None:
         """Append a message of type ``kind`` (``geometry_msgs/Pose``) at time ``t`` [s]."""
@@ -76,7 +88,7 @@ class McapFile:
         """The same of a message that is encoded already."""
         if latched:
             self._latched[topic] = (kind, data)
-        if self._file.tell() > self._half:
+        if self._size > self._end:
             self._rotate(t)
             if latched:  # the new file has begun with it
                 return
@@ -88,7 +100,10 @@ class McapFile:
             channel = self._channels[topic] = self._channel(topic, kind, latched)
         at = nanoseconds(t)
         self._writer.add_message(channel, at, data, at)
-        self._file.flush()
+        size = self._file.tell()
+        if size != self._size:  # a chunk went to the file
+            self._file.flush()
+            self._size = size
 
     def _channel(self, topic: str, kind: str, latched: bool) -> int:
         if kind not in self._schemas:
@@ -110,6 +125,7 @@ class McapFile:
         self._attached[name] = (t, json.dumps(value).encode())
         self._writer.add_attachment(0, nanoseconds(t), name, "application/json", self._attached[name][1])
         self._file.flush()
+        self._make_room()
 
     def close(self) -> None:
         """Write index and end."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import re
+from os.path import isfile
 from pathlib import Path
 from typing import Annotated, Any, Self, get_args
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -24,13 +25,18 @@ from pydantic_core import PydanticCustomError
 from wbmpc.bases import available_base_types, base_type
 from wbmpc.bases.base import BaseDescription, Section
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.robots.actuation import Drive
 from wbmpc.robots.checks import check_joints, check_tool, compiled
-from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.fixed_joints import fix_joint
+from wbmpc.robots.inertia import mend_inertias
+from wbmpc.robots.mechanism import Mechanism, read_mechanism
+from wbmpc.robots.model_checks import AT_LOAD, Subject, examine
+from wbmpc.robots.model_file import ModelFile, file_of, parse
 from wbmpc.robots.model_import import keep_mechanics, reject_couplings, widen
 from wbmpc.robots.wheel_geometry import check_radii
 from wbmpc.yaml_file import load_yaml
 
+_LOG = logging.getLogger(__name__)
 DATA = Path(__file__).parent / "data"
 #: Characters of a robot's name, which is part of names of files and nodes.
 LONGEST_NAME = 64
@@ -112,13 +118,17 @@ class RobotDescription(Section):
     """A robot: where its file is, what moves it, its arm, home and limits. Units SI and radians.
 
     ``fixed_joints``: joints that are held, and where [rad or m]. Every joint of the file below the base's body is either named by
-    ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters.
+    ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters. ``packages``: folders of
+    the ROS packages that the model names (``package://``), ``xacro_arguments``: of its macros. What ``limits`` does not say of a
+    joint's velocity, effort and position, the model does.
     """
 
     name: Annotated[str, AfterValidator(_robot_name)]
     model: Path
     base: Annotated[SerializeAsAny[BaseDescription], BeforeValidator(_base_section)]
     arm: ArmDescription
+    packages: dict[str, Path] = Field(default={})
+    xacro_arguments: dict[str, str] = Field(default={})
     fixed_joints: dict[str, float] = Field(default={})
     home: dict[str, float] = Field(default={})
     limits: LimitsDescription = LimitsDescription()
@@ -169,7 +179,7 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         if str(name_or_path) not in available_robots():
             raise unknown_name("robot", str(name_or_path), [*available_robots(), "a path to a .yaml file"])
         path = DATA / f"{name_or_path}.yaml"
-    if not path.is_file():
+    if not isfile(path):
         raise InputError(f"{path}: there is no such file")
     data = load_yaml(path)
     if not isinstance(data, dict):
@@ -184,16 +194,41 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         description = RobotDescription(**data)
     except ValidationError as error:
         raise InputError(f"{path}: {_first_fault(error, data)}") from error
-    model = description.model if description.model.is_absolute() else path.parent / description.model
-    description = description.model_copy(update={"model": model, "source": str(path)})
+    packages = {name: path.parent / folder.expanduser() for name, folder in description.packages.items()}
+    model = path.parent / description.model.expanduser()
+    description = description.model_copy(update={"model": model, "packages": packages, "source": str(path)})
     spec = load_spec(description)
     _check_names(description, spec)
+    mechanism = read_mechanism(file_of(description))
+    description = _with_limits_of_the_model(description, mechanism.drives)
+    _examine(description, mechanism)
     model = compiled(spec, description.model)
     check_joints(description, model)
     check_tool(description, model)
     base_type(description.base.type).check(description, model)
     check_radii(description, model)
     return description
+
+
+def _with_limits_of_the_model(description: RobotDescription, drives: dict[str, Drive]) -> RobotDescription:
+    """The description with the speeds and efforts that its model has for joints which ``limits`` does not name."""
+    limits, found = description.limits, {n: drives[n] for n in description.joints() if n in drives}
+    velocity = {n: d.velocity for n, d in found.items() if d.velocity is not None and n not in limits.velocity}
+    effort = {n: d.effort for n, d in found.items() if d.effort is not None and n not in limits.effort}
+    if not velocity and not effort:
+        return description
+    update = {"velocity": {**limits.velocity, **velocity}, "effort": {**limits.effort, **effort}}
+    return description.model_copy(update={"limits": limits.model_copy(update=update)})
+
+
+def _examine(description: RobotDescription, mechanism: Mechanism) -> None:
+    """Raise :class:`InputError` for the first error that checks of the model find, and log their warnings."""
+    findings = examine(Subject(mechanism, description), AT_LOAD)
+    for finding in sorted(findings, key=lambda f: f.severity != "error"):
+        if finding.severity == "error":
+            raise InputError(f"{description.model}: {finding.message}")
+        if finding.severity == "warning":
+            _LOG.warning("%s: %s", description.model, finding.message)
 
 
 def _first_fault(error: ValidationError, data: dict[str, Any]) -> str:
@@ -216,9 +251,9 @@ def _first_fault(error: ValidationError, data: dict[str, Any]) -> str:
         return fault["msg"].removeprefix("Value error, ") + more
     if fault["type"] == "base_type":
         return f"key '{key}.type': {fault['msg']}{more}"
-    given = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
+    got = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
     text = fault["msg"].removeprefix("Value error, ")
-    return f"key '{key}': {text[0].lower()}{text[1:]}{given}{more}"
+    return f"key '{key}': {text[0].lower()}{text[1:]}{got}{more}"
 
 
 def _reject_truths(value: Any, where: Path, data: dict[str, Any], location: tuple[int | str, ...] = ()) -> None:
@@ -244,7 +279,7 @@ def _section(location: tuple[int | str, ...], data: dict[str, Any]) -> type[Base
         if not isinstance(key, str):
             continue
         if model is RobotDescription and key == "base":
-            model = base_type(data["base"]["type"]).Description
+            model = base_type(str(data["base"]["type"])).Description  # before its own check: YAML's ``yes`` is none
         else:
             model = _model_of(model.model_fields[key].annotation) or model
     return model
@@ -297,34 +332,35 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
             raise unknown_name(f"body (key 'base.{key}')", body, bodies, where=description.source)
 
 
-def load_spec(description: RobotDescription) -> mujoco.MjSpec:
-    """The robot's file as an editable MuJoCo specification of its mechanics, with its locked joints removed."""
-    path = description.model
-    if not path.is_file():
-        raise InputError(f"{description.source}: key 'model': there is no file {path}")
-    check_size(path)
-    try:
-        spec = _urdf_spec(path) if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
-    except (ValueError, ElementTree.ParseError) as error:
-        raise InputError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
-    keep_mechanics(spec, description.base.body, path)
+def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.MjSpec:
+    """The robot's file as an editable MuJoCo specification of its mechanics, with its locked joints removed.
+
+    ``meshes``: with those meshes of a URDF that are there, for display.
+    """
+    file = file_of(description)
+    spec = _parse(description, file, meshes)
+    if meshes and file.root is not None and spec.meshes and (fault := _fault(spec)):
+        _LOG.warning("%s: its meshes are not shown: %s", description.model, fault)
+        spec = _parse(description, file, meshes=False)
+    keep_mechanics(spec, description.base.body, description.model)
     reject_couplings(spec, description)
-    widen(spec, description.limits.position, path)
+    widen(spec, description.limits.position, description.model)
     for name, angle in description.fixed_joints.items():
         fix_joint(spec, name, angle, description.source)
     return spec
 
 
-def _urdf_spec(path: Path) -> mujoco.MjSpec:
-    """URDF without its meshes (planning needs none), with all links kept."""
-    root = ElementTree.parse(path).getroot()
-    for link in root.iter("link"):
-        for kind in ("visual", "collision"):
-            for element in link.findall(kind):
-                link.remove(element)
-    compiler = {"strippath": "false", "balanceinertia": "true", "fusestatic": "false", "discardvisual": "false"}
-    extension = root.find("mujoco")
-    if extension is None:
-        extension = ElementTree.SubElement(root, "mujoco")
-    ElementTree.SubElement(extension, "compiler", compiler)
-    return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+def _parse(description: RobotDescription, file: ModelFile, meshes: bool) -> mujoco.MjSpec:
+    spec = parse(file, meshes=meshes)
+    if not description.base.uses_inertia:
+        mend_inertias(spec, balance=True)  # else MuJoCo names the body
+    return spec
+
+
+def _fault(spec: mujoco.MjSpec) -> str | None:
+    """Why a specification does not compile."""
+    try:
+        spec.compile()
+    except ValueError as error:
+        return " ".join(str(error).split())
+    return None

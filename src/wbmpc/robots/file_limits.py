@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from os.path import exists, isdir, isfile
 from pathlib import Path
 from typing import Any, Never
 from xml.parsers import expat
@@ -27,7 +28,6 @@ _OF_WORLD, _LISTS = (
 _REPEAT = {"replicate": "count", "composite": "count", "flexcomp": "count"}
 #: Attributes whose product is the size of an image or a field.
 _AREAS = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
-_USED = ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
 #: Attributes whose every number is a count of what is made, and its largest value.
 _COUNTS = {("mesh", "params"): 300.0, ("numeric", "size"): 10_000.0, ("texture", "width"): 2048.0} | {
     ("size", name): 10_000.0
@@ -53,14 +53,14 @@ class _Count:
     models: dict[str, Path] = field(default_factory=dict)
 
 
-def check_size(path: Path) -> None:
+def check_size(path: Path, text: bytes | None = None) -> None:
     """Raise :class:`InputError` naming file and element for a robot's XML that asks for too much, is not well-formed, or names what is
-    no regular file (a pipe, a device): its reader would wait for ever."""
+    no regular file (a pipe, a device): its reader would wait for ever. ``text``: what a file's macros became, instead of the file."""
     folders, named = {path.parent}, []  # type: set[Path], list[tuple[str, Path, str]]
-    _Walk(path, {}, (), folders, named).run()
+    _Walk(path, {}, (), folders, named).run(text)
     for where, beside, name in named:
         for place in (folder / n for folder in (beside, *folders) for n in (name, name.rpartition("/")[2])):
-            if place.exists() and not (place.is_file() or place.is_dir()):
+            if exists(place) and not (isfile(place) or isdir(place)):
                 raise InputError(f"{where}: '{place}' is no regular file")
 
 
@@ -78,12 +78,13 @@ class _Walk:
         self._main = above[0].parent if above else path.parent
         self._count, self._times, self._open = _Count(), [1.0], []  # type: _Count, list[float], list[str]
 
-    def run(self) -> _Count:
-        """What the file asks for, with all that it includes."""
+    def run(self, given: bytes | None = None) -> _Count:
+        """What the file, or the text ``given`` for it, asks for, with all that it includes."""
         try:
-            if self._path.stat().st_size > LARGEST:
-                raise InputError(f"{self._path}: has {self._path.stat().st_size} bytes; at most {LARGEST} are read")
-            data = self._path.read_bytes()
+            size = self._path.stat().st_size if given is None else len(given)
+            if size > LARGEST:
+                raise InputError(f"{self._path}: has {size} bytes; at most {LARGEST} are read")
+            data = self._path.read_bytes() if given is None else given
         except OSError as error:
             raise InputError(f"{self._path}: cannot be read ({error.strerror})") from error
         # MuJoCo's parser takes comments that XML does not (with -- inside)
@@ -163,14 +164,14 @@ class _Walk:
     def _found(self, name: str) -> Path:
         """Where MuJoCo looks for a file: beside the main one, or the one that names it."""
         beside = self._main / name
-        return beside if beside.is_file() else self._path.parent / name
+        return beside if isfile(beside) else self._path.parent / name
 
     def _include(self, name: str, times: float) -> None:
         if name:
             self._add_file("include", self._found(name), times)
 
     def _add_file(self, element: str, path: Path, times: float) -> None:
-        if not path.is_file():
+        if not isfile(path):
             return  # MuJoCo says so
         if path.resolve() in self._above:
             self._fail(f"<{element}>: '{path}' leads back to itself")

@@ -28,10 +28,10 @@ class FixedFrame:
 
 def frame_names(base_body: str, bodies: Iterable[str], base: str = BASE, world: str = ODOM) -> dict[str, str]:
     """The frame of each body: ``base`` is that of ``base_body``; others called like it, ``world`` or ``map`` get a prefix."""
-    given = list(bodies)
-    taken = {base, world, MAP, *(b for b in given if b != base_body)}
+    listed = list(bodies)
+    taken = {base, world, MAP, *(b for b in listed if b != base_body)}
     names = {base_body: base}
-    for body in given:
+    for body in listed:
         if body == base_body:
             continue
         name = body

@@ -32,13 +32,8 @@ _NO_VALUE = {"alt", "classname", "compiler", "frame", "id", "info", "name", "par
 def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
     """Leave out, in place, what plants have of their own, and the joints of the body ``base``, which the kind of base moves."""
     fresh = mujoco.MjSpec()
-    for name in _OF_MEMORY:  # before anything is compiled: a file may ask for more than there is
-        setattr(spec, name, getattr(fresh, name))
-    for actuator in list(spec.actuators):  # whose ranges the compiler may look for in long simulations
-        spec.delete(actuator)
+    make_light(spec)
     _fix_masses(spec, fresh, path)
-    _copy(fresh.option, spec.option)
-    spec.stat.meaninertia = fresh.stat.meaninertia  # the constraint solver's scale
     own = [j for j in spec.joints if j.parent.name == base]
     lists = (spec.sensors, spec.keys, spec.excludes, spec.pairs, spec.tuples, own)
     for element in [e for elements in lists for e in elements]:
@@ -52,6 +47,17 @@ def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
         for name in _OF_JOINTS:
             setattr(joint, name, getattr(fresh.default.joint, name))
     _reset_defaults(spec, fresh)
+
+
+def make_light(spec: mujoco.MjSpec) -> None:
+    """Before anything is compiled: take out, in place, the memory and options that a file asks for, and its actuators."""
+    fresh = mujoco.MjSpec()
+    _copy(fresh.option, spec.option)
+    spec.stat.meaninertia = fresh.stat.meaninertia  # the constraint solver's scale
+    for name in _OF_MEMORY:  # a file may ask for more than there is
+        setattr(spec, name, getattr(fresh, name))
+    for actuator in list(spec.actuators):  # whose ranges the compiler may look for in long simulations
+        spec.delete(actuator)
 
 
 def _fix_masses(spec: mujoco.MjSpec, fresh: mujoco.MjSpec, path: object) -> None:
@@ -108,10 +114,10 @@ def widen(spec: mujoco.MjSpec, position: dict[str, tuple[float, float]], path: o
     for joint in spec.joints:
         if joint.name not in position or not model.jnt_limited[joint.id]:
             continue
-        (low, high), (least, maximum) = position[joint.name], model.jnt_range[joint.id]
-        if low < least or high > maximum:
+        (low, high), (minimum, maximum) = position[joint.name], model.jnt_range[joint.id]
+        if low < minimum or high > maximum:
             turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
-            stops = np.array([min(low, least), max(high, maximum)])
+            stops = np.array([min(low, minimum), max(high, maximum)])
             joint.range = np.rad2deg(stops) if turns else stops
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.robots.description import RobotDescription, load_spec
 from wbmpc.robots.frames import BASE, ODOM, fixed_frames, frame_names
+from wbmpc.robots.model_file import ModelFile, file_of
 
 _JOINTS = {
     mujoco.mjtJoint.mjJNT_HINGE: "revolute",
@@ -27,8 +28,9 @@ def to_urdf(description: RobotDescription, base: str = BASE, world: str = ODOM) 
     joint: it becomes a floating one, whose frame ``/tf`` has to have. Meshes and ellipsoids are left out. Of a robot's own URDF
     what is above the base is left out, and links whose names are taken are renamed.
     """
-    if description.model.suffix.lower() == ".urdf":
-        return _own(description, base, world)
+    file = file_of(description)
+    if file.root is not None:
+        return _own(description, file, base, world)
     model = load_spec(description).compile()
     root = Xml.Element("robot", name=description.name)
     body = model.body(description.base.body).id
@@ -54,18 +56,18 @@ def _written(root: Xml.Element) -> str:
     return '<?xml version="1.0"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
 
 
-def _own(description: RobotDescription, base: str, world: str) -> str:
-    """The robot's own URDF from its base on; untouched if that changes nothing."""
-    text = description.model.read_text()
-    root = Xml.fromstring(text)
+def _own(description: RobotDescription, file: ModelFile, base: str, world: str) -> str:
+    """The robot's own URDF from its base on; untouched if that changes nothing and it has no macros."""
+    root = file.root
+    assert root is not None
     inside, joints = {description.base.body}, root.findall("joint")
     ends = [(_end(j, "parent"), _end(j, "child")) for j in joints]
     while below := {child for parent, child in ends if parent in inside} - inside:
         inside |= below
     outside = [link for link in root.findall("link") if link.get("name") not in inside]
     names = frame_names(description.base.body, sorted(inside), base, world)
-    if not outside and all(body == name for body, name in names.items()):
-        return text
+    if not file.macros and not outside and all(body == name for body, name in names.items()):
+        return file.path.read_text()
     for element in outside:
         root.remove(element)
     for joint, (parent, _) in zip(joints, ends, strict=True):

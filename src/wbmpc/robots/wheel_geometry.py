@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
+from wbmpc.robots.model_file import ModelFile, file_of
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Radius
@@ -32,7 +33,7 @@ def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
     """
     for radius in description.base.radii():
         if radius.sphere:
-            drawn = None if _is_urdf(description) else _of_sphere(model, radius.name)
+            drawn = _of_sphere(model, radius.name)
         else:
             drawn = drawn_radius(description, model, radius.name)
         _compare(description, radius, drawn)
@@ -40,13 +41,12 @@ def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
 
 def drawn_radius(description: RobotDescription, model: mujoco.MjModel, wheel: str) -> float | None:
     """Radius [m] of the wheel on joint ``wheel`` as its shapes have it; None where they do not show it."""
-    if _is_urdf(description):
-        return _of_urdf(ElementTree.parse(description.model).getroot(), wheel)
-    return _of_model(model, wheel)
+    return radius_of(file_of(description), model, wheel)
 
 
-def _is_urdf(description: RobotDescription) -> bool:
-    return description.model.suffix.lower() == ".urdf"
+def radius_of(file: ModelFile, model: mujoco.MjModel, wheel: str) -> float | None:
+    """The same of a file that is read and compiled."""
+    return _of_model(model, wheel) if file.root is None else _of_urdf(file.root, wheel)
 
 
 def _compare(description: RobotDescription, radius: Radius, drawn: float | None) -> None:

@@ -20,11 +20,11 @@ LARGEST_NUMBER = 1e7
 def error_message(error: Exception) -> str:
     """What a goal or a message was rejected for: our own message, or what went wrong by its kind; one line of at most
     :data:`LONGEST` characters, for it may quote what somebody on the bus has sent."""
-    said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-    middle = len(said) - LONGEST
+    message = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+    middle = len(message) - LONGEST
     if middle > 0:  # the end says what is valid
-        said = f"{said[: LONGEST // 2]} [{middle} characters] {said[-LONGEST // 2 :]}"
-    return "".join(c if c.isprintable() else "?" for c in said)
+        message = f"{message[: LONGEST // 2]} [{middle} characters] {message[-LONGEST // 2 :]}"
+    return "".join(c if c.isprintable() else "?" for c in message)
 
 
 def stamp(seconds: float) -> dict[str, int]:
@@ -83,7 +83,7 @@ def planar(position: Array, orientation: Array) -> Array:
     return np.array([position[0], position[1], yaw])
 
 
-def nearest_turn(yaw: float, to: float) -> float:
+def nearest_angle(yaw: float, to: float) -> float:
     """The angle [rad] of the same direction that is nearest to another one."""
     return to + (yaw - to + np.pi) % (2.0 * np.pi) - np.pi
 

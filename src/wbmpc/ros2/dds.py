@@ -36,7 +36,7 @@ from wbmpc.ros2.dds_domain import open_domain
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
-from wbmpc.ros2.mismatch import Mismatches, Ours
+from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.parameters import Parameters, ParameterServices
 
@@ -101,7 +101,7 @@ class DdsNode:
         """A publisher; messages are complete on the wire when :meth:`DdsPublisher.publish` returns."""
         name = full_name(topic)
         place = self._topic(f"rt{name}", kind)
-        ours = Ours("publisher", name, kind, qos)
+        ours = OwnEndpoint("publisher", name, kind, qos)
         listener = _Watch(lambda policy: self._mismatch(ours, policy))
         writer = DataWriter(self._participant, place, qos=self._qos(qos, kind), listener=listener)
         self._own(self._writers, writer)
@@ -130,7 +130,7 @@ class DdsNode:
                     else:
                         call((data, source))
 
-        ours = Ours("subscription", name, kind, qos, others)
+        ours = OwnEndpoint("subscription", name, kind, qos, others)
         place = self._topic(f"rt{name}", kind, others=others)
         reader = self._read(place, self._qos(qos, kind), take, self, lambda policy: self._mismatch(ours, policy))
         return lambda: self._end(reader)
@@ -153,16 +153,16 @@ class DdsNode:
     ) -> None:
         """Answer a service. It is seen by peers of rmw_cyclonedds, not by those of Fast DDS."""
         name = full_name(service)
-        asked, answered = request(kind), response(kind)
+        request_type, response_type = request(kind), response(kind)
         mark = f"serviceid={_identity()};"
-        replies = self._topic(f"rr{name}Reply", answered, _HEADER)
-        writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, answered, mark))
+        replies = self._topic(f"rr{name}Reply", response_type, _HEADER)
+        writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
 
         def reply(data: bytes) -> None:
             head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
             try:
-                values = answer(self.types.decode(asked, body))
-                said = self.types.encode(answered, values)
+                values = answer(self.types.decode(request_type, body))
+                said = self.types.encode(response_type, values)
             except Exception as error:
                 self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
                 return
@@ -178,23 +178,25 @@ class DdsNode:
                         reply(data)
 
         self._own(self._writers, writer)
-        self._read(self._topic(f"rq{name}Request", asked, _HEADER), self._qos(DEFAULT, asked, mark), take, None)
+        self._read(
+            self._topic(f"rq{name}Request", request_type, _HEADER), self._qos(DEFAULT, request_type, mark), take, None
+        )
 
     def call(self, service: str, kind: str, values: Mapping[str, Any], timeout: float = 5.0) -> Any:
         """Ask a service and wait for its answer [s]. Raises :class:`RunAborted` if none comes."""
         name = full_name(service)
-        asked, answered = request(kind), response(kind)
+        request_type, response_type = request(kind), response(kind)
         mark = f"clientid={_identity()};"
         requests, replies = (
-            self._topic(f"rq{name}Request", asked, _HEADER),
-            self._topic(f"rr{name}Reply", answered, _HEADER),
+            self._topic(f"rq{name}Request", request_type, _HEADER),
+            self._topic(f"rr{name}Reply", response_type, _HEADER),
         )
-        writer = DataWriter(self._participant, requests, qos=self._qos(DEFAULT, asked, mark))
-        reader = DataReader(self._participant, replies, qos=self._qos(DEFAULT, answered, mark))
+        writer = DataWriter(self._participant, requests, qos=self._qos(DEFAULT, request_type, mark))
+        reader = DataReader(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
         self._own(self._writers, writer)
         self._own(self._readers, reader)
         head = writer.guid.bytes[:8] + struct.pack("<q", 1)
-        body = self.types.encode(asked, values)
+        body = self.types.encode(request_type, values)
         end = time.monotonic() + timeout
         try:
             while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
@@ -203,7 +205,7 @@ class DdsNode:
             while True:
                 for data, _ in _taken(reader):
                     if data[4 : 4 + _HEADER_SIZE] == head:
-                        return self.types.decode(answered, data[:4] + data[4 + _HEADER_SIZE :])
+                        return self.types.decode(response_type, data[:4] + data[4 + _HEADER_SIZE :])
                 _wait(end, f"{name}: no answer within {timeout:g} s")
         finally:
             with self._lock:
@@ -356,7 +358,7 @@ class DdsNode:
             Policy.Userdata(f"{mark}typehash={self.types.hash(kind)};".encode()),
         )
 
-    def _mismatch(self, ours: Ours, policy: int) -> None:
+    def _mismatch(self, ours: OwnEndpoint, policy: int) -> None:
         self._mismatches.notice(ours, _POLICIES.get(policy, f"policy {policy}"))
 
 

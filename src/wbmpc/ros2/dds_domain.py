@@ -35,10 +35,10 @@ def _opened(network: Network) -> Domain:
     try:
         domain = Domain(network.domain, network.cyclone())
     except (DDSException, UnicodeEncodeError) as error:
-        given = " and ".join(
+        settings = " and ".join(
             n for n, v in (("ROS_STATIC_PEERS", network.peers), ("CYCLONEDDS_URI", network.extra)) if v
         )
-        why = f"; look at {given}" if given else ""
+        why = f"; look at {settings}" if settings else ""
         raise InputError(f"DDS: domain {network.domain} cannot be opened ({error}{why})") from error
     if "Tracing" not in network.extra:
         load_cyclonedds().dds_set_log_mask(ctypes.c_uint32(_ERRORS))

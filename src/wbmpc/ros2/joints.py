@@ -49,12 +49,12 @@ class JointReader:
 
     def read(self, message: Any) -> JointSample:
         """Check and sort a message. A message that is older than the last one is an error too."""
-        given = list(message.name)
-        if self._order is None or self._order[0] != given:
-            self._order = given, self._places(given)
+        names = list(message.name)
+        if self._order is None or self._order[0] != names:
+            self._order = names, self._places(names)
         positions = np.asarray(message.position, float)
-        if positions.size != len(given):
-            raise InputError(f"joint states: {len(given)} names but {positions.size} positions")
+        if positions.size != len(names):
+            raise InputError(f"joint states: {len(names)} names but {positions.size} positions")
         values, stamp = positions[self._order[1]], seconds(message.header.stamp)
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -76,9 +76,9 @@ class JointReader:
         """The next message may be anywhere and at any time."""
         self._last = None
 
-    def _places(self, given: list[str]) -> np.ndarray:
-        missing = [n for n in self.names if n not in given]
-        extra = [n for n in given if n not in self.names and n not in self.ignored]
+    def _places(self, names: list[str]) -> np.ndarray:
+        missing = [n for n in self.names if n not in names]
+        extra = [n for n in names if n not in self.names and n not in self.ignored]
         if missing:
             unused = f"; it has '{extra[0]}', which is not ours" if extra else ""
             raise InputError(f"joint states: joint '{missing[0]}' is missing{unused} (key 'joints' maps names)")
@@ -86,10 +86,10 @@ class JointReader:
             raise InputError(
                 f"joint states: joint '{extra[0]}' is not known (list it under key 'ignore' if it is not ours)"
             )
-        twice = [n for n in self.names if given.count(n) > 1]
+        twice = [n for n in self.names if names.count(n) > 1]
         if twice:
             raise InputError(f"joint states: joint '{twice[0]}' is there twice")
-        return np.array([given.index(n) for n in self.names])
+        return np.array([names.index(n) for n in self.names])
 
     def _check_motion(self, stamp: float, values: np.ndarray) -> None:
         if self._last is None:

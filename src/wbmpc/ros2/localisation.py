@@ -13,7 +13,7 @@ from wbmpc.checks import is_covariance
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import Node
-from wbmpc.ros2.convert import error_message, nearest_turn, planar, read_pose, seconds
+from wbmpc.ros2.convert import error_message, nearest_angle, planar, read_pose, seconds
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource
@@ -96,10 +96,10 @@ class PoseSource:
         try:
             self._read(message)
         except InputError as error:
-            said = error_message(error)
-            if said != self._wrong:
-                self._limit.log(_LOG, logging.ERROR, "wrong", said)
-            self._wrong = said
+            fault = error_message(error)
+            if fault != self._wrong:
+                self._limit.log(_LOG, logging.ERROR, "wrong", fault)
+            self._wrong = fault
         else:
             self._wrong = ""
 
@@ -148,7 +148,7 @@ class PoseGate:
             return ""
         then = min(self._was, key=lambda place: abs(place[0] - t))[1]
         spread = covariance + own
-        moved, turned = float(np.hypot(*(pose - then)[:2])), abs(nearest_turn(pose[2], then[2]) - then[2])
+        moved, turned = float(np.hypot(*(pose - then)[:2])), abs(nearest_angle(pose[2], then[2]) - then[2])
         variances = max(float(np.linalg.eigvalsh(spread[:2, :2])[-1]), 0.0), float(spread[2, 2])
         for off, variance, unit in ((moved, variances[0], "m"), (turned, variances[1], "rad")):
             maximum = self._limit + _SPREAD * float(np.sqrt(variance))

@@ -43,8 +43,8 @@ class Parameters:
     """All of a node, by name. ``changed`` gets the new values of settable ones, all of a request at once, and may raise
     :class:`InputError`: then nothing has changed. Thread-safe."""
 
-    def __init__(self, given: Iterable[Parameter], changed: Callable[[dict[str, Value]], None]) -> None:
-        self.known = {p.name: p for p in given}
+    def __init__(self, parameters: Iterable[Parameter], changed: Callable[[dict[str, Value]], None]) -> None:
+        self.known = {p.name: p for p in parameters}
         self._changed, self._lock = changed, threading.Lock()
 
     def set(self, values: Mapping[str, Any]) -> None:
@@ -95,8 +95,8 @@ def value_of(message: Any) -> Any:
     """The value of a ParameterValue; a list or None for types that no parameter here has."""
     if message.type not in _READ:
         return None
-    given = getattr(message, _READ[message.type])
-    return {1: bool, 2: int, 3: float, 4: str}[message.type](given)
+    value = getattr(message, _READ[message.type])
+    return {1: bool, 2: int, 3: float, 4: str}[message.type](value)
 
 
 def descriptor_of(p: Parameter) -> dict[str, Any]:

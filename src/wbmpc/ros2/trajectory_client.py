@@ -34,8 +34,8 @@ class Sender:
 
 def places_of(robot: RobotModel) -> dict[str, Place]:
     """Group and number of every drive by its name."""
-    given = robot.input.groups
-    names = {g: list(given.get(g, ())) for g in GROUPS} | {"brake": [f"brake/{n}" for n in given.get("leg", ())]}
+    groups = robot.input.groups
+    names = {g: list(groups.get(g, ())) for g in GROUPS} | {"brake": [f"brake/{n}" for n in groups.get("leg", ())]}
     return {n: (g, i) for g, part in names.items() for i, n in enumerate(part)}
 
 

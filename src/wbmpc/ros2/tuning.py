@@ -30,7 +30,7 @@ class Tuning:
     def __init__(self, adapter: BaseAdapter, settings: RosSettings) -> None:
         self._adapter, self._cost = adapter, settings.cost
         self._in_force = settings.cost
-        self.parameters = Parameters(_given(adapter, settings), self._change)
+        self.parameters = Parameters(_parameters(adapter, settings), self._change)
 
     def _change(self, values: dict[str, Value]) -> None:
         self._cost = changed_cost(self._cost, values)
@@ -47,7 +47,7 @@ class Tuning:
             _LOG.error("parameters: the weights do not change: %s", error_message(error))
 
 
-def _given(adapter: BaseAdapter, settings: RosSettings) -> list[Parameter]:
+def _parameters(adapter: BaseAdapter, settings: RosSettings) -> list[Parameter]:
     return [
         Parameter("robot", adapter.robot.description.name, "name of the robot's description"),
         Parameter("use_sim_time", settings.use_sim_time, "whether time is that of /clock"),

@@ -108,8 +108,8 @@ class CommandCheck:
     def _check(self, name: str, value: Any, optional: bool) -> None:
         if dataclasses.is_dataclass(value):
             for field in dataclasses.fields(value):
-                given = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-                self._check(f"{name}.{field.name}", getattr(value, field.name), not given)
+                required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+                self._check(f"{name}.{field.name}", getattr(value, field.name), not required)
             return
         if value is None and optional:
             return

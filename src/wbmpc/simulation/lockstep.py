@@ -62,7 +62,7 @@ class Timing:
                 f"plans; valid: the controller's rate or a whole part of it"
             )
         every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
-        return cls(period, steps, every, whole("mpc.computation_delay", delay, period, "controller periods", least=0))
+        return cls(period, steps, every, whole("mpc.computation_delay", delay, period, "controller periods", minimum=0))
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
     pressed = threading.Event()
     previous: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        given: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-        previous = {n: h for n, h in given.items() if h is signal.default_int_handler or hasattr(h, "noted")}
+        handlers: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        previous = {n: h for n, h in handlers.items() if h is signal.default_int_handler or hasattr(h, "noted")}
 
     def note(number: int, frame: Any) -> None:
         if pressed.is_set():
@@ -266,13 +266,13 @@ def _tick(
 
 def _because(plant: Any, mpc: Any) -> str:
     """Why the robot fell, as far as plant and MPC know."""
-    whys = [why for why in (getattr(plant, "why_fell", ""), getattr(mpc, "fault", "")) if why]
+    whys = [why for why in (getattr(plant, "fall_reason", ""), getattr(mpc, "fault", "")) if why]
     return f" because {'; the MPC had no new plan: '.join(whys)}" if whys else ""
 
 
 def _check(command: Any) -> None:
     """Raise :class:`NotFinite` naming the part of a command that is not finite: it must not reach the drives."""
     for name, values in vars(command).items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
+        if not np.isfinite(values).all():
+            bad = np.flatnonzero(~np.isfinite(values))
             raise NotFinite(f"command: '{name}' of drive {bad[0]} is not finite")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 
 import mujoco
@@ -192,8 +193,8 @@ class World:
 
     # ------------------------------------------------------------------ what is true
     def _wrapped_yaw(self) -> float:
-        w, x, y, z = self.data.qpos[3:7]
-        return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+        w, x, y, z = self.data.qpos[3:7].tolist()
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     @property
     def yaw(self) -> float:
@@ -203,8 +204,9 @@ class World:
     @property
     def tilt(self) -> float:
         """Angle [rad] between the base's z axis and the vertical."""
-        q = self.data.qpos[3:7]
-        return float(np.arccos(np.clip(1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2) / float(q @ q), -1.0, 1.0)))
+        w, x, y, z = self.data.qpos[3:7].tolist()
+        cosine = 1.0 - 2.0 * (x * x + y * y) / (w * w + x * x + y * y + z * z)
+        return math.acos(min(max(cosine, -1.0), 1.0))
 
     @property
     def diverged(self) -> bool:
@@ -241,14 +243,16 @@ class World:
 
     def joints(self) -> dict[str, float]:
         """True joint angles [rad] by name."""
-        return {name: float(self.data.qpos[q]) for name, (q, _) in self._joints.items()}
+        positions = self.data.qpos.tolist()
+        return {name: positions[q] for name, (q, _) in self._joints.items()}
 
     def joint_speeds(self) -> dict[str, float]:
         """True joint speeds [rad/s] by name."""
-        return {name: float(self.data.qvel[v]) for name, (_, v) in self._joints.items()}
+        speeds = self.data.qvel.tolist()
+        return {name: speeds[v] for name, (_, v) in self._joints.items()}
 
 
-class InWorld:
+class WorldAccess:
     """What a plant hands on to its world: time, the fall, pushes."""
 
     world: World
@@ -269,7 +273,7 @@ class InWorld:
         return self.world.diverged
 
     @property
-    def why_fell(self) -> str:
+    def fall_reason(self) -> str:
         """What counts as the fall, in words; empty while there is none."""
         if not self.fell:
             return ""

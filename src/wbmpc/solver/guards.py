@@ -57,7 +57,7 @@ class Interruptible:
                 return handler(number, frame)
             except BaseException as error:
                 self.raised = error
-                if frame is None or frame.f_code not in _COMING_AND_GOING:  # which have to end, and raise it afterwards
+                if not _comes_or_goes(frame):  # which have to end, and raise it afterwards
                     raise
 
         return noting
@@ -73,6 +73,13 @@ class Interruptible:
                 signal.signal(number, handler)
         if self.raised is not None and error is not self.raised:
             raise self.raised from None
+
+
+def _comes_or_goes(frame: FrameType | None) -> bool:
+    """Whether a frame is one that enters or leaves this context, or was called by one: parts of :mod:`signal` are Python."""
+    while frame is not None and frame.f_code not in _COMING_AND_GOING:
+        frame = frame.f_back
+    return frame is not None
 
 
 _COMING_AND_GOING = (Interruptible.__enter__.__code__, Interruptible.__exit__.__code__)

@@ -300,8 +300,8 @@ def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) 
 
 
 @compiled
-def start_rows(m: Floats, o: Integers, least: float, keep: bool, keep_slacks: bool) -> None:
-    """Slacks t = max(h, ``least``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept.
+def start_rows(m: Floats, o: Integers, min_slack: float, keep: bool, keep_slacks: bool) -> None:
+    """Slacks t = max(h, ``min_slack``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept.
 
     ``keep_slacks``: slacks that there are stay too.
     """
@@ -327,7 +327,7 @@ def start_rows(m: Floats, o: Integers, least: float, keep: bool, keep_slacks: bo
             h, closed, hard = m[at : at + LANES], penalty < np.inf, kind == HARD
             t_old, l_old = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]
             s_old, y_old = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
-            t = np.where(h > least, h, least)  # also for a NaN
+            t = np.where(h > min_slack, h, min_slack)  # also for a NaN
             l = np.where((l_old > 0.0) & (l_old < kept), l_old, mu / t)  # noqa: E741
             l = np.minimum(np.maximum(l, 1e-12), np.where(closed, 0.99 * penalty, np.inf))  # noqa: E741
             y = penalty - l

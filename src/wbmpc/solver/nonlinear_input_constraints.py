@@ -147,7 +147,7 @@ def add_curvature(m: Floats, o: Integers, k: int, matrix: int, rows: int) -> Non
 @compiled
 def steepness(m: Floats, o: Integers, rows: int) -> float:
     """c for c Eᵀ E of the equality rows E: ten times the size of ``second`` across the least of the rows."""
-    nx, nu, lz, size, least = o[NX], o[NU], o[LZ], 0.0, np.inf
+    nx, nu, lz, size, minimum = o[NX], o[NU], o[LZ], 0.0, np.inf
     for i in range(nx + 1, nx + 1 + nu):
         for j in range(nx + 1, i + 1):
             size += m[o[SECOND] + i * lz + j] ** 2
@@ -156,8 +156,8 @@ def steepness(m: Floats, o: Integers, rows: int) -> float:
         for i in range(nx + 1, nx + 1 + nu):
             square += m[rows + q * lz + i] ** 2
         if square > 1e-12 and m[o[EPS] + q] <= 1e-13:
-            least = min(least, square)
-    return 10.0 * np.sqrt(size) / least
+            minimum = min(minimum, square)
+    return 10.0 * np.sqrt(size) / minimum
 
 
 @compiled
@@ -183,11 +183,11 @@ def definite(m: Floats, o: Integers, matrix: int, rows: int, share: float, along
             for q in range(o[NG]):
                 if m[o[EPS] + q] <= 1e-13:
                     total += along * m[rows + q * lz + first + a] * m[rows + q * lz + first + b]
-            least = 0.1 * m[matrix + i] if a == b else 0.0
+            minimum = 0.1 * m[matrix + i] if a == b else 0.0
             for c in range(b):
                 total -= m[chained + a * lz + c] * m[chained + b * lz + c]
             if a == b:
-                if not total > least:
+                if not total > minimum:
                     return False
                 total = np.sqrt(total)
             else:
@@ -266,19 +266,19 @@ def correct(m: Floats, o: Integers, k: int, share: float) -> None:
 @compiled
 def pull_inside(m: Floats, o: Integers, k: int) -> None:
     """Correct the trial inputs of node k until no held row is left outside; else the best that was met. Rows are evaluated."""
-    nu, u, best, least, share = o[NU], o[UT] + k * o[NU], o[U_BEST], np.inf, 1.0
+    nu, u, best, minimum, share = o[NU], o[UT] + k * o[NU], o[U_BEST], np.inf, 1.0
     for _ in range(CORRECTIONS):
         evaluate_trial(m, o, k)
         worst = outside(m, o, k)
         if worst == 0.0:
             return
-        if worst < least:
-            least = worst
+        if worst < minimum:
+            minimum = worst
             for i in range(nu):
                 m[best + i] = m[u + i]
         correct(m, o, k, share)
         share *= 0.5
-    if least < np.inf:
+    if minimum < np.inf:
         for i in range(nu):
             m[u + i] = m[best + i]
     evaluate_trial(m, o, k)

@@ -220,16 +220,17 @@ def receding_solve(
 
 
 @compiled
-def simulate(m: Floats, o: Integers, x: Floats, u: Floats, h: float, out: Floats) -> None:
-    """One Runge-Kutta step of the model with the parameters of node 0."""
+def simulate(m: Floats, o: Integers, x: Floats, u: Floats, count: int, h: float) -> None:
+    """``count`` Runge-Kutta steps of the state x, in place, each under the next nu numbers of u, with the parameters of node 0."""
     xt, ut, end = o[XT], o[UT], o[SLOPES] + 5 * o[LX]
-    for i in range(o[NX]):
-        m[xt + i] = x[i]
-    for i in range(o[NU]):
-        m[ut + i] = u[i]
-    integrate(m, o, xt, ut, o[P], h, end)
-    for i in range(o[NX]):
-        out[i] = m[end + i]
+    for k in range(count):
+        for i in range(o[NX]):
+            m[xt + i] = x[i]
+        for i in range(o[NU]):
+            m[ut + i] = u[k * o[NU] + i]
+        integrate(m, o, xt, ut, o[P], h, end)
+        for i in range(o[NX]):
+            x[i] = m[end + i]
 
 
 simulate.short = True

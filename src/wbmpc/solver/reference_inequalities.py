@@ -17,7 +17,7 @@ class RowState:
         table = np.array(
             [(r.kind, r.variable, r.sign, r.offset, r.penalty, r.state_only) for r in rows], float
         ).reshape(-1, 6)
-        self.kind, self.variable, self.sign, self.offset, self.given, state_only = table.T
+        self.kind, self.variable, self.sign, self.offset, self.row_penalty, state_only = table.T
         self.rho = 1.0
         self.counts = ~(state_only.astype(bool) & measured)
         self.bounds_inputs = (self.kind == Kind.HARD) & ~state_only.astype(bool)
@@ -32,7 +32,7 @@ class RowState:
     @property
     def penalty(self) -> np.ndarray:
         """Weight of a hard row's L1 slack, or ρ of a multiplier row."""
-        return np.where(self.hard, self.given, self.rho * self.given)
+        return np.where(self.hard, self.row_penalty, self.rho * self.row_penalty)
 
     def values(self, z: np.ndarray, general: Any) -> np.ndarray:
         """h at z = [x; u]; ``general``: values of the rows that are not of one variable."""
@@ -48,12 +48,12 @@ class RowState:
         selection[np.arange(self.boxes), self.variable[: self.boxes].astype(int)] = self.sign[: self.boxes]
         self.jacobian = np.vstack([selection, np.array(jacobian).reshape(-1, z.size)])
 
-    def start(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
+    def start(self, mu: float, min_slack: float, keep: bool, keep_slacks: bool) -> None:
         """As start_rows of the compiled solver."""
         if keep_slacks and self.started:
             return
         self.started = True
-        self.t = np.where(self.h > least, self.h, least)
+        self.t = np.where(self.h > min_slack, self.h, min_slack)
         kept = self.l if keep else np.where(self.hard, mu / self.t, 0.0)
         kept = np.where(self.hard & ~(kept > 0.0), mu / self.t, kept)
         self.l = np.where(self.hard, np.clip(kept, 1e-12, 0.99 * self.penalty), kept)

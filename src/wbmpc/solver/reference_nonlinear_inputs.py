@@ -40,7 +40,7 @@ def hold_inputs(
 
     ``functions``: values and Jacobian of the general rows by [x; u], of (x, u).
     """
-    least, best, aim = np.inf, u.copy(), aims(rows, mu)
+    minimum, best, aim = np.inf, u.copy(), aims(rows, mu)
     for sweep in range(CORRECTIONS):
         general, jacobian = functions(x, u)
         z = np.concatenate([x, u])
@@ -48,8 +48,8 @@ def hold_inputs(
         worst = np.max(-h[held], initial=0.0)
         if worst == 0.0:
             return h
-        if worst < least:
-            least, best = worst, u.copy()
+        if worst < minimum:
+            minimum, best = worst, u.copy()
         slopes = np.zeros((rows.boxes, z.size))
         slopes[np.arange(rows.boxes), rows.variable[: rows.boxes].astype(int)] = rows.sign[: rows.boxes]
         slopes = np.vstack([slopes, np.array(jacobian).reshape(-1, z.size)])[:, x.size :]

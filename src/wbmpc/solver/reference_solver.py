@@ -140,11 +140,11 @@ class InterpretedSolver(InterpretedDirections):
         self.soft_residual = self._equality_values(ws.x, ws.u)
         return self._iterate_to_the_end(x0, c, log, check)
 
-    def _start_rows(self, mu: float, least: float, keep: bool, keep_slacks: bool) -> None:
+    def _start_rows(self, mu: float, min_slack: float, keep: bool, keep_slacks: bool) -> None:
         for k, rows in enumerate(self.own):
             rows.h = self._rows(k, self.ws.x[k], self.ws.u[min(k, len(self.ws.u) - 1)])
             rows.rho = 1.0
-            rows.start(mu, least, keep, keep_slacks)
+            rows.start(mu, min_slack, keep, keep_slacks)
 
     def reset(self) -> None:
         """Slacks and multipliers start anew."""

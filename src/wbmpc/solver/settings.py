@@ -149,14 +149,14 @@ class SQP:
     def real_time(cls, iterations: int = 1, **more: object) -> SQP:
         """One iteration (or a few) per solve from the shifted last solution, hard limits included: for use in an MPC."""
         interior = InteriorPoint("real_time")
-        given = {
+        options = {
             "compute_kkt": False,
             "min_step": 0.2,
             "accept_min_step": True,
             "max_regularization": 0.0,
             "interior_point": interior,
         }
-        return cls(iterations=iterations, **(given | more))  # type: ignore[arg-type]
+        return cls(iterations=iterations, **(options | more))  # type: ignore[arg-type]
 
     @property
     def max_iterations(self) -> int:

@@ -25,22 +25,24 @@ def trajectories(
         states = np.stack([np.interp(fine, own, column) for column in states.T], axis=1)
     if own.size < fine.size and inputs.shape == (own.size - 1, nu):
         inputs = inputs[np.searchsorted(own, fine[:-1] + 1e-9) - 1]
-    for name, given, shape in (("x", states, (fine.size, nx)), ("u", inputs, (fine.size - 1, nu))):
-        if given.shape not in (shape, shape[1:]):
-            raise InputError(f"warm start, {name}: {shape} numbers are needed, got {given.shape}")
+    for name, values, shape in (("x", states, (fine.size, nx)), ("u", inputs, (fine.size - 1, nu))):
+        if values.shape not in (shape, shape[1:]):
+            raise InputError(f"warm start, {name}: {shape} numbers are needed, got {values.shape}")
     return states, inputs
 
 
 def _finite(name: str, layout: Layout, value: np.ndarray) -> np.ndarray:
     """A guess as numbers, all of them finite."""
     try:
-        given = np.asarray(value, float)
+        values = np.asarray(value, float)
     except (TypeError, ValueError) as error:
         raise InputError(f"warm start, {name}: numbers are needed ({error})") from error
-    bad = np.argwhere(~np.isfinite(np.atleast_1d(given)))
+    bad = np.argwhere(~np.isfinite(np.atleast_1d(values)))
     if not bad.size:
-        return given
+        return values
     *node, i = (int(k) for k in bad[0])
     component = f"{name}[{i}]" + (f" ('{layout.names[i]}')" if i < layout.size else "")
     where = f" at node {node[-1]}" if node else ""
-    raise NotFinite(f"warm start, {name}: {component}{where} must be finite, got {np.atleast_1d(given)[tuple(bad[0])]}")
+    raise NotFinite(
+        f"warm start, {name}: {component}{where} must be finite, got {np.atleast_1d(values)[tuple(bad[0])]}"
+    )

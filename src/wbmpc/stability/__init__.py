@@ -1,4 +1,4 @@
-"""Stability of robots on three feet or more: support, zero-moment point, margins, support switches."""
+"""Stability of robots on three feet or more: support, zero-moment point, margins."""
 
 from wbmpc.stability.assessment import Assessment, assess
 from wbmpc.stability.configurations import CONFIGURATIONS, corners, leg_angles
@@ -18,34 +18,22 @@ from wbmpc.stability.geometry import (
     triangle_margins,
 )
 from wbmpc.stability.robot import Stance, StanceOf, Support, counter_clockwise
-from wbmpc.stability.switches import (
-    Crossing,
-    Switch,
-    crossings,
-    resting_triangles,
-    support_shares,
-    support_switches,
-    upright,
-)
 from wbmpc.stability.zmp import GRAVITY, Load, slope_gravity, zero_moment_point
 
 __all__ = [
     "CONFIGURATIONS",
     "GRAVITY",
     "Assessment",
-    "Crossing",
     "Load",
     "Region",
     "Stance",
     "StanceOf",
     "Support",
-    "Switch",
     "Triangle",
     "area",
     "assess",
     "corners",
     "counter_clockwise",
-    "crossings",
     "draw",
     "edge_distances",
     "friction_needed",
@@ -54,13 +42,9 @@ __all__ = [
     "margin",
     "overlap_regions",
     "region_margin",
-    "resting_triangles",
     "slope_gravity",
     "support_polygon",
-    "support_shares",
-    "support_switches",
     "support_triangles",
     "triangle_margins",
-    "upright",
     "zero_moment_point",
 ]

@@ -204,10 +204,10 @@ class StanceOf:
         """At state x (nx), with the world's ``wrench`` (6) on the end effector (force [N], moment [N m], world axes), ``gravity`` (3)
         [m/s²], and the inertia of inputs u (nu) that change by ``u_rate`` (nu) per second (brakes open)."""
         none = np.zeros(self.robot.input.size)
-        given = (x, none if u is None else u, none if u_rate is None else u_rate, wrench, gravity)
+        arguments = (x, none if u is None else u, none if u_rate is None else u_rate, wrench, gravity)
         sizes = (self.robot.state.size, none.size, none.size, 6, 3)
         names = ("state", "input", "input's rate", "wrench", "gravity")
-        checked = [_numbers(n, v, s) for n, v, s in zip(names, given, sizes, strict=True)]
+        checked = [_numbers(n, v, s) for n, v, s in zip(names, arguments, sizes, strict=True)]
         feet, com, force, moment = (np.array(v) for v in self._function(*checked))
         force, moment = force.ravel(), moment.ravel()
         down = force[2] if force[2] < 0.0 else np.nan

@@ -91,8 +91,8 @@ class Access:
                 return True
         return False
 
-    def _is_token(self, given: str) -> bool:
-        return not self.token or hmac.compare_digest(given.encode(errors="replace"), self.token.encode())
+    def _is_token(self, text: str) -> bool:
+        return not self.token or hmac.compare_digest(text.encode(errors="replace"), self.token.encode())
 
     def _serves(self, authority: str, port: int) -> bool:
         """Whether a `Host` header names this server."""

@@ -16,10 +16,10 @@ PUSH, PUSH_TIME, FACTORS, SPEEDS = 1000.0, 2.0, (1e-3, 1e3), (0.05, 1.0)
 _UNIT = 1e-3
 
 
-def pose(given: Array, base: Array) -> Array:
+def pose(goal: Array, base: Array) -> Array:
     """A pose (7) of the end effector, its height above the floor, with its quaternion at length 1; ``base``: where the robot is
     (x, y, …) [m]. Raises :class:`InputError` for one that is not finite, no pose or too far away."""
-    value = numbers("goal of the end effector", "pose", given, 7)
+    value = numbers("goal of the end effector", "pose", goal, 7)
     norm = float(np.linalg.norm(value[3:]))
     if abs(norm - 1.0) > _UNIT:
         raise InputError(f"goal of the end effector: the quaternion must have the length 1, got {norm:.3g}")
@@ -28,9 +28,9 @@ def pose(given: Array, base: Array) -> Array:
     return np.concatenate([value[:3], value[3:] / norm])
 
 
-def planar(given: Array, base: Array) -> Array:
+def planar(goal: Array, base: Array) -> Array:
     """A pose (x, y, yaw) of the base near where it is; raises :class:`InputError` as :func:`pose` does."""
-    value = numbers("goal of the base", "pose", given, 3)
+    value = numbers("goal of the base", "pose", goal, 3)
     _near("goal of the base", value, base)
     return value
 
@@ -49,16 +49,16 @@ def push(force: Array, seconds: Array) -> tuple[Array, float]:
     return value, float(seconds)
 
 
-def factors(given: Array) -> Array:
+def factors(values: Array) -> Array:
     """Factors (n) of weights; raises :class:`InputError` for what is not finite or outside of :data:`FACTORS`."""
-    for value in numbers("weights", "factors", given, len(given)):
+    for value in numbers("weights", "factors", values, len(values)):
         within("weights: factor", float(value), *FACTORS)
-    return given
+    return values
 
 
-def choice(who: str, given: Array, count: int) -> int:
+def choice(who: str, index: Array, count: int) -> int:
     """One of ``count`` choices by its number; raises :class:`InputError` for another."""
-    value = float(given)
+    value = float(index)
     if value not in range(count):
         raise InputError(f"{who}: must be a whole number from 0 to {count - 1}, got {value:g}")
     return int(value)

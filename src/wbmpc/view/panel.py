@@ -16,7 +16,7 @@ from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.stability import CONFIGURATIONS
 from wbmpc.view.history import History
 from wbmpc.view.scene import add_follow, add_legend, name_tab
-from wbmpc.view.snapshot import NUMBERS, plain, spoken
+from wbmpc.view.snapshot import NUMBERS, plain, status_text
 from wbmpc.view.steering import Controls, no_requests
 
 Array = np.ndarray
@@ -41,7 +41,7 @@ class Panel:
     def __init__(self, server: viser.ViserServer, requests: Mailbox, controls: Controls) -> None:
         self.server, self._requests, self.controls = server, requests, controls
         self._values, self._lock = no_requests(), threading.Lock()  # the server calls back from several threads
-        self._dragged, self._about, self._message = False, "", ""
+        self._dragged, self._about, self._message, self._shown = False, "", "", ""
         self._rejected, self._rejected_at, self._moved_at = "", -np.inf, -np.inf
         server.gui.main_panel.dock_right()
         name_tab(server.gui, controls.title)
@@ -192,7 +192,7 @@ class Panel:
         self._show_brakes(float(s["brakes"]))
         value = dict(zip(NUMBERS, numbers, strict=True))
         digits = 4 if self._values["paused"] else 1  # a single step is a few milliseconds
-        self._about = f", {value['t']:.{digits}f} s{spoken(value)}"
+        self._about = f", {value['t']:.{digits}f} s{status_text(value)}"
         self._head()
         if self._count % _EVERY_PLOT:
             return
@@ -201,21 +201,23 @@ class Panel:
             handle.data = (rows[:, 0], *(factor * rows[:, column] for column, factor in lines))
 
     def show_message(self, message: str) -> None:
-        """Show a message under the title; empty: none."""
-        if message != self._message:
-            self._message = message
-            self._head()
-
-    def reject(self, reason: str) -> None:
-        """Show for a while why something that was asked for is not done. May be called from any thread."""
-        self._rejected, self._rejected_at = reason, time.monotonic()
+        """Show a message under the title, empty: none; and what was rejected since the last call."""
+        self._message = message
         self._head()
 
+    def reject(self, reason: str) -> None:
+        """Show for a while, from the next message on, why something that was asked for is not done. From any thread, at any rate:
+        it costs nothing here."""
+        self._rejected, self._rejected_at = reason, time.monotonic()
+
     def _head(self) -> None:
+        """Every change goes to all pages."""
         text = f"  \n**{plain(self._message)}**" if self._message else ""
         if time.monotonic() < self._rejected_at + _SHOWN:
             text += f"  \n**Not done:** {plain(self._rejected)}"
-        self._status.content = f"**{plain(self.controls.title)}**{self._about}{text}"
+        content = f"**{plain(self.controls.title)}**{self._about}{text}"
+        if content != self._shown:
+            self._status.content = self._shown = content
 
     def _place(self, handle: Any, pose: Array) -> None:
         finite = bool(np.isfinite(pose).all())

@@ -37,14 +37,14 @@ def shapes(message: Any) -> dict[str, tuple[int, ...]]:
 
 def values(message: Any) -> dict[str, Any]:
     """A dataclass as fields of a message."""
-    given = {f.name: getattr(message, f.name) for f in fields(message)}
-    return {name: value for name, value in given.items() if value is not None}
+    fields_of_message = {f.name: getattr(message, f.name) for f in fields(message)}
+    return {name: value for name, value in fields_of_message.items() if value is not None}
 
 
 def build(kind: type, message: dict[str, np.ndarray]) -> Any:
     """The dataclass of a message."""
-    given = {f.name: message[f.name] for f in fields(kind) if f.name in message}
-    return kind(**{name: v if v.ndim else float(v) for name, v in given.items()})
+    arguments = {f.name: message[f.name] for f in fields(kind) if f.name in message}
+    return kind(**{name: v if v.ndim else float(v) for name, v in arguments.items()})
 
 
 class Simulated:
@@ -174,4 +174,4 @@ def _record(plant: Any, board: Board, time: float) -> None:
         board.sample(name, value)
     board["tilt"] = max(board["tilt"], truth.tilt)
     if plant.fell and not board["fell"]:
-        board.text, board["fell"] = plant.why_fell, 1.0
+        board.text, board["fell"] = plant.fall_reason, 1.0

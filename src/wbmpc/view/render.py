@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError, WbmpcError
-from wbmpc.simulation.film import Puppet
+from wbmpc.output_file import whole_file
+from wbmpc.simulation.film import SceneModel
 from wbmpc.simulation.render import Camera, Renderer
 from wbmpc.simulation.scene import Scene
 from wbmpc.view.camera import clearest
@@ -50,21 +51,13 @@ def render(film: Film, path: Path, times: tuple[float, float], size: tuple[int, 
     path.open("ab").close()  # and whether it can be written, before all is drawn
     if not existed:
         path.unlink()
-    import imageio.v3 as imageio
-
-    if kind == ".png":
-        imageio.imwrite(path, first)
-        return 1
-    if kind == ".gif":
-        _write_gif(path, [first, *pictures])
-    else:
-        film_options: dict[str, Any] = {"fps": RATES[kind], "codec": "libx264", "macro_block_size": 2}
-        imageio.imwrite(path, [first, *pictures], plugin="FFMPEG", **film_options)
+    with whole_file(path) as partial:
+        _WRITERS[kind](partial, [first, *pictures])
     return len(moments)
 
 
 def _pictures(film: Film, moments: np.ndarray, size: tuple[int, int]) -> Iterator[np.ndarray]:
-    puppet = Puppet(film.scene)
+    puppet = SceneModel(film.scene)
     puppet.place(film.snapshot(float(moments[0]))["poses"])
     try:
         renderer = Renderer(puppet, *size)
@@ -79,6 +72,27 @@ def _pictures(film: Film, moments: np.ndarray, size: tuple[int, int]) -> Iterato
             yield renderer.frame(camera, way if len(way) else None)
 
 
+def _write_png(path: Path, pictures: list[np.ndarray]) -> None:
+    from PIL import Image
+
+    Image.fromarray(pictures[0]).save(path)
+
+
+def _write_mp4(path: Path, pictures: list[np.ndarray]) -> None:
+    """The library does not look at how its program ended: pictures are counted in what it left."""
+    import imageio.v3 as imageio
+    from imageio_ffmpeg import count_frames_and_secs
+
+    options: dict[str, Any] = {"codec": "libx264", "macro_block_size": 2, "ffmpeg_log_level": "quiet"}
+    try:
+        imageio.imwrite(path, pictures, plugin="FFMPEG", fps=RATES[".mp4"], **options)
+        count = count_frames_and_secs(str(path))[0]
+    except (OSError, RuntimeError, ValueError):  # it ended early, or left no film at all
+        count = 0
+    if count != len(pictures):
+        raise OSError(f"{count} of {len(pictures)} pictures are in it; the disk may be full")
+
+
 def _write_gif(path: Path, pictures: list[np.ndarray]) -> None:
     """Few colours and no dither: a third of the size, and surfaces stay calm."""
     from PIL import Image
@@ -86,6 +100,9 @@ def _write_gif(path: Path, pictures: list[np.ndarray]) -> None:
     frames = [Image.fromarray(p).quantize(GIF_COLOURS, dither=Image.Dither.NONE) for p in pictures]
     duration = round(1000.0 / RATES[".gif"])
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=True)
+
+
+_WRITERS = {".png": _write_png, ".gif": _write_gif, ".mp4": _write_mp4}
 
 
 def _camera(poses: np.ndarray, scene: Scene) -> Camera:

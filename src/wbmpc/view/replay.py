@@ -12,11 +12,12 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
+from wbmpc.output_file import write_text
 from wbmpc.recording.plots import end_effector_error, positions
 from wbmpc.recording.reader import Recording
 from wbmpc.simulation.scene import Body, Contact, Scene
 from wbmpc.view.access import Access
-from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, plain, spoken
+from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, plain, status_text
 
 Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
@@ -202,7 +203,7 @@ class Player:
         self.stage.show(s)
         self.stage.follow(s["poses"], bool(self._follow.value))
         numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
-        self._text.content = f"{self._title}, {t:.2f} s{spoken(numbers)}"
+        self._text.content = f"{self._title}, {t:.2f} s{status_text(numbers)}"
 
     def run(self) -> None:
         """Play, again and again, until Ctrl-C. Without a browser nothing moves: a replay that was forgotten takes no time."""
@@ -237,6 +238,6 @@ def write_page(film: Film, path: Path, port: int) -> None:
             serializer.insert_sleep(1.0 / PAGE_RATE)
         assert serializer is not None
         title = f"<title>{html.escape(film.recording.title)}</title>"
-        path.write_text(serializer.as_html().replace("<title>Viser</title>", title, 1))
+        write_text(path, serializer.as_html().replace("<title>Viser</title>", title, 1))
     finally:
         server.stop()

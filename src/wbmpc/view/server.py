@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
@@ -21,11 +23,27 @@ from wbmpc.view.access import Access
 from wbmpc.view.frames import LARGEST, checked
 
 _PATCH = threading.Lock()
+#: Rejected messages that cost their senders no time, and how many more of them are read in a second, of all pages together.
+_FREE, _REJECTED_RATE = 200, 500.0
 #: Of every answer: no other page may frame this one (clicks would be the user's), learn its address, or keep a copy.
 _HEADERS = {
     "X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'", "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Cross-Origin-Resource-Policy": "same-origin",
 }  # fmt: skip
+
+
+class Throttle:
+    """How long who sent a message that was rejected waits before the next one is read: a flood of them must not keep the server
+    from others. ``free`` messages cost nothing, then there are ``rate`` in a second of ``clock``."""
+
+    def __init__(self, free: int, rate: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._free, self._rate, self._clock, self._until = free, rate, clock, -math.inf
+
+    def wait(self) -> float:
+        """Count a message; how long to wait [s]."""
+        now = self._clock()
+        self._until = max(self._until, now - self._free / self._rate) + 1.0 / self._rate
+        return max(self._until - now, 0.0)
 
 
 class Guard:
@@ -37,6 +55,7 @@ class Guard:
     def __init__(self, access: Access) -> None:
         self.access = access
         self.rejected: Callable[[str], None] = lambda reason: None
+        self._throttle = Throttle(_FREE, _REJECTED_RATE)
         self.server: viser.ViserServer | None = None
         self.installed = False
         # not one of the registered loggers: their filters would add up over several servers
@@ -96,6 +115,7 @@ class Guard:
                     message = guard.take(await super().recv(decode))
                     if message is not None:
                         return message
+                    await asyncio.sleep(guard._throttle.wait())
 
         def guarded(handler: Any, *place: Any, process_request: Any, **options: Any) -> Any:
             guard.installed = True

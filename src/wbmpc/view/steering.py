@@ -167,10 +167,10 @@ class Steering:
     # ------------------------------------------------------------------ goals
     def _end_effector_goal(self, t: float, goal: Array) -> None:
         """The end effector's goal from now on; the base goes to where the end effector is beside it as at home."""
-        if self.mpc is None or "hand" not in self.mpc.reference:
+        if self.mpc is None or "end_effector" not in self.mpc.reference:
             return
         goal = np.concatenate([goal[:3] - self._lift, goal[3:]])
-        self.mpc.reference["hand"] = Reference(np.zeros(1), goal[None], "pose_hold")
+        self.mpc.reference["end_effector"] = Reference(np.zeros(1), goal[None], "pose_hold")
         robot = self.running.controller.robot
         if self.base_of(self.mpc):
             yaw = self._target(t)[2]

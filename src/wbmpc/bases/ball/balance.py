@@ -95,13 +95,13 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
     """A (10, 10), B (10, wheels) of the base with the arm held, the same (10, 2) of a horizontal force on the tool, the
     offset's slope (2, 2) by (pitch, roll), and the base's mass matrix (5, 5)."""
     q, v = ca.SX.sym("q", base.nq), ca.SX.sym("v", base.nq)
-    given, end_effector = ca.SX.sym("u", u.size), ca.SX.sym("hand", 2)
+    torque, end_effector = ca.SX.sym("u", u.size), ca.SX.sym("push", 2)
     more = ca.SX.zeros(robot.input.size - u.size)
-    force = base.generalised_force(q, ca.vertcat(given, more), ca.SX.zeros(robot.parameters.size))
+    force = base.generalised_force(q, ca.vertcat(torque, more), ca.SX.zeros(robot.parameters.size))
     force -= base.inverse_dynamics(q, v, ca.SX(base.nq, 1))
     push = ca.jacobian(base.tool_force(q, ca.vertcat(end_effector, 0)), end_effector)
-    parts = [ca.jacobian(force, q), ca.jacobian(force, given), push, ca.jacobian(load_offset(base, q), q)]
-    slopes = ca.Function("slopes", [q, v, given], [ca.densify(p) for p in parts])
+    parts = [ca.jacobian(force, q), ca.jacobian(force, torque), push, ca.jacobian(load_offset(base, q), q)]
+    slopes = ca.Function("slopes", [q, v, torque], [ca.densify(p) for p in parts])
     n, wheels = base.nq, len(base.input["wheel"])
     by_q, by_u, by_push, offset = (np.array(s) for s in slopes(x[:n], x[n:], u))
     own = robot.base.numeric.mass_matrix(x[:n])[:BASE, :BASE]

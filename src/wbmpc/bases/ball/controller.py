@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -52,6 +53,7 @@ class BallController:
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
         self.limits = TorqueLimits(robot, torque.size)
+        self._cut = _ROUNDING * self.limits.limit
         self.sent = SentTorques(torque, period, drives)
         self.observer: DisturbanceObserver | None = None
         if observer:
@@ -68,6 +70,10 @@ class BallController:
             stops = (robot.limits.state_lower[robot.state["arm"]], robot.limits.state_upper[robot.state["arm"]])
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
+        self._known: tuple[object, int, np.ndarray] | None = (
+            None  # of which measurement and how many commands, the state now
+        )
+        self._steps_alike = type(self)._step is BallController._step
         self.clamped = False
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
@@ -75,6 +81,16 @@ class BallController:
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
+
+    def _through(self, x: np.ndarray, torques: np.ndarray) -> np.ndarray:
+        """The state x after ``torques`` (k, n + m), each for a period."""
+        if not len(torques):
+            return x
+        if self._steps_alike:
+            return self._step(x, torques, self.period)
+        for torque in torques:  # what else moves is for one step
+            x = self._step(x, torque, self.period)
+        return x
 
     def measure(self, measurement: BallMeasurement) -> None:
         """Take in this tick's (late) state; update the disturbance."""
@@ -162,7 +178,7 @@ class BallController:
             self.lean_control.check(t, self.disturbance, x)
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
-        if not np.isfinite(disturbance).all():
+        if not all(map(math.isfinite, disturbance.tolist())):
             raise NotFinite(f"the estimated disturbance is not finite{self._too_fast()}")
         return disturbance
 
@@ -200,22 +216,22 @@ class BallController:
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
-        return float(self.limits.spin @ self.sent.acted(self.sent.ticks(age))[: self.limits.spin.size])
+        spin = self.limits.spin
+        return float(spin @ self.sent.acted(self.sent.ticks(age))[: spin.size])
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""
         assert self.measured is not None
-        x = self.measured.state
-        for torque in self.sent.since(self._late()):
-            x = self._step(x, torque, self.period)
-        return x
+        return self._through(self.measured.state, self.sent.since(self._late()))
 
     def ahead(self) -> np.ndarray:
         """The state in which the next command will act: by the dead time after now, under the torques that were sent before."""
-        x = self.state()
-        for torque in self.sent.pending():
-            x = self._step(x, torque, self.period)
-        return x
+        known, measured, sent = self._known, self.measured, self.sent
+        if known is None or known[0] is not measured or known[1] != sent.count:
+            assert measured is not None
+            late = self._late()
+            self._known = known = measured, sent.count, self._through(measured.state, sent.since(late + sent.dead, 0))
+        return known[2].copy()
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """The state at time ``until`` under the policies that will be in force, through the drives' lag."""
@@ -235,8 +251,9 @@ class BallController:
 
     def command(self, t: float, plans: PolicyQueue) -> BallCommand:
         """Torques at the predicted present state."""
-        if self.forecast is not None and plans.current is not None:
-            stop_for(self.forecast.update_plan(plans.current, self._carried(), self._answered()))
+        forecast, plan = self.forecast, plans.current
+        if forecast is not None and plan is not None and plan is not forecast.seen:
+            stop_for(forecast.update_plan(plan, self._carried(), self._answered()))
         self.feedforward, self.target = self._law(
             t + self.sent.dead * self.period, self.ahead(), plans.current, acts=True
         )
@@ -250,6 +267,6 @@ class BallController:
     def _drive(self, torque: np.ndarray) -> BallCommand:
         """The command for possible torques, which the drives follow with their lag."""
         self.torque = torque
-        self.clamped = bool(np.any(np.abs(torque - self.target) > _ROUNDING * self.limit))
+        self.clamped = bool((np.abs(torque - self.target) > self._cut).any())
         self.sent.send(torque)
         return BallCommand(torque)

@@ -83,7 +83,7 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     }
     ocp.add(
         Cost(
-            "hand",
+            "end_effector",
             residuals.FramePose(robot, robot.tool, axes="reference"),
             list(pose),
             norm=SmoothL1((h.limit,) * 3 + (h.turn_limit,) * 3),

@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from wbmpc import lie
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
+from wbmpc.bases.ball.filter_step import minimal
 from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.ball.model import BallBase
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError
 from wbmpc.estimation.fused_odometry import AHEAD
+from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -50,7 +52,11 @@ class BallEstimator:
         self._robot, self._balance, self._balanced = robot, balance, False
         self._stood = 0.0
         self._time: float | None = None
-        self._yaw = float(x[2])
+        m = base.nq - 5
+        own = {"yaw": np.array([float(x[2])]), "out": np.zeros(2 * base.nq)}
+        joints = {"angle": self.arm.arrays["angle"], "joint_rate": self.arm.arrays["rate"]}
+        of_filter = {name: self.filter.arrays[name] for name in ("x", "rate", "mount")}
+        self._minimal, self._out = bind(minimal, of_filter | joints | own, m=m), own["out"]
         self._places: deque[tuple[float, Array]] = deque()
 
     def update(self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array, turning: float = 0.0) -> Array:
@@ -59,9 +65,9 @@ class BallEstimator:
 
         Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; such a message counts as not given."""
         finite("ball robot's estimator", time=time)
-        angles = numbers("ball robot's estimator", "arm", arm, self.arm.angle.size)
+        angles = numbers("ball robot's estimator", "arm", arm, self.arm.size)
         interval = 0.0 if self._time is None else max(time - self._time, 0.0)
-        self.filter.update(interval, wheel, gyro, accel, turning)
+        self.filter.take(interval, wheel, gyro, accel, turning)
         if self._time is not None and interval == 0.0:
             return self.state
         self._time = time
@@ -89,7 +95,7 @@ class BallEstimator:
         wrong = pose - then
         wrong[2] = np.remainder(wrong[2] + np.pi, 2.0 * np.pi) - np.pi
         previous = self.state[:3].copy()
-        self.filter.know_place(wrong, covariance)
+        self.filter.correct_pose(wrong, covariance)
         state = self.state
         for _, place in self._places:  # what was wrong now was wrong then
             place += state[:3] - previous
@@ -106,7 +112,7 @@ class BallEstimator:
         self._stood += interval
         if self._stood >= STANDS:
             pitch, roll = self._robot.base.numeric.equilibrium(self.arm.angle)[0][3:5]
-            f.know_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
+            f.correct_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
             self._balanced = True
 
     @property
@@ -115,15 +121,11 @@ class BallEstimator:
         explains them), and joints whose encoder ``jumps``."""
         names = self._robot.state.groups["arm"]
         own = tuple(f for f in self.filter.faults if f != "imu jumps" or not self.arm.flung)
-        return own + tuple(f"{names[i]} jumps" for i in np.flatnonzero(self.arm.jumped))
+        jumped = self.arm.arrays["jumped"].tolist()
+        return own + tuple(f"{names[i]} jumps" for i, it in enumerate(jumped) if it) if any(jumped) else own
 
     @property
     def state(self) -> Array:
         """The last estimate (2 nq), yaw not wrapped."""
-        f = self.filter
-        yaw, pitch, roll = lie.rotation_to_euler_zyx(f.state.rotation)
-        self._yaw += float(np.remainder(yaw - self._yaw + np.pi, 2.0 * np.pi) - np.pi)
-        rates = lie.euler_zyx_rates(pitch, roll, f.rate)
-        x, y = f.state.position[:2]
-        vx, vy = f.ball_velocity[:2]
-        return np.array([x, y, self._yaw, pitch, roll, *self.arm.angle, vx, vy, *rates, *self.arm.rate])
+        self._minimal()
+        return self._out.copy()

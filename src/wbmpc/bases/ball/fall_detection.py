@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from wbmpc.bases.ball.balance import Balance, load_offset
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import FallPredicted, InputError
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 
@@ -55,26 +57,28 @@ class FallPredictor:
         if not isinstance(plans, int | np.integer) or plans < 1:
             raise InputError(f"forecast of a fall: 'plans' must be a whole number, at least 1, got {plans}")
         balance = Balance.of(robot, numbers("forecast of a fall", "arm", arm, len(robot.state.groups["arm"])))
-        given = "force" in robot.input
-        self._force = robot.input["force"] if given else None
+        has_force = "force" in robot.input
+        self._force = robot.input["force"] if has_force else None
         self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0
         self._seconds, self._within, self._ahead = seconds, -np.inf, ahead
         n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)
         w = ca.SX.zeros(robot.parameters.size)
-        mass, end_effector = ca.SX.sym("mass"), ca.SX.sym("hand", 2)
+        mass, end_effector = ca.SX.sym("mass"), ca.SX.sym("push", 2)
         if "payload" in robot.parameters:
             w[robot.parameters["payload"]] = mass
         offset = load_offset(robot.base, x[:n], w)
         component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * end_effector
-        self._component = ca.Function("component", [x, mass, end_effector], [component])
-        self._seen: Policy | None = None
+        self._component = Numeric(ca.Function("component", [x, mass, end_effector], [ca.densify(component)]))
+        self._size = robot.state.size
+        #: the plan that was looked at last
+        self.seen: Policy | None = None
 
     def update_plan(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> list[Fall]:
         """What follows from the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
         ``shift`` (2) [m] of the divergent component."""
-        if policy is self._seen:
+        if policy is self.seen:
             return []
-        self._seen = policy
+        self.seen = policy
         soon = policy.times[1:] <= policy.times[0] + self._ahead
         force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
         maximum = self._maximum(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
@@ -93,17 +97,22 @@ class FallPredictor:
     ) -> list[Fall]:
         """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
-        maximum = self._maximum(x[None], payload, np.asarray(force, float), shift)
+        maximum = self._component_of(x, payload, np.asarray(force, float), *np.asarray(shift, float).tolist())
         if maximum <= self.reach or not np.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
             return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", maximum)]
         return []
 
-    def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike = (0, 0)) -> float:
-        """Largest divergent component [m] of states (n, nx) under forces (2) or (n, 2) [N] on the end effector, and a ``shift`` (2)."""
-        found = np.array(self._component(states[:, : self._component.size1_in(0)].T, payload, force.T))
-        return float(np.linalg.norm(found + np.reshape(shift, (2, 1)), axis=0).max())
+    def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike) -> float:
+        """Largest divergent component [m] of states (n, nx) under forces (n, 2) [N] on the end effector, and a ``shift`` (2)."""
+        x, y = np.asarray(shift, float).tolist()
+        return max(self._component_of(state, payload, one, x, y) for state, one in zip(states, force, strict=True))
+
+    def _component_of(self, state: np.ndarray, payload: float, force: np.ndarray, x: float, y: float) -> float:
+        """The divergent component [m] of a state (nx)."""
+        (u,), (v,) = self._component(state[: self._size], payload, force)[0].tolist()
+        return math.hypot(u + x, v + y)
 
     def _fall(self, t: float, who: str, maximum: float) -> Fall:
         lean = f"{who} by {1e3 * maximum:.0f} mm at the centre of mass"

@@ -7,7 +7,7 @@ of the ball without slip, wheel encoders, and the floor's height. docs/explanati
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,18 +34,6 @@ GATE, STALLED, STILL = 1e-4, 1e-2, 3.0
 _EXACT = 1e-14
 
 
-@dataclass(frozen=True)
-class _Explained:
-    """A ``state`` after a message, its ``covariance``, by what the wheels ``turned`` (n) [rad], the ``faults`` that explain the
-    readings; ``loose``: whether wheels, or the ball, slip in it."""
-
-    state: BallState
-    covariance: Array
-    turned: Array
-    faults: tuple[str, ...]
-    loose: bool
-
-
 class BallFilter:
     """Error state (16 + wheels): position, velocity of the inertial unit, attitude (base axes), gyro and accelerometer bias,
     log of the wheels' radius factor, wheel angles. ``covariance`` belongs to it.
@@ -65,24 +53,52 @@ class BallFilter:
         self.geometry, self.noise = geometry, noise
         position = np.array([*numbers("ball filter", "position", np.asarray(position)[:2], 2), 0.0])
         numbers("ball filter", "rotation", np.ravel(rotation), 9)
-        self.state = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))
-        s = noise
+        self._memory = FilterMemory(geometry, noise, backend)
+        start = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))
+        self.state, s = start, noise
         spread = np.concatenate([
             [s.start, s.start, s.floor], [s.speed] * 3, [s.tilt] * 3, [s.gyro_bias] * 3, [s.accel_bias] * 3, [s.scale], [1.0] * n,
         ])  # fmt: skip
-        self.covariance = np.diag(spread**2)
+        p = np.diag(spread**2)
         # what is known of the start is its heading: the uncertain axes are those of the world's horizontal
-        about = self.state.rotation.T @ np.diag([s.tilt, s.tilt, s.start]) ** 2 @ self.state.rotation
-        self.covariance[A, A] = about
+        p[A, A] = start.rotation.T @ np.diag([s.tilt, s.tilt, s.start]) ** 2 @ start.rotation
+        self.covariance = p
         self.freedom, self.surprise = n + 1, 0.0
         self.faults: tuple[str, ...] = ()
         self._gate = float(chi2.isf(GATE, self.freedom))
-        self._inertial = InertialGate(unit or InertialDescription(), self.state.rotation.T @ GRAVITY)
+        self._inertial = InertialGate(unit or InertialDescription(), start.rotation.T @ GRAVITY)
         self._still = STILL * np.sqrt(12.0) * noise.encoder
-        self._memory = FilterMemory(geometry, noise, backend)
         self._first = True
         self._turning = 0.0  # the torque about the vertical that lasts [N m]
-        self.rate = np.zeros(3)
+
+    @property
+    def state(self) -> BallState:
+        """The last estimate, a copy."""
+        return self._memory.state
+
+    @state.setter
+    def state(self, state: BallState) -> None:
+        self._memory.state = state
+
+    @property
+    def covariance(self) -> Array:
+        """Of its error (16 + n, 16 + n), a copy."""
+        size = 16 + self._n
+        return self._memory.arrays["p"].reshape(size, size).copy()
+
+    @covariance.setter
+    def covariance(self, covariance: Array) -> None:
+        self._memory.arrays["p"][:] = covariance.reshape(-1)
+
+    @property
+    def rate(self) -> Array:
+        """Angular velocity (3) [rad/s] of the base, base axes."""
+        return self._memory.arrays["rate"].copy()
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """Its arrays by their names in :mod:`wbmpc.bases.ball.filter_step`, for other steps to read."""
+        return self._memory.arrays
 
     # ------------------------------------------------------------------ update
     def update(
@@ -94,32 +110,42 @@ class BallFilter:
         integrated, and position, heading, lean and velocity are known as little as that module states.
 
         Raises :class:`NotFinite` for readings that are not finite, or from which no state follows."""
+        self.take(interval, wheel, gyro, accel, turning)
+        return self.state
+
+    def take(
+        self, interval: float, wheel: ArrayLike, gyro: ArrayLike, accel: ArrayLike, turning: float = 0.0
+    ) -> None:  # fmt: skip
+        """As :meth:`update`, for who reads the state elsewhere."""
         finite("ball filter", interval=interval, turning=turning)
-        w, *message = (
-            numbers("ball filter", name, value, size)
-            for name, value, size in (("wheel", wheel, self._n), ("gyro", gyro, 3), ("accel", accel, 3))
-        )
+        w = numbers("ball filter", "wheel", wheel, self._n)
+        message = np.array([numbers("ball filter", "gyro", gyro, 3), numbers("ball filter", "accel", accel, 3)])
+        memory = self._memory
         if self._first:
-            self.state.wheel, self._first = w.copy(), False
-            self._memory.arrays["read"][:] = w
-            self.covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2
+            self._start(w)
         if interval <= 0.0:
-            return self.state
+            return
         if interval > GAP:
             self._bridge(interval, w)
-            return self.state
-        self._turning += (1.0 - np.exp(-interval / self.noise.lasting)) * (turning - self._turning)
+            return
+        self._turning += (1.0 - math.exp(-interval / self.noise.lasting)) * (turning - self._turning)
         try:
-            best = self._weighed(interval, w, np.stack(message))
+            self._weigh(interval, w, message)
         except np.linalg.LinAlgError as error:
             raise NotFinite(
                 f"ball filter: no state follows from wheels {w}, gyro and accel {message} ({error})"
             ) from error
-        self.state, self.covariance, self.faults = best.state, best.covariance, best.faults
-        self.rate = self._inertial.last[0] - self.state.gyro_bias
-        self._memory.arrays["gone"][:] = best.turned
-        self._memory.detect_stalled(self._still, STALLED)
-        return self.state
+        memory.accept()
+        x = memory.arrays["x"]
+        memory.arrays["rate"][:] = self._inertial.last[0] - x[State.GYRO_BIAS : State.ACCEL_BIAS]
+        memory.detect_stalled(self._still, STALLED)
+
+    def _start(self, wheel: Array) -> None:
+        """The first message says where the wheels are."""
+        arrays, covariance = self._memory.arrays, self.covariance
+        arrays["x"][State.WHEEL :], arrays["read"][:] = wheel, wheel
+        covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2
+        self.covariance, self._first = covariance, False
 
     def _bridge(self, h: float, wheel: Array) -> None:
         """Go on after a gap: the readings that follow say the rest."""
@@ -127,61 +153,58 @@ class BallFilter:
         shift, yaw = bridged(np.exp(-x.scale) * g.turn, g.radius, x.rotation, wheel - x.wheel)
         about = lie.euler_zyx_to_rotation(yaw, 0.0, 0.0)
         position, turning, velocity = spreads(h, shift, yaw)
-        self.state = BallState(
+        self.state = moved = BallState(
             x.position + shift, shift / h, about @ x.rotation, x.gyro_bias, x.accel_bias, wheel.copy(), x.scale
         )
         known = p[P, P].copy()
-        heading = float(self.state.rotation[2] @ p[A, A] @ self.state.rotation[2])
+        heading = float(moved.rotation[2] @ p[A, A] @ moved.rotation[2])
         for part in (P, V, A, slice(16, None)):  # what was known together is not any more
             p[part, :], p[:, part] = 0.0, 0.0
-        up = self.state.rotation[2]
+        up = moved.rotation[2]
         p[P, P] = known + np.diag([position**2, position**2, self.noise.floor**2])
         p[V, V] = velocity**2 * np.eye(3)
         p[A, A] = GAP_LEAN**2 * np.eye(3) + (heading + turning**2 - GAP_LEAN**2) * np.outer(up, up)
         p[16:, 16:] = self.noise.encoder**2 * np.eye(self._n)
+        self.covariance = p
         self._inertial.reset()
         self._turning, self.faults = 0.0, ()
         self._memory.arrays["read"][:], self._memory.arrays["way"][:] = wheel, 0.0
 
-    def _weighed(self, h: float, wheel: Array, message: Array) -> _Explained:
+    def _weigh(self, h: float, wheel: Array, message: Array) -> None:
         """What a ``message`` (2, 3) of the inertial unit and the wheels say; without the message if it cannot be true.
 
         One that jumps while the wheels contradict it cannot, if the wheels agree with each other: a spike, not three wheels.
         """
         unit = self._inertial
         if fault := unit.judge(h, message):
-            return self._explained(h, wheel, unit.last, fault)
+            self._explain(h, wheel, unit.last, fault)
+            return
         persists = unit.persists(message)
-        best = self._explained(h, wheel, message)
-        if persists or (best.loose and unit.jumps(message)):
-            without = self._explained(h, wheel, unit.last, "jumps")
-            if not without.loose:
+        loose = self._explain(h, wheel, message)
+        if persists or (loose and unit.jumps(message)):
+            if not self._explain(h, wheel, unit.last, "jumps"):
                 unit.reject()
-                return without
+                return
+            self._explain(h, wheel, message)
         unit.accept(message)
-        return best
 
-    def _explained(self, h: float, wheel: Array, message: Array, fault: str = "") -> _Explained:
-        """The newer state under the mildest explanation of the rows: no fault, the ball spins on the floor, one
-        wheel slips, the ball slips. If none is good enough the best one counts. ``fault``: why the inertial message is another
-        one's, which says little."""
-        memory = self._memory
-        a = memory.arrays
-        memory.set_state(self.state, self.covariance)
-        a["wheel"][:] = wheel
-        a["gyro"][:], a["accel"][:] = message
+    def _explain(self, h: float, wheel: Array, message: Array, fault: str = "") -> bool:
+        """Find the newer state, and the ``faults``, under the mildest explanation of the rows: no fault, the ball spins on the floor,
+        one wheel slips, the ball slips. If none is good enough the best one counts. ``fault``: why the inertial message is another
+        one's, which says little. Returns whether wheels, or the ball, slip in it."""
+        memory, a = self._memory, self._memory.arrays
+        a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, message[0], message[1]
         memory.linearise(h, self._turning, *self._doubt(h, message, fault))
         choice, self.surprise = memory.explain(self._gate)
         if choice < 0:
             raise np.linalg.LinAlgError("the residuals are not finite")
         memory.apply()
-        certain = (
-            *((f"imu {fault}",) if fault else ()),
-            *(f"wheel_{i} stalled" for i, stands in enumerate(a["stalled"].tolist()) if stands),
-        )
-        covariance = a["best_covariance"].reshape(self.covariance.shape).copy()
-        turned = a["y"][State.WHEEL :] - a["x"][State.WHEEL :]
-        return _Explained(memory.new_state(), covariance, turned, certain + self._named(choice), choice > 0)
+        stalled = a["stalled"].tolist()
+        certain: tuple[str, ...] = (f"imu {fault}",) if fault else ()
+        if any(stalled):
+            certain += tuple(f"wheel_{i} stalled" for i, stands in enumerate(stalled) if stands)
+        self.faults = certain + self._named(choice)
+        return bool(choice > 0)
 
     def _doubt(self, h: float, message: Array, fault: str) -> tuple[float, float]:
         """By how much the variances of turning [rad²] and push [m²/s²] are above those of a motion that does not change."""
@@ -192,9 +215,9 @@ class BallFilter:
         if self._inertial.jumps(message):
             return 0.0, 0.0
         # a mean says the less of a motion, the more it changes to the next; spikes are judged, not believed a little less
-        change = message - self._inertial.last
-        rate, force = ((self.noise.change * h) ** 2 * np.sum(change * change, axis=1)).tolist()
-        return rate, force
+        (a, b, c), (d, e, f) = (message - self._inertial.last).tolist()
+        share = (self.noise.change * h) ** 2
+        return share * (a * a + b * b + c * c), share * (d * d + e * e + f * f)
 
     def _named(self, choice: int) -> tuple[str, ...]:
         """What slips in an explanation (:func:`wbmpc.bases.ball.filter_solve.explain`)."""
@@ -202,7 +225,7 @@ class BallFilter:
             return ()
         return (("ball spins", *(f"wheel_{i} slips" for i in range(self._n)), "ball slips")[choice - 1],)
 
-    def know_lean(self, up: ArrayLike, spread: float) -> None:
+    def correct_lean(self, up: ArrayLike, spread: float) -> None:
         """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].
 
         Near upright a horizontal bias of the accelerometer looks like a lean; this distinguishes them, as well as it is known.
@@ -218,7 +241,7 @@ class BallFilter:
         slope[:, A] = skew(expected)[:2]
         self._correct(slope, (up / length - expected)[:2], spread**2 * np.eye(2))
 
-    def know_place(self, wrong: ArrayLike, covariance: ArrayLike) -> None:
+    def correct_pose(self, wrong: ArrayLike, covariance: ArrayLike) -> None:
         """A pose that is known from elsewhere: ``wrong`` (3) is what it says minus the estimate, x, y [m] and yaw [rad], with a
         ``covariance`` (3, 3); with one of zeros it counts as exact. Raises :class:`InputError` (:class:`NotFinite`) for numbers
         that cannot be."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.ball.filter_solve import explain
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState
-from wbmpc.bases.ball.filter_step import Noise, State, apply, detect_stalled, linearise
+from wbmpc.bases.ball.filter_step import Noise, State, accept, apply, detect_stalled, linearise
 from wbmpc.kernel.step import Backend, bind
 
 Array = NDArray[np.float64]
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 class FilterMemory:
     """``arrays``: everything by its name in :mod:`wbmpc.bases.ball.filter_step`. Steps: ``linearise(h, torque, gyro_more, accel_more)``,
-    ``explain(gate)``, ``apply()`` and ``detect_stalled(still, most)``."""
+    ``explain(gate)``, ``apply()``, ``accept()`` and ``detect_stalled(still, most)``. The older state is the filter's."""
 
     def __init__(self, geometry: BallGeometry, noise: BallNoise, backend: Backend) -> None:
         self._made_of = geometry, noise, backend
@@ -23,7 +23,7 @@ class FilterMemory:
         size, m, state = 16 + n, 17 + 2 * n, State.WHEEL + n
         sizes = {"x": state, "y": state, "z": state, "gyro": 3, "accel": 3}
         sizes |= {"wheel": n, "read": n, "way": n, "gone": n, "stalled": n, "spin": n, "plain": n * n, "slip": 3 * n}
-        sizes |= {"turn": 3, "turned": 9, "half": 9, "middle": 9, "after": 9, "shift": 3, "pushed": 3}
+        sizes |= {"rate": 3, "turn": 3, "turned": 9, "half": 9, "middle": 9, "after": 9, "shift": 3, "pushed": 3}
         sizes |= {"p": size * size, "jx": m * size, "jy": m * size, "q": m * m, "r": m, "moved": m * size, "f": m * m}
         sizes |= {"w": m * (size + 1), "a": size * size, "inverse": size * size, "slope": size}
         sizes |= {"error": size, "covariance": size * size, "best_error": size, "best_covariance": size * size}
@@ -37,29 +37,38 @@ class FilterMemory:
         self.explain = bind(explain, a, backend, n=n)
         # the error that counts is that of the best explanation
         self.apply = bind(apply, a | {"error": a["best_error"]}, backend, n=n)
+        self.accept = bind(accept, a, backend, n=n)
         self.detect_stalled = bind(detect_stalled, a, backend, n=n)
 
     def __deepcopy__(self, memo: dict[int, object]) -> FilterMemory:
-        """Steps of the copy work on its own arrays."""
+        """Steps of the copy work on its own arrays, and so do those of others on these."""
         made = FilterMemory(*self._made_of)
         for name, array in self.arrays.items():
             made.arrays[name][:] = array
+            memo[id(array)] = made.arrays[name]
         return made
 
-    def set_state(self, state: BallState, covariance: Array) -> None:
-        """The older state and its ``covariance`` (size, size)."""
+    @property
+    def state(self) -> BallState:
+        """The older state, a copy."""
+        return _state_of(self.arrays["x"].copy())
+
+    @state.setter
+    def state(self, state: BallState) -> None:
         x = self.arrays["x"]
         x[State.POSITION : State.VELOCITY], x[State.VELOCITY : State.ROTATION] = state.position, state.velocity
         x[State.ROTATION : State.GYRO_BIAS] = state.rotation.ravel()
         x[State.GYRO_BIAS : State.ACCEL_BIAS], x[State.ACCEL_BIAS : State.SCALE] = state.gyro_bias, state.accel_bias
         x[State.SCALE], x[State.WHEEL :] = state.scale, state.wheel
-        self.arrays["p"][:] = covariance.ravel()
 
     def new_state(self) -> BallState:
         """The newer state."""
-        z = self.arrays["z"].copy()
-        return BallState(
-            z[State.POSITION : State.VELOCITY], z[State.VELOCITY : State.ROTATION],
-            z[State.ROTATION : State.GYRO_BIAS].reshape(3, 3), z[State.GYRO_BIAS : State.ACCEL_BIAS],
-            z[State.ACCEL_BIAS : State.SCALE], z[State.WHEEL :], float(z[State.SCALE]),
-        )  # fmt: skip
+        return _state_of(self.arrays["z"].copy())
+
+
+def _state_of(z: Array) -> BallState:
+    return BallState(
+        z[State.POSITION : State.VELOCITY], z[State.VELOCITY : State.ROTATION],
+        z[State.ROTATION : State.GYRO_BIAS].reshape(3, 3), z[State.GYRO_BIAS : State.ACCEL_BIAS],
+        z[State.ACCEL_BIAS : State.SCALE], z[State.WHEEL :], float(z[State.SCALE]),
+    )  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 from wbmpc.bases.ball.compilation import compiled, step
 from wbmpc.kernel.ir import Floats
 
-GRAVITY = 9.81
+GRAVITY, PI = 9.81, float(np.pi)
 
 
 class State(IntEnum):
@@ -278,3 +278,40 @@ def detect_stalled(
         else:
             way[i] += gone[i]
             stalled[i] = 1.0 if abs(way[i]) > most else 0.0
+
+
+@step
+def accept(n: int, x: Floats, y: Floats, z: Floats, p: Floats, best_covariance: Floats, gone: Floats) -> None:
+    """The newer state ``z`` becomes the older one, ``x`` and ``p``; ``gone`` (n) [rad]: what the wheels turned between them."""
+    for i in range(n):
+        gone[i] = y[State.WHEEL + i] - x[State.WHEEL + i]
+    for i in range(State.WHEEL + n):
+        x[i] = z[i]
+    for i in range((16 + n) * (16 + n)):
+        p[i] = best_covariance[i]
+
+
+@step
+def minimal(
+    m: int, x: Floats, rate: Floats, mount: Floats, angle: Floats, joint_rate: Floats, yaw: Floats, out: Floats
+) -> None:
+    """The state ``out`` of the minimal model: (x, y, yaw, pitch, roll, m joints) and their rates, of a filter's ``x``, the base's
+    ``rate`` (3) [rad/s] and joints. ``yaw`` (1) [rad] is not wrapped: it goes on from the last one."""
+    r = State.ROTATION
+    pitch = np.arcsin(min(max(-x[r + 6], -1.0), 1.0))
+    roll = np.arctan2(x[r + 7], x[r + 8])
+    turned = np.arctan2(x[r + 3], x[r]) - yaw[0] + PI
+    yaw[0] += turned - 2.0 * PI * np.floor(turned / (2.0 * PI)) - PI
+    s, c, cp, sp = np.sin(roll), np.cos(roll), np.cos(pitch), np.sin(pitch)
+    yaw_rate = (s * rate[1] + c * rate[2]) / cp
+    ax = rate[1] * mount[2] - rate[2] * mount[1]
+    ay = rate[2] * mount[0] - rate[0] * mount[2]
+    az = rate[0] * mount[1] - rate[1] * mount[0]
+    out[0], out[1] = x[State.POSITION], x[State.POSITION + 1]
+    out[2], out[3], out[4] = yaw[0], pitch, roll
+    v = 5 + m
+    for i in range(2):
+        out[v + i] = x[State.VELOCITY + i] - (x[r + 3 * i] * ax + x[r + 3 * i + 1] * ay + x[r + 3 * i + 2] * az)
+    out[v + 2], out[v + 3], out[v + 4] = yaw_rate, c * rate[1] - s * rate[2], rate[0] + sp * yaw_rate
+    for i in range(m):
+        out[5 + i], out[v + 5 + i] = angle[i], joint_rate[i]

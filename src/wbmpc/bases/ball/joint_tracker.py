@@ -26,7 +26,7 @@ class JointTracker:
     ``speed`` (n) [rad/s] can do in the time since, or with the jump before it: nearer to that than to where the joint was. So a
     step that is never undone never counts, however far the joint could have moved meanwhile; one that is undone, and a joint
     of which no message came for a while, count by their distance. Those of ``surprised`` (n) are far from what was expected:
-    their rates are in doubt."""
+    their rates are in doubt. ``size``: n; ``arrays``: everything by its name in :mod:`wbmpc.bases.ball.joint_step`."""
 
     def __init__(
         self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0,
@@ -36,8 +36,8 @@ class JointTracker:
         not_negative(who, encoder=encoder, age=age, jitter=jitter)
         positive(who, acceleration=acceleration)
         start = numbers(who, "angles", angles, np.size(angles))
-        n = self._n = start.size
-        a = self._arrays = {name: np.zeros(n) for name in _ARRAYS}
+        n = self.size = start.size
+        a = self.arrays = {name: np.zeros(n) for name in _ARRAYS}
         a["speed"] = np.array(np.broadcast_to(scales(who, "speed", speed), n), float)
         a["angle"][:], a["raw"][:], a["aa"][:], a["rr"][:] = start, start, 1e-2, 1e-2
         self._first = True
@@ -47,47 +47,47 @@ class JointTracker:
     @property
     def angle(self) -> Array:
         """(n) [rad]."""
-        return self._arrays["angle"].copy()
+        return self.arrays["angle"].copy()
 
     @property
     def rate(self) -> Array:
         """(n) [rad/s]."""
-        return self._arrays["rate"].copy()
+        return self.arrays["rate"].copy()
 
     @property
     def reading(self) -> Array | None:
         """The last readings (n) [rad] that counted; None before the first."""
-        return None if self._first else self._arrays["reading"].copy()
+        return None if self._first else self.arrays["reading"].copy()
 
     @property
     def jumped(self) -> NDArray[np.bool_]:
         """(n) whether a joint's last reading did not count."""
-        return np.asarray(self._arrays["jumped"] > 0.0)
+        return np.asarray(self.arrays["jumped"] > 0.0)
 
     @property
     def surprised(self) -> NDArray[np.bool_]:
         """(n) whether a joint's last reading was far from what was expected."""
-        return np.asarray(self._arrays["surprised"] > 0.0)
+        return np.asarray(self.arrays["surprised"] > 0.0)
 
     @property
     def flung(self) -> bool:
         """Whether something moves a joint faster than its drive can (:data:`FASTER`)."""
-        return bool((np.abs(self._arrays["rate"]) > FASTER * self._arrays["speed"]).any())
+        return bool((np.abs(self.arrays["rate"]) > FASTER * self.arrays["speed"]).any())
 
     def update(self, interval: float, reading: Array) -> None:
         """``interval`` [s] since the ``reading`` (n) [rad] before. Raises :class:`InputError` for numbers that cannot be."""
         positive_time("joint tracker", interval)
-        reading = numbers("joint tracker", "reading", reading, self._n)
+        reading = numbers("joint tracker", "reading", reading, self.size)
         if interval > GAP:
             self._restart(reading)
         else:
-            self._arrays["given"][:] = reading
+            self.arrays["given"][:] = reading
             self._track(interval, self._first)
         self._first = False
 
     def _restart(self, reading: Array) -> None:
         """After a gap joints are where they are read, and nobody knows how fast."""
-        a = self._arrays
+        a = self.arrays
         for name in ("angle", "reading", "raw"):
             a[name][:] = reading
         for name in ("rate", "ar", "jumped", "uncounted", "moved"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from wbmpc.bases.ball.balance import BASE, Balance
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import DisturbanceTooLarge
+from wbmpc.lie import cos_sin
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -35,6 +37,8 @@ class LeanControl:
         positive("lean_control", speed=speed)
         arm = numbers("lean_control", "arm", arm, len(robot.state.groups["arm"]))
         self.balance, self.speed = Balance.of(robot, arm), speed
+        self._worth = self.balance.shift + self.balance.stand
+        self._known: tuple[tuple[float, ...], tuple[Array, Array]] = (), (np.zeros(2), np.zeros(2))
         self.reach = float(self.balance.reach.min())
         self._room = max(MAXIMUM - share, 0.0) * self.reach
         self._ball_speed = slice(robot.base.nq, robot.base.nq + 2)
@@ -47,29 +51,32 @@ class LeanControl:
     def shift(self, force: Array, yaw: float) -> Array:
         """By how much (2) [m] the divergent component counts like more than it is, along the world's x and y, under the learnt
         generalised ``force`` (nq) [N, N m] at a heading [rad]."""
-        return _turned(self.balance.shift @ self._in_heading(force, yaw), yaw)
+        return self._worths(force, yaw)[0].copy()
 
     def centre(self, force: Array, yaw: float) -> Array:
         """The same for the limit of the lean: about the lean with which the robot stands still, as far as the reach allows.
 
         What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MAXIMUM`.
         """
-        borne = self._borne(force, yaw)
-        size = max(float(np.hypot(*borne)), 1e-12)
-        return self.shift(force, yaw) - _turned(min(1.0, self._room / size) * borne, yaw)
+        shift, borne = self._worths(force, yaw)
+        size = max(math.hypot(*borne.tolist()), 1e-12)
+        return shift - _turned(min(1.0, self._room / size) * borne, yaw)
 
     def check(self, t: float, force: Array, x: Array) -> None:
         """Report once a learnt ``force`` (nq) that pushes the robot away, at state x (nx) and time t [s]: one that no lean can
         hold, or a strong one that drives the ball with half of ``speed``. Raises :class:`DisturbanceTooLarge` when it has driven it with
         all of it for :data:`HELD`.
         """
-        borne = float(np.hypot(*self._borne(force, float(x[2])))) / self.reach
+        borne = math.hypot(*self._worths(force, float(x[2]))[1].tolist()) / self.reach
         velocity = x[self._ball_speed]
         # a ball that rolls back against the force is not driven by it
-        driven = float(np.hypot(*velocity)) / self.speed if borne > STRONG and velocity @ force[:2] > 0.0 else 0.0
+        driven = math.hypot(*velocity.tolist()) / self.speed if borne > STRONG and velocity @ force[:2] > 0.0 else 0.0
         self._driven_since = min(self._driven_since, t) if driven > 1.0 else np.inf
+        fault = (borne > MAXIMUM or driven > 0.5) and not self.push_fault
+        if not fault and t - self._driven_since < HELD:
+            return
         what = f"a force of at least {np.hypot(*force[:2]):.0f} N that lasts pushes the robot away"
-        if (borne > MAXIMUM or driven > 0.5) and not self.push_fault:
+        if fault:
             self.push_fault = f"{what} ({t:.2f} s)"
             _LOG.warning("%s", self.push_fault)
         if t - self._driven_since >= HELD:
@@ -78,15 +85,20 @@ class LeanControl:
             )
 
     def _borne(self, force: Array, yaw: float) -> Array:
-        return (self.balance.shift + self.balance.stand) @ self._in_heading(force, yaw)
+        return self._worths(force, yaw)[1].copy()
 
-    @staticmethod
-    def _in_heading(force: Array, yaw: float) -> Array:
-        out = np.array(force[:BASE], float)
-        out[:2] = _turned(out[:2], -yaw)
-        return out
+    def _worths(self, force: Array, yaw: float) -> tuple[Array, Array]:
+        """(shift (2), along the world's axes, what the wheels bear (2), along the heading's) [m] of the reach."""
+        key = (yaw, *np.asarray(force, float)[:BASE].tolist())
+        if key != self._known[0]:  # asked for several times in a tick
+            heading = np.array(key[1:])
+            heading[:2] = _turned(heading, -yaw)
+            shift = _turned(self.balance.shift @ heading, yaw)
+            self._known = key, (shift, self._worth @ heading)
+        return self._known[1]
 
 
 def _turned(vector: Array, angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
+    c, s = cos_sin(angle)
+    x, y = vector[:2].tolist()
+    return np.array([c * x - s * y, s * x + c * y])

@@ -62,8 +62,8 @@ class BallBase:
         wheels = [f"wheel_{i}" for i in range(len(self.base.wheels.azimuths))]
         axes = ["x", "y", "z"]
         self.contacts = self._contacts(description.arm.tool)
-        given = {group: axes for groups in self.contacts.values() for group in groups.values()}
-        self.input = {"wheel": wheels, "arm": arm, **given}
+        contact_forces = {group: axes for groups in self.contacts.values() for group in groups.values()}
+        self.input = {"wheel": wheels, "arm": arm, **contact_forces}
         self.mode: dict[str, list[str]] = {}
         self.parameters = {"disturbance": [*pose, *arm], **({} if self.contacts else {"force": axes})}
         self.parameters["push"] = ["x", "y"]

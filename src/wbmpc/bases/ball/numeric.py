@@ -69,9 +69,9 @@ class BallNumeric:
         n = base.nq
         if "rest" not in self._functions:
             q, u, f = ca.SX.sym("q", n), ca.SX.sym("u", len(base.input["wheel"]) + n - 5), ca.SX.sym("f", 3)
-            given = ca.vertcat(u, ca.SX.zeros(self._input - u.shape[0]))
+            inputs = ca.vertcat(u, ca.SX.zeros(self._input - u.shape[0]))
             rest = base.inverse_dynamics(q, ca.SX(n, 1), ca.SX(n, 1)) - base.tool_force(q, f)
-            rest -= base.generalised_force(q, given, ca.SX.zeros(self._parameters))
+            rest -= base.generalised_force(q, inputs, ca.SX.zeros(self._parameters))
             self._functions["rest"] = ca.Function("rest", [q, u, f], [rest])
         rest_of, angles, push = self._functions["rest"], np.asarray(arm, float), np.asarray(force, float)
         if angles.shape != (n - 5,) or push.shape != (3,):

@@ -49,6 +49,7 @@ class PayloadEstimator:
         positive(who, sure=self.sure)
         base, arm = numbers(who, "spread", self.spread, 2)
         positive(who, spread=min(base, arm))
+        self._square = np.zeros(0)
 
     def update(self, q: Array, force: Array, h: float) -> Array:
         """Weigh for ``h`` [s] (0: nothing is learnt) at joint positions q (nq); the disturbance ``force`` (nq) without what became
@@ -59,7 +60,9 @@ class PayloadEstimator:
         n = np.size(q)
         q, force = numbers("payload estimator", "q", q, n), numbers("payload estimator", "force", force, n)
         weight = self.weight(q)
-        scaled = weight / np.array([self.spread[0]] * 5 + [self.spread[1]] * (q.size - 5)) ** 2
+        if self._square.size != n:
+            self._square = np.array([self.spread[0]] * 5 + [self.spread[1]] * (n - 5)) ** 2
+        scaled = weight / self._square
         known, by_arm = float(scaled @ weight), float(scaled[5:] @ weight[5:])
         if by_arm < max(0.5 * known, self.sure**-2):
             return force

@@ -6,6 +6,7 @@ with rolling. Until its estimator exists the measurement is the simulator's stat
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import mujoco
@@ -16,7 +17,7 @@ from wbmpc import lie
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.perturbation import check_perturbation
-from wbmpc.bases.ball.sensors import BallSensors, Inertial, WheelGeometry
+from wbmpc.bases.ball.sensors import BallSensors, WheelGeometry
 from wbmpc.bases.ball.servo import ActuatorServo
 from wbmpc.checks import numbers, whole
 from wbmpc.errors import InputError
@@ -31,8 +32,8 @@ from wbmpc.simulation.world import (
     TIMESTEP,
     Array,
     Edit,
-    InWorld,
     World,
+    WorldAccess,
     add_drive,
     add_floor,
     add_light,
@@ -51,9 +52,16 @@ def minimal_state(quaternion: Array, velocity: Array, position: Array, arm: Arra
     ``quaternion`` (4) body to world, ``velocity`` (6): linear in world axes [m/s], angular in body axes [rad/s]
     (MuJoCo's convention), ``position`` (3) of the ball's centre.
     """
-    yaw, pitch, roll = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(quaternion))
-    rates = lie.euler_zyx_rates(pitch, roll, velocity[3:6])
-    return np.array([position[0], position[1], yaw, pitch, roll, *arm, velocity[0], velocity[1], *rates, *arm_rate])
+    w, x, y, z = quaternion.tolist()
+    roll = math.atan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(min(max(2.0 * (w * y - x * z), -1.0), 1.0))
+    yaw = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    n = arm.size
+    state = np.empty(10 + 2 * n)
+    state[0], state[1], state[2], state[3], state[4] = position[0], position[1], yaw, pitch, roll
+    state[5 : 5 + n], state[5 + n : 7 + n], state[10 + n :] = arm, velocity[:2], arm_rate
+    state[7 + n : 10 + n] = lie.euler_zyx_rates(pitch, roll, velocity[3:6])
+    return state
 
 
 def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
@@ -70,7 +78,7 @@ def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
     )
 
 
-class BallPlant(InWorld):
+class BallPlant(WorldAccess):
     """Physics and drives of a ball robot.
 
     ``state`` (16): where it starts in the planner's minimal coordinates, as its sensors see it (left out: upright, arm
@@ -116,16 +124,17 @@ class BallPlant(InWorld):
         self.offset = np.zeros(10 + 2 * n)
         self.offset[5 : 5 + n] = self.draw.arm_offset
         self._late, jitter = round(p.state_age / timestep), round(p.encoder_jitter / timestep)
-        self._history: deque[tuple[Array, Array, Inertial, Array]] = deque(maxlen=1 + self._late + jitter)
         wheels = WheelGeometry.of(self.base, self.draw.radius)
-        self.sensors = BallSensors(p, self.draw, wheels, self._mount(), timestep, jitter, sensor_rng)
+        sizes, ball = (self.model.nq, self.model.nv), (int(self._ball.qposadr[0]), int(self._ball.dofadr[0]))
+        self.sensors = BallSensors(p, self.draw, wheels, self._mount(), timestep, jitter, sensor_rng, sizes, ball)
         self.servo = ActuatorServo(
             p.arm_counts, np.concatenate([np.zeros(len(wheels.turn)), self.draw.arm_offset]), timestep
         )
+        self._history: deque[Array] = deque(maxlen=1 + max(self._late + jitter, self.servo.steps))
         self._last: BallMeasurement | None = None
         #: what the elastic drives do; none where all are rigid
         self.drives = self._drives() if any(self._elastic) else None
-        dead = whole("plant.actuator_dead_time", p.actuator_dead_time, timestep, "physics steps", least=0)
+        dead = whole("plant.actuator_dead_time", p.actuator_dead_time, timestep, "physics steps", minimum=0)
         self._commands: deque[Array] = deque(maxlen=1 + dead)
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
         home = [0.0] * 5 + [description.home.get(name, 0.0) for name in arm] + [0.0] * (5 + n)
@@ -228,7 +237,6 @@ class BallPlant(InWorld):
             self.drives.reset(d.ctrl[self._elastic], d.actuator_velocity[self._elastic])
         self.world.restart()
         self.sensors.restart()
-        self.servo.restart()
         self._history.clear()
         self._record()
 
@@ -240,11 +248,7 @@ class BallPlant(InWorld):
         mujoco.mj_kinematics(self.model, d)
 
     def _record(self) -> None:
-        q, v, ball = self.data.qpos.copy(), self.data.qvel.copy(), self._ball
-        q_ball, v_ball = int(ball.qposadr[0]), int(ball.dofadr[0])
-        inertial, wheel = self.sensors.advance(q[0:7], v[0:6], q[q_ball : q_ball + 4], v[v_ball : v_ball + 3])
-        self._history.append((q, v, inertial, wheel))
-        self.servo.read(np.concatenate([wheel, q[self._arm_q]]))
+        self._history.append(self.sensors.advance(self.data.qpos, self.data.qvel))
 
     # ------------------------------------------------------------------ running
     def _state_of(self, q: Array, v: Array) -> Array:
@@ -261,24 +265,31 @@ class BallPlant(InWorld):
         if self._last is not None and self._last.time == self.time:
             return self._last
         now = max(len(self._history) - 1 - self._late, 0)
-        q, v, inertial, _ = self._history[now]
-        state = self._state_of(q, v)
+        seen = self.sensors.seen(self._history[now])
+        state = self._state_of(seen.q, seen.v)
         state[2] = unwrap(state[2], self.world.yaw)
         state = state + self.offset + self._spread * self._noise.normal(size=state.size)
-        gyro, accel = self.sensors.inertial(inertial)
-        then = self._history[max(now - self.sensors.jitter(), 0)]
-        wheel, arm = self.sensors.encoders(then[3], then[0][self._arm_q])
+        gyro, accel = self.sensors.inertial(seen)
+        then = self.sensors.seen(self._history[max(now - self.sensors.jitter(), 0)])
+        wheel, arm = self.sensors.encoders(then.wheel, then.q[self._arm_q])
         age = (len(self._history) - 1 - now) * self.timestep
         self._last = BallMeasurement(self.time, state, age, wheel, arm, gyro, accel)
         return self._last
 
     def step(self, command: BallCommand, steps: int = 1) -> None:
         """Hold torques for ``steps`` physics steps; drives clip at their limits."""
+        torque, plain = self.servo.feedforward(command), command.stiffness.size == 0
         for k in range(steps):
-            self._commands.append(self.servo.torque(command, k * self.timestep))
+            self._commands.append(torque if plain else self._servo_torque(command, k * self.timestep))
             self.world.advance(self._drive)
             self._record()
         self.world.check()
+
+    def _servo_torque(self, command: BallCommand, since: float) -> Array:
+        steps = min(len(self._history) - 1, self.servo.steps)
+        seen = [self.sensors.seen(self._history[k]) for k in (-1, -1 - steps)]
+        now, before = (np.concatenate([one.wheel, one.q[self._arm_q]]) for one in seen)
+        return self.servo.torque(command, since, now, before, steps)
 
     def _drive(self) -> None:
         """Controls of one physics step: the command of a dead time ago, or what elastic drives make of it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import casadi as ca
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from wbmpc.bases.ball.balance import Balance, load_offset
 from wbmpc.checks import not_negative, numbers, positive_time
 from wbmpc.errors import NotFinite
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -37,7 +39,7 @@ class PushEstimator:
         n, q = robot.base.nq, ca.SX.sym("q", robot.base.nq)
         offset = load_offset(robot.base, q, ca.SX.zeros(robot.parameters.size))
         pole = Balance.of(robot, arm).pole
-        self._slope = ca.Function("slope", [q], [ca.densify(ca.jacobian(offset, q)) / pole])
+        self._slope = Numeric(ca.Function("slope", [q], [ca.densify(ca.jacobian(offset, q)) / pole]))
         self._size, self._speeds, self.expected_push_time = robot.state.size, slice(n, 2 * n), expected_push_time
         self.reset()
 
@@ -54,7 +56,7 @@ class PushEstimator:
         x, u = numbers("push estimator", "state", x, self._size), numbers("push estimator", "input", u, np.size(u))
         if self._previous is not None:
             unexplained = x[self._speeds] - step(*self._previous, h)[self._speeds]
-            rate = np.array(self._slope(x[: self._speeds.start])) @ unexplained / h
+            rate = self._slope(x[: self._speeds.start])[0] @ unexplained / h
             drift = self.drift + h / (h + SMOOTH) * (rate - self.drift)
             if not np.isfinite(drift).all():
                 raise NotFinite("the drift of the lean is not finite")
@@ -64,6 +66,6 @@ class PushEstimator:
     @property
     def room(self) -> Array:
         """(2) [m], along the world's x and y."""
-        size = max(float(np.hypot(*self.drift)), 1e-12)
+        size = max(math.hypot(*self.drift.tolist()), 1e-12)
         room: Array = max(0.0, 1.0 - DEAD / size) * self.expected_push_time * self.drift
         return room

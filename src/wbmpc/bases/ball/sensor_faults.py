@@ -6,13 +6,15 @@ model: under the torques that are sent the joint would have turned.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.monitor_step import surprises, watch
 from wbmpc.checks import not_negative, positive
+from wbmpc.kernel.step import Backend, bind
 
 Array = NDArray[np.float64]
 #: With fewer wheel encoders than this the ball's place is not known any more: the inertial unit alone drifts.
@@ -31,6 +33,10 @@ ENDS = {
 }  # fmt: skip
 #: So many messages in a row it takes at least, however seldom they come.
 IN_A_ROW = 3
+#: Arrays of one number for each joint, by their names in :mod:`wbmpc.bases.ball.monitor_step`.
+_ARRAYS = (
+    "arm", "speed", "acceleration", "surprised", "anchor", "believed", "gone", "then", "stood", "low", "high", "standing",
+)  # fmt: skip
 #: The messages of what is found, by part and kind. What contradicts rolling beyond one wheel or a spin about the vertical may be
 #: the ball, or an inertial unit that is off (its zero, its scale): the messages are the same.
 MESSAGES = {
@@ -66,7 +72,7 @@ def _general(part: str, kind: str) -> str:
 class EncoderMonitor:
     """Watches the encoders of ``wheels`` and of named arm ``joints`` (n).
 
-    A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) for ``least`` [s] while the joint should
+    A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) for ``min_standstill`` [s] while the joint should
     have turned by ``expected`` [rad]: by its speed at the last reading that moved, less ``crawl`` [rad/s], and by how much more
     the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (A load that nobody knows of makes the model
     accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)
@@ -77,18 +83,21 @@ class EncoderMonitor:
 
     def __init__(
         self, wheels: int, joints: Sequence[str], stops: tuple[Array, Array] | None = None, still: float = 1.5e-4,
-        expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, least: float = 0.02, patience: float = 0.05,
+        expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, min_standstill: float = 0.02, patience: float = 0.05,
+        backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         who = "encoder monitor"
         positive(who, still=still, expected=expected, doubt=doubt, patience=patience)
-        not_negative(who, wheels=wheels, crawl=crawl, least=least)
-        self.joints, self.wheels, self.still, self.expected = list(joints), wheels, still, expected
-        self.crawl, self.doubt, self.least, self.patience = crawl, doubt, least, patience
+        not_negative(who, wheels=wheels, crawl=crawl, min_standstill=min_standstill)
+        self.joints, self.wheels, self.patience = list(joints), wheels, patience
         self.faults: list[EncoderFault] = []
-        low, high = stops or (np.full(len(self.joints), -np.inf), np.full(len(self.joints), np.inf))
-        self._low, self._high = low + NEAR, high - NEAR
-        self._anchor = np.full(len(self.joints), np.nan)
-        self._speed, self._gone, self._then, self._stood = np.zeros((4, len(self.joints)))
+        n = len(self.joints)
+        low, high = stops or (np.full(n, -np.inf), np.full(n, np.inf))
+        a = self._arrays = {name: np.zeros(n) for name in _ARRAYS}
+        a["low"][:], a["high"][:], a["anchor"][:] = low + NEAR, high - NEAR, np.nan
+        constants = {"expected": expected, "crawl": crawl, "doubt": doubt, "min_standstill": min_standstill}
+        self._surprises = bind(surprises, a, backend, n=n, still=still)
+        self._watch = bind(watch, a, backend, n=n, still=still, **constants)
         self._durations: dict[str, float] = {}
         self._doubted_until = -np.inf
 
@@ -97,37 +106,31 @@ class EncoderMonitor:
         surprised: NDArray[np.bool_] | None = None,
     ) -> list[EncoderFault]:  # fmt: skip
         """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
-        as the model has it for the ``interval`` [s] before (None: not known yet), what the estimator ``said``, and joints (n) whose
+        as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n) whose
         reading ``surprised`` it."""
-        doubted = self._in_doubt(t, arm, surprised)
-        standing: Iterable[int] = ()
+        a = self._arrays
+        a["arm"][:] = arm
+        doubted, standing = self._in_doubt(t, surprised), 0
         if acceleration is not None:
-            standing = self._standing(interval, arm, speed, acceleration, doubted)
-        new = [EncoderFault(t, self.joints[i], "stalled") for i in standing]
+            a["speed"][:], a["acceleration"][:] = speed, acceleration
+            standing = self._watch(interval, doubted)
+        if not (standing or estimator_faults or self._durations):
+            return []
+        stalled = np.flatnonzero(a["standing"]) if standing else ()
+        new = [EncoderFault(t, self.joints[i], "stalled") for i in stalled]
         new += [EncoderFault(t, *name.split()) for name in self._lasting(interval, estimator_faults)]
         known = {(f.part, f.kind) for f in self.faults}
         new = [f for f in new if (f.part, f.kind) not in known]
         self.faults += new
         return new
 
-    def _in_doubt(self, t: float, arm: Array, surprised: NDArray[np.bool_] | None) -> bool:
-        """Whether speeds, and what the model makes of them, are to be believed: not just after a reading that came as a surprise
-        and moved. (One that did not move is what is looked for.)"""
-        if surprised is not None and np.any(surprised & (np.abs(arm - self._anchor) > self.still)):
-            self._doubted_until = t + DOUBTED
+    def _in_doubt(self, t: float, surprised: NDArray[np.bool_] | None) -> bool:
+        """Whether speeds, and what the model makes of them, are to be believed: not just after a surprise."""
+        if surprised is not None:
+            self._arrays["surprised"][:] = surprised
+            if self._surprises():
+                self._doubted_until = t + DOUBTED
         return t < self._doubted_until
-
-    def _standing(self, h: float, arm: Array, speed: Array, acceleration: Array, doubted: bool) -> NDArray[np.int_]:
-        """Joints whose encoders have not moved though they should have; counted anew while that is ``doubted``."""
-        stands = (np.abs(arm - self._anchor) <= self.still) & (arm >= self._low) & (arm <= self._high)
-        moves = ~stands | doubted  # at the first reading too
-        self._anchor = np.where(moves, arm, self._anchor)
-        gained = h * _beyond(acceleration - self._then, self.doubt)
-        self._speed = np.where(moves, _beyond(speed, self.crawl), self._speed + gained)
-        self._then = np.where(moves, acceleration, self._then)
-        self._gone = np.where(moves, 0.0, self._gone + h * self._speed)
-        self._stood = np.where(moves, 0.0, self._stood + h)
-        return np.flatnonzero((np.abs(self._gone) > self.expected) & (self._stood >= self.least - 1e-9))
 
     def _lasting(self, h: float, estimator_faults: Sequence[str]) -> list[str]:
         """What the estimator says and, of wheels and ball, has said most of the time."""
@@ -151,6 +154,8 @@ class EncoderMonitor:
     @property
     def lost(self) -> str:
         """Why the state cannot be known any more; empty while it can."""
+        if not (self.faults or self._durations) and self.wheels >= MIN_WHEELS:
+            return ""
         joints = [f"{f.part}" for f in self.faults if f.kind == "stalled" and f.part in self.joints]
         if joints:
             return message_of(joints[0], "stalled")
@@ -168,9 +173,3 @@ class EncoderMonitor:
 def _ends(name: str) -> float:
     """How long [s] this may be said without an end of the run; of wheels for ever."""
     return ENDS.get(_general(*name.split()), np.inf)
-
-
-def _beyond(values: Array, doubt: float) -> Array:
-    """What of values is beyond ± ``doubt``."""
-    left: Array = np.sign(values) * np.maximum(np.abs(values) - doubt, 0.0)
-    return left

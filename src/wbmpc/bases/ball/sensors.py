@@ -12,21 +12,25 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc import lie
 from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.bases.ball.sensor_step import GRAVITY, see
 from wbmpc.errors import unknown_name
-from wbmpc.simulation.perturbation import Draw, Perturbation, quantise
+from wbmpc.kernel.step import Backend, bind
+from wbmpc.simulation.perturbation import Perturbation, PlantSample, quantise
 
 Array = NDArray[np.float64]
-GRAVITY = 9.81
 
 
-class Inertial(NamedTuple):
-    """Integrals since the start: turning [rad] and specific force [m/s], base axes; ``steps`` of physics."""
+class Seen(NamedTuple):
+    """What belongs to a moment: positions and velocities in MuJoCo's conventions; integrals since the start, ``turn`` [rad] and
+    specific force, ``push`` [m/s], base axes; ``steps`` of physics; true ``wheel`` angles (n) [rad]."""
 
+    q: Array
+    v: Array
     turn: Array
     push: Array
     steps: int
+    wheel: Array
 
 
 @dataclass(frozen=True)
@@ -65,51 +69,62 @@ class SensorFault:
 
 
 class BallSensors:
-    """Called after every physics step; gives messages. ``mount`` (3) [m]: the inertial unit in base axes."""
+    """Called after every physics step; gives messages. ``mount`` (3) [m]: the inertial unit in base axes. ``sizes``: of positions and
+    velocities in MuJoCo; ``ball``: where those of the ball's joint begin. ``backend``: machine code
+    (:mod:`wbmpc.bases.ball.sensor_step`), or the same source as ordinary Python."""
 
     def __init__(
-        self, p: Perturbation, draw: Draw, wheels: WheelGeometry, mount: Array, timestep: float, jitter: int,
-        rng: np.random.Generator,
+        self, p: Perturbation, draw: PlantSample, wheels: WheelGeometry, mount: Array, timestep: float, jitter: int,
+        rng: np.random.Generator, sizes: tuple[int, int], ball: tuple[int, int], backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         self._p, self._h, self._rng, self._jitter = p, timestep, rng, jitter
-        self._turn, self.mount, self.arm_offset = wheels.turn, mount, draw.arm_offset
+        self.mount, self.arm_offset = mount, draw.arm_offset
         self.bias = {"gyro": draw.gyro_bias.copy(), "accel": draw.accel_bias.copy()}
         self.faults: tuple[SensorFault, ...] = ()
+        n, (nq, nv) = len(wheels.turn), sizes
+        ends = np.cumsum([nq, nv, 3, 3, 1, n]).tolist()
+        self._q, self._v, self._turn, self._push, _, self._wheel = map(slice, [0, *ends], ends)
+        self._steps = ends[4] - 1
+        lengths = {"q": nq, "v": nv, "row": ends[-1], "velocity": 3, "rotation": 9, "last": 9, "turned": 9}
+        self._arrays = {name: np.zeros(length) for name, length in lengths.items()} | {
+            "mount": np.array(mount, float), "wheels": np.array(wheels.turn, float).ravel(),
+        }  # fmt: skip
+        indices = {"n": n, "nq": nq, "nv": nv, "ball_q": ball[0], "ball_v": ball[1]}
+        self._see = bind(see, self._arrays, backend, h=timestep, **indices)
         self.restart()
 
     def restart(self) -> None:
         """Integrals and wheel angles start at zero."""
-        self._sum, self._wheel = Inertial(np.zeros(3), np.zeros(3), -1), np.zeros(len(self._turn))
-        self._velocity: Array | None = None
-        self._rotation, self._rest, self._given = np.eye(3), np.zeros(3), Inertial(np.zeros(3), np.zeros(3), 0)
+        self._arrays["row"][:] = 0.0
+        self._first, self._rest = True, np.zeros(3)
+        self._given: tuple[Array, Array, int] = np.zeros(3), np.zeros(3), 0
         self._held: dict[tuple[str, int], float] = {}
 
     # ------------------------------------------------------------------ physics
-    def advance(self, pose: Array, velocity: Array, ball: Array, ball_rate: Array) -> tuple[Inertial, Array]:
-        """Integrals and true wheel angles (n) after a physics step (the first call: at the start).
-
-        ``pose`` (7) and ``velocity`` (6) of the base, ``ball`` (4) and ``ball_rate`` (3): relative orientation and rate,
-        all in MuJoCo's conventions. Specific force: what changes the velocity of the mount, gravity taken away.
-        """
-        rotation, omega = lie.quaternion_to_rotation(pose[3:7]), velocity[3:6]
-        at = velocity[0:3] + rotation @ _cross(omega, self.mount)
-        last, h = self._sum, self._h
-        if self._velocity is None:
-            self._rest = GRAVITY * rotation[2]
-            self._sum = Inertial(last.turn, last.push, 0)
-        else:
-            change = at - self._velocity
-            change[2] += GRAVITY * h
-            middle = 0.5 * (self._rotation + rotation)
-            self._sum = Inertial(last.turn + h * omega, last.push + middle.T @ change, last.steps + 1)
-            self._wheel = self._wheel + h * (self._turn @ (lie.quaternion_to_rotation(ball) @ ball_rate))
+    def advance(self, q: Array, v: Array) -> Array:
+        """What there is to be seen (see :meth:`seen`) after a physics step, the first time at the start."""
+        a = self._arrays
+        a["q"][:], a["v"][:] = q, v
+        self._see(self._first)
+        if self._first:
+            self._rest, self._first = GRAVITY * a["rotation"][6:9], False
+        elif self.faults:
             for fault in self._acting("slip"):
-                self._wheel[fault.number] += h * fault.speed
-        self._velocity, self._rotation = at, rotation
-        return self._sum, self._wheel.copy()
+                a["row"][self._wheel][fault.number] += self._h * fault.speed
+        return a["row"].copy()
+
+    def seen(self, row: Array) -> Seen:
+        """A result of :meth:`advance` by its parts."""
+        parts = row[self._q], row[self._v], row[self._turn], row[self._push]
+        return Seen(*parts, int(row[self._steps]), row[self._wheel])
+
+    @property
+    def wheel(self) -> Array:
+        """True wheel angles (n) [rad] now."""
+        return self._arrays["row"][self._wheel].copy()
 
     def _acting(self, kind: str) -> list[SensorFault]:
-        t = self._sum.steps * self._h
+        t = self._arrays["row"][self._steps] * self._h
         return [f for f in self.faults if f.kind == kind and f.acts(t)]
 
     # ------------------------------------------------------------------ messages
@@ -117,34 +132,31 @@ class BallSensors:
         """How many physics steps older than the message its encoder values are (drawn)."""
         return int(self._rng.integers(0, self._jitter + 1))
 
-    def inertial(self, now: Inertial) -> tuple[Array, Array]:
+    def inertial(self, now: Seen) -> tuple[Array, Array]:
         """Averages since the message before: gyro (3) [rad/s] and accelerometer (3) [m/s²]."""
-        p, last = self._p, self._given
-        interval = (now.steps - last.steps) * self._h
-        self._given = now
+        p, (turn, push, steps) = self._p, self._given
+        interval = (now.steps - steps) * self._h
+        self._given = now.turn, now.push, now.steps
         draws = self._rng.normal(size=(4, 3))
         if interval <= 0.0:  # before the first interval: as at rest
             return self.bias["gyro"].copy(), self._rest + self.bias["accel"]
         root = np.sqrt(interval)
         self.bias["gyro"] = self.bias["gyro"] + p.gyro_walk * root * draws[0]
         self.bias["accel"] = self.bias["accel"] + p.accel_walk * root * draws[1]
-        gyro = (now.turn - last.turn) / interval + self.bias["gyro"] + p.gyro_noise / root * draws[2]
-        accel = (now.push - last.push) / interval + self.bias["accel"] + p.accel_noise / root * draws[3]
+        gyro = (now.turn - turn) / interval + self.bias["gyro"] + p.gyro_noise / root * draws[2]
+        accel = (now.push - push) / interval + self.bias["accel"] + p.accel_noise / root * draws[3]
         return gyro, accel
 
     def encoders(self, wheel: Array, arm: Array) -> tuple[Array, Array]:
         """Readings of wheels (n) and arm (m) [rad]: quantised, with the arm's zero errors."""
-        given = {
+        readings = {
             "wheel": quantise(wheel, self._p.arm_counts),
             "arm": quantise(arm + self.arm_offset, self._p.arm_counts),
         }
+        if not (self.faults or self._held):
+            return readings["wheel"], readings["arm"]
         stalled = {(f.of, f.number) for f in self._acting("stalled")}
-        self._held = {(of, i): self._held.get((of, i), float(given[of][i])) for of, i in stalled}
+        self._held = {(of, i): self._held.get((of, i), float(readings[of][i])) for of, i in stalled}
         for (of, i), value in self._held.items():
-            given[of][i] = value
-        return given["wheel"], given["arm"]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross product of two vectors (np.cross is slow for single ones)."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+            readings[of][i] = value
+        return readings["wheel"], readings["arm"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,38 +40,44 @@ class SentTorques:
     def __init__(self, torque: Array, period: float, settings: DriveSettings) -> None:
         self._period = period
         self.blend = 1.0 - np.exp(-period / settings.lag) if settings.lag > 0.0 else 1.0
-        self.dead = whole("actuator_dead_time", settings.dead_time, period, "controller periods", least=0)
+        self.dead = whole("actuator_dead_time", settings.dead_time, period, "controller periods", minimum=0)
         if settings.dead_time > MAX_DEAD_TIME:
             raise InputError(f"actuator_dead_time: must be at most {MAX_DEAD_TIME:g} s, got {settings.dead_time:g} s")
-        known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead
-        self._torques: deque[Array] = deque([torque.copy()] * known, maxlen=known)
+        self._known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead
+        # twice as many rows as are known: they move to the front when the last one is taken
+        self._rows = np.tile(np.asarray(torque, float), (2 * self._known, 1))
+        self._end = self._known
+        #: how many commands have gone to the drives
+        self.count = 0
 
     @property
     def last(self) -> Array:
         """What the drives make of the last command, as soon as the dead time is over."""
-        return self._torques[-1]
+        return self._rows[self._end - 1].copy()
 
     def follow(self, torque: Array, last: Array | None = None) -> Array:
         """What drives at ``last`` (left out: as they are) make of a command within a period."""
-        last = self.last if last is None else last
+        last = self._rows[self._end - 1] if last is None else last
         return last + self.blend * (torque - last)
 
     def send(self, torque: Array) -> None:
         """A command goes to the drives."""
-        self._torques.append(self.follow(torque))
+        if self._end == len(self._rows):
+            self._rows[: self._known] = self._rows[self._known :]
+            self._end = self._known
+        self._rows[self._end] = self.follow(torque)
+        self._end += 1
+        self.count += 1
 
     def ticks(self, age: float) -> int:
         """``age`` [s] in ticks; what is older than all torques that are known counts as from the first."""
-        return min(round(age / self._period), len(self._torques) - 1 - self.dead)
+        return min(round(age / self._period), self._known - 1 - self.dead)
 
     def acted(self, ticks: int) -> Array:
         """What acted so many ticks ago."""
-        return self._torques[-1 - ticks - self.dead]
+        return self._rows[self._end - 1 - ticks - self.dead].copy()
 
-    def since(self, ticks: int) -> list[Array]:
-        """What has acted in the ticks since then."""
-        return [self._torques[k - ticks - self.dead] for k in range(ticks)]
-
-    def pending(self) -> list[Array]:
-        """What was sent and has not acted yet: of the dead time."""
-        return [self._torques[k - self.dead] for k in range(self.dead)]
+    def since(self, ticks: int, dead: int | None = None) -> Array:
+        """What has acted (``ticks``, n + m) in the ticks since then; with 0 for ``dead``, what will have acted a dead time from now."""
+        end = self._end - (self.dead if dead is None else dead)
+        return self._rows[end - ticks : end].copy()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,26 +19,21 @@ class ActuatorServo:
 
     def __init__(self, counts: int, offset: Array, timestep: float) -> None:
         self._counts, self._offset, self._h = counts, offset, timestep
-        self._readings: deque[Array] = deque(maxlen=1 + round(WINDOW / timestep))
+        #: over how many physics steps speeds are found
+        self.steps = round(WINDOW / timestep)
 
-    def restart(self) -> None:
-        """Forget all readings."""
-        self._readings.clear()
+    def feedforward(self, command: BallCommand) -> Array:
+        """The command's plain torques (n) [N m]."""
+        return numbers("command", "torque", command.torque, self._offset.size)
 
-    def read(self, angles: Array) -> None:
-        """True angles (n) [rad] after a physics step."""
-        self._readings.append(quantise(angles + self._offset, self._counts))
-
-    def torque(self, command: BallCommand, since: float) -> Array:
-        """Torques (n) [N m], ``since`` [s] after the command came; a command without gains is plain torque."""
+    def torque(self, command: BallCommand, since: float, angles: Array, before: Array, steps: int) -> Array:
+        """Torques (n) [N m] of a command with gains, ``since`` [s] after it came: true ``angles`` (n) [rad] now, and ``before``, so many
+        ``steps`` ago."""
         n = self._offset.size
-        torque = numbers("command", "torque", command.torque, n)
-        if command.stiffness.size == 0:
-            return torque
         position, speed, stiffness, damping = (
             numbers("command", name, getattr(command, name), n)
             for name in ("position", "speed", "stiffness", "damping")
         )
-        now, first = self._readings[-1], self._readings[0]
-        rate = (now - first) / max((len(self._readings) - 1) * self._h, self._h)
-        return torque + stiffness * (position + since * speed - now) + damping * (speed - rate)
+        now, first = (quantise(a + self._offset, self._counts) for a in (angles, before))
+        rate = (now - first) / max(steps * self._h, self._h)
+        return self.feedforward(command) + stiffness * (position + since * speed - now) + damping * (speed - rate)

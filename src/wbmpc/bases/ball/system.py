@@ -29,7 +29,7 @@ def make_system(robot: RobotModel, plant: BallPlant) -> System:
     mpc.reference["body"] = Reference.constant(robot.home)
     mpc.reference["twist"] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
-    mpc.reference["hand"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
+    mpc.reference["end_effector"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
     timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.computation_delay)
     controller = BallController(robot, mpc, torque, timing.period, DriveSettings(DRIVE_LAG))
     controller.lean_control = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)

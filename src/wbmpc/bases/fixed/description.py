@@ -16,6 +16,7 @@ class FixedBaseDescription(BaseDescription):
     """A base that does not move."""
 
     moves: ClassVar[bool] = False
+    uses_inertia: ClassVar[bool] = False
 
     not_applicable: ClassVar[dict[str, str]] = {"contact": _SPEEDS, "contact_frame": _SPEEDS}
 

@@ -2,26 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import mujoco
+import numpy as np
 
+from wbmpc.bases.base import Proposal, Question
 from wbmpc.bases.omnidirectional.description import OmnidirectionalBaseDescription
 from wbmpc.bases.omnidirectional.model import omnidirectional_base
 from wbmpc.bases.planar.model import PlanarBase
 from wbmpc.bases.planar.plugin import PlanarBaseType
+from wbmpc.bases.planar.proposal import axles, fixed_wheels, headings, propose
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
     from wbmpc.bases.omnidirectional.plant import OmnidirectionalPlant
+    from wbmpc.robots.mechanism import Mechanism
+    from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
+
+#: Wheels point in one direction above this cosine; axles are two if so far [m] apart.
+ALIKE, APART = 0.97, 0.05
+ROLLERS = partial(Question, "rollers", "rollers of the wheels: omni, mecanum, or an angle [deg] for each")
 
 
 class OmnidirectionalBaseType(PlanarBaseType):
     """What generic code may ask of omnidirectional bases."""
 
     Description = OmnidirectionalBaseDescription
+
+    def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
+        """Three wheels or more in different directions, or four parallel ones on two axles."""
+        fixed = fixed_wheels(wheels)
+        if len(fixed) < 3 or len(fixed) < len(wheels):
+            return None
+        along = headings(fixed)
+        if np.abs(along @ along[0]).min() < ALIKE:
+            return propose(
+                fixed, 0.9, f"{len(fixed)} wheels in different directions", {"rollers": "omni"}, ROLLERS("omni")
+            )
+        if len(fixed) < 4 or np.ptp(axles(fixed, along[0])) < APART or np.ptp(axles(fixed, fixed[0].axle[:2])) < APART:
+            return None
+        seen = any(w.rollers or "mecanum" in f"{mechanism.file.path.name} {w.joint}".lower() for w in fixed)
+        reason = f"{len(fixed)} parallel wheels on two axles" + ("" if seen else "; wheels that skid have no base type")
+        return propose(fixed, 0.9 if seen else 0.5, reason, {"rollers": "mecanum"}, ROLLERS("mecanum"))
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> PlanarBase:
         """The kinematic model."""

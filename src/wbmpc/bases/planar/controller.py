@@ -83,9 +83,9 @@ class PlanarController:
 
     def _move(self, x: Array, u: Array, h: float) -> None:
         """Integrate input rates u (nu) over h [s] into the state x (nx), in place."""
-        state, given = self.robot.state, self.robot.input
-        x[state["base"]] = lie.se2_step(x[state["base"]], self.robot.base.twist @ u[given["base"]] * h)
-        x[state["arm"]] += u[given["arm"]] * h
+        state, inputs = self.robot.state, self.robot.input
+        x[state["base"]] = lie.se2_step(x[state["base"]], self.robot.base.twist @ u[inputs["base"]] * h)
+        x[state["arm"]] += u[inputs["arm"]] * h
 
     # ------------------------------------------------------------------ commands
     def stop(self) -> PlanarCommand:
@@ -100,14 +100,14 @@ class PlanarController:
         The plan's inputs as they are: drives that follow speeds hold a kinematic plan without the gains of the policy, and the
         next plan starts from the measured state.
         """
-        policy, given = plans.current, self.robot.input
+        policy, inputs = plans.current, self.robot.input
         assert policy is not None
         if t > policy.end:
             return self.stop()
         self.target = policy.feedforward(t + self.lag)
         sent, self.clamped = self._limited(self.sent, self.target)
         self._note(sent)
-        return PlanarCommand(self.robot.base.rates @ sent[given["base"]], sent[given["arm"]].copy())
+        return PlanarCommand(self.robot.base.rates @ sent[inputs["base"]], sent[inputs["arm"]].copy())
 
     def _note(self, sent: Array) -> None:
         self.sent = sent

@@ -15,6 +15,7 @@ class PlanarBaseDescription(BaseDescription):
     """``wheels``: names of the wheels' joints. ``wheel_radius`` [m]; left out: that of the wheels' shapes in the file."""
 
     joint_key: ClassVar[str] = "wheels"
+    uses_inertia: ClassVar[bool] = False
     limit_keys: ClassVar[tuple[str, ...]] = ("base_linear", "base_angular")
     not_applicable: ClassVar[dict[str, str]] = {"contact": _SPEEDS, "contact_frame": _SPEEDS}
 
@@ -27,8 +28,8 @@ class PlanarBaseDescription(BaseDescription):
 
     def radii(self) -> list[Radius]:
         """Of every wheel, where the section gives it."""
-        given = self.wheel_radius
-        return [] if given is None else [Radius("base.wheel_radius", given, "wheel", name) for name in self.wheels]
+        radius = self.wheel_radius
+        return [] if radius is None else [Radius("base.wheel_radius", radius, "wheel", name) for name in self.wheels]
 
     @model_validator(mode="after")
     def _every_wheel_once(self) -> Self:

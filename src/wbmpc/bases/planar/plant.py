@@ -14,7 +14,7 @@ from wbmpc.checks import numbers
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
-from wbmpc.simulation.perturbation import Perturbation, quantise
+from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
 from wbmpc.simulation.world import ROBOT, TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
@@ -46,7 +46,7 @@ class PlanarPlant(WheeledPlant):
         check_perturbation(self.perturbation)
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         self._names = {"wheel": list(self.base.wheels), "arm": list(description.arm.joints)}
-        spec = load_spec(description)
+        spec = load_spec(description, meshes=True)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = self.perturbation.draw(draw_rng, bodies, len(self._names["wheel"]), len(self._names["arm"]))
         with named(description.model):
@@ -125,9 +125,8 @@ class PlanarPlant(WheeledPlant):
         if self._last is not None and self._last.time == self.time:
             return self._last
         self.world.refresh()
-        wheel, arm = np.split(self.encoders(), [len(self._names["wheel"])])
-        imu = self.inertial()
-        positions = {"wheel": quantise(wheel, self._counts["wheel"]), "arm": quantise(arm, self._counts["arm"])}
+        read, imu = self.quantised(self.encoders()), self.inertial()
+        positions = {group: read[part] for group, part in self._parts.items()}
         self._last = PlanarMeasurement(self.time, **positions, **imu)
         return self._last
 

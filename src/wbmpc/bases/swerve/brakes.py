@@ -28,15 +28,20 @@ class Brakes:
         self.engaged: Array = np.ones(n)
         self._target: Array = np.ones(n)
         self._stuck: dict[int, float] = {}
+        self._held: Array = torque * self.engaged
+        self._rests = False  # whether all brakes are what they shall be
 
     def command(self, brake: ArrayLike) -> None:
         """What each brake (n) shall be: 1 open, 0 closed."""
-        self._target = np.where(np.asarray(brake, float) > 0.5, 0.0, 1.0)
+        target = np.where(np.asarray(brake, float) > 0.5, 0.0, 1.0)
+        if (target != self._target).any():
+            self._target, self._rests = target, False
 
     def fail(self, leg: int, kind: str | None) -> None:
         """A brake that no longer answers: "open" or "closed" for good; None repairs it."""
         if not 0 <= leg < self.engaged.size:
             raise InputError(f"brakes: there is no leg {leg}; valid: 0 to {self.engaged.size - 1}")
+        self._rests = False
         if kind is None:
             self._stuck.pop(leg, None)
             return
@@ -46,12 +51,15 @@ class Brakes:
 
     def advance(self, h: float) -> Array:
         """Torques (n) [N m] that the brakes can hold after h [s]."""
+        if self._rests:
+            return self._held
         target = self._target.copy()
         for leg, value in self._stuck.items():
             target[leg] = value
         step = h / self.delay if self.delay > h else 1.0
         self.engaged = self.engaged + np.clip(target - self.engaged, -step, step)
-        return self.torque * self.engaged
+        self._held, self._rests = self.torque * self.engaged, bool((target == self.engaged).all())
+        return self._held
 
     @property
     def states(self) -> list[State]:

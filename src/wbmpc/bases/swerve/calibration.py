@@ -369,7 +369,7 @@ def _std(wheels: WheelCalibration) -> Array:
 
 def _checked(odometry: FusedOdometry, record: WheelRecord, previous: WheelCalibration, found: WheelCalibration) -> None:
     """Raise :class:`InputError` for a record that contradicts itself or shows nothing."""
-    n, given = found.modules, len(record.places)
+    n, available = found.modules, len(record.places)
     if _contradicted(odometry):
         why = (
             ""
@@ -377,7 +377,7 @@ def _checked(odometry: FusedOdometry, record: WheelRecord, previous: WheelCalibr
             else f", with {np.sqrt(odometry.misfit / 3.0):.1f} times the errors that they state"
         )
         raise InputError(
-            f"log: {odometry.taken} of {given} global poses fit what wheels and gyro say{why}, though steer zeros may be "
+            f"log: {odometry.taken} of {available} global poses fit what wheels and gyro say{why}, though steer zeros may be "
             f"{1e3 * previous.std[0].max():.3g} mrad off and radii {100 * previous.std[1].max():.2g} %; check units, signs, times "
             "and standard deviations of the channel 'place', and whether the base was moved by hand or slipped"
         )

@@ -10,7 +10,8 @@ import numpy as np
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, Guess
+from wbmpc.mpc.guess import Guess
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
 
@@ -82,7 +83,13 @@ def swerve_problem(
     end = {g: list(cost.terminal * np.atleast_1d(v)) if g == "base" else cost.terminal * v for g, v in posture.items()}
     frame = residuals.FramePose(robot, robot.tool)
     ocp.add(
-        Cost("hand", frame, list(end_effector), at="path+terminal", terminal_weight=list(cost.terminal * end_effector))
+        Cost(
+            "end_effector",
+            frame,
+            list(end_effector),
+            at="path+terminal",
+            terminal_weight=list(cost.terminal * end_effector),
+        )
     )
     ocp.add(Cost("state", state, posture, at="path+terminal", terminal_weight=end))
     ocp.add(Cost("input", residuals.Input(robot), rates))

@@ -26,6 +26,7 @@ class SwerveBaseDescription(BaseDescription):
     """A base on steered and driven wheels. ``wheel_radius`` [m]. ``orientation``: SE(2) state or a quaternion."""
 
     joint_key: ClassVar[str] = "modules"
+    uses_inertia: ClassVar[bool] = False
     limit_keys: ClassVar[tuple[str, ...]] = ("base_linear", "base_angular")
     not_applicable: ClassVar[dict[str, str]] = {"contact": _SPEEDS, "contact_frame": _SPEEDS}
 

@@ -5,21 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from wbmpc.types import GlobalPose
 
 Array = NDArray[np.float64]
-
-
-def scale_wheels(wheel: ArrayLike, limit: float) -> tuple[Array, float]:
-    """Wheel speeds (n) [rad/s] scaled together to ``limit``, and the factor (at most 1).
-
-    The factor applies to the whole motion of the base: wheels that are clipped one by one drag each other.
-    """
-    wheel = np.asarray(wheel, float)
-    factor = min(1.0, limit / max(float(np.abs(wheel).max(initial=0.0)), 1e-12))
-    return wheel * factor, factor
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ NEARLY = 0.02
 
 # A wheel whose contact lies farther [m] from the steer axis is a caster, which these equations do not describe; a hinged leg that
 # is shorter [m] is moved by no wheel. Wheels that differ by more [m] in height leave the robot standing on some of them.
-_LARGEST_OFFSET, _SHORTEST_LEG, _LEVEL = 0.005, 0.005, 0.001
+LARGEST_OFFSET, _SHORTEST_LEG, _LEVEL = 0.005, 0.005, 0.001
 
 
 def read_geometry(description: RobotDescription, tree: Tree) -> tuple[ModuleGeometry, float]:
@@ -96,7 +96,7 @@ def _check_module(
             raise InputError(f"{description.source}: joint '{name}' must turn about the body's +z axis")
     if abs((poses[wheel][1] @ tree.links[wheel].axis)[2]) > 1e-6:
         raise InputError(f"{description.source}: joint '{module.wheel}' must have a horizontal axis")
-    if np.hypot(*(poses[wheel][0] - poses[steer][0])[:2]) > _LARGEST_OFFSET:
+    if np.hypot(*(poses[wheel][0] - poses[steer][0])[:2]) > LARGEST_OFFSET:
         raise InputError(f"{description.source}: wheel '{module.wheel}' must stand under the axis of '{module.steer}'")
 
 
@@ -240,11 +240,11 @@ class SwerveBase:
 
     def rolling(self, x: ca.SX, u: ca.SX, m: ca.SX) -> ca.SX:
         """Rolling (n) and side-slip (n) velocities of the contacts [m/s] (Pankert et al. 2022, equations 4 and 5)."""
-        g, state, given = self.geometry, self.slices(x, True), self.slices(u, False)
+        g, state, inputs = self.geometry, self.slices(x, True), self.slices(u, False)
         rolling, side = [], []
         for i in range(g.modules):
             leg = state["leg"][i] if g.has_hinge else 0.0
-            rate = m[i] * given["leg"][i] if g.has_hinge else 0.0
+            rate = m[i] * inputs["leg"][i] if g.has_hinge else 0.0
             angle = float(g.leg_heading[i]) + leg
             arm = float(g.leg_length[i]) * ca.vertcat(ca.cos(angle), ca.sin(angle))
             s = constant(g.hinge[i]) + arm
@@ -252,7 +252,7 @@ class SwerveBase:
             vy = u[1] + u[2] * s[0] + rate * arm[0]
             heading = float(g.wheel_heading[i]) + leg + state["steer"][i]
             c, d = ca.cos(heading), ca.sin(heading)
-            rolling.append(c * vx + d * vy - g.wheel_radius * given["wheel"][i])
+            rolling.append(c * vx + d * vy - g.wheel_radius * inputs["wheel"][i])
             side.append(-d * vx + c * vy)
         return ca.vertcat(*rolling, *side)
 

@@ -22,8 +22,8 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.localization import Localisation
-from wbmpc.simulation.perturbation import Perturbation, quantise
-from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
+from wbmpc.simulation.perturbation import Perturbation, clipped
+from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant, span
 from wbmpc.simulation.world import ROBOT, TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
@@ -85,7 +85,7 @@ class SwervePlant(WheeledPlant):
             "wheel": [m.wheel for m in modules],
             "arm": arm,
         }
-        spec = load_spec(description)
+        spec = load_spec(description, meshes=True)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = self.perturbation.draw(draw_rng, bodies, len(modules), len(arm))
         with named(description.model):
@@ -96,6 +96,7 @@ class SwervePlant(WheeledPlant):
         self.model, self.data = self.world.model, self.world.data
         self.index()
         self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
+        self._held: Array | None = None  # what brakes hold, as the model has it
         self.start_sensors(self._zero_errors())
         self._place(self._groups(state), lift, settle)
 
@@ -143,7 +144,7 @@ class SwervePlant(WheeledPlant):
         m, names = self.model, self._names
         self._v = {g: np.array([m.joint(n).dofadr[0] for n in part], dtype=int) for g, part in names.items()}
         driven = ("wheel", "steer", "arm")
-        self._control = {g: np.array([m.actuator(n).id for n in names[g]], dtype=int) for g in driven}
+        self._control = {g: span(np.array([m.actuator(n).id for n in names[g]], dtype=int)) for g in driven}
         speed = self.description.limits.velocity
         self._arm_speed = np.array([speed.get(n, np.inf) for n in names["arm"]])
         self._wheel_geoms = [m.geom(f"contact_{n}").id for n in names["wheel"]]
@@ -162,14 +163,14 @@ class SwervePlant(WheeledPlant):
         home = {g: np.array([self.description.home.get(n, 0.0) for n in names]) for g, names in self._names.items()}
         groups: dict[str, Array] = {"base": np.zeros(3), **home}
         if isinstance(state, Mapping):
-            given = {g: np.asarray(v, float) for g, v in state.items()}
+            start = {g: np.asarray(v, float) for g, v in state.items()}
         elif state is None:
-            given = {}
+            start = {}
         else:
             sizes = {"base": 7 if self.base.orientation == "quaternion" else 3, **{g: len(v) for g, v in home.items()}}
             vector, stops = numbers("start", "state", state, sum(sizes.values())), np.cumsum(list(sizes.values()))
-            given = dict(zip(sizes, np.split(vector, stops[:-1]), strict=True))
-        for group, values in given.items():
+            start = dict(zip(sizes, np.split(vector, stops[:-1]), strict=True))
+        for group, values in start.items():
             if group not in groups:
                 raise unknown_name("group of the state", group, groups)
             if group == "base" and values.size == 7:
@@ -206,7 +207,9 @@ class SwervePlant(WheeledPlant):
 
     # ------------------------------------------------------------------ running
     def _advance_brakes(self) -> None:
-        self.model.dof_frictionloss[self._v["leg"]] = self.brakes.advance(self.timestep)
+        held = self.brakes.advance(self.timestep)
+        if held is not self._held:
+            self.model.dof_frictionloss[self._v["leg"]] = self._held = held
 
     def step(self, command: SwerveCommand, steps: int = 1) -> None:
         """Hold a command for ``steps`` physics steps. Drives clip at their speed limits, one by one."""
@@ -218,17 +221,19 @@ class SwervePlant(WheeledPlant):
         # fixed legs have no brakes: what is commanded to them is ignored
         brake = numbers("command", "brake", command.brake, legs if legs else np.size(command.brake))[:legs]
         self.world.refresh()
-        d.ctrl[self._control["wheel"]] = np.clip(wheel, -WHEEL_SPEED, WHEEL_SPEED)
-        d.ctrl[self._control["steer"]] = np.clip(steer, -STEER_SPEED, STEER_SPEED)
-        d.ctrl[self._control["arm"]] = np.clip(arm, -self._arm_speed, self._arm_speed)
+        control = d.ctrl
+        control[self._control["wheel"]] = clipped(wheel, WHEEL_SPEED)
+        control[self._control["steer"]] = clipped(steer, STEER_SPEED)
+        control[self._control["arm"]] = clipped(arm, self._arm_speed)
         self.brakes.command(brake)
         p = self.perturbation
         if p.brake_fault != "none" and self.time >= p.brake_fault_time:
             self.brakes.fail(p.brake_fault_leg, p.brake_fault)
+        advance, keep, positions = self.world.advance, self._history.append, d.qpos
         for _ in range(steps):
             self._advance_brakes()
-            self.world.advance(self.carry_arm)
-            self._history.append(d.qpos[self._all])
+            advance(self.carry_arm)
+            keep(positions[self._all])
         self.world.check()
 
     def measure(self) -> SwerveMeasurement:
@@ -237,14 +242,12 @@ class SwervePlant(WheeledPlant):
         if self._last is not None and self._last.time == self.time:
             return self._last
         self.world.refresh()
-        raw, start = self.encoders(), 0
-        values: dict[str, Array] = {}
-        for group, index in self._q.items():
-            part = raw[start : start + len(index)]
-            if group == "steer" and self.perturbation.steer_noise > 0.0:
-                part = part + self.perturbation.steer_noise * self._noise.normal(size=len(index))
-            values[group] = quantise(part, self._counts[group])
-            start += len(index)
+        raw, noise = self.encoders(), self.perturbation.steer_noise
+        if noise > 0.0:
+            steer = self._parts["steer"]
+            raw[steer] += noise * self._noise.normal(size=steer.stop - steer.start)
+        read = self.quantised(raw)
+        values = {group: read[part] for group, part in self._parts.items()}
         imu = self.inertial()
         place = None
         if self.localisation is not None:

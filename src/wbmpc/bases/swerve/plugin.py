@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from wbmpc.bases.base import BaseType, System
+from wbmpc.bases.base import BaseType, Proposal, System
 from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.model import SwerveBase
 from wbmpc.model.robot import RobotModel
@@ -14,10 +15,12 @@ from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
-    from wbmpc.bases.swerve.calibration_log import SwerveCalibrator
+    from wbmpc.bases.swerve.calibrator import SwerveCalibrator
     from wbmpc.bases.swerve.plant import SwervePlant
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
+    from wbmpc.robots.mechanism import Mechanism
+    from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
 
 
@@ -28,6 +31,12 @@ class SwerveBaseType(BaseType):
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Nothing of the whole file: :meth:`model` checks each module."""
+
+    def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
+        """Two wheels or more, each under its own steering axis."""
+        from wbmpc.bases.swerve.proposal import propose
+
+        return propose(mechanism, wheels)
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> SwerveBase:
         """The kinematic model; wheels that cannot roll in every direction are logged."""
@@ -67,6 +76,6 @@ class SwerveBaseType(BaseType):
 
     def calibrator(self, robot: RobotModel) -> SwerveCalibrator:
         """From encoders, gyro and global poses."""
-        from wbmpc.bases.swerve.calibration_log import SwerveCalibrator
+        from wbmpc.bases.swerve.calibrator import SwerveCalibrator
 
         return SwerveCalibrator(robot)

@@ -25,9 +25,9 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Pending
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges
 from wbmpc.ros2.bus import Node
-from wbmpc.ros2.convert import nearest_turn
+from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import GROUPS
@@ -62,15 +62,14 @@ class BusEstimator(SwerveEstimator):
     placed = False
     _origin: float | None = None  # of the last measurement
 
-    def update(self, measurement: SwerveMeasurement) -> Array:
+    def take(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and another localisation's pose if there is a new one."""
         self._follow_clock(measurement)
-        super().update(measurement)
+        super().take(measurement)
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
             self.correct(*fix)
         self.seen = measurement, self.odometry.pose
-        return self.state()
 
     def _follow_clock(self, measurement: SwerveMeasurement) -> None:
         """The runner's clock starts anew with each run, and the estimate goes on."""
@@ -97,7 +96,7 @@ class BusEstimator(SwerveEstimator):
             self.odometry.correct(t, pose, covariance)
             return
         self.placed = True
-        place = [pose[0], pose[1], nearest_turn(pose[2], self.odometry.pose[2])]
+        place = [pose[0], pose[1], nearest_angle(pose[2], self.odometry.pose[2])]
         self.odometry.place(place, None if exact else covariance)
 
 
@@ -171,12 +170,12 @@ class SwerveRosAdapter:
         self.robot, self.settings, self.period = robot, settings, period
         self.planner = Planner(robot, settings.speeds, settings.goals)
         self._steering = SteeringGuess(robot, self._preview)
-        self.pending = Pending(self._steering)
+        self.pending = PendingChanges(self._steering)
         self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.pending)
         self._twists: Reference | None = None
         self._has_imu = False
-        given = robot.input.groups
-        self._rest = {g: np.zeros(len(given.get("leg" if g == "brake" else g, ()))) for g in GROUPS}
+        groups = robot.input.groups
+        self._rest = {g: np.zeros(len(groups.get("leg" if g == "brake" else g, ()))) for g in GROUPS}
         self.brakes = self._new_brakes()
         self.controller = self._new_controller(np.zeros(3))
         self.legs: Array | None = None  # where the legs are to go [rad]
@@ -328,7 +327,7 @@ def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = 
     inputs = np.zeros((base.times.size, robot.input.size))
     inputs[:, robot.input["base"]] = base.twists
     return {
-        "hand": Reference.poses(end_effector.times, end_effector.positions, end_effector.orientations),
+        "end_effector": Reference.poses(end_effector.times, end_effector.positions, end_effector.orientations),
         "state": Reference(base.times, states),
         "input": Reference(base.times, inputs),
     }
@@ -336,10 +335,10 @@ def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = 
 
 def swing_guess(robot: RobotModel, legs: Array, x0: Array, trajectory: Trajectory) -> Trajectory:
     """Trajectories of a base that stands while its wheels turn to the legs' circles and the legs then go to ``legs`` (n)."""
-    state, given, geometry = robot.state, robot.input, robot.base.geometry
+    state, inputs, geometry = robot.state, robot.input, robot.base.geometry
     x, u, steer, leg = trajectory.x, trajectory.u, x0[state["steer"]].copy(), x0[state["leg"]].copy()
     lower, upper = robot.limits.state_lower[state["steer"]], robot.limits.state_upper[state["steer"]]
-    maximum = 0.6 * robot.limits.input_upper[given["steer"]]
+    maximum = 0.6 * robot.limits.input_upper[inputs["steer"]]
     for k, h in enumerate(np.diff(trajectory.grid)):
         rate = np.clip((legs - leg) / max(h, 0.5), -SWING, SWING)
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
@@ -348,8 +347,8 @@ def swing_guess(robot: RobotModel, legs: Array, x0: Array, trajectory: Trajector
         if np.abs(target - steer).max() > STRAIGHT:
             rate = np.zeros_like(rate)
         x[k, state["base"]], x[k, state["leg"]], x[k, state["steer"]] = x0[state["base"]], leg, steer
-        u[k, given["base"]], u[k, given["leg"]], u[k, given["steer"]] = 0.0, rate, turn
-        _, u[k, given["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
+        u[k, inputs["base"]], u[k, inputs["leg"]], u[k, inputs["steer"]] = 0.0, rate, turn
+        _, u[k, inputs["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, np.zeros(3), rate)
         leg, steer = leg + rate * h, steer + turn * h
     x[-1, state["base"]], x[-1, state["leg"]], x[-1, state["steer"]] = x0[state["base"]], leg, steer
     return trajectory

@@ -91,8 +91,8 @@ def plan_steering(
     steered, stops, shift = np.empty_like(ways), [], np.zeros(geometry.modules)
     for j, k in zip(starts, [*starts[1:], len(times)], strict=True):
         # as few turns as possible; where the range is too small for a direction, the end is left to the limits
-        least, maximum = low[j:k].max(axis=0), high[j:k].min(axis=0)
-        previous, shift = shift, np.clip(shift, least, np.maximum(maximum, least))
+        minimum, maximum = low[j:k].max(axis=0), high[j:k].min(axis=0)
+        previous, shift = shift, np.clip(shift, minimum, np.maximum(maximum, minimum))
         steered[j:k] = ways[j:k] + np.pi * shift
         if (shift != previous).any() and cost[j] > STOP:
             stops.append(j)
@@ -257,7 +257,7 @@ class SteeringGuess:
         self, trajectory: Trajectory, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0
     ) -> None:
         """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``."""
-        state, given, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
+        state, inputs, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
         grid, x, u = trajectory.grid, trajectory.x, trajectory.u
         leg, steer = self._angles(x0)
         pose = x0[state["base"]].copy()
@@ -278,7 +278,7 @@ class SteeringGuess:
             if not rolling:
                 desired = np.zeros(3)
             x[k, state["base"]], x[k, state["steer"]] = pose, steer
-            u[k, given["base"]], u[k, given["steer"]] = desired, rate
-            _, u[k, given["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, desired)
+            u[k, inputs["base"]], u[k, inputs["steer"]] = desired, rate
+            _, u[k, inputs["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, desired)
             pose, steer = lie.se2_step(pose, desired * h), steer + rate * h
         x[-1, state["base"]], x[-1, state["steer"]] = pose, steer

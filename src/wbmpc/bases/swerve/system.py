@@ -26,7 +26,7 @@ def make_system(robot: RobotModel, plant: SwervePlant) -> System:
     settings = MpcSettings(horizon=4.0, intervals=40)
     mpc = swerve_mpc(robot, settings, SwerveCost(state=StateCost(leg=LEG_WEIGHT)), GoalGuess(robot))
     position, orientation = robot.pose(robot.home)
-    mpc.reference["hand"] = Reference.poses([0.0], [position], orientation)
+    mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.computation_delay)

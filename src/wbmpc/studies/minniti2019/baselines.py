@@ -37,13 +37,13 @@ REGULATORS = ("lqr", "scheduled-lqr")
 
 class RegulatorSettings(Settings):
     """Factors of the MPC's weights of torques (``torque``; another one of the arm's, ``arm``), ball speed and tilt rate
-    (``damping``), the arm's angles and rates (``posture``), end effector (``hand``); ``max_error`` [m]: position errors beyond it are cut."""
+    (``damping``), the arm's angles and rates (``posture``), end effector (``end_effector``); ``max_error`` [m]: position errors beyond it are cut."""
 
     torque: Positive = 1.0
     arm: Positive = 1.0
     posture: Positive = 1.0
     damping: Positive = 1.0
-    hand: Positive = 1.0
+    end_effector: Positive = 1.0
     max_error: Positive = 0.1
 
 
@@ -62,7 +62,7 @@ class SeparateSettings(Settings):
 class TaskspaceSettings(Settings):
     """What :class:`wbmpc.studies.minniti2019.taskspace_control.TaskGains` says of them."""
 
-    hand: Positive = 5.02
+    end_effector: Positive = 5.02
     turn: Positive = 2.5
     ball: Positive = 6.04
     ball_speed: Positive = 1.07
@@ -243,7 +243,7 @@ def _felt(p: Parts) -> FallPredictor:
 
 def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceController:
     def goal(t: float) -> tuple[np.ndarray, np.ndarray]:
-        pose = p.mpc.reference["hand"].at(t)
+        pose = p.mpc.reference["end_effector"].at(t)
         return pose[:3], pose[3:]
 
     home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.baseline.taskspace.model_dump())
@@ -288,8 +288,8 @@ def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: RegulatorS
         "base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "arm": [arm[0]] * joints,
         "base_velocity": [fast, fast, b.yaw_rate, tilt, tilt], "arm_velocity": [arm[1]] * joints,
     })  # fmt: skip
-    hand = r.hand * np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
+    end_effector = r.end_effector * np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
     twist = np.array([h.twist] * 3 + [h.angular] * 3)
     wheels = len(robot.input.groups["wheel"])
     torque = r.torque * np.array([t.wheel] * wheels + [r.arm * t.arm] * joints)
-    return LqrWeights(hand, twist, state, torque)
+    return LqrWeights(end_effector, twist, state, torque)

@@ -22,7 +22,7 @@ from wbmpc.studies.minniti2019.door_control import DoorController, Push
 from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, worst_estimates
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, TIP_MASS, TIP_RADIUS, Door, DoorPlant
-from wbmpc.studies.minniti2019.door_problem import door_problem, suited
+from wbmpc.studies.minniti2019.door_problem import default_push_cost, door_problem
 from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
 from wbmpc.studies.minniti2019.task import IDEALISATIONS, ball_robot, record_rezero
 
@@ -88,7 +88,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
     robot = ball_robot(settings, settings.estimate_payload and settings.estimate_disturbance, contact="force")
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0])
-    push = settings.push or suited(settings.scheme)
+    push = settings.push or default_push_cost(settings.scheme)
     mpc = MPC(
         door_problem(robot, settings.mpc, settings.cost, push, settings.scheme, geometry.opening),
         settings.mpc.solver(), settings.mpc.rate,
@@ -125,7 +125,7 @@ def make_controller(
     for twist in ("twist", "push_twist"):
         mpc.reference[twist] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
-    for pose in ("hand", "turn"):
+    for pose in ("end_effector", "turn"):
         mpc.reference[pose] = Reference.poses([0.0], end_effector, quaternion)
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
     controller = DoorController(
@@ -160,7 +160,7 @@ def record_door(log: Log, t: float, plant: DoorPlant, controller: DoorController
     log.add("pushing", t, float(controller.phase == "push"))
     log.add("touching", t, float(controller.contact.touching))
     log.add("impedance", t, controller.impedance)
-    log.add("hand_wanted", t, controller.mpc.reference["hand"].at(t)[:3])
+    log.add("hand_wanted", t, controller.mpc.reference["end_effector"].at(t)[:3])
 
 
 def build(settings: RezeroDoorSettings, seed: int) -> Scenario:

@@ -272,7 +272,7 @@ class DoorController(BallController):
         if self.phase == "approach":
             target = np.minimum(target, ANTICIPATED)
         mpc.set_schedule(schedule)
-        mpc.reference["hand"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
+        mpc.reference["end_effector"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
         mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
         if "cone" in mpc.ocp.terms:
             mpc.reference["cone"] = Reference(times, normals)

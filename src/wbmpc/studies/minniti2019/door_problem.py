@@ -45,12 +45,12 @@ class DoorScheme(Settings):
     identify: bool = True
     cone: bool = True
     friction: Annotated[Positive, OnlyWith(cone=True)] = 0.35
-    least: Annotated[Weight, OnlyWith(cone=True)] = 0.5
+    min_push: Annotated[Weight, OnlyWith(cone=True)] = 0.5
     baumgarte: Annotated[Positive, OnlyWith(row=True)] = 10.0
     door_rate: Annotated[Positive, OnlyWith(row=True)] = 0.8
 
 
-def suited(scheme: DoorScheme) -> PushCost:
+def default_push_cost(scheme: DoorScheme) -> PushCost:
     """The weights while the end effector pushes that suit a scheme."""
     return PushCost() if scheme.row else UNTIED
 
@@ -77,7 +77,7 @@ def door_problem(
     limit_arm(ocp, robot, settings, cost)
     limit_torques(ocp, robot, settings, cost, ["wheel", "arm"])
     if scheme.cone:
-        cone = residuals.FrictionCone(robot, scheme.friction, scheme.least)
+        cone = residuals.FrictionCone(robot, scheme.friction, scheme.min_push)
         penalty = RelaxedBarrier(settings.barrier_mu, 0.1)
         ocp.add(
             Constraint("cone", cone, sets.NonNegative(), modes=PUSHING, penalty=penalty, hard=settings.limits == "hard")
@@ -93,7 +93,7 @@ def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push
     add = lambda name, residual, weight, **more: ocp.add(
         Cost(name, residual, list(weight), at="path+terminal", terminal_weight=list(end * np.asarray(weight)), **more)
     )
-    add("hand", error, pose, norm=SmoothL1(h.limit), modes=("free",))
+    add("end_effector", error, pose, norm=SmoothL1(h.limit), modes=("free",))
     add("turn", error, turn, modes=PUSHING)
     twist = residuals.FrameTwist(robot, robot.tool)
     add("twist", twist, np.array([h.twist] * 3 + [h.angular] * 3), modes=("free",))

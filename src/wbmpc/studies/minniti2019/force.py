@@ -57,19 +57,19 @@ class ForceMonitor:
         the bit, :data:`REPEATS` times in a row and for :data:`STANDS`: the sensor has stopped, for noise forbids that. Zero once
         there is a ``fault``. Raises :class:`InputError` for another number of numbers."""
         positive_time("force sensor", h)
-        given = np.array(force, float)
-        if given.shape != (3,):
-            raise InputError(f"force sensor: 'force' needs 3 numbers, got {given}")
+        measured = np.array(force, float)
+        if measured.shape != (3,):
+            raise InputError(f"force sensor: 'force' needs 3 numbers, got {measured}")
         if self.fault:
             return np.zeros(3)
-        previous, new = self._last, bool(np.isfinite(given).all())
-        again = not new or (previous is not None and np.array_equal(given, previous))
+        previous, new = self._last, bool(np.isfinite(measured).all())
+        again = not new or (previous is not None and np.array_equal(measured, previous))
         self._same, self._for = (self._same + 1, self._for + h) if again else (0, 0.0)
         self._jumped = bool(
-            new and previous is not None and not self._jumped and np.linalg.norm(given - previous) > JUMP
+            new and previous is not None and not self._jumped and np.linalg.norm(measured - previous) > JUMP
         )
         if new and not self._jumped:
-            self._last = given
+            self._last = measured
         if self._same >= REPEATS and self._for >= STANDS - 1e-9:
             what = "gives the same numbers again and again" if new else "gives no finite numbers"
             self.fault = f"the force sensor {what}"

@@ -60,7 +60,7 @@ def drive(
     position, quaternion = robot.pose(home)
     times = np.array([0.0, settings.settle_time, settings.settle_time + settings.hold_time])
     places = np.array([position, position + settings.step, position])
-    mpc.reference["hand"] = Reference.poses(times, places, quaternion, hold=True)
+    mpc.reference["end_effector"] = Reference.poses(times, places, quaternion, hold=True)
     rest = [home, resting(robot, places[1], quaternion), home]
     mpc.reference["body"] = Reference(times, np.array(rest), "hold")
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
@@ -80,17 +80,17 @@ def drive(
     else:
         controller = BallController(robot, mpc, torque, *own)
         mpc.reset(home, torque)
-    single, asked = Log(), torque.copy()
+    single, target = Log(), torque.copy()
 
     def record(t: float, command: Any, plans: Any) -> None:
         k = int(np.searchsorted(times, t + 1e-9, side="right")) - 1
         if not settings.preview:
             ahead = int(np.searchsorted(times, t + timing.delay * timing.period + 1e-9, side="right")) - 1
-            mpc.reference["hand"] = Reference.poses([0.0], places[ahead : ahead + 1], quaternion)
+            mpc.reference["end_effector"] = Reference.poses([0.0], places[ahead : ahead + 1], quaternion)
             mpc.reference["body"] = Reference.constant(rest[ahead])
         log.add(f"acting_{name}", t, plant.torque)
-        log.add(f"asked_{name}", t, asked.copy())  # the command before this one, which has acted until now
-        asked[:] = command.torque
+        log.add(f"asked_{name}", t, target.copy())  # the command before this one, which has acted until now
+        target[:] = command.torque
         log.add(f"wanted_{name}", t, places[k])
         record_rezero(single, t, plant, controller, command.torque)
 

@@ -54,9 +54,9 @@ def plots(log: Log) -> list[Plot]:
     target = log.array(f"wanted_{done[0]}")
     moved = int(np.argmax(np.ptp(target, axis=0)))
     lines = [Series(n, t[n], log.array(f"hand_{n}")[:, moved]) for n in done]
-    asked = log.array(f"asked_{done[0]}")
-    count = count_wheels(log.array(f"state_{done[0]}"), asked)
-    wheel = int(np.argmax(np.ptp(asked[:, :count], axis=0)))  # the one that works most
+    commanded = log.array(f"asked_{done[0]}")
+    count = count_wheels(log.array(f"state_{done[0]}"), commanded)
+    wheel = int(np.argmax(np.ptp(commanded[:, :count], axis=0)))  # the one that works most
     wheels = [
         s
         for n in done

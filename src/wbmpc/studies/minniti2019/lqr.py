@@ -44,8 +44,8 @@ class LqrWeights:
             ("state", np.size(self.state)),
             ("torque", np.size(self.torque)),
         ):
-            least = float(numbers("regulator's weights", name, getattr(self, name), size).min())
-            (positive if name == "torque" else not_negative)("regulator's weights", **{name: least})
+            minimum = float(numbers("regulator's weights", name, getattr(self, name), size).min())
+            (positive if name == "torque" else not_negative)("regulator's weights", **{name: minimum})
 
 
 class RegulatorGains:

@@ -149,7 +149,7 @@ class SeparateController(BallController):
     def _aim(self, t: float, x: Array) -> None:
         """The arm's goal at time t [s] for the base where it is."""
         rest = self.mpc.reference["body"].at(t)[self._part]
-        self._goal = self.inverse(x, self.mpc.reference["hand"].at(t), rest, self._goal)
+        self._goal = self.inverse(x, self.mpc.reference["end_effector"].at(t), rest, self._goal)
 
     def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
         assert policy is not None

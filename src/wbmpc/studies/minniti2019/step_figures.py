@@ -103,9 +103,9 @@ def _turns(log: Log, schedule: Schedule) -> Plot:
     t, home = log.times("hand_quaternion")[thin], lie.quaternion_conjugate(schedule.quaternions[0])
     vector = lambda q: np.rad2deg(lie.quaternion_log(lie.quaternion_multiply(q, home)))
     is_ = np.array([vector(q) for q in log.array("hand_quaternion")[thin]])
-    asked = np.array([vector(q) for q in schedule.quaternions])[[schedule.at(v) for v in t]]
+    target = np.array([vector(q) for q in schedule.quaternions])[[schedule.at(v) for v in t]]
     lines = [Series(f"about {n}", t, is_[:, i]) for i, n in enumerate("xyz")]
-    goals = [Series(f"about {n} asked", t, asked[:, i], dashed=True) for i, n in enumerate("xyz")]
+    goals = [Series(f"about {n} asked", t, target[:, i], dashed=True) for i, n in enumerate("xyz")]
     return Plot(
         "End effector orientation against home and its reference (Fig. 4)", "time [s]", "angle [deg]", [*lines, *goals]
     )
@@ -113,17 +113,17 @@ def _turns(log: Log, schedule: Schedule) -> Plot:
 
 def plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
     t, end_effector, state, torque = log.times("hand"), log.array("hand"), log.array("state"), log.array("torque")
-    asked = schedule.positions[[schedule.at(v) for v in t]]
+    target = schedule.positions[[schedule.at(v) for v in t]]
     limit = robot.limits.input_upper[: torque.shape[1]]
     lines = [Series(n, t, end_effector[:, i]) for i, n in enumerate("xyz")]
-    goals = [Series(f"{n} asked", t, asked[:, i], dashed=True) for i, n in enumerate("xyz")]
+    goals = [Series(f"{n} asked", t, target[:, i], dashed=True) for i, n in enumerate("xyz")]
     velocity = robot.state["arm_velocity"]
     ratio = np.abs(state[:, velocity]) / robot.limits.state_upper[velocity]
     degrees = np.rad2deg(state[:, 2:5])
     return [
         Plot("End effector position and its reference (Fig. 4)", "time [s]", "position [m]", [*lines, *goals]),
         _turns(log, schedule),
-        Plot("End effector position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(end_effector - asked, axis=1))]),
+        Plot("End effector position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(end_effector - target, axis=1))]),
         Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
         Plot("Base orientation", "time [s]", "angle [deg]", [Series(n, t, degrees[:, i]) for i, n in enumerate(EULER)]),
         Plot("Torques over their limits", "time [s]", "|torque| / limit", [

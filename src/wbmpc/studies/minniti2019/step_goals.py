@@ -20,7 +20,7 @@ class Step:
     move: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axis: tuple[float, float, float] | None = None
     angle: float = 0.0
-    of_hand: bool = False
+    of_end_effector: bool = False
 
 
 STEPS = (
@@ -31,10 +31,10 @@ STEPS = (
     Step("+z 0.1 m", (0.0, 0.0, 0.1)),
     Step("-z 0.1 m", (0.0, 0.0, -0.1)),
     Step("yaw 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6),
-    Step("pitch 20 deg", axis=(0.0, 1.0, 0.0), angle=np.pi / 9, of_hand=True),
+    Step("pitch 20 deg", axis=(0.0, 1.0, 0.0), angle=np.pi / 9, of_end_effector=True),
 )
 #: A roll about the forearm, which an arm with yaw and two pitch joints does not have: asked for last, then home again.
-IMPOSSIBLE = Step("roll 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6, of_hand=True)
+IMPOSSIBLE = Step("roll 30 deg", axis=(0.0, 0.0, 1.0), angle=np.pi / 6, of_end_effector=True)
 
 
 def target(step: Step, position: np.ndarray, quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -42,5 +42,7 @@ def target(step: Step, position: np.ndarray, quaternion: np.ndarray) -> tuple[np
     if step.axis is None:
         return position + np.array(step.move), quaternion
     turn = lie.quaternion_about(step.axis, step.angle)
-    turned = lie.quaternion_multiply(quaternion, turn) if step.of_hand else lie.quaternion_multiply(turn, quaternion)
+    turned = (
+        lie.quaternion_multiply(quaternion, turn) if step.of_end_effector else lie.quaternion_multiply(turn, quaternion)
+    )
     return position, turned

@@ -51,11 +51,11 @@ class RezeroStepsSettings(RezeroSettings):
 
     @model_validator(mode="after")
     def _windows(self) -> Self:
-        least = STEADY + max(self.lead, MOVING)
+        minimum = STEADY + max(self.lead, MOVING)
         way_out = "; a smaller mpc.horizon or preview=false needs less" if self.lead > MOVING else ""
-        if self.hold_time < least - 1e-9:
+        if self.hold_time < minimum - 1e-9:
             raise ValueError(
-                f"hold_time={self.hold_time:g}: a step needs {least:g} s, {STEADY:g} s to be judged and before that the preview "
+                f"hold_time={self.hold_time:g}: a step needs {minimum:g} s, {STEADY:g} s to be judged and before that the preview "
                 f"(mpc.horizon) or {MOVING:g} s to move{way_out}"
             )
         if self.settle_time < self.lead - 1e-9:
@@ -103,10 +103,10 @@ def build(settings: RezeroStepsSettings, seed: int) -> Scenario:
     def hide_future(mpc: MPC, timing: Timing, t: float) -> None:
         """Without preview the present target holds for the whole horizon."""
         i = schedule.at(t + timing.delay * timing.period)
-        mpc.reference["hand"] = Reference.poses([0.0], schedule.positions[i : i + 1], schedule.quaternions[i])
+        mpc.reference["end_effector"] = Reference.poses([0.0], schedule.positions[i : i + 1], schedule.quaternions[i])
         mpc.reference["body"] = Reference.constant(body.values[i])
 
-    references = {"hand": schedule.reference(), "body": body}
+    references = {"end_effector": schedule.reference(), "body": body}
     return task_scenario(
         settings, seed,
         Task(robot.home[robot.state["arm"]], schedule.duration, references),

@@ -133,7 +133,7 @@ def ball_system(
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
     position, quaternion = robot.pose(home)
-    mpc.reference["hand"] = Reference.poses([0.0], position, quaternion)
+    mpc.reference["end_effector"] = Reference.poses([0.0], position, quaternion)
     for term, reference in references.items():
         mpc.reference[term] = reference
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
@@ -186,7 +186,7 @@ def task_scenario(
 def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallController, torque: np.ndarray) -> None:
     """The channels of every experiment: truth, torques, disturbance and, with an estimator, what it believes."""
     truth = plant.truth()
-    log.add("state", t, plant.state())
+    log.add("state", t, truth.state)
     log.add("hand", t, truth.tool)
     log.add("hand_quaternion", t, lie.rotation_to_quaternion(truth.tool_rotation))
     log.add("tilt", t, truth.tilt)

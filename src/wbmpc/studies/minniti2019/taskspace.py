@@ -56,14 +56,14 @@ def drive(
     times, places, turns = goals(settings, robot)
     stances = [resting(robot, p, q) for p, q in zip(places, turns, strict=True)]
     now = lambda t: int(np.searchsorted(times, t + 1e-9, side="right")) - 1
-    asked = lambda k: {
-        "hand": Reference.poses([0.0], places[k : k + 1], turns[k]), "body": Reference.constant(stances[k]),
+    references = lambda k: {
+        "end_effector": Reference.poses([0.0], places[k : k + 1], turns[k]), "body": Reference.constant(stances[k]),
     }  # fmt: skip
-    system = ball_system(chosen, seed, robot.home[robot.state["arm"]], asked(0))
+    system = ball_system(chosen, seed, robot.home[robot.state["arm"]], references(0))
     single, timing = Log(), system.timing
 
     def record(t: float, command: Any, plans: Any) -> None:
-        for term, reference in asked(now(t + timing.delay * timing.period)).items():
+        for term, reference in references(now(t + timing.delay * timing.period)).items():
             system.mpc.reference[term] = reference
         record_rezero(single, t, system.plant, system.controller, command.torque)
         log.add(f"wanted_{name}", t, np.concatenate([places[now(t)], turns[now(t)]]))

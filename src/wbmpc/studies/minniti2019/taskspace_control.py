@@ -30,12 +30,12 @@ Goal = Callable[[float], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class TaskGains:
-    """End effector: natural frequency ``hand`` and ``turn`` [rad/s] of position and orientation (critically damped), largest errors of
+    """End effector: natural frequency ``end_effector`` and ``turn`` [rad/s] of position and orientation (critically damped), largest errors of
     end effector and ball that count [m, rad]. Balance: weights of the LQR on ball position and speed, yaw, tilt and wheel torque.
     ``balance``: weight of a squared acceleration of ball [m/s²] and base [rad/s²] against one of the end effector; ``torque``: of
     torques [1/(N m)²]."""
 
-    hand: float = 4.0
+    end_effector: float = 4.0
     turn: float = 4.0
     position_limit: float = 0.1
     turn_limit: float = 0.3
@@ -111,7 +111,7 @@ class TaskSpaceController(BallController):
         error = _short(position - place, g.position_limit)
         turn = lie.quaternion_log(lie.quaternion_multiply(quaternion, lie.quaternion_conjugate(turned)))
         turn = _short(np.asarray(turn, float).ravel(), g.turn_limit)
-        linear = g.hand**2 * error - 2.0 * g.hand * velocity[:3]
+        linear = g.end_effector**2 * error - 2.0 * g.end_effector * velocity[:3]
         return np.concatenate([linear, g.turn**2 * turn - 2.0 * g.turn * velocity[3:]])
 
     def _balance(self, t: float, x: Array) -> Array:

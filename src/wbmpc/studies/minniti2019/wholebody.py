@@ -95,7 +95,7 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
         )
         return [*common_plots(log, target(t), np.zeros(2)), joint, ratio]
 
-    references = {"hand": Reference.poses(times, places, quaternion)}
+    references = {"end_effector": Reference.poses(times, places, quaternion)}
     if settings.controller in REGULATORS:
         grid = np.arange(0.0, float(ends[-1]), 0.05)
         references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), target(grid), home)

@@ -38,9 +38,9 @@ def build(settings: SwerveBrakesSettings, seed: int) -> Scenario:
     brake_tests.reject(bench.robot)
     moved, slip, slides, faults = (dict[Any, Any]() for _ in range(4))
 
-    def test(name: str, into: dict[Any, Any], key: Any, run: Callable[..., Any], *given: Any) -> Part:
+    def test(name: str, into: dict[Any, Any], key: Any, run: Callable[..., Any], *arguments: Any) -> Part:
         def kept(progress: Progress | None) -> Outcome:
-            result = into[key] = run(bench, *given, progress)
+            result = into[key] = run(bench, *arguments, progress)
             return Outcome(faults=[str(fault) for fault in result.real] if isinstance(result, Found) else ())
 
         return Part(name, kept)

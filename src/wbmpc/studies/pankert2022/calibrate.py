@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.swerve.calibration import calibrate
-from wbmpc.bases.swerve.calibration_log import record_of, swerve_robot
 from wbmpc.errors import InputError
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.experiment import Experiment, Outcome, Scenario
@@ -14,6 +13,7 @@ from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending, Progress
 from wbmpc.studies.pankert2022.metrics import rms, travelled
 from wbmpc.studies.pankert2022.reference_drive import SwerveCalibrateSettings, drive
+from wbmpc.studies.pankert2022.wheel_log import record_of, swerve_robot
 
 NAME = "swerve-calibrate"
 SUMMARY = "a short reference drive with global poses, for 'wbmpc calibrate' (steer zeros and wheel radii)"

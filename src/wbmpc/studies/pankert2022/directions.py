@@ -6,10 +6,19 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.model.wheels import beyond_range, wheel_velocities
+from wbmpc.model.wheels import wheel_velocities
 
 #: Speed [m/s] below which a wheel need not point anywhere; angle [rad] by which it may miss its direction (it slips 2 % sideways).
 ROLLS, OFF = 0.02, 0.02
+
+
+def beyond_range(steer: np.ndarray | float, lower: np.ndarray | float, upper: np.ndarray | float) -> np.ndarray:
+    """By how much [rad] wheels at angles ``steer`` (..., n) are out of their ranges (n), whichever way round they roll."""
+    low, high = np.broadcast_arrays(np.asarray(lower, float), np.asarray(upper, float))
+    all_round = high - low >= np.pi
+    middle = np.where(all_round, 0.0, 0.5 * (np.where(all_round, 0.0, low) + np.where(all_round, 0.0, high)))
+    off = np.abs((np.asarray(steer, float) - middle + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+    return np.where(all_round, 0.0, np.maximum(off - 0.5 * (high - low), 0.0))
 
 
 def reject_directions(

@@ -40,7 +40,7 @@ def terrain(spec: mujoco.MjSpec) -> None:
 
 def clearance(robot: RobotModel, poses: np.ndarray, legs: np.ndarray) -> float:
     """Smallest distance [m] of body and wheels to the posts of the door on the way (poses (k, 3), leg angles (k, n))."""
-    least = np.inf
+    nearest = np.inf
     corners = np.array([[x, y] for x in (-BODY[0], BODY[0]) for y in (-BODY[1], BODY[1])])
     posts = np.array([[DOOR, 0.5 * DOOR_WIDTH], [DOOR, -0.5 * DOOR_WIDTH]])
     near = np.abs(poses[:, 0] - DOOR) < 1.2
@@ -51,5 +51,5 @@ def clearance(robot: RobotModel, poses: np.ndarray, legs: np.ndarray) -> float:
         # the outline between its corners is widest at them
         inside = np.abs(points[:, 0] - DOOR) < 0.05
         if inside.any():
-            least = min(least, float(np.min(posts[0, 1] - np.abs(points[inside, 1]))))
-    return float(least)
+            nearest = min(nearest, float(np.min(posts[0, 1] - np.abs(points[inside, 1]))))
+    return float(nearest)

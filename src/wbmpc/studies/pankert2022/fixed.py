@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
-from wbmpc.bases.swerve.wheel_flip import WheelFlipGuess, fast_enough
 from wbmpc.experiment import Experiment, Loop, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -27,6 +25,8 @@ from wbmpc.studies.pankert2022.fixed_figures import metrics, plots
 from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings, legs_at_home
 from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
+from wbmpc.studies.pankert2022.wheel_flip import WheelFlipGuess, fast_enough
+from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 
 NAME = "swerve-fixed"
 SUMMARY = "base motions of a swerve base with fixed legs: MPC against inverse kinematics and four-wheel steering"

@@ -29,11 +29,11 @@ def standstill(log: Log, name: str, reference: Motion) -> float:
     """Longest time [s] for which a base that was asked to move stood still (true motion, over 0.1 s)."""
     t, pose = log.times(f"base_{name}"), log.array(f"base_{name}")
     twist = reference.path.twist(t)
-    asked = np.hypot(twist[:, 0], twist[:, 1]) + LEVER * np.abs(twist[:, 2])
+    target = np.hypot(twist[:, 0], twist[:, 1]) + LEVER * np.abs(twist[:, 2])
     back = np.maximum(np.searchsorted(t, t - 0.1), 0)
     way = pose - pose[back]
     moved = (np.hypot(way[:, 0], way[:, 1]) + LEVER * np.abs(way[:, 2])) / np.maximum(t - t[back], 1e-3)
-    still, longest, since = (asked > ASKED) & (moved < STANDING), 0.0, None
+    still, longest, since = (target > ASKED) & (moved < STANDING), 0.0, None
     for now, flag in zip(t, still, strict=True):
         since = (now if since is None else since) if flag else None
         longest = max(longest, now - since if since is not None else 0.0)

@@ -86,7 +86,7 @@ class Motion:
         mpc.reference["state"] = Reference(t, states)
         mpc.reference["input"] = Reference(t, inputs)
         position, orientation = robot.pose(robot.home)
-        mpc.reference["hand"] = Reference.poses(np.zeros(1), position[None], orientation[None])
+        mpc.reference["end_effector"] = Reference.poses(np.zeros(1), position[None], orientation[None])
 
 
 def legs_at_home(robot: RobotModel) -> np.ndarray:

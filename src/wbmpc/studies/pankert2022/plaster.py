@@ -9,7 +9,6 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
-from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
@@ -26,6 +25,7 @@ from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.plaster_figures import metrics, plots
 from wbmpc.studies.pankert2022.reference_drive import calibrated
 from wbmpc.studies.pankert2022.standing import stand_still
+from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 
 NAME = "swerve-plaster"
 SUMMARY = "five lines of 3.5 m on a wall, ten times, over cables and bumps (Pankert et al. 2022, section IV-D)"

@@ -141,7 +141,7 @@ class WallReferences:
 
     def set(self, mpc: MPC, robot: RobotModel) -> None:
         t = np.arange(0.0, self.duration + 0.02, 0.02)
-        mpc.reference["hand"] = Reference.poses(t, self.end_effector(t), self.approach.offset(t)[1])
+        mpc.reference["end_effector"] = Reference.poses(t, self.end_effector(t), self.approach.offset(t)[1])
         states = np.tile(robot.home, (t.size, 1))
         states[:, robot.state["base"]] = self.base(t)
         mpc.reference["state"] = Reference(t, states)

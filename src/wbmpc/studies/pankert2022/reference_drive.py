@@ -13,7 +13,7 @@ from pydantic import Field
 
 from wbmpc.bases.swerve.brake_control import FLOATING, floating
 from wbmpc.bases.swerve.calibration import calibrate
-from wbmpc.bases.swerve.calibration_log import WheelLog, record_of, steer_joints
+from wbmpc.bases.swerve.calibrator import steer_joints
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -26,6 +26,7 @@ from wbmpc.settings import ControlSettings, LocalisationSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022.directions import reject_directions
+from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 
 
 class SwerveCalibrateSettings(Settings):
@@ -89,7 +90,7 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     geometry, home = robot.base.geometry, robot.state.split(robot.home)
     leg, steer = home.get("leg", np.zeros(geometry.modules)), home["steer"]
     part = robot.state["steer"]
-    least, maximum = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
+    minimum, maximum = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
     closed, ramp = np.zeros(geometry.modules), s.speed / ACCELERATION
     phases = [_Phase(s.settle_time, steer, np.zeros(3), 0.0, closed)]
     opening, strokes = max(OPENING, s.plant.brake_delay + SURE), _strokes(geometry, leg, s)
@@ -97,7 +98,7 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
     reject_directions(robot, np.arange(len(strokes)), np.array([twist for twist, _ in strokes]), legs, 0.0 * legs)
     for k, (twist, length) in enumerate(strokes * s.rounds):
         target, _ = rolling_inverse_kinematics(geometry, leg, steer, twist)
-        target = target - np.pi * (target > maximum) + np.pi * (target < least)
+        target = target - np.pi * (target > maximum) + np.pi * (target < minimum)
         turning = float(np.abs(target - steer).max()) / STEER_SPEED + 1.0
         steer, brake = target, closed if twist[2] or not s.open_brakes else _opened(geometry, leg, k)
         phases += [

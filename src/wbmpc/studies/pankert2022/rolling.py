@@ -15,7 +15,7 @@ import numpy as np
 from wbmpc.bases.swerve.brake_supervision import Brakes, SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.estimator import EstimatorSettings
-from wbmpc.bases.swerve.messages import SwerveCommand, scale_wheels
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.checks import not_negative
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
@@ -27,6 +27,11 @@ SLOW = 0.01
 Goals = Callable[[float], tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]
 #: Rate [m/s, rad/s] below which a reference counts as rest.
 REST = 0.01
+
+
+def scale_wheels(wheel: np.ndarray, limit: float) -> np.ndarray:
+    """Wheel speeds (n) [rad/s] scaled together to ``limit``: wheels that are clipped one by one drag each other."""
+    return wheel * min(1.0, limit / max(float(np.abs(wheel).max(initial=0.0)), 1e-12))
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ class RollingController(SwerveController):
         target, wheel = self._within(target, wheel)
         # wheels that point elsewhere would drag the base along: slow down until they have turned
         limit = self.robot.limits.input_upper
-        wheel, _ = scale_wheels(wheel, float(limit[self.robot.input["wheel"]].min()))
+        wheel = scale_wheels(wheel, float(limit[self.robot.input["wheel"]].min()))
         wheel = wheel * float(np.cos(np.minimum(np.abs(target - m.steer), 0.5 * np.pi)).min())
         steer_limit = limit[self.robot.input["steer"]]
         steer = np.clip(self.gains.steer_gain * (target - m.steer), -steer_limit, steer_limit)

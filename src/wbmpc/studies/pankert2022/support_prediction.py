@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.model.robot import RobotModel
-from wbmpc.stability import StanceOf, Switch, Triangle, assess, corners, resting_triangles, support_switches, upright
+from wbmpc.stability import StanceOf, Triangle, assess, corners
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping
 from wbmpc.studies.pankert2022.rocking import rockings
+from wbmpc.studies.pankert2022.support_switches import Switch, resting_triangles, support_switches, upright
 
 Array = NDArray[np.float64]
 #: Feet (n, 2) [m], zero-moment points (k, 2) [m] and forces (k,) [N] that press on the ground.

@@ -8,21 +8,21 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
-from wbmpc.bases.swerve.calibration_log import WheelLog, swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
-from wbmpc.estimation.wheel_odometry import ReleaseOdometry
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022.metrics import in_frame, rotation_about_z
 from wbmpc.studies.pankert2022.reference_drive import calibrated
+from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.track_figures import SPEEDS, metrics, plots
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
+from wbmpc.studies.pankert2022.wheel_log import WheelLog, swerve_robot
 
 NAME = "swerve-track"
 SUMMARY = "the end effector follows a 20.53 m sine while the swerve base drives (Pankert et al. 2022, Fig. 9)"

@@ -96,7 +96,7 @@ class TrackReferences:
         """``lift`` [m]: by what the end effector goes higher over the model's base than over the floor."""
         robot_state, robot_input = mpc.ocp.dynamics.state, mpc.ocp.dynamics.input
         t = np.arange(0.0, self.duration + 0.02, 0.02)
-        mpc.reference["hand"] = Reference.poses(t, self.end_effector(t) + [0.0, 0.0, lift], self.orientation(t))
+        mpc.reference["end_effector"] = Reference.poses(t, self.end_effector(t) + [0.0, 0.0, lift], self.orientation(t))
         x, speed = self.base(t)
         states = np.tile(home, (t.size, 1))
         states[:, robot_state["base"]] = np.stack([x, 0.0 * x, 0.0 * x], axis=1)

@@ -13,7 +13,6 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
-from wbmpc.bases.swerve.calibration_log import swerve_robot
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import ROLLING_SOFTNESS, swerve_problem
 from wbmpc.bases.swerve.estimator import EstimatorSettings
@@ -35,6 +34,7 @@ from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.unified_figures import metrics, plots
 from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
+from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 from wbmpc.studies.paths import Approach
 
 NAME = "swerve-unified"
@@ -113,7 +113,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     mpc = MPC(_problem(robot, home, settings), settings.mpc.solver(), settings.mpc.rate, guess=guess)
     mission.set(mpc, robot, home, duration)
     t = np.arange(0.0, duration + 0.02, 0.02)
-    mpc.reference["hand"] = Reference.poses(t, np.array(HOLD) + approach.offset(t)[0], approach.offset(t)[1])
+    mpc.reference["end_effector"] = Reference.poses(t, np.array(HOLD) + approach.offset(t)[0], approach.offset(t)[1])
     brakes = BrakeControl(robot, delay=settings.plant.brake_delay, changed=mpc.set_schedule)
     mission.apply(brakes)
     plant = SwervePlant(robot.description, robot.state.split(home), settings.plant, seed)

@@ -10,9 +10,10 @@ import numpy as np
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Drawing, Metric, Plot, Series
-from wbmpc.stability import CONFIGURATIONS, StanceOf, Switch, assess, corners, draw
+from wbmpc.stability import CONFIGURATIONS, StanceOf, assess, corners, draw
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.studies.pankert2022.support_prediction import AWAY, UNLOADED, Case, Support, predict, tippings
+from wbmpc.studies.pankert2022.support_switches import Switch
 
 if TYPE_CHECKING:
     from wbmpc.studies.pankert2022.wobble import SwerveWobbleSettings
@@ -101,11 +102,11 @@ def _rates(log: Log, height: float) -> dict[str, Metric]:
         t = log.times(f"rate_{key}")
         true[name] = float(np.linalg.norm(log.array(f"rate_{key}"), axis=1)[t >= 0.0].max())
         imu[name] = float(_filtered(log.array(f"gyro_{key}"), t < 0.0)[t >= 0.0].max())
-    least = min(true["H"], true["X"]) / true["A"]
+    minimum = min(true["H"], true["X"]) / true["A"]
     return {
         **{f"roll_pitch_rate_max_{n}": Metric(v, "rad/s") for n, v in true.items()},
         **{f"imu_rate_max_{n}": Metric(v, "rad/s") for n, v in imu.items()},
-        "roll_pitch_rate_ratio": Metric(least, "1", paper=10.0, least=1000.0),
+        "roll_pitch_rate_ratio": Metric(minimum, "1", paper=10.0, least=1000.0),
     }
 
 

@@ -73,7 +73,7 @@ def differential_manipulator(intervals: int = 21, step: tuple[float, float, floa
     joints = list(_arm().description.arm.joints)
     dynamics = Ode({"base": ["x", "y", "yaw"], "arm": joints}, {"base": ["v", "w"], "arm": joints}, _unicycle)
     ocp = OptimalControlProblem(dynamics, 1.0, intervals)
-    ocp.add(Cost("hand", residuals.Expression(6, _error, 7), [10.0] * 3 + [5.0] * 3, at="path+terminal"))
+    ocp.add(Cost("end_effector", residuals.Expression(6, _error, 7), [10.0] * 3 + [5.0] * 3, at="path+terminal"))
     ocp.add(Cost("input", residuals.Expression(8, lambda s: s.u), [0.05] * 2 + [0.01] * 6))
     speed = np.array([0.1, 0.3] + [0.45] * 6)
     box = sets.Box(-speed, speed)
@@ -84,5 +84,5 @@ def differential_manipulator(intervals: int = 21, step: tuple[float, float, floa
     x = ca.SX.sym("x", 9)
     pose = end_effector_pose(x)
     position, quaternion = (np.array(v).ravel() for v in ca.Function("p", [x], [pose.position, pose.quaternion])(x0))
-    references = {"hand": Reference.poses([0.0], [position + np.array(step)], quaternion)}
+    references = {"end_effector": Reference.poses([0.0], [position + np.array(step)], quaternion)}
     return SampleProblem("differential-drive manipulator", ocp, x0, x0, np.zeros(8), references)

@@ -39,7 +39,7 @@ def swerve_bench(
     along, across = path.point(t)
     position, orientation = robot.pose(robot.home)
     hand = position + np.stack([along, across, 0.0 * along], axis=1)
-    solver.set_reference("hand", Reference.poses(t, hand, orientation))
+    solver.set_reference("end_effector", Reference.poses(t, hand, orientation))
     states, inputs = np.tile(robot.home, (t.size, 1)), np.zeros((t.size, robot.input.size))
     arc, rate = path.arc(t)
     states[:, 0], inputs[:, 0] = arc * path.length / path.arc_length, rate * path.length / path.arc_length
@@ -68,7 +68,7 @@ def rezero_bench(
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     u0 = np.concatenate([torque, np.zeros(3)])
     position, orientation = robot.pose(home)
-    solver.set_reference("hand", Reference.poses([0.0], [position + [step, 0.0, 0.0]], orientation))
+    solver.set_reference("end_effector", Reference.poses([0.0], [position + [step, 0.0, 0.0]], orientation))
     solver.set_reference("body", Reference.constant(home))
     solver.set_reference("twist", Reference.constant(np.zeros(6)))
     solver.set_reference("torque", Reference.constant(u0))

@@ -75,7 +75,7 @@ def _terms(ocp: OptimalControlProblem, robot: RobotModel, groups: tuple[str, ...
     ocp.add(Cost("rates", residuals.Input(robot, rates, reference=None), {g: _RATES[g] for g in rates}))
     if "arm" in groups:
         end_effector = residuals.FramePose(robot, robot.tool)
-        ocp.add(Cost("hand", end_effector, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
+        ocp.add(Cost("end_effector", end_effector, [1000.0] * 3 + [200.0] * 3, at="path+terminal"))
     ocp.add(Constraint("rolling", residuals.Rolling(robot)))
     ocp.add(Constraint("brakes", residuals.LockedJoints(robot)))
     barrier, limits = RelaxedBarrier(1e-3, 0.02), robot.limits
@@ -108,7 +108,7 @@ def swerve(arm: bool = True, intervals: int = 101, horizon: float = 10.0, brakes
     }
     if arm:
         position, quaternion = robot.pose(robot.home)
-        references["hand"] = Reference.poses(t, position + move, quaternion)
+        references["end_effector"] = Reference.poses(t, position + move, quaternion)
     closed, free = Mode("closed", {"brake": [0.0] * 4}), Mode("open", {"brake": [1.0] * 4})
     schedule = {
         "closed": ModeSchedule((closed,)),

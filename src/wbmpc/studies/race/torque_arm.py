@@ -40,7 +40,7 @@ def torque_arm(joints: int = 6, intervals: int = 50, horizon: float = 1.0) -> Sa
     ocp = OptimalControlProblem(dynamics, horizon, intervals)
     end_effector = residuals.Expression(3, lambda s: dynamics.chain(s.x).frame_pose(tip).position - s.reference, 3)
     state = residuals.Expression(2 * joints, lambda s: s.x - s.reference, 2 * joints)
-    ocp.add(Cost("hand", end_effector, END_EFFECTOR_WEIGHT, at="path+terminal"))
+    ocp.add(Cost("end_effector", end_effector, END_EFFECTOR_WEIGHT, at="path+terminal"))
     ocp.add(Cost("state", state, [ANGLE] * joints + [RATE] * joints, at="path+terminal"))
     ocp.add(Cost("torque", residuals.Expression(joints, lambda s: s.u), TORQUE))
     q0 = np.array([(0.0, 0.6, 0.1)[k % 3] * 6.0 / joints for k in range(joints)])
@@ -48,7 +48,7 @@ def torque_arm(joints: int = 6, intervals: int = 50, horizon: float = 1.0) -> Sa
     at_rest = ca.Function("rest", [x, u], [dynamics.chain(x).frame_pose(tip).position, holding_torque(dynamics, x)])
     position, torque = (np.array(v).ravel() for v in at_rest(rest, np.zeros(joints)))
     references = {
-        "hand": Reference.constant(position + np.array([0.0, 0.3, 0.0])),
+        "end_effector": Reference.constant(position + np.array([0.0, 0.3, 0.0])),
         "state": Reference.constant(rest),
     }
     return SampleProblem(f"torque arm, {joints} joints", ocp, rest, rest, torque, references)

@@ -266,7 +266,7 @@ def test_messages_are_late_and_a_stalled_encoder_stands() -> None:
     seen = []
     for _ in range(120):
         p.step(BallCommand(TORQUE + [0.3, -0.2, 0.1, 0.0, 0.0, 0.0]), 5)
-        seen.append((p.measure().wheel, p.sensors._wheel.copy()))
+        seen.append((p.measure().wheel, p.sensors.wheel))
     assert seen[20][0] == pytest.approx(seen[18][1], abs=1e-12)  # 5 ms are two messages
     stands = np.array([w[0] for w, _ in seen])[45:75]
     assert np.ptp(stands) == 0.0 and np.ptp([w[1] for w, _ in seen[45:75]]) > 1e-3

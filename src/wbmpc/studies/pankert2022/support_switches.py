@@ -72,83 +72,12 @@ class Switch:
     after: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class Crossing:
-    """At ``time`` [s] a zero-moment point leaves the support triangles ``left`` and enters others, ``entered``."""
-
-    time: float
-    left: tuple[Triangle, ...]
-    entered: tuple[Triangle, ...]
-
-
-def crossings(times: ArrayLike, points: ArrayLike, feet: ArrayLike) -> list[Crossing]:
-    """Where zero-moment points (k, 2) at times (k,) leave and enter support triangles, on nominally level ground.
-
-    There the robot may rock: it does if one of the triangles that are left has carried it. Points are linear between samples. A
-    crossing that enters nothing and after which no triangle is left tips the robot over. Raises :class:`InputError` for
-    times that do not rise and points that are not finite (no load on the ground).
-    """
-    t, corners = _rising(times), checked_feet(feet)
-    p = np.asarray(points, float)
-    if p.shape != (t.size, 2) or not np.isfinite(p).all():
-        raise InputError(
-            f"zero-moment points: {t.size} finite points (x, y) are needed, one for each time, got {p.shape}"
-        )
-    triangles = support_triangles(corners)
-    found: list[Crossing] = []
-    for n in triangles:
-        enters, leaves = _inside(edge_distances(corners[list(n)], p))
-        for k in np.flatnonzero(np.isfinite(enters)):
-            found.append(Crossing(float(t[k] + enters[k] * (t[k + 1] - t[k])), (), (n,)))
-        for k in np.flatnonzero(np.isfinite(leaves)):
-            found.append(Crossing(float(t[k] + leaves[k] * (t[k + 1] - t[k])), (n,), ()))
-    return _merged(sorted(found, key=lambda c: c.time))
-
-
-def _inside(distances: Array) -> tuple[Array, Array]:
-    """At which share (k - 1) of each interval between samples a point enters a triangle and leaves it, NaN where it does not.
-
-    From its ``distances`` (k, 3) to the edges' lines, positive inside, which are linear in time: it is in from where the last of
-    them becomes positive, up to where the first is no longer.
-    """
-    previous, after = distances[:-1], distances[1:]
-    change = np.where(previous == after, np.inf, previous - after)
-    share = previous / change  # where an edge's line is crossed
-    comes, goes = (previous <= 0.0) & (after > 0.0), (previous > 0.0) & (after <= 0.0)
-    begins = np.where(comes, share, -np.inf).max(axis=1)
-    ends = np.where(goes, share, np.inf).min(axis=1)
-    there = ((previous > 0.0) | (after > 0.0)).all(axis=1) & (begins < ends)
-    return (
-        np.where(there & np.isfinite(begins), begins, np.nan),
-        np.where(there & np.isfinite(ends), ends, np.nan),
-    )
-
-
 def _rising(times: ArrayLike) -> Array:
     """``times`` (k,) [s], finite and each later than the one before, or :class:`InputError`."""
     t = np.asarray(times, float)
     if t.ndim != 1 or not t.size or not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
         raise InputError("times: finite numbers are needed, each larger than the one before")
     return t
-
-
-def _merged(found: list[Crossing]) -> list[Crossing]:
-    """Crossings of one edge as one: its triangles are left and entered at the same time, up to rounding. One that is left and
-    entered again at once, at a sample on its edge, is neither."""
-    groups: list[list[Crossing]] = []
-    for c in found:
-        if groups and c.time - groups[-1][-1].time < 1e-9:
-            groups[-1].append(c)
-        else:
-            groups.append([c])
-    out = []
-    for group in groups:
-        left, entered = ([n for c in group for n in getattr(c, name)] for name in ("left", "entered"))
-        both = set(left) & set(entered)
-        if len(both) < len(set(left) | set(entered)):
-            gone, come = (tuple(n for n in side if n not in both) for side in (left, entered))
-            out.append(Crossing(group[0].time, gone, come))
-    return out
 
 
 #: (vertical (3) in the robot's frame, triangle) -> feet (n, 2) [m], zero-moment points (k, 2) [m], forces (k,) [N].
@@ -203,10 +132,10 @@ def support_switches(
     return found
 
 
-def _checked_stance(given: tuple[Array, Array, Array], feet: int, times: int) -> tuple[Array, Array, Array]:
+def _checked_stance(stance: tuple[Array, Array, Array], feet: int, times: int) -> tuple[Array, Array, Array]:
     """Feet (n, 2), points (k, 2) and forces (k,) of finite numbers, or :class:`InputError`."""
     needed = {"feet": (feet, 2), "zero-moment points": (times, 2), "forces": (times,)}
-    arrays = [np.asarray(values, float) for values in given]
+    arrays = [np.asarray(values, float) for values in stance]
     for (name, shape), values in zip(needed.items(), arrays, strict=True):
         if values.shape != shape or not np.isfinite(values).all():
             raise InputError(f"stance: {name}: finite numbers of shape {shape} are needed, got {values.shape}")

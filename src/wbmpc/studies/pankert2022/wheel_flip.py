@@ -31,7 +31,8 @@ from wbmpc.ocp import Reference
 from wbmpc.solver import Trajectory
 
 if TYPE_CHECKING:
-    from wbmpc.mpc.mpc import MPC, References
+    from wbmpc.mpc.mpc import MPC
+    from wbmpc.mpc.references import References
 
 #: Length of a turn [s] and of its ramps: speed and acceleration stay below those of the drives.
 TURN, RAMP = 0.8, 0.12
@@ -50,8 +51,6 @@ EDGES, NEVER = 32, 1e4
 PAST = 0.1
 #: A plan this much [rad] behind the reserve of a wheel's range has let its limit give way.
 BEYOND = 0.15
-#: Sideways speed [m/s] at which a plan lets a wheel slip; for how long [s] after it the wheel does (drives lag).
-SLIPS_AT, SLIPS_FOR = 0.02, 0.1
 
 
 @dataclass(frozen=True)
@@ -135,23 +134,6 @@ def _costs(
     return cost
 
 
-class SideSlip:
-    """Which wheels slip sideways under a plan with flips: ``left`` (n) [s], for how long each still does. ``period`` [s] of
-    :meth:`update`."""
-
-    def __init__(self, robot: RobotModel, period: float) -> None:
-        self._geometry, self._input, self._period = robot.base.geometry, robot.input, period
-        self.left = np.zeros(robot.base.geometry.modules)
-
-    def update(self, leg: np.ndarray, steer: np.ndarray, u: np.ndarray) -> None:
-        """Under leg angles ``leg`` (n), planned steering angles ``steer`` (n) [rad] and the input u (nu)."""
-        geometry, given = self._geometry, self._input
-        v = wheel_velocities(geometry, leg, u[given["base"]], u[given["leg"]] if "leg" in given else 0.0)
-        heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
-        side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
-        self.left = np.where(np.abs(side) > SLIPS_AT, SLIPS_FOR, np.maximum(self.left - self._period, 0.0))
-
-
 def fast_enough(robot: RobotModel) -> bool:
     """Whether the planner's limits let steering joints turn about within :data:`TURN`."""
     return bool(np.min(robot.limits.input_upper[robot.input["steer"]]) >= np.pi / (TURN - RAMP))
@@ -166,10 +148,10 @@ class WheelFlipGuess(SteeringGuess):
 
     def __init__(self, robot: RobotModel, preview: Preview) -> None:
         super().__init__(robot, preview)
-        state, given = robot.state, robot.input
-        self._fastest = float(np.min(robot.limits.input_upper[given["steer"]]))
+        state, inputs = robot.state, robot.input
+        self._fastest = float(np.min(robot.limits.input_upper[inputs["steer"]]))
         self._angle = np.arange(state.size)[state["steer"]]  # places in state and input
-        self._rate, self._roll = (np.arange(given.size)[given[g]] for g in ("steer", "wheel"))
+        self._rate, self._roll = (np.arange(inputs.size)[inputs[g]] for g in ("steer", "wheel"))
         self.turns: tuple[Turn, ...] = ()
         self._references: References | dict[str, Reference] = {}
         self._lifted: tuple[Turn, ...] | None = None
@@ -316,10 +298,10 @@ class WheelFlipGuess(SteeringGuess):
         x[later, j] = angles[later]
         first = max(int(np.searchsorted(nodes, start)) - 1, 0)
         u[first:, self._rate[wheel]] = (np.diff(x[:, j]) / np.diff(nodes))[first:]
-        given, g = self.robot.input, self.robot.base.geometry
+        inputs, g = self.robot.input, self.robot.base.geometry
         for k in range(first, len(u)):
             leg, steer = self._angles(x[k])
-            v = wheel_velocities(g, leg, u[k, given["base"]])[wheel]
+            v = wheel_velocities(g, leg, u[k, inputs["base"]])[wheel]
             heading = (g.wheel_heading + g.leg_angles(leg) + steer)[wheel]
             u[k, self._roll[wheel]] = (v[0] * np.cos(heading) + v[1] * np.sin(heading)) / g.wheel_radius
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from wbmpc.bases.swerve.calibration import WheelFit, WheelRecord, fit_wheels
+from wbmpc.bases.swerve.calibration import WheelRecord
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.errors import InputError
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
 
@@ -22,25 +19,9 @@ def swerve_robot(name: str) -> RobotModel:
     return robot
 
 
-def steer_joints(robot: RobotModel) -> list[str]:
-    """The names by which a calibration file knows the modules."""
-    return list(robot.state.groups["steer"])
-
-
 def record_of(log: Log) -> WheelRecord:
     """What a calibration reads of a log."""
     return WheelRecord.of({c: log.array(c) for c in log.channels} | {f"{c}.time": log.times(c) for c in log.channels})
-
-
-class SwerveCalibrator:
-    """See :class:`wbmpc.bases.base.Calibrator`."""
-
-    def __init__(self, robot: RobotModel) -> None:
-        self.names, self.geometry = steer_joints(robot), robot.base.geometry
-
-    def fit(self, channels: Mapping[str, np.ndarray], prior: WheelCalibration, source: str) -> WheelFit:
-        """From the channels that :class:`WheelLog` writes."""
-        return fit_wheels(self.geometry, WheelRecord.of(channels, source), prior=prior)
 
 
 class WheelLog:

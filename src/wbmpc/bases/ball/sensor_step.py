@@ -1,0 +1,58 @@
+"""What a simulated ball robot's sensors see of a physics step, compiled: see :class:`wbmpc.bases.ball.sensors.BallSensors`."""
+
+from __future__ import annotations
+
+from wbmpc.bases.ball.compilation import compiled, step
+from wbmpc.kernel.ir import Floats
+
+GRAVITY = 9.81
+
+
+@compiled
+def matrix_of(q: Floats, at: int, r: Floats) -> None:
+    """Rotation matrix ``r`` (3, 3) of the quaternion that begins at ``q[at]``."""
+    w, x, y, z = q[at], q[at + 1], q[at + 2], q[at + 3]
+    r[0], r[1], r[2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
+    r[3], r[4], r[5] = 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
+    r[6], r[7], r[8] = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+
+
+@step
+def see(
+    n: int, nq: int, nv: int, ball_q: int, ball_v: int, q: Floats, v: Floats, mount: Floats, wheels: Floats, row: Floats,
+    velocity: Floats, rotation: Floats, last: Floats, turned: Floats, h: float, first: bool,
+) -> None:  # fmt: skip
+    """``row``: positions ``q`` (nq) and velocities ``v`` (nv) in MuJoCo's conventions, integrals since the start of turning (3) [rad]
+    and specific force (3) [m/s] in base axes, how many steps that are, wheel angles (n) [rad]; ``h`` [s] of a step. ``first``: at the start.
+
+    Specific force: what changes the ``velocity`` (3) of the ``mount``, gravity taken away; ``wheels`` (n, 3): wheel speeds over the
+    ball's, which is relative to the base and begins at ``q[ball_q]``, ``v[ball_v]``."""
+    for i in range(nq):
+        row[i] = q[i]
+    for i in range(nv):
+        row[nq + i] = v[i]
+    for i in range(9):
+        last[i] = rotation[i]
+    matrix_of(q, 3, rotation)
+    ax = v[4] * mount[2] - v[5] * mount[1]
+    ay = v[5] * mount[0] - v[3] * mount[2]
+    az = v[3] * mount[1] - v[4] * mount[0]
+    vx = v[0] + (rotation[0] * ax + rotation[1] * ay + rotation[2] * az)
+    vy = v[1] + (rotation[3] * ax + rotation[4] * ay + rotation[5] * az)
+    vz = v[2] + (rotation[6] * ax + rotation[7] * ay + rotation[8] * az)
+    if not first:
+        cx, cy, cz = vx - velocity[0], vy - velocity[1], vz - velocity[2] + GRAVITY * h
+        turn = nq + nv
+        for i in range(3):
+            row[turn + i] += h * v[3 + i]
+            mx, my, mz = last[i] + rotation[i], last[3 + i] + rotation[3 + i], last[6 + i] + rotation[6 + i]
+            row[turn + 3 + i] += 0.5 * (mx * cx + my * cy + mz * cz)
+        row[turn + 6] += 1.0
+        matrix_of(q, ball_q, turned)
+        b = ball_v
+        wx = turned[0] * v[b] + turned[1] * v[b + 1] + turned[2] * v[b + 2]
+        wy = turned[3] * v[b] + turned[4] * v[b + 1] + turned[5] * v[b + 2]
+        wz = turned[6] * v[b] + turned[7] * v[b + 1] + turned[8] * v[b + 2]
+        for i in range(n):
+            row[turn + 7 + i] += h * (wheels[3 * i] * wx + wheels[3 * i + 1] * wy + wheels[3 * i + 2] * wz)
+    velocity[0], velocity[1], velocity[2] = vx, vy, vz

@@ -1,0 +1,28 @@
+"""Wheels of a swerve base that slip sideways while they turn about under a plan that lets them (``allow_side_slip``)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import wheel_velocities
+
+#: Sideways speed [m/s] at which a plan lets a wheel slip; for how long [s] after it the wheel does (drives lag).
+SLIPS_AT, SLIPS_FOR = 0.02, 0.1
+
+
+class SideSlip:
+    """Which wheels slip sideways under a plan with flips: ``left`` (n) [s], for how long each still does. ``period`` [s] of
+    :meth:`update`."""
+
+    def __init__(self, robot: RobotModel, period: float) -> None:
+        self._geometry, self._input, self._period = robot.base.geometry, robot.input, period
+        self.left = np.zeros(robot.base.geometry.modules)
+
+    def update(self, leg: np.ndarray, steer: np.ndarray, u: np.ndarray) -> None:
+        """Under leg angles ``leg`` (n), planned steering angles ``steer`` (n) [rad] and the input u (nu)."""
+        geometry, inputs = self._geometry, self._input
+        v = wheel_velocities(geometry, leg, u[inputs["base"]], u[inputs["leg"]] if "leg" in inputs else 0.0)
+        heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
+        side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
+        self.left = np.where(np.abs(side) > SLIPS_AT, SLIPS_FOR, np.maximum(self.left - self._period, 0.0))

@@ -1,0 +1,68 @@
+"""`wbmpc doctor`: what is wrong with a robot's file, and how to mend it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wbmpc.cli.recordings import AsJson
+from wbmpc.cli.terminal import BAD_INPUT, printable, robot_names
+from wbmpc.errors import InputError
+
+Packages = Annotated[
+    list[str] | None,
+    typer.Option("--package", metavar="NAME=FOLDER", help="Where a ROS package of the model is; may be repeated."),
+]
+Arguments = Annotated[
+    list[str] | None,
+    typer.Option("--argument", metavar="NAME=VALUE", help="Argument of the model's macros (xacro); may be repeated."),
+]
+
+
+def pairs(option: str, given: list[str] | None) -> dict[str, str]:
+    """NAME=VALUE of an option that may be repeated; ROS' NAME:=VALUE too."""
+    found = {}
+    for text in given or []:
+        name, sign, value = text.partition("=")
+        if not (sign and name.rstrip(":") and value):
+            raise InputError(f"{option}: NAME=VALUE is needed, got '{text}'")
+        found[name.rstrip(":")] = value
+    return found
+
+
+def doctor(
+    robot: Annotated[
+        str,
+        typer.Argument(
+            help="A robot's YAML, a URDF, xacro or MJCF, or a built-in robot's name.", autocompletion=robot_names
+        ),
+    ],
+    package: Packages = None,
+    argument: Arguments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check a robot's file: what is wrong, what has to be known, and how to mend it. Exit status 2 if there are errors."""
+    from wbmpc.robots.doctor import examine_robot
+
+    folders = {name: Path(folder) for name, folder in pairs("--package", package).items()}
+    result = examine_robot(robot, folders, pairs("--argument", argument))
+    if as_json:
+        findings = [vars(f) for f in result.findings]
+        summary = {
+            "robot": result.robot,
+            "model": result.model,
+            "errors": result.count("error"),
+            "warnings": result.count("warning"),
+        }
+        typer.echo(json.dumps({**summary, "check_ms": round(result.milliseconds, 1), "findings": findings}))
+    else:
+        for finding in result.findings:
+            typer.echo(printable(f"{finding.severity:8s}{finding.check:14s}{finding.message}"))
+        typer.echo(
+            f"{result.robot}: {result.count('error')} errors, {result.count('warning')} warnings, {result.count('info')} notes"
+        )
+    if result.count("error"):
+        raise typer.Exit(BAD_INPUT)

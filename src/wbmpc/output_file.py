@@ -1,0 +1,49 @@
+"""Files that are written as a whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from wbmpc.errors import NotWritten
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Where to write what then becomes ``path``: a file beside it with the same ending, which takes its place at the end.
+
+    Where that fails or is interrupted, ``path`` stays as it was and nothing is left. A full disk raises :class:`NotWritten`
+    naming ``path``. What is there and no regular file (a device, a pipe) is written itself.
+    """
+    if path.exists() and not path.is_file():
+        with _named(path):
+            yield path
+        return
+    target = Path(os.path.realpath(path))  # a link stays one
+    partial = target.with_name(f"{target.stem[:200]}.part{os.getpid()}{target.suffix}")
+    try:
+        with _named(path):
+            yield partial
+            if target.exists():
+                partial.chmod(target.stat().st_mode & 0o777)
+            partial.replace(target)
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """What the system says of a file, as an error that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise NotWritten(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """A text file in UTF-8, whole or not at all; raises :class:`NotWritten`."""
+    with whole_file(path) as partial:
+        partial.write_text(text, "utf-8")

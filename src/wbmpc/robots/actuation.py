@@ -1,0 +1,111 @@
+"""What a robot's file says of its joints' drives: largest speeds and efforts, and whether a joint has a drive at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import mujoco
+
+from wbmpc.robots.model_file import ModelFile
+
+#: What is smaller is a standstill, what is larger no limit [rad/s, m/s, N m or N].
+SMALLEST, LARGEST = 1e-6, 1e6
+
+
+@dataclass(frozen=True)
+class Drive:
+    """``velocity`` [rad/s or m/s] and ``effort`` [N m or N] of a joint, None where the file has none; ``mimics``: the joint that it
+    follows; ``driven``: whether a transmission or an actuator names it; ``no_range``: it needs a range in a URDF, and has none or an
+    empty one."""
+
+    velocity: float | None = None
+    effort: float | None = None
+    mimics: str | None = None
+    driven: bool = False
+    no_range: bool = False
+
+
+def read_drives(file: ModelFile, spec: mujoco.MjSpec) -> dict[str, Drive]:
+    """By joint. ``spec``: the file as :func:`wbmpc.robots.model_file.parse` gives it, with its actuators."""
+    return _of_urdf(file) if file.root is not None else _of_spec(spec)
+
+
+# ---------------------------------------------------------------------- URDF
+def _of_urdf(file: ModelFile) -> dict[str, Drive]:
+    assert file.root is not None
+    driven = {j.get("name") for t in file.root.iter("transmission") for j in t.iter("joint")}
+    driven |= {
+        j.get("name")
+        for t in file.root.iter("ros2_control")
+        for j in t.iter("joint")
+        if j.find("command_interface") is not None
+    }
+    found = {}
+    for joint in file.root.findall("joint"):
+        name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")
+        attributes = {} if limit is None else limit.attrib
+        low, high = (_number(attributes.get(k, "0")) for k in ("lower", "upper"))
+        found[name] = Drive(
+            _bound(_number(attributes.get("velocity"))), _bound(_number(attributes.get("effort"))),
+            None if mimic is None else mimic.get("joint", ""), name in driven,
+            joint.get("type") in ("revolute", "prismatic") and not (low is not None and high is not None and low < high),
+        )  # fmt: skip
+    return found
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _bound(value: float | None) -> float | None:
+    return value if value is not None and SMALLEST <= value <= LARGEST else None
+
+
+# ---------------------------------------------------------------------- MJCF
+def _of_spec(spec: mujoco.MjSpec) -> dict[str, Drive]:
+    found: dict[str, Drive] = {}
+    for joint in spec.joints:
+        forces = tuple(map(float, joint.actfrcrange))
+        found[joint.name] = Drive(effort=_bound(_half(forces, joint.actfrclimited)))
+    for actuator in spec.actuators:
+        if actuator.target in found and actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT:
+            found[actuator.target] = _with(found[actuator.target], actuator)
+    for name, other in _followers(spec):
+        if name in found:
+            found[name] = replace(found[name], mimics=other)
+    return found
+
+
+def _with(drive: Drive, actuator: mujoco.MjsActuator) -> Drive:
+    """What an actuator adds: the range of its force, or of its control where that is a force or a speed."""
+    gear, gain = abs(float(actuator.gear[0])), float(actuator.gainprm[0])
+    force, control = (
+        _half(tuple(actuator.forcerange), actuator.forcelimited),
+        _half(tuple(actuator.ctrlrange), actuator.ctrllimited),
+    )
+    bias, velocity = tuple(map(float, actuator.biasprm[:3])), drive.velocity
+    constant = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+    if force is None and control is not None and constant and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
+        force = control * abs(gain)
+    if control is not None and constant and bias[:2] == (0.0, 0.0) and bias[2] == -gain != 0.0 and gear > 0.0:
+        velocity = _bound(control / gear)
+    effort = drive.effort if force is None else drive.effort or _bound(force * gear)
+    return replace(drive, velocity=velocity, effort=effort, driven=True)
+
+
+def _half(bounds: tuple[float, ...], limited: int) -> float | None:
+    """The largest value that a range allows both ways; None where it does not hold (0: off, 1: on, 2: by whether it is given)."""
+    low, high = map(float, bounds)
+    return min(-low, high) if int(limited) and low < 0.0 < high else None
+
+
+def _followers(spec: mujoco.MjSpec) -> Iterator[tuple[str, str]]:
+    for equality in spec.equalities:
+        if equality.type == mujoco.mjtEq.mjEQ_JOINT and equality.active and equality.name2:
+            yield equality.name1, equality.name2

@@ -1,0 +1,90 @@
+"""What of a model looks like an arm, and which frame like its tool."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from wbmpc.robots.mechanism import Joint, Mechanism
+
+#: Joints of grippers and of what is no arm, by their own names or those of the bodies that they move.
+GRIPPER = re.compile(
+    r"finger|gripper|thumb|knuckle|jaw|claw|palm|hand(?!le)|suction|pinky|_index|_middle|_ring|puller", re.IGNORECASE
+)
+NO_ARM = re.compile(r"head|neck|camera|sensor|lidar|laser|kinect|antenna|tablet|screen|wheel|cast[eo]r", re.IGNORECASE)
+#: Frames of tools, the best first.
+TOOLS = [
+    re.compile(p, re.IGNORECASE)
+    for p in (
+        r"tcp|tool_?cent", r"grasp", r"tool_?0|tool_frame|tool_link|\btool\b", r"end_?eff|\bee\b|_ee(_|\b)|^ee_|eef", r"gripper.*(frame|base|link)",
+        r"tool", r"hand|palm|gripper", r"flange",
+    )
+]  # fmt: skip
+#: Frames that are fixed to a hand and no tool.
+NO_TOOL = re.compile(r"camera|optical|imu|sensor|aruco|inertia|_ft_|collision|visual|cable|light", re.IGNORECASE)
+#: A range up to this [m] of a slide at a chain's end is a gripper's.
+_STROKE = 0.12
+
+
+@dataclass(frozen=True)
+class Arm:
+    """``name``: what sets it apart; ``joints`` from the base to the end effector, torso first; ``tool``: the proposed frame; ``tools``:
+    all frames that its last joint moves and no gripper; ``length`` [m]: along the joints."""
+
+    name: str
+    joints: tuple[str, ...]
+    tool: str
+    tools: tuple[str, ...]
+    length: float
+
+
+def find_arms(mechanism: Mechanism, others: Collection[str]) -> list[Arm]:
+    """Chains of joints that are not among ``others``, the likeliest arm first."""
+    joints = {n: j for n, j in mechanism.joints.items() if n not in others and not is_gripper(mechanism, j)}
+    ends = [j for j in joints.values() if not any(n in joints for n in mechanism.below(j.name))]
+    chains = [tuple(n for n in (*end.above, end.name) if n in joints) for end in ends]
+    arms = [_arm(mechanism, c, chains) for c in chains if not _no_arm(mechanism, c)]
+    return sorted(arms, key=lambda arm: (-min(len(arm.joints), 6), -round(arm.length, 2), arm.name))
+
+
+def is_gripper(mechanism: Mechanism, joint: Joint) -> bool:
+    """Whether a joint moves fingers, or follows another."""
+    if joint.drive.mimics is not None or GRIPPER.search(joint.name) or GRIPPER.search(joint.body):
+        return True
+    short = joint.kind == "slide" and joint.range is not None and joint.range[1] - joint.range[0] <= _STROKE
+    return short and not joint.vertical and not mechanism.below(joint.name) and len(joint.above) > 2
+
+
+def _no_arm(mechanism: Mechanism, chain: tuple[str, ...]) -> bool:
+    last = mechanism.joints[chain[-1]]
+    return bool(NO_ARM.search(last.name) or NO_ARM.search(last.body))
+
+
+def _arm(mechanism: Mechanism, chain: tuple[str, ...], chains: list[tuple[str, ...]]) -> Arm:
+    tools = list(_tools(mechanism, mechanism.joints[chain[-1]]))
+    at = np.array([mechanism.joints[n].position for n in chain] + [tools[0][1]])
+    length = float(np.sum(np.linalg.norm(np.diff(at, axis=0), axis=1)))
+    return Arm(_name(chain, chains), chain, tools[0][0], tuple(name for name, _ in tools), length)
+
+
+def _name(chain: tuple[str, ...], chains: list[tuple[str, ...]]) -> str:
+    """The side in the name of the first joint that is the chain's own, else that joint's name."""
+    own = next((n for n in chain if all(n not in c for c in chains if c != chain)), chain[-1])
+    side = re.search(r"left|right|(?<![a-z])[lr](?=_)", own, re.IGNORECASE)
+    names = {"l": "left", "r": "right"}
+    return names.get(side[0].lower(), side[0].lower()) if side else own
+
+
+def _tools(mechanism: Mechanism, last: Joint) -> Iterator[tuple[str, np.ndarray]]:
+    """Frames behind a joint, the likeliest first: by their names, then the farthest."""
+    frames = list(mechanism.frames(last.body))
+    good = [f for f in frames if not NO_TOOL.search(f[0])] or frames
+
+    def rank(frame: tuple[str, np.ndarray]) -> tuple[int, float]:
+        kind = next((i for i, pattern in enumerate(TOOLS) if pattern.search(frame[0])), len(TOOLS))
+        return kind, -round(float(np.linalg.norm(frame[1] - last.position)), 4)
+
+    yield from sorted(good, key=rank)

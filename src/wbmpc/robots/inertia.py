@@ -1,0 +1,100 @@
+"""Masses and inertias of links that cannot be: found, and replaced for planners that do not use them."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from wbmpc.robots.findings import Finding
+
+#: Mass [kg] of a link that moves and has none.
+LIGHTEST = 1e-3
+#: Density [kg/m³] of the sphere whose inertia stands for one that cannot be.
+DENSITY = 1000.0
+#: MuJoCo takes smaller moments [kg m²] for none.
+_SMALLEST = 2e-14
+#: Shares by which moments may miss the inequality of triangles: rounding of exporters.
+_ROUNDING = 1e-6
+_FIX = "give its true mass and inertia in the file"
+
+
+def sphere_inertia(mass: float) -> float:
+    """Moment of inertia [kg m²] of a solid sphere of ``mass`` [kg] and :data:`DENSITY`."""
+    radius = (3.0 * mass / (4.0 * np.pi * DENSITY)) ** (1.0 / 3.0)
+    return float(0.4 * mass * radius**2)
+
+
+def mend_inertias(spec: mujoco.MjSpec, balance: bool) -> list[Finding]:
+    """Replace, in place, inertias that are not positive definite, and those of moving links without mass; one finding for each.
+
+    ``balance``: also those of an MJCF whose moments no body can have (MuJoCo does it for URDFs).
+    """
+    found = []
+    for body in spec.bodies[1:]:
+        _forget_nothing(body)
+        if body.explicitinertial and (fault := _fault(body)) is not None:
+            _replace(body, float(body.mass) if body.mass > LIGHTEST else LIGHTEST)
+            found.append(Finding("warning", "inertia", f"link '{body.name}'", f"{fault}; a sphere's is taken", _FIX))
+    spec.compiler.balanceinertia = spec.compiler.balanceinertia or balance
+    return found + [_weigh(body) for body in spec.bodies[1:] if body.joints and not _has_mass(body)]
+
+
+def _forget_nothing(body: mujoco.MjsBody) -> None:
+    """An inertial without mass says nothing; MuJoCo would reject its inertia where that is zero too."""
+    if body.explicitinertial and body.mass == 0.0 and np.linalg.eigvalsh(inertia_matrix(body))[0] <= _SMALLEST:
+        body.explicitinertial, body.fullinertia = False, np.full(6, np.nan)
+        for geom in body.geoms:
+            geom.mass = 0.0
+
+
+def _fault(body: mujoco.MjsBody) -> str | None:
+    """What is wrong with the inertia that a file gives a body."""
+    matrix = inertia_matrix(body)
+    if not np.isfinite(matrix).all() or not np.isfinite(body.mass):
+        return "its inertia is not finite"
+    moments = np.linalg.eigvalsh(matrix)
+    if body.mass == 0.0:
+        return None  # it may hang on something that has mass
+    if body.mass < 0.0:
+        return "its mass is negative"
+    if moments[0] <= _SMALLEST:
+        return "its inertia is not positive"
+    return None
+
+
+def breaks_triangle(body: mujoco.MjsBody) -> bool:
+    """Whether one moment of inertia is larger than the two others together, as no body's is."""
+    moments = np.linalg.eigvalsh(inertia_matrix(body))
+    return bool(moments[0] + moments[1] < moments[2] * (1.0 - _ROUNDING))
+
+
+def inertia_matrix(body: mujoco.MjsBody) -> np.ndarray:
+    """(3, 3) [kg m²] as the file gives it."""
+    xx, yy, zz, xy, xz, yz = body.fullinertia
+    if np.isnan(xx):
+        return np.diag(np.asarray(body.inertia, float))
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _replace(body: mujoco.MjsBody, mass: float) -> None:
+    body.explicitinertial, body.fullinertia = True, np.full(6, np.nan)
+    body.mass, body.inertia = mass, np.full(3, sphere_inertia(mass))
+    if not np.isfinite(body.ipos).all():
+        body.ipos = np.zeros(3)
+
+
+def _has_mass(body: mujoco.MjsBody) -> bool:
+    """Whether a body, or one that is fixed to it, weighs anything."""
+    if body.explicitinertial:
+        own = body.mass > 0.0
+    else:
+        own = any(g.mass != 0.0 and g.density != 0.0 for g in body.geoms)
+    return own or any(not child.joints and _has_mass(child) for child in body.bodies)
+
+
+def _weigh(body: mujoco.MjsBody) -> Finding:
+    _replace(body, LIGHTEST)
+    body.ipos, body.iquat = np.zeros(3), [1.0, 0.0, 0.0, 0.0]
+    return Finding(
+        "warning", "mass", f"link '{body.name}'", f"it moves and has no mass; {LIGHTEST:g} kg is taken", _FIX
+    )

@@ -1,0 +1,170 @@
+"""A robot's model as it is drawn, before anybody has described the robot: joints, bodies and shapes with all joints at zero."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.robots.actuation import Drive, read_drives
+from wbmpc.robots.checks import compiled
+from wbmpc.robots.findings import Finding
+from wbmpc.robots.inertia import breaks_triangle, mend_inertias
+from wbmpc.robots.model_file import ModelFile, parse
+from wbmpc.robots.model_import import make_light
+
+Array = NDArray[np.float64]
+_KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A hinge or slide: ``body`` that it moves; ``position`` (3) [m] and unit ``axis`` (3) in the world at zero; ``range`` [rad or m], None
+    where it turns on and on; ``above``: joints between the world and it."""
+
+    name: str
+    kind: str
+    body: str
+    position: Array
+    axis: Array
+    range: tuple[float, float] | None
+    above: tuple[str, ...]
+    drive: Drive
+
+    @property
+    def vertical(self) -> bool:
+        """Whether it turns or slides along the vertical."""
+        return bool(abs(self.axis[2]) > 0.98)
+
+    @property
+    def horizontal(self) -> bool:
+        """Whether its axis lies in the ground's plane."""
+        return bool(abs(self.axis[2]) < 0.05)
+
+    @property
+    def rest(self) -> float:
+        """0, or the middle of a range that does not have it."""
+        if self.range is None or self.range[0] <= 0.0 <= self.range[1]:
+            return 0.0
+        return 0.5 * (self.range[0] + self.range[1])
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """``model`` has primitive shapes and no meshes that a body's mass does not need; ``mended``: inertias that were replaced in it, and
+    those that the compiler balanced; ``missing``: files that are not there."""
+
+    file: ModelFile
+    model: mujoco.MjModel
+    drives: dict[str, Drive]
+    mended: tuple[Finding, ...]
+    missing: tuple[str, ...] = ()
+
+    @cached_property
+    def data(self) -> mujoco.MjData:
+        """Bodies with all joints at zero."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, data)
+        return data
+
+    @cached_property
+    def joints(self) -> dict[str, Joint]:
+        """Hinges and slides that have a name, parents first."""
+        m, d, found = self.model, self.data, {}
+        for j in range(m.njnt):
+            name, kind = m.joint(j).name, _KINDS.get(mujoco.mjtJoint(int(m.jnt_type[j])))
+            if not name or kind is None:
+                continue
+            low, high = map(float, m.jnt_range[j])
+            found[name] = Joint(
+                name, kind, m.body(int(m.jnt_bodyid[j])).name, d.xanchor[j].copy(), d.xaxis[j].copy(),
+                (low, high) if m.jnt_limited[j] else None, self._above(j), self.drives.get(name, Drive()),
+            )  # fmt: skip
+        return found
+
+    def _above(self, joint: int) -> tuple[str, ...]:
+        m, body = self.model, int(self.model.jnt_bodyid[joint])
+        same = range(int(m.body_jntadr[body]), joint)
+        return (*self.joints_of(int(m.body_parentid[body])), *self._named(same))
+
+    def _named(self, joints: range) -> list[str]:
+        """Names of hinges and slides: a body that floats is nobody's joint."""
+        m = self.model
+        return [m.joint(j).name for j in joints if mujoco.mjtJoint(int(m.jnt_type[j])) in _KINDS and m.joint(j).name]
+
+    def joints_of(self, body: int) -> tuple[str, ...]:
+        """Named joints between the world and a body."""
+        m, found = self.model, list[str]()
+        while body > 0:
+            first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
+            found[:0] = self._named(range(first, first + count))
+            body = int(m.body_parentid[body])
+        return tuple(found)
+
+    def below(self, joint: str) -> list[str]:
+        """Joints that another one moves."""
+        return [j.name for j in self.joints.values() if joint in j.above]
+
+    def parent(self, body: str) -> str:
+        """The body on which one hangs."""
+        return str(self.model.body(int(self.model.body_parentid[self.model.body(body).id])).name)
+
+    def path(self, body: str) -> list[str]:
+        """Bodies from the world to one."""
+        found, i = [body], self.model.body(body).id
+        while i > 0:
+            i = int(self.model.body_parentid[i])
+            found.insert(0, self.model.body(i).name)
+        return found
+
+    def rigid_with(self, body: str) -> list[str]:
+        """Bodies below one that are fixed to it, itself first."""
+        i = self.model.body(body).id
+        weld = self.model.body_weldid[i]
+        inside = [k for k in range(i, self.model.nbody) if self.model.body_weldid[k] == weld and self._is_below(k, i)]
+        return [self.model.body(k).name for k in inside]
+
+    def _is_below(self, body: int, root: int) -> bool:
+        while body > root:
+            body = int(self.model.body_parentid[body])
+        return body == root
+
+    def frames(self, body: str) -> Iterator[tuple[str, Array]]:
+        """Names and positions (3) [m] of frames that are fixed to a body: bodies below it and sites on them."""
+        names = self.rigid_with(body)
+        for name in names:
+            yield name, self.data.xpos[self.model.body(name).id]
+        ids = {self.model.body(n).id for n in names}
+        for s in range(self.model.nsite):
+            if int(self.model.site_bodyid[s]) in ids and self.model.site(s).name:
+                yield self.model.site(s).name, self.data.site_xpos[s]
+
+
+def read_mechanism(file: ModelFile) -> Mechanism:
+    """Raises :class:`wbmpc.errors.InputError` naming the file where MuJoCo cannot compile it."""
+    missing: list[str] = []
+    spec = parse(file, missing=missing)
+    drives = read_drives(file, spec)
+    make_light(spec)
+    for element in [*spec.sensors, *spec.keys]:  # what they refer to may be gone
+        spec.delete(element)
+    odd = [b.name for b in spec.bodies[1:] if b.explicitinertial and breaks_triangle(b)]
+    mended = mend_inertias(spec, balance=True)
+    done = {f.where for f in mended}
+    mended += [_balanced(name) for name in odd if f"link '{name}'" not in done]
+    for geom in [g for g in spec.geoms if g.type == mujoco.mjtGeom.mjGEOM_MESH and g.parent.explicitinertial]:
+        spec.delete(geom)
+    spec.compiler.fusestatic = False
+    return Mechanism(file, compiled(spec, file.path), drives, tuple(mended), tuple(missing))
+
+
+def _balanced(link: str) -> Finding:
+    return Finding(
+        "warning", "inertia", f"link '{link}'",
+        "one of its moments of inertia is larger than the two others together, as no body's is; their mean is taken",
+        "give its true inertia in the file",
+    )  # fmt: skip

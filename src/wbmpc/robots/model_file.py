@@ -1,0 +1,182 @@
+"""A robot's URDF, xacro or MJCF, read into an editable MuJoCo specification without what planning does not need."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from copy import copy, deepcopy
+from dataclasses import dataclass, field
+from os.path import isfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import mujoco
+
+from wbmpc.errors import InputError
+from wbmpc.robots.file_limits import check_size
+from wbmpc.robots.packages import find_package, locate, package_of
+from wbmpc.robots.xacro_file import expand, has_macros
+
+if TYPE_CHECKING:
+    from wbmpc.robots.description import RobotDescription
+
+#: Meshes that MuJoCo reads.
+_MESHES = (".stl", ".obj", ".msh")
+#: Larger files [bytes] are too much for a page in a browser.
+_LARGEST_MESH = 5_000_000
+_ROOT = re.compile(rb"<\s*(robot|mujoco|mujocoinclude)[\s/>]")
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """``path`` of the file; ``root``: a URDF, its macros expanded, or None of an MJCF; ``packages``: folders of ROS packages by name;
+    ``macros``: whether there were any."""
+
+    path: Path
+    root: ElementTree.Element | None
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    macros: bool = False
+    _homes: dict[str, Path | None] = field(default_factory=dict, compare=False, repr=False)
+
+    def meshes(self) -> list[str]:
+        """Names of the mesh files of a URDF, each once."""
+        found = [] if self.root is None else [m.get("filename", "") for m in self.root.iter("mesh")]
+        return list(dict.fromkeys(found))
+
+    def locate(self, name: str) -> Path | None:
+        """The file of that name; None where it is missing."""
+        package = package_of(name)
+        home = None if package is None else self.home(package)
+        return locate(name, self.path.parent, {} if package is None or home is None else {package: home})
+
+    def home(self, package: str) -> Path | None:
+        """The folder of a ROS package; None where it is not found."""
+        if package not in self._homes:
+            self._homes[package] = find_package(package, self.path.parent, self.packages)
+        return self._homes[package]
+
+
+def read_model(
+    path: Path, packages: Mapping[str, Path] | None = None, arguments: Mapping[str, str] | None = None
+) -> ModelFile:
+    """Read a robot's model. ``packages``: folders of ROS packages by name; ``arguments``: of its macros.
+
+    Raises :class:`InputError` naming the file.
+    """
+    check_size(path)
+    data, given = path.read_bytes(), dict(packages or {})
+    if not _is_urdf(path, data):
+        return ModelFile(path, None, given)
+    try:
+        root = ElementTree.fromstring(data)
+        macros = path.suffix.lower() == ".xacro" or has_macros(root)
+        if macros:
+            text = expand(path, given, arguments or {}).encode()
+            check_size(path, text)
+            root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    return ModelFile(path, root, given, macros)
+
+
+def file_of(description: RobotDescription) -> ModelFile:
+    """The model of a described robot. Raises :class:`InputError` naming the file."""
+    path = description.model
+    if not isfile(path):  # pathlib raises for names that are too long
+        raise InputError(f"{description.source}: key 'model': there is no file {path}")
+    return read_model(path, description.packages, description.xacro_arguments)
+
+
+def _is_urdf(path: Path, data: bytes) -> bool:
+    if path.suffix.lower() in (".urdf", ".xacro"):
+        return True
+    found = _ROOT.search(_COMMENT.sub(b"", data[:65536]))
+    return found is not None and found[1] == b"robot"
+
+
+def parse(file: ModelFile, *, meshes: bool = False, missing: list[str] | None = None) -> mujoco.MjSpec:
+    """The file as a specification that is not compiled, with all links kept. Files that are missing are left out, and named in
+    ``missing``; so are the meshes of a URDF unless ``meshes``. Raises :class:`InputError` naming the file."""
+    missing = [] if missing is None else missing
+    try:
+        if file.root is not None:
+            missing += [name for name in file.meshes() if file.locate(name) is None]
+            return _urdf(file, meshes)
+        spec = mujoco.MjSpec.from_file(str(file.path))
+    except (ValueError, ElementTree.ParseError) as error:
+        raise InputError(f"{file.path}: cannot be read: {' '.join(str(error).split())}") from error
+    missing += drop_missing_files(spec)
+    return spec
+
+
+def _urdf(file: ModelFile, meshes: bool) -> mujoco.MjSpec:
+    """Shapes have no mass: a link weighs what its ``inertial`` says."""
+    assert file.root is not None
+    root = deepcopy(file.root) if meshes else ElementTree.Element("robot", file.root.attrib)
+    if not meshes:  # what is changed is copied, and no more
+        root.extend(copy(e) if e.tag in ("link", "joint", "mujoco") else e for e in file.root)
+    for link in root.findall("link"):
+        for kind in ("visual", "collision"):
+            for element in link.findall(kind):
+                if not _kept(element, file, meshes and kind == "visual"):
+                    link.remove(element)
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        if limit is not None and _number(limit, "lower") >= _number(limit, "upper"):
+            joint.remove(limit)  # MuJoCo ignores it too, and writes a file of its log
+    compiler = {"strippath": "false", "balanceinertia": "true", "fusestatic": "false", "discardvisual": "false"}
+    extension = root.find("mujoco")
+    if extension is None:
+        extension = ElementTree.SubElement(root, "mujoco")
+    ElementTree.SubElement(extension, "compiler", compiler)
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    for geom in spec.geoms:
+        geom.mass = 0.0
+    return spec
+
+
+def _number(element: ElementTree.Element, name: str) -> float:
+    try:
+        return float(element.get(name, "0"))
+    except ValueError:
+        return math.nan
+
+
+def _kept(element: ElementTree.Element, file: ModelFile, meshes: bool) -> bool:
+    """Whether a ``visual`` or ``collision`` stays; a mesh that does gets the path of its file."""
+    mesh = element.find("geometry/mesh")
+    if mesh is None:
+        return True
+    found = file.locate(mesh.get("filename", "")) if meshes else None
+    if found is None or found.suffix.lower() not in _MESHES or found.stat().st_size > _LARGEST_MESH:
+        return False
+    mesh.set("filename", str(found.resolve()))
+    return True
+
+
+def drop_missing_files(spec: mujoco.MjSpec) -> list[str]:
+    """Take meshes, pictures and fields out of an MJCF whose files are missing, with the shapes that need them; returns their names."""
+    home, gone = Path(spec.modelfiledir or "."), []
+    for kind, folder in (("meshes", spec.meshdir), ("hfields", spec.meshdir), ("textures", spec.texturedir)):
+        for asset in list(getattr(spec, kind)):
+            files = [asset.file, *getattr(asset, "cubefiles", ())]
+            missing = [f for f in files if f and not isfile(home / folder / f)]
+            if missing:
+                gone += missing
+                _drop(spec, kind, asset)
+    return gone
+
+
+def _drop(spec: mujoco.MjSpec, kind: str, asset: object) -> None:
+    name = getattr(asset, "name", "") or Path(getattr(asset, "file", "")).stem
+    if kind == "textures":
+        for material in spec.materials:
+            material.textures = ["" if t == name else t for t in material.textures]
+    key = {"meshes": "meshname", "hfields": "hfieldname"}.get(kind)
+    for geom in list(spec.geoms) if key else []:
+        if getattr(geom, key or "") == name:
+            spec.delete(geom)
+    spec.delete(asset)

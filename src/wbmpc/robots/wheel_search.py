@@ -1,0 +1,101 @@
+"""What of a model looks like a wheel."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wbmpc.robots.mechanism import Array, Joint, Mechanism
+from wbmpc.robots.wheel_geometry import radius_of
+
+#: Wheels' centers are at most so much [m] above the lowest.
+_LOW = 0.15
+#: A joint with a range that is wider [rad] may be a wheel.
+_TURNS = 4.0 * np.pi
+#: So many joints below a wheel are its rollers.
+_ROLLERS = 4
+CASTER = re.compile(r"cast[eo]r|passive|idler", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """``center`` (3) [m] and ``axle`` (3) in the world of the file, at zero; ``radius`` [m] as the shapes show it, or else the height of
+    the center above the file's world (``assumed``); ``steer``, ``hinge``: vertical axes above it, the second one that of a leg;
+    ``offset`` [m]: from the steering axis; ``passive``: a caster's; ``held``: its rollers and its suspension."""
+
+    joint: str
+    center: Array
+    axle: Array
+    radius: float | None
+    assumed: bool
+    steer: str | None
+    hinge: str | None
+    offset: float
+    passive: bool
+    held: tuple[str, ...]
+
+    @property
+    def heading(self) -> Array:
+        """(2): unit vector along which it rolls at a positive rate."""
+        along = np.array([self.axle[1], -self.axle[0]])
+        return np.asarray(along / np.linalg.norm(along))
+
+    @property
+    def rollers(self) -> bool:
+        """Whether the file draws rollers."""
+        return len(self.held) >= _ROLLERS
+
+
+def find_wheels(mechanism: Mechanism) -> list[Wheel]:
+    """Hinges with a horizontal axis that turn on and on, near the ground, with at most vertical axes and suspensions above them."""
+    found = [w for j in mechanism.joints.values() if (w := _wheel(mechanism, j)) is not None]
+    lowest = min((w.center[2] for w in found), default=0.0)
+    low = [w for w in found if w.center[2] <= lowest + _LOW]
+    limited = {w.joint for w in low if _has_limits(mechanism, w)}
+    return [w if not limited or w.joint in limited else replace(w, passive=True) for w in low]
+
+
+def _has_limits(mechanism: Mechanism, wheel: Wheel) -> bool:
+    """Whether the file says anything of its drives; where it does of some wheels, the others are casters."""
+    drives = [mechanism.joints[n].drive for n in (wheel.joint, wheel.steer) if n]
+    return any(d.driven or d.velocity is not None or d.effort is not None for d in drives)
+
+
+def _wheel(mechanism: Mechanism, joint: Joint) -> Wheel | None:
+    below = mechanism.below(joint.name)
+    turns = joint.range is None or joint.range[1] - joint.range[0] >= _TURNS
+    if joint.kind != "hinge" or not (turns and joint.horizontal) or 0 < len(below) < _ROLLERS:
+        return None
+    above = [mechanism.joints[n] for n in joint.above if n in mechanism.joints]
+    if not all(a.vertical or _suspends(a) for a in above):
+        return None
+    hinges = [a for a in above if a.kind == "hinge" and a.vertical]
+    if len(hinges) > 2 or any(len(mechanism.below(n)) < len(mechanism.below(joint.name)) for n in below):
+        return None
+    return _record(mechanism, joint, hinges, [a.name for a in above if a not in hinges], below)
+
+
+def _suspends(joint: Joint) -> bool:
+    """Whether a joint is a suspension: a short vertical slide, or a rocker that hardly turns."""
+    width = np.inf if joint.range is None else joint.range[1] - joint.range[0]
+    return bool(width < 0.2 if joint.kind == "slide" else width < 0.5)
+
+
+def _record(
+    mechanism: Mechanism, joint: Joint, hinges: list[Joint], suspension: list[str], rollers: list[str]
+) -> Wheel:
+    center = mechanism.data.xpos[mechanism.model.body(joint.body).id].copy()
+    drawn = radius_of(mechanism.file, mechanism.model, joint.name)
+    height = float(center[2])
+    radius = drawn if drawn is not None else height if 0.02 < height < 0.5 else None
+    steer = hinges[-1] if hinges else None
+    offset = float(np.hypot(*(center - steer.position)[:2])) if steer else 0.0
+    names = " ".join((joint.name, joint.body, *(h.name for h in hinges)))
+    driven = joint.drive.driven or (steer is not None and steer.drive.driven)
+    return Wheel(
+        joint.name, center, joint.axis, radius, drawn is None, steer.name if steer else None,
+        hinges[0].name if len(hinges) > 1 else None, offset,
+        passive=bool(CASTER.search(names)) and not driven, held=(*suspension, *rollers),
+    )  # fmt: skip

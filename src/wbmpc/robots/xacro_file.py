@@ -1,0 +1,59 @@
+"""Macros of URDF (xacro), expanded with the optional package ``xacrodoc``."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from functools import lru_cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+from wbmpc.errors import InputError
+
+NAMESPACES = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
+NEEDED = "its macros (xacro) have to be expanded: pip install 'wbmpc[xacro]', or expand the file with ROS' own xacro"
+_MISSING = re.compile(r"Package not found: ([\w-]+)")
+#: Expanded texts that are kept: a robot is read several times.
+_KEPT = 8
+
+
+def has_macros(root: ElementTree.Element) -> bool:
+    """Whether a URDF has macros that are not expanded."""
+    return any(isinstance(e.tag, str) and e.tag.startswith(NAMESPACES) for e in root.iter())
+
+
+def expand(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> str:
+    """The URDF of a file with macros. Raises :class:`InputError` naming the file, and the package or argument that is missing.
+
+    A file with macros is a program: Python expressions of it are evaluated. It is expanded once for each state of the file itself.
+    """
+    key = tuple(sorted((name, str(folder)) for name, folder in packages.items()))
+    return _expanded(path.resolve(), path.stat().st_mtime_ns, key, tuple(sorted(arguments.items())), str(path))
+
+
+@lru_cache(maxsize=_KEPT)
+def _expanded(
+    path: Path, changed: int, packages: tuple[tuple[str, str], ...], arguments: tuple[tuple[str, str], ...], name: str
+) -> str:
+    try:
+        import xacrodoc  # it also replaces the search for ROS packages of the module below
+        import xacro  # isort: skip
+    except ImportError:
+        raise InputError(f"{name}: {NEEDED}") from None
+    xacrodoc.packages.reset()
+    xacrodoc.packages.walk_up_from(path)
+    xacrodoc.packages.update_package_cache(dict(packages))
+    said = io.StringIO()
+    try:
+        with redirect_stdout(said), redirect_stderr(said):
+            return str(xacro.process_file(str(path), mappings=dict(arguments)).toxml())
+    except (Exception, SystemExit) as error:  # whatever its expressions raise
+        text = " ".join(f"{error} {said.getvalue()}".split())
+        if missing := _MISSING.search(text):
+            raise InputError(
+                f"{name}: ROS package '{missing[1]}' is not found; give its folder with 'packages: {{{missing[1]}: FOLDER}}' in the "
+                f"robot's YAML, or --package {missing[1]}=FOLDER"
+            ) from error
+        raise InputError(f"{name}: its macros cannot be expanded: {text[:300] or type(error).__name__}") from error

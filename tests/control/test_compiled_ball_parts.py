@@ -1,0 +1,104 @@
+"""Compiled parts of the ball robot's loop against the same source as ordinary Python, and against NumPy's algebra."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from scipy.spatial.transform import Rotation
+
+from wbmpc.bases.ball.estimator import BallEstimator
+from wbmpc.bases.ball.plant import BallPlant, minimal_state
+from wbmpc.bases.ball.sensor_faults import EncoderMonitor
+from wbmpc.bases.ball.sensors import BallSensors, WheelGeometry
+from wbmpc.bases.ball.torque_limits import TorqueLimits
+from wbmpc.model.robot import load_robot
+from wbmpc.simulation.perturbation import Perturbation
+
+ROBOT = load_robot("rezero")
+HOME = ROBOT.home
+
+
+@pytest.mark.parametrize("scale", [0.5, 3.0, 20.0])
+def test_torques_of_both_back_ends(scale: float) -> None:
+    """They say the same, within the limits; truth of how much of a lean is kept: a linear programme over lean and spin."""
+    rng, one, other = np.random.default_rng(1), TorqueLimits(ROBOT, 6), TorqueLimits(ROBOT, 6, "interpreted")
+    limit, along = one.limit[:3], one.spin / np.linalg.norm(one.spin)
+    most = ROBOT.description.limits.spin_effort / np.linalg.norm(one.spin)
+    for _ in range(30):
+        torque = scale * rng.normal(size=6)
+        found = one.possible(torque)
+        np.testing.assert_allclose(found, other.possible(torque), rtol=1e-12, atol=1e-13)
+        lean = torque[:3] - (along @ torque[:3]) * along
+        rows = np.column_stack([lean, along])  # share of the lean, spin
+        best = linprog([-1.0, 0.0], np.vstack([rows, -rows]), np.tile(limit, 2), bounds=[(0, 1), (-most, most)])
+        kept = found[:3] - (along @ found[:3]) * along
+        np.testing.assert_allclose(kept, best.x[0] * lean, atol=1e-9)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_what_the_sensors_see(backend: str) -> None:
+    """Truth: the same integrals by SciPy's rotations, over random motions; both back ends."""
+    rng, h, p = np.random.default_rng(2), 5e-4, Perturbation.none()
+    wheels, mount = WheelGeometry(rng.normal(size=(4, 3))), rng.normal(size=3)
+    draw = p.draw(np.random.default_rng(0), [], 4, 3)
+    sensors = BallSensors(p, draw, wheels, mount, h, 0, rng, (14, 12), (10, 9), backend)  # type: ignore[arg-type]
+    matrix = lambda q: Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix()
+    turn, push, wheel, before = np.zeros(3), np.zeros(3), np.zeros(4), None
+    for k in range(5):
+        q, v = rng.normal(size=14), rng.normal(size=12)
+        q[3:7] /= np.linalg.norm(q[3:7])
+        q[10:14] /= np.linalg.norm(q[10:14])
+        seen, rotation = sensors.seen(sensors.advance(q, v)), matrix(q[3:7])
+        velocity = v[:3] + rotation @ np.cross(v[3:6], mount)
+        if before is not None:
+            turn += h * v[3:6]
+            push += 0.5 * (rotation + before[0]).T @ (velocity - before[1] + [0.0, 0.0, 9.81 * h])
+            wheel += h * wheels.turn @ matrix(q[10:14]) @ v[9:12]
+        before = rotation, velocity
+        for ours, truth in zip(seen, (q, v, turn, push, k, wheel), strict=True):
+            np.testing.assert_allclose(ours, truth, atol=1e-13)
+
+
+def test_monitors_of_both_back_ends() -> None:
+    """Joints that stand, that move and that surprise; they find the same, at the same times."""
+    rng = np.random.default_rng(3)
+    both = [EncoderMonitor(3, ["a", "b", "c"], backend=b) for b in ("compiled", "interpreted")]  # type: ignore[arg-type]
+    arm, said = np.zeros(3), []
+    for k in range(200):
+        arm = arm + [0.0, 1e-3, 2e-3 * (k % 50 > 25)]
+        more = (rng.normal(size=3) + [0.0, 0.5, 0.2], 10.0 * rng.normal(size=3), ("wheel_1 stalled",) * (k > 150))
+        found = [m.update(0.0025 * k, 0.0025, arm, *more, rng_surprise(k)) for m in both]
+        assert found[0] == found[1]
+        said += [(f.part, f.kind) for f in found[0]]
+    assert ("wheel_1", "stalled") in said and len(said) > 1
+
+
+def rng_surprise(k: int) -> np.ndarray:
+    return np.array([False, k % 40 == 0, False])
+
+
+def test_the_estimated_state_is_that_of_the_filter() -> None:
+    """Truth: MuJoCo's pose and velocity for a filter that is set to them; the yaw goes on over a whole turn. Copies are on their own."""
+    plant = BallPlant(ROBOT.description, HOME, None, Perturbation.none())
+    estimator, d = BallEstimator(ROBOT, HOME), plant.data
+    rng, mount, expected = np.random.default_rng(4), plant.sensors.mount, 0.0
+    for k in range(9):
+        expected = 0.9 * k
+        turned = Rotation.from_euler("ZYX", [expected, 0.1, -0.2])
+        d.qpos[3:7], d.qvel[:6] = turned.as_quat()[[3, 0, 1, 2]], rng.normal(size=6)
+        mujoco.mj_kinematics(plant.model, d)
+        state = estimator.filter.state
+        state.rotation, state.position = turned.as_matrix(), d.qpos[:3]
+        state.velocity = d.qvel[:3] + turned.as_matrix() @ np.cross(d.qvel[3:6], mount)
+        estimator.filter.state = state
+        estimator.filter.arrays["rate"][:] = d.qvel[3:6]
+        copy = deepcopy(estimator)
+        truth = minimal_state(d.qpos[3:7], d.qvel[:6], d.qpos[:3], HOME[5:8], np.zeros(3))
+        truth[2] = expected
+        np.testing.assert_allclose(estimator.state, truth, atol=1e-9)
+        estimator.filter.arrays["x"][0] += 1.0
+        assert copy.state[0] == truth[0]

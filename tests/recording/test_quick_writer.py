@@ -1,0 +1,44 @@
+"""Messages that are packed in one piece. Truth: the bytes that the MCAP library's own writer makes."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, Writer
+
+from wbmpc.recording.quick_writer import QuickWriter
+
+
+def written(kind: type[Writer]) -> bytes:
+    """A file of three channels with several chunks, messages of all sizes and times that go back."""
+    rng, out = np.random.default_rng(0), BytesIO()
+    writer = kind(out, chunk_size=2000, compression=CompressionType.ZSTD, enable_data_crcs=True)
+    writer.start(profile="ros2", library="test")
+    schema = writer.register_schema(name="a/msg/B", encoding="ros2msg", data=b"float64 x")
+    channels = [writer.register_channel(f"/topic{i}", "cdr", schema) for i in range(3)]
+    for k in range(200):
+        at = 1_000_000 * (k if k % 17 else k // 2) + 7
+        writer.add_message(channels[k % 3], at, rng.bytes(int(rng.integers(0, 150))), at + k, sequence=k)
+        if k == 90:
+            writer.add_metadata("note", {"k": "90"})
+    writer.finish()
+    return out.getvalue()
+
+
+def test_the_file_is_the_librarys() -> None:
+    assert written(QuickWriter) == written(Writer)
+
+
+def test_it_takes_the_short_way() -> None:
+    """The library still has what is used of it; else recordings take as long as they did."""
+    assert QuickWriter(BytesIO())._quick
+
+
+def test_without_what_it_uses_it_is_the_librarys(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "wbmpc.recording.quick_writer._PARTS", ("_Writer__chunk_builder", "_Writer__statistics", "none")
+    )
+    assert not QuickWriter(BytesIO())._quick
+    assert written(QuickWriter) == written(Writer)
