@@ -2,6 +2,8 @@
 
 Usage: python benchmarks/closed_loop.py [--only swerve ball] [--repeat 3] [--no-recording] [--json FILE] [--profile FILE]. Times are CPU
 times of the whole process, so that other programs do not count, but threads of a linear algebra library do. Of the repeats the fastest counts.
+On a machine that others use a core's own speed changes too: a fixed piece of work is timed now and then, and "corrected" figures are
+those at the speed at which it was fastest.
 """
 
 from __future__ import annotations
@@ -34,6 +36,8 @@ PARTS = {
     "watcher": ("tick",),
 }  # fmt: skip
 SEED = 200
+#: The fixed piece of work: so long a sum, every so many ticks.
+WORK, EVERY = 3000, 10
 
 
 class Stopwatch:
@@ -44,6 +48,7 @@ class Stopwatch:
         self.seconds: dict[str, float] = {}
         self.calls: dict[str, int] = {}
         self.simulated = self.loop = 0.0
+        self.work: list[float] = []
 
     def begin(self, running: Running) -> None:
         objects = {
@@ -55,7 +60,7 @@ class Stopwatch:
         for name, owner in objects.items():
             for method in PARTS[name] if owner is not None else ():
                 setattr(owner, method, self._timed(f"{name}.{method}", getattr(owner, method)))
-        self.simulated = running.duration
+        self.simulated, self._ticks = running.duration, 0
         gc.collect()
         if self.profile is not None:
             self.profile.enable()
@@ -78,10 +83,14 @@ class Stopwatch:
         return timed
 
     def tick(self, t: float, command: Any, plans: Any) -> None:
-        pass
+        self._ticks += 1
+        if self._ticks % EVERY == 0 and self.profile is None:
+            start = time.process_time()
+            sum(k * k % 7 for k in range(WORK))
+            self.work.append(time.process_time() - start)
 
     def end(self, ending: Ending) -> None:
-        self.loop = time.process_time() - self._start
+        self.loop = time.process_time() - self._start - sum(self.work)
         if self.profile is not None:
             self.profile.disable()
 
@@ -99,6 +108,7 @@ def measured(name: str, recording: bool, profile: cProfile.Profile | None = None
         whole = time.process_time() - begun
         if recorder is not None:
             recorder.close({})
+    slow = sum(watch.work) / len(watch.work) if watch.work else 1.0
     ticks = max(watch.calls.get("controller.measure", 0), 1)
     parts = {part: 1e6 * seconds / ticks for part, seconds in watch.seconds.items()}
     metrics = {k: m.value for k, m in result.metrics.items()}
@@ -106,6 +116,7 @@ def measured(name: str, recording: bool, profile: cProfile.Profile | None = None
         "experiment": experiment, "settings": settings, "completed": result.completed, "simulated_s": watch.simulated,
         "simulated_per_cpu_second": watch.simulated / watch.loop, "with_preparation": watch.simulated / whole,
         "controller_us": sum(v for k, v in parts.items() if k.startswith("controller.")),
+        "work_s": slow, "fastest_work_s": min(watch.work, default=1.0),
         "parts_us_per_tick": {**parts, "rest": 1e6 * watch.loop / ticks - sum(parts.values())}, "metrics": metrics,
         "digest": hashlib.sha256(json.dumps(metrics, sort_keys=True).encode()).hexdigest()[:16],
     }  # fmt: skip
@@ -116,6 +127,9 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=list(RUNS), choices=list(RUNS))
     parser.add_argument("--repeat", type=int, default=3)
     parser.add_argument("--no-recording", action="store_true", help="without run.mcap, as in tests")
+    parser.add_argument(
+        "--work", type=float, help="time [s] of the fixed piece of work on the idle machine, if it is known"
+    )
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("--profile", type=Path, help="write cProfile's statistics of the loops there; no times")
     given = parser.parse_args()
@@ -130,9 +144,19 @@ def main() -> None:
         runs = [measured(name, not given.no_recording) for _ in range(given.repeat)]
         best = found[name] = max(runs, key=lambda run: run["simulated_per_cpu_second"])
         best["controller_us"] = min(run["controller_us"] for run in runs)
+        fastest = given.work or min(run["fastest_work_s"] for run in runs)
+        best["corrected"] = {
+            "simulated_per_cpu_second": max(run["simulated_per_cpu_second"] * run["work_s"] for run in runs) / fastest,
+            "controller_us": min(run["controller_us"] / run["work_s"] for run in runs) * fastest,
+        }
         print(
             f"{name}: {best['experiment']} {' '.join(best['settings'])}: {best['simulated_per_cpu_second']:.2f} simulated s per CPU s "
             f"({best['with_preparation']:.2f} with preparation), controller {best['controller_us']:.0f} µs per tick"
+        )
+        corrected = best["corrected"]
+        print(
+            f"  corrected: {corrected['simulated_per_cpu_second']:.2f} simulated s per CPU s, controller {corrected['controller_us']:.0f} µs "
+            f"per tick; the machine was {best['work_s'] / fastest:.2f} times slower than at its fastest ({1e6 * fastest:.0f} µs)"
         )
         for part, us in best["parts_us_per_tick"].items():
             print(f"  {part:20s}{us:8.1f} µs per tick")

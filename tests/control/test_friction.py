@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.control.drives import LEARNED_IN, MAXIMUM, DryFriction, Smoothing
+from wbmpc.control.drive_step import LEARNED_IN, MAXIMUM
+from wbmpc.control.drives import DryFriction, Smoothing
 
 PERIOD, LAG = 0.0025, 0.02
 

@@ -142,6 +142,11 @@ def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCap
     assert "the time on /clock has stopped for " in p.control.state
     assert wait_until(lambda: p.control.step() or p.standin.speed == 0.0)
     assert sum("/clock has stopped" in r.getMessage() for r in caplog.records if r.levelno == logging.ERROR) == 1
+    runner = p.control.runner
+    p.go(2.0)  # nothing would move it
+    says = "a goal is rejected: waiting: the time on /clock has stopped for "
+    assert wait_until(lambda: p.control.step() or says in p.control.request_queue.rejected)
+    assert p.control.runner is runner
 
 
 def test_in_lockstep_a_busy_machine_has_time(pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -202,7 +207,7 @@ def test_a_command_to_the_legs_at_the_moment_of_a_stop_starts_nothing(pair: Call
     runner, legs = p.control.runner, p.control.legs
     p.standin.change = lambda m: {**m, "position": m["position"] * np.nan}
     assert wait_until(lambda: p.standin.tick(wait=False) or runner.stopped)  # the node has not looked yet
-    p.control._start_or_apply(legs, p.control.adapter.snapshot()[1])
+    p.control.leg_control.start_or_apply(legs, p.control.adapter.snapshot()[1])
     legs._put(np.array([0.7, np.nan, np.nan, np.nan]), np.full(4, np.nan))
     p.standin.change = lambda m: m
     assert p.until(lambda: "the robot has stopped meanwhile" in legs.rejected)

@@ -6,52 +6,58 @@ turns slower than commanded by friction over gain), in whichever direction it tu
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.checks import not_negative, positive
+from wbmpc.control.drive_step import drive, learn
+from wbmpc.kernel.step import Backend, bind
 
 Array = NDArray[np.float64]
 
-#: Time [s] of turning over which friction is learned; the most that is taken for it, speeds below which a drive may stick and
-#: shows nothing, and below which the sign of a command is not trusted [rad/s].
-LEARNED_IN, MAXIMUM, TURNS, SLOW = 1.0, 0.1, 0.05, 0.02
+#: Arrays of one number for each drive, by their names in :mod:`wbmpc.control.drive_step`.
+_ARRAYS = ("droop", "command", "rate", "mean", "turned", "target", "maximum", "change")
 
 
 class DryFriction:
     """Of n drives, learned from what they turn and given back to their commands.
 
     ``period`` [s] of the commands, ``lag`` [s] of the drives. ``droop`` (n) [rad/s]: by what each turns slower than commanded.
+    ``backend``: machine code (:mod:`wbmpc.control.drive_step`), or the same source as ordinary Python.
     """
 
-    def __init__(self, count: int, period: float, lag: float) -> None:
+    def __init__(self, count: int, period: float, lag: float, backend: Backend = "compiled") -> None:
         positive("dry friction", period=period)
         not_negative("dry friction", lag=lag)
-        self.droop: Array = np.zeros(count)
-        self._command, self._rate, self._mean = np.zeros((3, count))
-        self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
-        self._late = self._blend * lag / period
+        a = self._arrays = {name: np.zeros(count) for name in _ARRAYS}
+        blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
+        self._learn = bind(learn, a, backend, n=count)
+        self._drive = bind(drive, a, backend, n=count, blend=float(blend), late=float(blend * lag / period))
+
+    @property
+    def droop(self) -> Array:
+        """(n) [rad/s]."""
+        return self._arrays["droop"].copy()
+
+    @droop.setter
+    def droop(self, droop: Array) -> None:
+        self._arrays["droop"][:] = droop
 
     def learn(self, turned: Array, h: float) -> None:
         """From joints that turned by ``turned`` (n) [rad] in h [s], under the last command."""
-        if h <= 0.0:
-            return
-        lacks = (self._mean - turned / h) * np.sign(self._mean)
-        now = np.clip(self.droop + (1.0 - np.exp(-h / LEARNED_IN)) * (lacks - self.droop), 0.0, MAXIMUM)
-        self.droop = np.where(np.abs(self._mean) > TURNS, now, self.droop)
+        if h > 0.0:
+            self._arrays["turned"][:] = turned
+            self._learn(h)
 
     def command(self, target: Array, maximum: Array | float, step: Array | float) -> Array:
         """Commands for the drives (n) [rad/s] so that they turn as ``target`` (n), within ± ``maximum`` and by no more than ``step``
         beside the command before. Slow ones get a share, or they would chatter about a standstill."""
-        command = target + self.droop * np.clip(target / SLOW, -1.0, 1.0)
-        command = np.clip(np.clip(command, -maximum, maximum), self._command - step, self._command + step)
-        behind = self._rate - command
-        self._command, self._mean, self._rate = (
-            command,
-            command + behind * self._late,
-            command + behind * (1.0 - self._blend),
-        )
-        return command
+        a = self._arrays
+        a["target"][:], a["maximum"][:], a["change"][:] = target, maximum, step
+        self._drive()
+        return a["command"].copy()
 
 
 class Smoothing:
@@ -73,5 +79,5 @@ class Smoothing:
             self.value = now if self.value is None else self.value
         else:
             carried = self.value + moved
-            self.value = carried + (1.0 - np.exp(-h / self.time)) * (now - carried)
+            self.value = carried + (1.0 - math.exp(-h / self.time)) * (now - carried)
         return self.value

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.swerve.tracking_step import learn_sag
+from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -19,39 +21,57 @@ def lag_share(period: float, lag: float) -> float:
 
 class DriveModel:
     """Drives of first order with a ``lag`` [s]. ``rates`` (nu): what they make of the commands now; the planned steering has no
-    lag, so its rates are 0 where ``planned_steering``; ``turning`` (n) [rad/s]: of the steering drives in any case."""
+    lag, so its rates are 0 where ``planned_steering``; ``turning`` (n) [rad/s]: of the steering drives in any case. ``arrays``: both,
+    which :mod:`wbmpc.bases.swerve.tracking_step` writes."""
 
     def __init__(self, robot: RobotModel, period: float, lag: float, planned_steering: bool) -> None:
-        self.lag, self._blend, self._planned_steering = lag, lag_share(period, lag), planned_steering
-        self._steer = robot.input["steer"]
-        self.rates: Array = np.zeros(robot.input.size)
-        self.turning: Array = np.zeros(robot.base.geometry.modules)
+        self.lag, self.blend = lag, lag_share(period, lag)
+        self.arrays = {"rates": np.zeros(robot.input.size), "turning": np.zeros(robot.base.geometry.modules)}
 
-    def follow(self, sent: Array) -> None:
-        """A period under a command ``sent`` (nu)."""
-        self.rates[self._steer] = self.turning
-        self.rates += self._blend * (sent - self.rates)
-        self.turning = self.rates[self._steer].copy()
-        if self._planned_steering:
-            self.rates[self._steer] = 0.0
+    @property
+    def rates(self) -> Array:
+        """(nu), as an array that goes on."""
+        return self.arrays["rates"]
+
+    @property
+    def turning(self) -> Array:
+        """(n) [rad/s], as an array that goes on."""
+        return self.arrays["turning"]
 
 
 class ArmDrives:
     """The arm's ``count`` drives. ``sag`` (m) [rad/s]: by what joints turn besides their commands; ``command`` (m), the last one;
-    ``rate`` and ``mean`` (m): what lagging drives make of the commands now and over the last period."""
+    ``rate`` and ``mean`` (m): what lagging drives make of the commands now and over the last period. ``arrays``: these."""
 
-    def __init__(self, count: int, period: float, lag: float) -> None:
+    def __init__(self, count: int, period: float, lag: float, backend: Backend = "compiled") -> None:
         self._period, self._lag, self._blend = period, lag, lag_share(period, lag)
-        self.sag, self.command, self.rate, self.mean = np.zeros((4, count))
+        self.arrays = {name: np.zeros(count) for name in ("sag", "command", "rate", "mean", "turned")}
+        self._learn = bind(learn_sag, self.arrays, backend, m=count, largest=MAX_SAG)
+
+    @property
+    def sag(self) -> Array:
+        """(m) [rad/s], as an array that goes on."""
+        return self.arrays["sag"]
+
+    @property
+    def command(self) -> Array:
+        """(m) [rad/s], as an array that goes on."""
+        return self.arrays["command"]
+
+    @property
+    def mean(self) -> Array:
+        """(m) [rad/s], as an array that goes on."""
+        return self.arrays["mean"]
 
     def learn(self, turned: Array, h: float) -> None:
         """The sag from what the joints ``turned`` (m) [rad] in h [s] and what drives should have made of the commands."""
         if h > 0.0:
-            share = 1.0 - np.exp(-h / SAG_TIME)
-            self.sag = np.clip(self.sag + share * (turned / h - self.mean - self.sag), -MAX_SAG, MAX_SAG)
+            self.arrays["turned"][:] = turned
+            self._learn(float(1.0 - np.exp(-h / SAG_TIME)), h)
 
     def follow(self, command: Array) -> None:
         """A period under a command (m) [rad/s]."""
-        behind = self.rate - command
-        self.command, self.mean = command, command + behind * self._blend * self._lag / self._period
-        self.rate = command + behind * (1.0 - self._blend)
+        a = self.arrays
+        behind = a["rate"] - command
+        a["command"][:], a["mean"][:] = command, command + behind * self._blend * self._lag / self._period
+        a["rate"][:] = command + behind * (1.0 - self._blend)

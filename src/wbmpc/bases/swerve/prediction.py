@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc import lie
 from wbmpc.bases.swerve.estimator import SwerveEstimator
 from wbmpc.bases.swerve.tracking import SwerveTracking
 from wbmpc.model.robot import RobotModel
@@ -38,23 +37,16 @@ class SwervePrediction:
         The plan's clock runs ahead of the wall's by the lag: what is commanded now acts that much later.
         """
         tracking = self._tracking
-        lag, period, planned = tracking.settings.lag, tracking.period, tracking.settings.planned_steering
-        x = self._start(t, plans)
+        lag, period = tracking.settings.lag, tracking.period
         # A first-order drive still moves by lag times its present rate after the last command: the state leads by that.
-        self._move(x, tracking.drives.rates, lag, self._brakes(t))
-        sent = tracking.sent
+        tracking.ahead(self._start(t, plans), self._brakes(t))
         for k in range(round((until - t) / period)):
             now = t + (k + 0.5) * period
             policy = plans.at(now)
             if policy is None:
                 break
-            u = tracking.held(policy.feedforward(now + lag))
-            moved = sent = tracking.reachable(sent, u, self._brakes(now))
-            if planned:  # the plan's angles go on with the plan, and the servo follows them
-                moved = sent.copy()
-                moved[self.robot.input["steer"]] = u[self.robot.input["steer"]]
-            self._move(x, moved, period, self._brakes(now))
-        return Observation(until + lag, x)
+            tracking.predict(policy.feedforward(now + lag), self._brakes(now))
+        return Observation(until + lag, tracking.predicted)
 
     def _start(self, t: float, plans: PolicyQueue) -> Array:
         """The estimated state (nx) with the steering angles that the plan has at t [s]."""
@@ -70,11 +62,3 @@ class SwervePrediction:
         if np.abs(aligned - measured).max() > CROOKED:
             x[steer] = aligned
         return x
-
-    def _move(self, x: Array, u: Array, h: float, brake: Array) -> None:
-        """Integrate input rates u over h [s] into the state x, in place; the planned steering has no lag."""
-        state, inputs = self.robot.state, self.robot.input
-        x[state["base"]] = lie.se2_step(x[state["base"]], u[inputs["base"]] * h)
-        for group in ("leg", "steer", "wheel", "arm"):
-            if group in state:
-                x[state[group]] += u[inputs[group]] * (brake * h if group == "leg" else h)

@@ -15,15 +15,14 @@ from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.side_slip import SideSlip
+from wbmpc.bases.swerve.tracking_step import follow, move, predict, track
 from wbmpc.checks import not_negative
 from wbmpc.control.drives import DryFriction
+from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 
 Array = NDArray[np.float64]
-#: Steering errors [rad] that stop a base on its way, and that end a stop. The last is no smaller: the plan's angles move on
-#: meanwhile, and a base that waits for the rest falls behind its reference.
-MISALIGNED, ALIGNED = 0.45, 0.1
 #: Gain [1/s] of the steering servo while it aligns wheels: the base waits for them.
 ALIGN_GAIN = 15.0
 
@@ -48,24 +47,86 @@ class TrackingSettings:
 class SwerveTracking:
     """The law at the controller's ``period`` [s]. ``wheel_scale`` (n): the model's wheel radius over each wheel's own.
 
-    ``target`` (nu): what plan and steering servo ask for, before it is scaled; ``sent`` (nu): what of it accelerations allow;
     ``clamped``: whether the last wheels were slowed down to their limits; ``aligning``: wheels point elsewhere than planned
-    (turned by hand, or knocked), so that the base stands until they do not.
+    (turned by hand, or knocked), so that the base stands until they do not. ``backend``: machine code, or the same source as
+    ordinary Python.
     """
 
-    def __init__(self, robot: RobotModel, period: float, settings: TrackingSettings, wheel_scale: Array) -> None:
-        self.robot, self.period, self.settings, self._wheel_scale = robot, period, settings, wheel_scale
-        steer, modules = robot.state["steer"], robot.base.geometry.modules
-        self._steer_range = robot.limits.state_lower[steer], robot.limits.state_upper[steer]
-        # inputs that go one share of the way
-        self._together = np.delete(np.arange(robot.input.size), robot.input["steer"])
+    def __init__(
+        self,
+        robot: RobotModel,
+        period: float,
+        settings: TrackingSettings,
+        wheel_scale: Array,
+        backend: Backend = "compiled",
+    ) -> None:
+        self.robot, self.period, self.settings = robot, period, settings
+        modules = robot.base.geometry.modules
         groups = ("wheel", "steer") if settings.friction else ()
-        self.friction = {g: DryFriction(modules, period, settings.lag) for g in groups}
+        self.friction = {g: DryFriction(modules, period, settings.lag, backend) for g in groups}
         self.drives = DriveModel(robot, period, settings.lag, settings.planned_steering)
-        self.arm = ArmDrives(len(robot.input.groups["arm"]), period, settings.lag)
+        self.arm = ArmDrives(len(robot.input.groups["arm"]), period, settings.lag, backend)
         self.side_slip = SideSlip(robot, period) if settings.allow_side_slip else None
-        self.target, self.sent = np.zeros((2, robot.input.size))
         self.clamped = self.aligning = False
+        limits = robot.limits
+        self._driven_limits = {
+            g: (limits.actuator_upper[robot.input[g]], limits.input_rate[robot.input[g]] * period) for g in groups
+        }
+        self._arrays = self._memory(wheel_scale)
+        self._bind(backend)
+
+    def _memory(self, wheel_scale: Array) -> dict[str, Array]:
+        """Arrays by their names in :mod:`wbmpc.bases.swerve.tracking_step`."""
+        robot, limits = self.robot, self.robot.limits
+        n, nu, steer = robot.base.geometry.modules, robot.input.size, robot.state["steer"]
+        own = {name: np.zeros(nu) for name in ("u", "sent", "future", "ahead", "moved", "excess")}
+        own |= {name: np.zeros(n) for name in ("planned", "measured", "brake", "error", "wheels", "leg_rates")}
+        values = {
+            "low": limits.state_lower[steer], "high": limits.state_upper[steer], "wheel_scale": wheel_scale,
+            "actuator_upper": limits.actuator_upper, "input_upper": limits.input_upper, "input_rate": limits.input_rate,
+        }  # fmt: skip
+        arm = {k: v for k, v in self.arm.arrays.items() if k != "turned"}
+        return (
+            own
+            | self.drives.arrays
+            | arm
+            | {k: np.array(v, float) for k, v in values.items()}
+            | {"x": np.zeros(robot.state.size)}
+        )
+
+    def _bind(self, backend: Backend) -> None:
+        a, s, inputs, state = self._arrays, self.settings, self.robot.input, self.robot.state
+        legs, n, m = len(inputs.groups.get("leg", ())), self.robot.base.geometry.modules, len(inputs.groups["arm"])
+        places = {g: inputs[g].start if g in inputs else 0 for g in ("base", "leg", "steer", "wheel", "arm")}
+        states = {f"x_{g}": state[g].start if g in state else 0 for g in places}
+        sizes, blend = {"nu": inputs.size, "n": n}, self.drives.blend
+        steering = {"planned_steering": s.planned_steering}
+        law = {
+            "legs": legs,
+            "m": m,
+            "period": self.period,
+            "lag": s.lag,
+            "blend": blend,
+            "late": blend * s.lag / self.period,
+        }
+        servo = {"gain": s.steer_gain, "align_gain": ALIGN_GAIN}
+        self._track = bind(track, a, backend, **sizes, **law, **places, **servo, **steering)
+        self._follow = bind(follow, a, backend, **sizes, steer=places["steer"], blend=blend, **steering)
+        moving = {"n": n, "legs": legs, "m": m, **places, **states}
+        self._predict = bind(
+            predict, a | {"u": a["future"]}, backend, nu=inputs.size, period=self.period, **moving, **steering
+        )
+        self._move = bind(move, a | {"u": a["moved"]}, backend, **moving)
+
+    @property
+    def target(self) -> Array:
+        """What plan and steering servo ask for (nu), before it is scaled."""
+        return self._arrays["u"].copy()
+
+    @property
+    def sent(self) -> Array:
+        """What of it accelerations allow (nu)."""
+        return self._arrays["sent"].copy()
 
     def learn_friction(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> None:
         """What dry friction takes, from one message to the next."""
@@ -75,9 +136,9 @@ class SwerveTracking:
     def rest(self) -> None:
         """A stop: the next commands start from rest."""
         self.arm.follow(np.zeros(self.arm.sag.size))
-        self.target, self.sent = np.zeros((2, self.robot.input.size))
+        self._arrays["u"][:] = self._arrays["sent"][:] = 0.0
         self.clamped = self.aligning = False
-        self.drives.follow(self.sent)
+        self._follow()
         for drives in self.friction.values():
             drives.command(np.zeros(drives.droop.size), np.inf, np.inf)
 
@@ -85,81 +146,36 @@ class SwerveTracking:
         self, t: float, policy: Policy, estimator: SwerveEstimator, brake: Array
     ) -> tuple[SwerveCommand, Array]:
         """Drive speeds at t [s] under ``brake`` (n, 1 = open), and the rates (n) [rad/s] of legs that go with them."""
-        inputs = self.robot.input
-        planned, error = self._steering_error(t, policy, estimator)
-        u = self.held(policy.feedforward(t + self.settings.lag))
+        a, inputs, ahead = self._arrays, self.robot.input, t + self.settings.lag
+        a["u"][:] = policy.feedforward(ahead)
+        a["planned"][:] = policy.state(ahead)[self.robot.state["steer"]]
+        a["measured"][:], a["brake"][: brake.size] = estimator.steer, brake
+        self.aligning, self.clamped = self._track(self.aligning)
         if self.side_slip is not None:
-            self.side_slip.update(estimator.hinge_angles, planned, u)
-        u[inputs["steer"]] = self._steer(u[inputs["steer"]], error)
-        self.target = u
-        self.sent = sent = self.reachable(self.sent, u, brake)
-        self.drives.follow(sent)
-        wheel, excess = self._scaled_wheels(sent)
-        legs = sent[inputs["leg"]] * min(1.0, 1.0 / max(excess, 1e-12)) if "leg" in inputs else np.zeros(0)
-        self._drive_arm(sent[inputs["arm"]])
-        wheel, steer = self._driven("wheel", wheel), self._driven("steer", sent[inputs["steer"]])
-        return SwerveCommand(wheel, steer, self.arm.command, brake), legs
-
-    def _steering_error(self, t: float, policy: Policy, estimator: SwerveEstimator) -> tuple[Array, Array]:
-        """Planned angles (n) [rad], and how far wheels are from them; whether wheels are aligned first."""
-        # a plan whose limits give way may lie beyond the joints' range, where no wheel can be waited for
-        planned = np.clip(policy.state(t + self.settings.lag)[self.robot.state["steer"]], *self._steer_range)
-        # what lagging drives still owe counts as done, or a wheel that turns fast would seem to be behind
-        error = planned - estimator.steer - self.settings.lag * self.drives.turning
-        off = float(np.abs(error).max()) if self.settings.planned_steering else 0.0
-        self.aligning = off > (ALIGNED if self.aligning else MISALIGNED)
-        return planned, error
-
-    def _steer(self, rate: Array, error: Array) -> Array:
-        """The steering servo (n) [rad/s]: the plan's ``rate``, and what closes the ``error`` (n) [rad]."""
-        maximum = self.robot.limits.actuator_upper[self.robot.input["steer"]]
-        gain = self.settings.steer_gain
-        gain = max(gain, ALIGN_GAIN) if self.aligning else gain
-        return np.clip(rate + gain * error, -maximum, maximum)
-
-    def _scaled_wheels(self, sent: Array) -> tuple[Array, float]:
-        """Wheel speeds (n) [rad/s], and by what factor they were too fast.
-
-        Too fast for one wheel: the whole motion is slowed down, or the wheels drag each other."""
-        wheel = sent[self.robot.input["wheel"]] * self._wheel_scale
-        excess = float(np.max(np.abs(wheel) / self.robot.limits.input_upper[self.robot.input["wheel"]]))
-        self.clamped = excess > 1.0
-        return wheel / max(1.0, excess), excess
-
-    def _drive_arm(self, sent: Array) -> None:
-        """The arm's commands: without the sag, within limits of speed and acceleration."""
-        limits, part = self.robot.limits, self.robot.input["arm"]
-        limit, change = limits.input_upper[part], limits.input_rate[part]
-        arm = np.clip(sent - self.arm.sag, -limit, limit)
-        last = self.arm.command
-        self.arm.follow(last + np.clip(arm - last, -change * self.period, change * self.period))
+            self.side_slip.update(estimator.hinge_angles, a["planned"].copy(), a["u"])
+        legs = a["leg_rates"].copy() if "leg" in inputs else np.zeros(0)
+        wheel, steer = self._driven("wheel", a["wheels"]), self._driven("steer", a["sent"][inputs["steer"]])
+        return SwerveCommand(wheel, steer, self.arm.command.copy(), brake), legs
 
     def _driven(self, group: str, target: Array) -> Array:
         """The command to drives (n) [rad/s] with what friction takes of it."""
         if group not in self.friction:
-            return target
-        limits, index = self.robot.limits, self.robot.input[group]
-        step = limits.input_rate[index] * self.period
-        return self.friction[group].command(target, limits.actuator_upper[index], step)
+            return target.copy()
+        return self.friction[group].command(target, *self._driven_limits[group])
 
-    def held(self, u: Array) -> Array:
-        """An input (nu) as it will act: while wheels are aligned the base stands."""
-        if self.aligning:
-            for group in ("base", "leg", "wheel"):
-                if group in self.robot.input:
-                    u[self.robot.input[group]] = 0.0
-        return u
+    def ahead(self, x: Array, brake: Array) -> None:
+        """Begin a prediction at the state x (nx): the drives still move by lag times their present rates."""
+        a = self._arrays
+        a["x"][:], a["brake"][: brake.size], a["moved"][:], a["ahead"][:] = x, brake, a["rates"], a["sent"]
+        self._move(self.settings.lag)
 
-    def reachable(self, sent: Array, u: Array, brake: Array) -> Array:
-        """The way from the last command ``sent`` (nu) towards u (nu) as far as accelerations allow within a period.
+    def predict(self, u: Array, brake: Array) -> None:
+        """Go on with it for a period under a plan's input u (nu)."""
+        a = self._arrays
+        a["future"][:], a["brake"][: brake.size] = u, brake
+        self._predict(self.aligning)
 
-        All but the steering goes the same share of it: one wheel that lags behind would drag the others. The steering goes as
-        fast as it can: it follows planned angles. A closed brake stops its leg as hard as it likes.
-        """
-        inputs = self.robot.input
-        step, maximum = u - sent, self.robot.limits.input_rate * self.period
-        if "leg" in inputs:
-            maximum[inputs["leg"]] = np.where(brake > 0.5, maximum[inputs["leg"]], np.inf)
-        excess = np.maximum(np.abs(step) / maximum, 1.0)
-        excess[self._together] = excess[self._together].max()
-        return sent + step / excess
+    @property
+    def predicted(self) -> Array:
+        """Its state (nx)."""
+        return self._arrays["x"].copy()

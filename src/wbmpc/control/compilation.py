@@ -1,0 +1,8 @@
+"""The library of compiled steps that controllers of several bases share."""
+
+from __future__ import annotations
+
+from wbmpc.kernel.library import Library
+
+LIBRARY = Library("control", rooms=("control", "kernel"), modules=("wbmpc.control.drive_step",))
+step = LIBRARY.step
