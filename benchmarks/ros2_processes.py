@@ -47,6 +47,7 @@ class Bus:
         robot: str,
         fifo: bool = False,
     ) -> None:
+        self.environment = environment
         self.log = tempfile.TemporaryFile("w+")  # noqa: SIM115
         run = [sys.executable, "-m", "wbmpc", "ros2"]
         given = [robot, "--backend", "dds", "--config", config, *(["--lockstep"] if lockstep else [])]

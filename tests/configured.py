@@ -16,4 +16,5 @@ def check_taken(experiment: str, assignments: Sequence[str]) -> None:
     settings = configure(REGISTRY[experiment].config_type, assignments, experiment)
     for key, text in (a.split("=", 1) for a in assignments):
         value, found = yaml.safe_load(text), reduce(getattr, key.split("."), settings)
+        found = getattr(found, "kind", found)  # a section by its kind alone
         assert (list(found) if isinstance(value, list) else found) == value, key

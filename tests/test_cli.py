@@ -18,7 +18,8 @@ import pytest
 import wbmpc
 from command_line import FAKE_MAIN, HERE, call, shell
 from fake_experiment import REGISTRY
-from wbmpc.cli import _table, app, main
+from wbmpc.cli import app, main
+from wbmpc.cli.results import _table
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.report import page

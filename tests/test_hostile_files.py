@@ -26,6 +26,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.recording.messages import decode, encode
 from wbmpc.robots import load_description
 from wbmpc.robots.file_limits import check_size
+from wbmpc.robots.packages import find_package
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -158,6 +159,26 @@ def test_a_robot_file_that_names_a_pipe_is_an_error(parts: dict[str, str], tmp_p
     (tmp_path / "arm.xml").write_text(ARM.format(**{"top": "", "inside": "", "world": "", **parts}))
     with pytest.raises(InputError, match=r"arm\.xml: line \d+: <.*is no regular file"):
         check_size(tmp_path / "arm.xml")
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "x" * 300 + ".urdf", "a/" * 3000 + "b.xml"])
+def test_a_name_that_no_file_system_takes_is_an_error(name: str, tmp_path: Path) -> None:
+    """Of a model, and of what a model names: pathlib raises for these where it says no to others."""
+    with pytest.raises(InputError, match="key 'model': there is no file"):
+        load_description(_arm(tmp_path, name))
+    mesh = f'<asset><mesh name="m" file="{name}.stl"/></asset>'
+    (tmp_path / "arm.xml").write_text(ARM.format(top=mesh, inside="", world=""))
+    check_size(tmp_path / "arm.xml")
+    with pytest.raises(InputError):
+        load_description(tmp_path / f"{name}.yaml")
+
+
+@pytest.mark.parametrize(
+    "manifest", [b"<package><name>", b'<?xml version="1.0" encoding="no-such"?><a/>', b"\xff\xfe<"]
+)
+def test_a_damaged_manifest_beside_a_model_is_none(manifest: bytes, tmp_path: Path) -> None:
+    (tmp_path / "package.xml").write_bytes(manifest)
+    assert find_package("robot", tmp_path, {}) is None
 
 
 @pytest.mark.parametrize("name", ["arm.xml", "arm.urdf"])

@@ -333,7 +333,7 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str) ->
         raise InputError(f"{where}: --set {describe(error, model)}") from error
 
 
-def reject_truths(model: type[BaseModel], data: Any) -> Any:
+def reject_booleans(model: type[BaseModel], data: Any) -> Any:
     """``data`` of a model, unless it has true or false (YAML: yes, on, no, off) where a field needs a number or a text: Python
     takes them for 1 and 0. Raises ``ValueError`` with the field. Models inside check themselves."""
     for name, value in data.items() if isinstance(data, dict) else ():

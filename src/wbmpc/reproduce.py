@@ -80,7 +80,7 @@ def finished(site: Path) -> list[Job]:
     return sorted(jobs, key=lambda job: (job.name, job.seed))
 
 
-def whole_site(jobs: Iterable[Job], site: Path, order: Sequence[str] = ()) -> list[Job]:
+def jobs_of_site(jobs: Iterable[Job], site: Path, order: Sequence[str] = ()) -> list[Job]:
     """``jobs`` and what else is finished there, by experiment (as in ``order``, others after them) and seed."""
     places = {name: k for k, name in enumerate(order)}
     found = dict.fromkeys([*jobs, *finished(site)])
@@ -189,7 +189,7 @@ def _metric_rows(metrics: dict[str, Any]) -> list[list[str]]:
 def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool = True) -> Path:
     """The index and a page for each experiment; links are relative, nothing comes from a network. Returns the index.
 
-    ``jobs``: all that it shows (see :func:`whole_site`).
+    ``jobs``: all that it shows (see :func:`jobs_of_site`).
     """
     found, sections = summarise(jobs), []
     names = list(dict.fromkeys(j.name for j in jobs))

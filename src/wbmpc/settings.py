@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from wbmpc.configuration import reject_truths, reject_unread
+from wbmpc.configuration import reject_booleans, reject_unread
 from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
@@ -27,7 +27,7 @@ class Settings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _no_truths(cls, data: Any) -> Any:
-        return reject_truths(cls, data)
+        return reject_booleans(cls, data)
 
     @model_validator(mode="after")
     def _read(self) -> Self:

@@ -106,7 +106,7 @@ def place() -> tuple[Callable[..., Any], Callable[[], Any]]:
 
 def lean() -> tuple[Callable[..., Any], Callable[[], Any]]:
     filter_ = stood().filter
-    return filter_.know_lean, lambda: np.concatenate([filter_.state.rotation, filter_.covariance[6:9, 6:9]])
+    return filter_.correct_lean, lambda: np.concatenate([filter_.state.rotation, filter_.covariance[6:9, 6:9]])
 
 
 WHOLE, ONE = (0.1 * np.ones(10), np.zeros(3), H), np.ones(2)

@@ -258,7 +258,7 @@ def test_balance_tells_bias_from_lean() -> None:
     lean = np.array([0.0, 0.0, 1.0]) - known.state.rotation[2]
     assert np.abs(known.state.accel_bias[:2] - bias[:2]).max() > 0.05 and np.abs(lean).max() > 5e-3
     assert np.sqrt(np.diag(known.covariance)[12:14]).min() > 0.2
-    known.know_lean([0.0, 0.0, 1.0], 1e-3)
+    known.correct_lean([0.0, 0.0, 1.0], 1e-3)
     assert known.state.accel_bias[:2] == pytest.approx(bias[:2], abs=0.02)
     assert np.sqrt(np.diag(known.covariance)[6:8]).max() < 1.1e-3
     assert np.sqrt(np.diag(known.covariance)[12:14]) == pytest.approx(9.81e-3, rel=0.3)
@@ -338,7 +338,7 @@ def test_bad_readings_are_rejected() -> None:
         for _ in range(3):
             wide.update(H, np.zeros(3), [1e9, 0.0, 0.0], np.zeros(3))
     with pytest.raises(InputError, match="positive spread"):
-        f.know_lean([0, 0, 1], 0.0)
+        f.correct_lean([0, 0, 1], 0.0)
     with pytest.raises(InputError, match="ball base"):
         BallEstimator(robot("swerve-ur10"), HOME)
 

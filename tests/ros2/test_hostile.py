@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -10,8 +11,9 @@ from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError
 from wbmpc.ros2.bus import Qos
-from wbmpc.ros2.convert import LONGEST, error_message
+from wbmpc.ros2.convert import LONGEST, error_message, read_pose, read_vector
 from wbmpc.ros2.deferred import MAX_MESSAGES, Deferred
+from wbmpc.ros2.joints import read_imu
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.opening import open_node
 
@@ -109,3 +111,52 @@ def test_what_is_quoted_is_one_short_line(error: Exception) -> None:
     assert len(said) < LONGEST + 40 and said.isprintable()
     assert "frame 'map??[31mERROR" in said and said.endswith("'; valid: odom")
     assert error_message(InputError("short")) == "short"
+
+
+VECTOR = SimpleNamespace(x=0.0, y=0.0, z=0.0)
+TOO_LARGE = SimpleNamespace(x=0.0, y=-1e300, z=0.0)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda: read_vector(TOO_LARGE, "the force"),
+        lambda: read_pose(SimpleNamespace(position=TOO_LARGE, orientation=SimpleNamespace(x=0, y=0, z=0, w=1)), "goal"),
+        lambda: read_imu(SimpleNamespace(angular_velocity=VECTOR, linear_acceleration=TOO_LARGE)),
+    ],
+)
+def test_numbers_that_would_overflow_are_rejected_where_they_come_in(read: Callable[[], Any]) -> None:
+    with pytest.raises(InputError, match=r"a number is too large; valid: -1e\+07 to 1e\+07"):
+        read()
+
+
+def test_joints_that_are_nowhere_and_wrenches_that_nobody_exerts(pair: Callable[..., Any]) -> None:
+    """The first joint states may be anywhere, but not there."""
+    control = pair(use_sim_time=False).control
+    body = control.robot_io
+    names, at = body._reader.names, SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=0))
+    body._take_joints(SimpleNamespace(header=at, name=names, position=[-1e300] * len(names)), "robot")
+    assert "joint states: a number is too large" in body.fault and body._joints is None
+    force = SimpleNamespace(force=TOO_LARGE, torque=VECTOR)
+    control.request_queue._try(
+        "/wrench", control.request_queue._take_wrench,
+        SimpleNamespace(header=SimpleNamespace(frame_id="odom"), wrench=force),
+    )  # fmt: skip
+    assert "/wrench: the force: a number is too large" in control.request_queue.rejected
+    assert not control.request_queue.wrench().any()
+
+
+def test_what_fails_beside_the_control_does_not_end_the_run(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """A message that cannot be made, again and again: the node goes on, and says so a few times."""
+    p = pair()
+    p.ready()
+
+    def fails() -> None:
+        raise InputError("wrench: numbers of 1e+09 at most are needed")
+
+    p.control.publishers.publish = fails
+    for _ in range(20):
+        p.control.step()
+    assert 1 <= sum("wrench: numbers of 1e+09" in r.getMessage() for r in caplog.records) <= 5

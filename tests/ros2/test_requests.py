@@ -38,10 +38,10 @@ def test_a_bad_goal_changes_nothing(
 ) -> None:
     p = pair(rates={"diagnostics": 0.01})  # what is new is reported at once
     drive(p)
-    task = p.control._task
+    task = p.control.active_task
     p.send(topic, "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": frame}, "pose": {"position": position}})
     assert p.until(lambda: says in p.control.request_queue.rejected)
-    assert p.control._task is task and p.control.running
+    assert p.control.active_task is task and p.control.running
     said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "rejected"]
     assert p.until(lambda: any(says in text for text in said()))
 
@@ -53,11 +53,11 @@ def test_whatever_a_goal_does_what_runs_goes_on(
     the next goal that is taken ends it."""
     p = pair()
     drive(p)
-    task = p.control._task
+    task = p.control.active_task
     for _ in range(2):
         p.go(1e9)
         assert p.until(lambda: "the base's goal is 1e+09 m away" in p.control.request_queue.rejected)
-    assert p.control._task is task
+    assert p.control.active_task is task
     assert sum("1e+09 m away" in r.getMessage() for r in caplog.records) == 1
 
     def fails(*_: Any) -> None:
@@ -69,12 +69,12 @@ def test_whatever_a_goal_does_what_runs_goes_on(
         for _ in range(2):
             p.go(1.5)
             assert p.until(lambda: p.control.request_queue.rejected == says)
-    assert p.control._task is task and p.control.running and p.standin.speed > 0.5
+    assert p.control.active_task is task and p.control.running and p.standin.speed > 0.5
     assert sum(says in r.getMessage() for r in caplog.records) == 1
     said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "rejected"]
     assert p.until(lambda: says in said())
     p.go(1.5)
-    assert p.until(lambda: p.control._task is not task)
+    assert p.until(lambda: p.control.active_task is not task)
     assert p.control.request_queue.rejected == ""
 
 
@@ -99,7 +99,7 @@ def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(
     """The robot drives on and says so meanwhile; and once it has stopped, the plan does not start it again."""
     p = pair(rates={"diagnostics": 20.0})
     drive(p)
-    task, begun, go_on = p.control._task, threading.Event(), threading.Event()
+    task, begun, go_on = p.control.active_task, threading.Event(), threading.Event()
     plan = p.control.adapter.planner.to_base
 
     def slow(*given: Any) -> Any:
@@ -112,9 +112,9 @@ def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(
     assert p.until(begun.is_set)
     p.said.clear()
     assert p.until(lambda: len(p.said) > 2) and p.control.state == "running: base to a goal"
-    assert p.control._task is task and p.standin.speed > 0.5
+    assert p.control.active_task is task and p.standin.speed > 0.5
     go_on.set()
-    assert p.until(lambda: p.control._task is not task) and p.control.request_queue.rejected == ""
+    assert p.until(lambda: p.control.active_task is not task) and p.control.request_queue.rejected == ""
     begun.clear()
     go_on.clear()
     p.go(2.5)
@@ -217,7 +217,7 @@ def test_a_speed_beyond_the_limits_is_scaled_and_that_is_said(
 def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_rejected(pair: Callable[..., Any]) -> None:
     p = pair()
     drive(p)
-    task = p.control._task
+    task = p.control.active_task
     pose = lambda i, frame="": {
         "header": {"stamp": {"sec": i}, "frame_id": frame},
         "pose": {"position": {"x": 0.2 * i}},
@@ -228,4 +228,4 @@ def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_rejected(pair
     ):
         p.send("/base_path", "nav_msgs/msg/Path", {"header": {"frame_id": "odom"}, "poses": poses})
         assert p.until(lambda t=says: t in p.control.request_queue.rejected), p.control.request_queue.rejected
-        assert p.control._task is task and p.control.running
+        assert p.control.active_task is task and p.control.running

@@ -45,7 +45,7 @@ def no_mpc(*_: Any, **__: Any) -> Any:
 def driven() -> Log:
     """Two seconds in which the MPC's base is off by 3 mm and the baseline's by 4 mm."""
     log, sizes = Log(), {"leg": 4, "leg_reference": 4, "brake": 4, "wheel_slip": 1, "wheel_force": 4, "base": 3}
-    for name, off in (("tour", 3e-3), ("rival", 4e-3)):
+    for name, off in (("tour", 3e-3), ("baseline", 4e-3)):
         for t in (0.0, 1.0, 2.0):
             for channel, size in {**sizes, "base_reference": 3, "joint_speed": 12, "wanted": SWERVE.input.size}.items():
                 log.add(f"{name}.{channel}", t, np.zeros(size))
@@ -76,7 +76,7 @@ def test_swerve_drive_tells_how_its_baseline_ended(how: Ending, goes_on: bool, m
         monkeypatch.setattr(swerve_drive, part, lambda *_: {})
     result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(settle_time=0.0), 0)
     # what the user ended was not found in the robot
-    assert result.faults == ([f"rival: {FELL.reason}; nothing is compared with it"] if how is FELL else [])
+    assert result.faults == ([f"baseline: {FELL.reason}; nothing is compared with it"] if how is FELL else [])
     assert result.reason == ("" if how is FELL else ENDED.reason)
     assert (result.completed, result.interrupted, "knock" in parts) == (goes_on, not goes_on, goes_on)
 
@@ -88,7 +88,7 @@ def test_a_real_fall_of_the_baseline_is_its_ending(monkeypatch: pytest.MonkeyPat
     mission, _ = tour(SWERVE, 0.1)
     bench = swerve_drive._Run(settings, SWERVE, 0, Log())
     ending = bench.baseline(mission, 1.0).ending
-    assert ending.fell and bench.log.times("rival.base")[-1] < 0.03
+    assert ending.fell and bench.log.times("baseline.base")[-1] < 0.03
     assert np.isinf(swerve_drive.baseline_on_tour(settings, 0)).all()
 
 

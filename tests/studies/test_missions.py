@@ -20,7 +20,7 @@ from wbmpc.studies.pankert2022 import drive_missions
 from wbmpc.studies.pankert2022.drive_course import DOOR, clearance, terrain
 from wbmpc.studies.pankert2022.drive_figures import recovery
 from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings, straight, tour
-from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, riding
+from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, carried_poses
 
 SWERVE = robot("swerve-ur10")
 
@@ -58,7 +58,7 @@ def test_the_tour_is_the_one_that_was_asked_for() -> None:
 
 def test_a_riding_hand_keeps_its_place_on_the_base() -> None:
     poses = np.array([[0.0, 0.0, 0.0], [1.0, -2.0, 0.7]])
-    points, turns = riding(SWERVE, SWERVE.home, poses)
+    points, turns = carried_poses(SWERVE, SWERVE.home, poses)
     x = SWERVE.home.copy()
     x[SWERVE.state["base"]] = poses[1]
     place, quaternion = SWERVE.pose(x)
@@ -116,8 +116,8 @@ def test_the_baseline_drives_and_reconfigures() -> None:
     out = legs + 0.2 * np.sign(legs)
     mission = Mission((Leg(1.0, 8.0, (1.5, 0.0, 0.0)),), legs, (Reconfiguration(3.0, out),), ((2.0, 1.0), (8.0, 0.0)))
     bench.baseline(mission, 10.0)
-    assert bench.log.array("rival.base")[-1] == pytest.approx([1.5, 0.0, 0.0], abs=0.02)
-    assert bench.log.array("rival.leg")[-1] == pytest.approx(out, abs=0.02)
+    assert bench.log.array("baseline.base")[-1] == pytest.approx([1.5, 0.0, 0.0], abs=0.02)
+    assert bench.log.array("baseline.leg")[-1] == pytest.approx(out, abs=0.02)
 
 
 @thorough

@@ -88,7 +88,7 @@ def test_what_the_baseline_found_is_in_the_result_but_does_not_count(monkeypatch
     lockstep = lambda plant, controller, *_: controller.supervision.monitor.real.append(FAULT) or Ending()
     monkeypatch.setattr(experiment, "run_lockstep", lockstep)
     result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(settle_time=0.0), 0)
-    assert result.faults == [f"rival: {FAULT}"] and counted == [0]
+    assert result.faults == [f"baseline: {FAULT}"] and counted == [0]
 
 
 @pytest.mark.parametrize("name", ["ik", "four_wheel"])

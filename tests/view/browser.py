@@ -18,13 +18,21 @@ FLAGS = [*_GRAPHICS, "--no-sandbox", "--no-first-run", *(f"--disable-{name}" for
 WIDTH, HEIGHT = 1000, 700
 #: Pixels drawn for each of the page's: in software a quarter of them takes a quarter of the time, and nothing moves on the page.
 SCALE = 0.5
-#: A picture of several samples in every pixel takes four times as long in software, and canvases are read back.
-PLAIN = """
+#: A picture of several samples in every pixel takes four times as long in software, and canvases are read back. Pages draw as
+#: often as they can, which in software takes all of a processor: so many pictures a second are enough.
+PICTURES = 5
+PLAIN = (
+    f"""
+window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), {1000 // PICTURES});
+window.cancelAnimationFrame = clearTimeout;
+"""
+    + """
 const getContext = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, options) {
   return getContext.call(this, kind, options && {...options, antialias: false, preserveDrawingBuffer: true});
 };
 """
+)
 #: Its size on the page and what it shows.
 CANVAS = """() => {
   const canvas = document.querySelector('canvas[data-engine]');

@@ -24,7 +24,10 @@ from wbmpc.report import plots_page, write_run
 from wbmpc.reproduce import Job, write_site
 from wbmpc.result import Plot
 from wbmpc.view.camera import camera_offset
+from wbmpc.view.core import LiveView
 from wbmpc.view.replay import Film
+from wbmpc.view.snapshot import fields
+from wbmpc.view.steering import Controls
 
 pytest.importorskip("viser")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
@@ -46,6 +49,57 @@ def start(*arguments: str) -> tuple[subprocess.Popen[str], str]:
     raise AssertionError("the view did not open")
 
 
+class Shown:
+    """A view's process without a run behind it: what it is to draw, and what the page has asked for."""
+
+    def __init__(self, film: Film) -> None:
+        self.view = LiveView("toy", "127.0.0.1", free_port(), lambda url: None, with_token=True)
+        self.view.start(film.scene, Controls("toy", (), legs=False, base=False), fields(film.scene))
+        self.still = {**film.snapshot(0.0), "brakes": np.array(np.nan)}
+        self.draw()
+
+    def draw(self, **changed: np.ndarray) -> None:
+        self.view.shown.write(**{**self.still, **changed})
+
+    def asked(self, name: str) -> np.ndarray:
+        """An order as it stands now."""
+        self.view._read_requests()
+        return np.array(self.view._requests[name])
+
+
+def test_the_page_draws_and_hands_orders_over(tmp_path: Path) -> None:
+    """What the run sends is drawn; a push, a goal that is dragged along its arrow and the end of the run arrive as orders."""
+    record(tmp_path)
+    film = Film(read_recording(tmp_path))
+    shown = Shown(film)
+    try:
+        with browser() as page:
+            page.open(shown.view.url)
+            assert page.errors == [] and page.outside == [] and page.page.title() == "toy"
+            page.uncheck("Camera follows")  # from here on its place is known
+            previous, poses, goal = page.picture(), shown.still["poses"], shown.still["goal"]
+            shown.draw(poses=poses + np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0]))
+            assert page.until(lambda: page.differs(previous) > 300, 60.0)
+            shown.draw()
+            page.click("Push")
+            assert page.until(lambda: shown.asked("pushes") == 1.0, 20.0)
+            np.testing.assert_allclose(shown.asked("push"), [60.0, 0.0, 0.0], atol=1e-9)
+            # the gizmo's red arrow, 0.3 m long: it is pulled further along itself
+            place, box = poses[film.scene.index, :3], (676.0, 700.0)
+            eye, arrow = place + camera_offset(poses, film.scene), lie.quaternion_to_rotation(goal[3:])[:, 0]
+            pixel = lambda along: project(goal[:3] + along * arrow, eye, place, box, FIELD)
+            along = next(a for a in (0.22, 0.18, 0.25, 0.15) if page.grasp(pixel(a)))
+            page.pull(pixel(along), pixel(along + 0.12))
+            assert page.until(lambda: np.linalg.norm(shown.asked("goal")[:3] - goal[:3]) > 0.04, 20.0)
+            moved = shown.asked("goal")[:3] - goal[:3]
+            assert 0.04 < moved @ arrow < 0.3 and np.linalg.norm(moved - (moved @ arrow) * arrow) < 1e-3
+            page.click("End the run")
+            assert page.until(lambda: shown.asked("ends") == 1.0, 20.0) and page.errors == []
+    finally:
+        shown.view.close()
+
+
+@thorough
 def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     """The end effector's goal is dragged in the middle of a run; a push is asked for; the run is ended from the browser."""
     run = ("run", "rezero-steps", "--set", "settle_time=120", "--out", str(tmp_path), "--json", "--view")

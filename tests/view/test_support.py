@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from wbmpc import lie
 from wbmpc.simulation.scene import Body, Contact, Scene, Shape
 from wbmpc.view.camera import clearest
-from wbmpc.view.snapshot import ground, spoken
+from wbmpc.view.snapshot import ground, status_text
 from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
 
@@ -83,7 +83,7 @@ def test_contacts_are_drawn() -> None:
 
 
 def test_margins_are_distances_inside_or_outside() -> None:
-    said = spoken({"error": np.nan, "margin": 0.0312, "triangle_margin": -0.148})
+    said = status_text({"error": np.nan, "margin": 0.0312, "triangle_margin": -0.148})
     assert said == "  \nZMP 31 mm inside the polygon, 148 mm outside the triangle"
 
 

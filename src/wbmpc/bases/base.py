@@ -84,7 +84,8 @@ class Proposal:
 
     ``section``: keys of its ``base`` section, without ``type`` and ``body``; ``fit``: from 0 (hardly) to 1 (nothing else is possible);
     ``reason``: what it saw, for a user; ``joints``: those that the section names; ``held``: others of the base, which stand still;
-    ``speed`` [rad/s] of wheels for which the file has none, by joint; ``questions``: what only the user knows.
+    ``speed`` [rad/s] of joints for which the file has none, and ``acceleration`` [rad/s²], by joint; ``questions``: what only the user
+    knows.
     """
 
     section: Mapping[str, Any]
@@ -93,6 +94,7 @@ class Proposal:
     joints: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     speed: Mapping[str, float] = field(default_factory=dict)
+    acceleration: Mapping[str, float] = field(default_factory=dict)
     questions: tuple[Question, ...] = ()
 
 
@@ -285,32 +287,32 @@ class BaseType(Protocol):
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> Base:
         """The symbolic base of a described robot."""
-        lacks(description, "model")
+        reject_missing_part(description, "model")
 
     def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> Any:
         """The simulated robot at home, perturbed against the model; see :class:`System`."""
-        lacks(robot.description, "plant")
+        reject_missing_part(robot.description, "plant")
 
     def system(self, robot: RobotModel, seed: int) -> System:
         """Plant, controller and MPC with default settings: what views and first runs start from."""
-        lacks(robot.description, "system")
+        reject_missing_part(robot.description, "system")
 
     def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
         """The settings of this base type's controller on a ROS 2 bus."""
-        lacks(description, "ros_settings")
+        reject_missing_part(description, "ros_settings")
 
     def ros(self, robot: RobotModel, settings: Any, period: float) -> BaseAdapter:
         """The adapter of this base type on a ROS 2 bus (:class:`wbmpc.ros2.base_adapter.BaseAdapter`) with settings of
         :meth:`ros_settings`; ``period`` [s] of the controller."""
-        lacks(robot.description, "ros")
+        reject_missing_part(robot.description, "ros")
 
     def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
         """The simulated robot's side of a ROS 2 bus (:class:`wbmpc.ros2.plants.RosPlant`)."""
-        lacks(robot.description, "ros_plant")
+        reject_missing_part(robot.description, "ros_plant")
 
     def calibrator(self, robot: RobotModel) -> Calibrator:
         """What finds the wheels' calibration from a log."""
-        lacks(robot.description, "calibrator")
+        reject_missing_part(robot.description, "calibrator")
 
 
 #: What the parts of a plug-in are called in errors; one that it does not define is inherited from :class:`BaseType`.
@@ -326,7 +328,7 @@ PARTS = {
 offering: Callable[[str], list[str]] = lambda part: []
 
 
-def lacks(description: RobotDescription, part: str) -> NoReturn:
+def reject_missing_part(description: RobotDescription, part: str) -> NoReturn:
     """Raise :class:`InputError`: the robot's base type does not define a part of the plug-in; names those that do."""
     raise InputError(
         f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} "

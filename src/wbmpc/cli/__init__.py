@@ -20,8 +20,10 @@ from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
 from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory, size_of
 from wbmpc.cli.doctor import doctor
+from wbmpc.cli.new import new
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
+from wbmpc.cli.results import show_results
 from wbmpc.cli.ros2 import ros2
 from wbmpc.cli.stability import stability
 from wbmpc.cli.terminal import (
@@ -30,7 +32,6 @@ from wbmpc.cli.terminal import (
     COMPLETED,
     INTERRUPTED,
     TERMINATED,
-    console,
     experiment_names,
     interrupted,
     logged,
@@ -40,7 +41,6 @@ from wbmpc.cli.terminal import (
     terminable,
     unread_allowed,
 )
-from wbmpc.cli.terminal import table as plain_table
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
 from wbmpc.errors import EndedByUser, InputError, NotWritten, RunAborted, WbmpcError, unknown_name
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from wbmpc.experiment import Experiment
-    from wbmpc.result import MpcStatistics, RunResult
+    from wbmpc.result import RunResult
     from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
@@ -63,7 +63,7 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(log)
 app.add_typer(ros2)
-for _command in (doctor, stability, calibrate, view, replay, render, compare, reproduce):
+for _command in (new, doctor, stability, calibrate, view, replay, render, compare, reproduce):
     app.command()(_command)
 
 
@@ -213,60 +213,6 @@ def _attempt(
     return result, files
 
 
-def _table(results: list[RunResult]) -> None:
-    from wbmpc.report import figure_text, goal_notes, goal_text, number
-
-    table = plain_table(
-        "Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values, or ranges."
-    )
-    for column in ("experiment", "metric"):
-        table.add_column(column, overflow="fold")
-    table.add_column("unit", no_wrap=True)
-    for column in ("ours", "paper", "goal"):
-        table.add_column(column, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
-    for result in results:
-        for k, (name, m) in enumerate(result.metrics.items()):
-            figures = [figure_text(result, name), "" if m.paper is None else number(m.paper), goal_text(m)]
-            outcome = {True: "reached", False: "missed", None: ""}[result.reached(name)]
-            table.add_row(result.experiment if k == 0 else "", name, m.unit, *figures, outcome)
-        mpc = result.mpc
-        if mpc is not None:
-            table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}", "", "", "")
-            for kind, milliseconds in mpc.solve_ms.items():
-                table.add_row("", f"MPC solve time, {kind}", "ms", number(milliseconds), "", "", "")
-            for kind, how_many in _counts(mpc).items():
-                table.add_row("", f"MPC {kind}", f"of {mpc.solves}", str(how_many), "", "", "")
-        table.add_section()
-    out = console()
-    out.print(table)
-    for result in results:
-        for note in goal_notes(result):
-            out.print(f"{result.experiment}, {note}", highlight=False)
-
-
-def _counts(mpc: MpcStatistics) -> dict[str, int]:
-    return {"deadline misses": mpc.deadline_misses, "solves that failed": mpc.failures + mpc.no_step}
-
-
-def _finish(results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> None:
-    from wbmpc.report import to_json
-
-    if as_json:
-        objects = [to_json(r, f) for r, f in results]
-        typer.echo(json.dumps(objects[0] if len(objects) == 1 else {"runs": objects}, allow_nan=False))
-    else:
-        _table([r for r, _ in results])
-        for result, files in results:
-            if not result.completed:
-                typer.echo(f"{result.experiment} did not complete: {result.reason}")
-            typer.echo(f"{result.experiment}: the report page is {files['report']}")
-    if any(r.interrupted for r, _ in results):
-        raise typer.Exit(INTERRUPTED)
-    if not all(r.completed for r, _ in results):
-        raise typer.Exit(ABORTED)
-
-
 @app.command("list")
 def list_experiments(
     context: typer.Context,
@@ -321,7 +267,7 @@ def run(
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
     shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
-    _finish([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit)], as_json)
+    show_results([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit)], as_json)
 
 
 @app.command()
@@ -340,7 +286,7 @@ def demo(
         results.append(_execute(context.obj, name, seed, [], None, not as_json))
         if results[-1][0].interrupted:
             break
-    _finish(results, as_json)
+    show_results(results, as_json)
 
 
 @app.command()

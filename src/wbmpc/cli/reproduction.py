@@ -31,7 +31,7 @@ def reproduce(
 
     The site shows all finished runs of its directory, also those of earlier calls.
     """
-    from wbmpc.reproduce import parse_seeds, plan, run_all, summarise, whole_site, write_site
+    from wbmpc.reproduce import jobs_of_site, parse_seeds, plan, run_all, summarise, write_site
 
     names = [context.obj.find(name).name for name in only] if only else list(context.obj.registry)
     jobs = plan(names, parse_seeds(seeds), out)
@@ -46,7 +46,7 @@ def reproduce(
             done = f"{sum(job.done for job in jobs)} of {len(jobs)} runs are finished"
             typer.echo(f"wbmpc: interrupted: {done}; the same command goes on from there", err=True)
             raise typer.Exit(INTERRUPTED) from None
-    jobs = whole_site(jobs, out, list(context.obj.registry))
+    jobs = jobs_of_site(jobs, out, list(context.obj.registry))
     index = write_site(jobs, failed, out, clips)
     lost = [{"experiment": j.name, "seed": j.seed, "reason": reason} for j, reason in failed.items()]
     if as_json:

@@ -20,7 +20,7 @@ from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 from wbmpc.estimation import odometry_filter as fused_filter
-from wbmpc.estimation.odometry_filter import LegsShow, OdometryNoise, State
+from wbmpc.estimation.odometry_filter import LegEvidence, OdometryNoise, State
 from wbmpc.estimation.odometry_memory import Moment, OdometryMemory, state_of
 from wbmpc.estimation.odometry_step import BIAS, LATE, WHEELS, Interval, Way
 from wbmpc.estimation.wheel_calibration import WheelCalibration
@@ -257,7 +257,7 @@ class FusedOdometry:
         memory.advance()
         memory.record[0] += arrays["interval"][Interval.H]
         if memory.legs is not None:
-            memory.set_state(fused_filter.given_way(memory.state, memory.legs, arrays["correction"]))
+            memory.set_state(fused_filter.with_open_legs(memory.state, memory.legs, arrays["correction"]))
 
     def _bridge(self, h: float, minimum: float) -> None:
         """Over a gap: one motion from its begin to its end, as uncertain as what the wheels did meanwhile, and by ``minimum`` [m]."""
@@ -292,7 +292,7 @@ class FusedOdometry:
         mean[LATE], p[LATE, LATE] = -rate * self.noise.mean_age, (rate * self.noise.age) ** 2
         self._memory.record[0] = t
 
-    def _shown(self, is_open: Mask, h: float) -> LegsShow:
+    def _shown(self, is_open: Mask, h: float) -> LegEvidence:
         """What open legs say about the wheels. Noise that is alike in all directions makes this residual
         independent of the noise of the twist, which is taken in apart from it."""
         n, arrays, moved = self._n, self._memory.arrays, Increment.of(self._memory.wheels)
@@ -304,7 +304,7 @@ class FusedOdometry:
         by_radius = np.sum(each * along, axis=2)
         way, slip = float(np.mean(np.abs(moved.rolled))), float(arrays["slip"][Slip.INTENSITY])
         variance = max(self.noise.along, self.noise.across) ** 2 * way + slip * h + self.noise.reading**2
-        return LegsShow(rows @ moved.residual.ravel(), np.concatenate([by_zero, by_radius], axis=1), variance)
+        return LegEvidence(rows @ moved.residual.ravel(), np.concatenate([by_zero, by_radius], axis=1), variance)
 
     # ------------------------------------------------------------------ global poses
     def correct(self, t: float, pose: ArrayLike, covariance: ArrayLike) -> bool:

@@ -55,7 +55,7 @@ class OdometryNoise:
 
 
 @dataclass(frozen=True)
-class LegsShow:
+class LegEvidence:
     """What legs show that give way: ``apart`` (k) [m], by which wheels and legs contradict each other at the correction ``fitted``
     of the step, its derivative (k, 2n) by (zeros, radii), its variance [m²], the same for each."""
 
@@ -80,7 +80,7 @@ def _identity(size: int) -> Array:
     return np.eye(size)
 
 
-def given_way(state: State, shown: LegsShow, fitted: Array) -> State:
+def with_open_legs(state: State, shown: LegEvidence, fitted: Array) -> State:
     """With what open legs show: that they and the wheels do not contradict each other; ``fitted`` (2n): the correction of the wheels
     at which ``shown`` was found."""
     mean, p = state.mean, state.p

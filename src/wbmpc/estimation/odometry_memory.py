@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.estimation.odometry_filter import LegsShow, OdometryNoise, State
+from wbmpc.estimation.odometry_filter import LegEvidence, OdometryNoise, State
 from wbmpc.estimation.odometry_step import WHEELS, Interval, Noise, Way, advance, farthest, measure
 from wbmpc.estimation.wheel_fit import WheelFit
 from wbmpc.estimation.wheel_slip import WINDOWS, slip_memory
@@ -21,7 +21,7 @@ class Moment(NamedTuple):
     """A state and the interval after it: a copy of ``OdometryMemory.record``, and what open legs showed."""
 
     record: Array
-    legs: LegsShow | None
+    legs: LegEvidence | None
 
 
 class OdometryMemory:
@@ -57,7 +57,7 @@ class OdometryMemory:
         self.measure = bind(measure, a, backend, n=n)
         self.advance = bind(advance, a, backend, n=n)
         self.farthest = bind(farthest, a, backend, n=n)
-        self.legs: LegsShow | None = None
+        self.legs: LegEvidence | None = None
 
     @property
     def state(self) -> State:

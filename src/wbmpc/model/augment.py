@@ -162,12 +162,12 @@ class FrequencyShaping(_Augmented):
         return each
 
     def _inputs(self, x: ca.SX, u: ca.SX) -> ca.SX:
-        acting = ca.SX(self.weighed(x, u))
+        acting = ca.SX(self.shaped_input(x, u))
         for k, i in enumerate(self._own_input):
             acting[i] = (u[i] + (self.pole[k] - self.zero[k]) * x[self._inner + k]) / self.high[k]
         return acting
 
-    def weighed(self, x: ca.SX, u: ca.SX) -> ca.SX:
+    def shaped_input(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """The inner input (nu) with ν in the place of the filtered entries: what frequency-aware costs see."""
         return u  # the groups have other names and the same places
 

@@ -5,19 +5,21 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.mpc.policy import InputLimits, Policy
+from wbmpc.mpc.guess import Bound, Guess
+from wbmpc.mpc.input_rows import InputRows
+from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.references import References
+from wbmpc.mpc.statistics import Statistics
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.symbols import FollowsLastInput
-from wbmpc.solver import SQP, Solver, Status, Trajectory
+from wbmpc.solver import SQP, Solver, Status
+from wbmpc.solver.events import one_jump
 from wbmpc.solver.solution import COLUMNS
-from wbmpc.solver.solver import one_jump
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
@@ -26,84 +28,12 @@ _LOG = logging.getLogger("wbmpc")
 STUCK = 4
 
 
-class References:
-    """``mpc.reference["end_effector"] = Reference...``: what the terms compare with.
-
-    Set it between two updates, from the thread that updates. Another thread gets :class:`SolverBusy` while an update is under way
-    (it does not wait, and the reference is not changed); what sets it in an MPC's own thread is a guess (:class:`Bound`).
-    """
-
-    def __init__(self, solver: Solver) -> None:
-        self._solver = solver
-
-    def __setitem__(self, name: str, reference: Reference) -> None:
-        self._solver.set_reference(name, reference)
-
-    def __getitem__(self, name: str) -> Reference:
-        return self._solver.references[name]
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._solver.references
-
-
-class Guess(Protocol):
-    """Where a solve for the state ``x0`` (nx) at time ``t`` [s] starts from. ``trajectory``: the last plan, a copy that may be
-    changed and returned; the solver then moves it forward to ``t``. None: the last plan as it is."""
-
-    def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None: ...
-
-
-@runtime_checkable
-class Bound(Protocol):
-    """A guess that needs the MPC it serves: its references, to read or to set before a solve, its schedule."""
-
-    def bind(self, mpc: MPC) -> None: ...
-
-
-@dataclass
-class Statistics:
-    """Solve times [s] of all updates but the first; how many solves there were, and how many did not help.
-
-    ``failures``: solves without a usable plan (the last one stayed in force); ``no_step``: solves in which no step length
-    was accepted, so that the plan is the last one moved on; ``limit_violations``: plans in force whose states are outside
-    hard limits by more than 0.1 % of the range, ``worst_limit_violation``: by how much at most, as a share of it, and
-    ``worst_limit_violation_message``: which row; ``initial_state_mismatches``: plans that start elsewhere than in the
-    observed state, ``worst_initial_state_mismatch``: by how much at most (:attr:`Solver.initial_state_mismatch`).
-    """
-
-    solve_times: list[float] = field(default_factory=list, repr=False)
-    solves: int = 0
-    failures: int = 0
-    no_step: int = 0
-    limit_violations: int = 0
-    worst_limit_violation: float = 0.0
-    worst_limit_violation_message: str = ""
-    initial_state_mismatches: int = 0
-    worst_initial_state_mismatch: float = 0.0
-
-    def count_limit_violation(self, share: float, where: str) -> None:
-        """Count a plan whose states are outside hard limits by ``share`` of the range."""
-        self.limit_violations += 1
-        if share > self.worst_limit_violation:
-            self.worst_limit_violation, self.worst_limit_violation_message = share, where
-
-    def count_initial_state_mismatch(self, share: float) -> None:
-        """Count a plan that starts elsewhere."""
-        self.initial_state_mismatches += 1
-        self.worst_initial_state_mismatch = max(self.worst_initial_state_mismatch, share)
-
-    @property
-    def failed_share(self) -> float:
-        """Solves without a new plan over all solves (0 before the first)."""
-        return (self.failures + self.no_step) / max(self.solves, 1)
-
-
 class MPC:
     """One problem solved again and again from the shifted last solution.
 
     ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is
     checked by the loop. ``first_iterations``: calls of the solver for the first plan, each with the iterations that ``solver`` has.
-    ``guess``: see :data:`Guess`. ``plan_only_limits``: hard rows of the inputs alone that are not linear (|u|² ≤ r², a box around a
+    ``guess``: see :class:`Guess`. ``plan_only_limits``: hard rows of the inputs alone that are not linear (|u|² ≤ r², a box around a
     nonlinear function of a reference) are allowed, though only plans hold them: a policy's feedback cannot be held to them, and
     is to be cut by its user. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says.
     """
@@ -137,12 +67,9 @@ class MPC:
         self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
         if not plan_only_limits:
             self._check_limits()
-        self._planes = planes = self.solver.problem.input_planes()
+        self._input_rows = InputRows(self.solver)
         #: bounds and straight hard rows of the inputs, which all policies hold
-        self.limits = InputLimits(*self.solver.problem.input_bounds(), planes.matrix, planes.offset)
-        # rows of some modes: where they are among all, and the parameters that switch them
-        self._switched = np.flatnonzero(planes.switches >= 0)
-        self._switches = planes.switches[self._switched] + self.solver.problem.node.slices["switch"].start
+        self.limits = self._input_rows.limits
         self._first = first_iterations
         self._policy: Policy | None = None
         self._t: float | None = None
@@ -255,24 +182,7 @@ class MPC:
     def input_rows(self) -> tuple[np.ndarray | None, np.ndarray | None]:
         """Of the rows of ``limits`` in each interval of the last plan: which count, (N, r), 1 or 0, None without rows; and their
         offsets at its beginning and end, (N, 2, r), None where they do not move."""
-        if not self.limits.offset.size:
-            return None, None
-        nodes = self.solver.node_parameters[:-1]  # of the solver's grid, which may be finer than the problem's
-        active = np.ones((len(nodes), self.limits.offset.size))
-        active[:, self._switched] = nodes[:, self._switches]
-        return active, self._moving() if self._planes.move else None
-
-    def _moving(self) -> np.ndarray:
-        """Offsets (N, 2, r): what is linear in time at the nodes goes on to the next one, all else holds over an interval."""
-        solver, planes = self.solver, self._planes
-        nodes = solver.node_parameters[:, : planes.by_node.shape[1]]
-        ends = nodes[:-1].copy()
-        for name, reference in solver.references.items():
-            if reference.kind == "linear":
-                part = solver.problem.node.slices[f"reference.{name}"]
-                ends[:, part] = nodes[1:, part]
-        fixed = planes.offset + planes.by_constant @ solver.constants[: planes.by_constant.shape[1]]
-        return np.stack([nodes[:-1], ends], axis=1) @ planes.by_node.T + fixed
+        return self._input_rows.of_plan()
 
     @property
     def limit_violation(self) -> float:
@@ -281,7 +191,7 @@ class MPC:
 
     def limit_violation_message(self) -> str:
         """A message that names the row, node and amount of that, and says whether the row's slack gives way."""
-        return self.solver.missed(self.solver.status(self._outcome[0]))
+        return self.solver.violation_message(self.solver.status(self._outcome[0]))
 
     @property
     def solve_time(self) -> float:
@@ -313,7 +223,7 @@ class MPC:
         delta = 0.0 if self._t is None else observation.t - self._t
         passes = self._first if self._t is None else 1
         if self._follow_last:
-            self._go_on_from(observation.t, delta)
+            self._continue_from(observation.t, delta)
         status, count, elapsed, self._iterations = 0, 0, 0.0, 0
         for k in range(passes):
             start = time.perf_counter()
@@ -355,7 +265,7 @@ class MPC:
                 )
             _LOG.warning("mode schedule: from %.3f s on, %d %s", t, self.events_without_node, consequence)
 
-    def _go_on_from(self, t: float, delta: float) -> None:
+    def _continue_from(self, t: float, delta: float) -> None:
         """The input that is in force at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
         plan, horizon = self.solver.trajectory(copy=False), self.ocp.horizon
         k = int(np.searchsorted(plan.grid, delta + 1e-9, side="right")) - 1
@@ -384,10 +294,10 @@ class MPC:
             self.solver.warm_start(np.asarray(observation.x, float))
             self.solver.reset()
             self._t = None
-        elif self._broken or not self._goes_on():
+        elif self._broken or not self._continues_rejected():
             self.resume(x, u, t)
 
-    def _goes_on(self) -> bool:
+    def _continues_rejected(self) -> bool:
         """Whether a finite iterate that was rejected is what the next pass starts from."""
         status = self.solver.status(self._outcome[0])
         return status is Status.EQUALITY_INFEASIBLE or (status is Status.INPUT_INFEASIBLE and self._faults >= STUCK)
@@ -404,7 +314,7 @@ class MPC:
         """Which limit or equality the last plan misses so that it is not used; empty if none."""
         status = self.solver.status(self._outcome[0])
         rejected = status in (Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
-        return f"{status.value} ({self.solver.missed(status)})" if rejected else ""
+        return f"{status.value} ({self.solver.violation_message(status)})" if rejected else ""
 
     def _check(self, observation: Observation) -> None:
         if not np.isfinite(observation.t):
@@ -428,8 +338,8 @@ class MPC:
 def _check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
     """Raise :class:`InputError` for settings under which nothing would say that a plan misses hard limits or equalities."""
     limits = any(term.hard for term in ocp.inequalities)
-    untold = limits and settings.interior_point.mode != "real_time"
-    if untold or (settings.compute_kkt and (limits or ocp.equalities)):
+    unreported = limits and settings.interior_point.mode != "real_time"
+    if unreported or (settings.compute_kkt and (limits or ocp.equalities)):
         name = type(settings).__name__
         raise InputError(
             f"mpc: {name}(compute_kkt={settings.compute_kkt}, interior point '{settings.interior_point.mode}') does not say in every plan"

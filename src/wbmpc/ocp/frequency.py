@@ -48,7 +48,7 @@ class _Seen:
     def __call__(self, s: Symbols) -> ca.SX:
         d = self.dynamics
         x = s.all_x[: d.dynamics.state.size]
-        u = d.weighed(s.all_x, s.all_u) if self.weighed else d._inputs(s.all_x, s.all_u)
+        u = d.shaped_input(s.all_x, s.all_u) if self.weighed else d._inputs(s.all_x, s.all_u)
         view = getattr(d.dynamics, "view", None)
         own_x, own_u = (x, u) if view is None else view(x, u)
         return self.inner(replace(s, x=own_x, u=own_u, all_x=x, all_u=u))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from os.path import isfile
 from pathlib import Path
 from typing import Annotated, Any, Self, get_args
 
@@ -178,7 +179,7 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         if str(name_or_path) not in available_robots():
             raise unknown_name("robot", str(name_or_path), [*available_robots(), "a path to a .yaml file"])
         path = DATA / f"{name_or_path}.yaml"
-    if not path.is_file():
+    if not isfile(path):
         raise InputError(f"{path}: there is no such file")
     data = load_yaml(path)
     if not isinstance(data, dict):

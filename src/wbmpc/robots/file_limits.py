@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from os.path import exists, isdir, isfile
 from pathlib import Path
 from typing import Any, Never
 from xml.parsers import expat
@@ -59,7 +60,7 @@ def check_size(path: Path, text: bytes | None = None) -> None:
     _Walk(path, {}, (), folders, named).run(text)
     for where, beside, name in named:
         for place in (folder / n for folder in (beside, *folders) for n in (name, name.rpartition("/")[2])):
-            if place.exists() and not (place.is_file() or place.is_dir()):
+            if exists(place) and not (isfile(place) or isdir(place)):
                 raise InputError(f"{where}: '{place}' is no regular file")
 
 
@@ -163,14 +164,14 @@ class _Walk:
     def _found(self, name: str) -> Path:
         """Where MuJoCo looks for a file: beside the main one, or the one that names it."""
         beside = self._main / name
-        return beside if beside.is_file() else self._path.parent / name
+        return beside if isfile(beside) else self._path.parent / name
 
     def _include(self, name: str, times: float) -> None:
         if name:
             self._add_file("include", self._found(name), times)
 
     def _add_file(self, element: str, path: Path, times: float) -> None:
-        if not path.is_file():
+        if not isfile(path):
             return  # MuJoCo says so
         if path.resolve() in self._above:
             self._fail(f"<{element}>: '{path}' leads back to itself")

@@ -89,14 +89,19 @@ class Mechanism:
     def _above(self, joint: int) -> tuple[str, ...]:
         m, body = self.model, int(self.model.jnt_bodyid[joint])
         same = range(int(m.body_jntadr[body]), joint)
-        return (*self.joints_of(int(m.body_parentid[body])), *(m.joint(j).name for j in same))
+        return (*self.joints_of(int(m.body_parentid[body])), *self._named(same))
+
+    def _named(self, joints: range) -> list[str]:
+        """Names of hinges and slides: a body that floats is nobody's joint."""
+        m = self.model
+        return [m.joint(j).name for j in joints if mujoco.mjtJoint(int(m.jnt_type[j])) in _KINDS and m.joint(j).name]
 
     def joints_of(self, body: int) -> tuple[str, ...]:
-        """Joints between the world and a body."""
+        """Named joints between the world and a body."""
         m, found = self.model, list[str]()
         while body > 0:
             first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
-            found[:0] = [m.joint(j).name for j in range(first, first + count)]
+            found[:0] = self._named(range(first, first + count))
             body = int(m.body_parentid[body])
         return tuple(found)
 

@@ -84,8 +84,12 @@ def check_meshes(subject: Subject) -> Iterator[Finding]:
 def check_inertias(subject: Subject) -> Iterator[Finding]:
     """Masses and inertias that no link can have."""
     needed = subject.description is not None and subject.description.base.uses_inertia
+    groups: dict[str, list[Finding]] = {}
     for finding in subject.mechanism.mended:
-        yield replace(finding, severity="error", check="") if needed else finding
+        groups.setdefault(finding.text, []).append(finding)
+    for alike in groups.values():
+        first, names = alike[0], [f.where.removeprefix("link ").strip("'") for f in alike]
+        yield replace(first, severity="error" if needed else "warning", where=_several("link", names))
 
 
 def check_world(subject: Subject) -> Iterator[Finding]:
@@ -99,6 +103,15 @@ def check_world(subject: Subject) -> Iterator[Finding]:
             "it is MuJoCo's world, which does not move",
             "'base.body' of a base that moves is a link on it",
         )
+
+
+def check_body(subject: Subject) -> Iterator[Finding]:
+    """A base that hangs on another body, as base_link on base_footprint, cannot float in the simulator."""
+    base = None if subject.description is None else subject.description.base
+    above = subject.mechanism.path(base.body)[1:-1] if base is not None and base.moves else []
+    if base is not None and above:
+        text = f"'{base.body}' hangs on '{above[-1]}': it cannot be simulated, only planned for"
+        yield Finding("warning", "", "key 'base.body'", text, f"give 'base.body: {above[0]}'")
 
 
 # ---------------------------------------------------------------------- joints
@@ -292,14 +305,18 @@ def _bottoms(wheels: Sequence[Wheel]) -> list[float]:
     return [float(w.center[2]) - w.radius for w in wheels if w.radius is not None]
 
 
-def _joints(names: Sequence[str]) -> str:
+def _several(kind: str, names: Sequence[str]) -> str:
     shown = ", ".join(f"'{n}'" for n in names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-    return f"joint {shown}" if len(names) == 1 else f"joints {shown}"
+    return f"{kind} {shown}" if len(names) == 1 else f"{kind}s {shown}"
+
+
+def _joints(names: Sequence[str]) -> str:
+    return _several("joint", names)
 
 
 #: Name -> check, in the order in which they are reported.
 CHECKS: dict[str, Check] = {
-    "macros": check_macros, "meshes": check_meshes, "inertia": check_inertias, "world": check_world, "names": check_names,
+    "macros": check_macros, "meshes": check_meshes, "inertia": check_inertias, "world": check_world, "base-body": check_body, "names": check_names,
     "joint-types": check_kinds, "velocity": check_velocities, "range": check_ranges, "mimic": check_mimics, "telescope": check_telescopes,
     "home": check_home, "tool": check_tools, "steering": check_steering, "casters": check_casters, "level": check_levels,
     "wheel-radius": check_radii,

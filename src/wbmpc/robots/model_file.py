@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from copy import copy, deepcopy
 from dataclasses import dataclass, field
+from os.path import isfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -82,7 +83,7 @@ def read_model(
 def file_of(description: RobotDescription) -> ModelFile:
     """The model of a described robot. Raises :class:`InputError` naming the file."""
     path = description.model
-    if not path.is_file():
+    if not isfile(path):  # pathlib raises for names that are too long
         raise InputError(f"{description.source}: key 'model': there is no file {path}")
     return read_model(path, description.packages, description.xacro_arguments)
 
@@ -160,7 +161,7 @@ def drop_missing_files(spec: mujoco.MjSpec) -> list[str]:
     for kind, folder in (("meshes", spec.meshdir), ("hfields", spec.meshdir), ("textures", spec.texturedir)):
         for asset in list(getattr(spec, kind)):
             files = [asset.file, *getattr(asset, "cubefiles", ())]
-            missing = [f for f in files if f and not (home / folder / f).is_file()]
+            missing = [f for f in files if f and not isfile(home / folder / f)]
             if missing:
                 gone += missing
                 _drop(spec, kind, asset)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from os.path import isdir, isfile
 from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree
@@ -20,14 +21,14 @@ def locate(name: str, folder: Path, packages: Mapping[str, Path]) -> Path | None
         found = Path(unquote(name.removeprefix(FILE)))
     else:
         found = folder / name
-    return found if found is not None and found.is_file() else None
+    return found if found is not None and isfile(found) else None
 
 
 def find_package(name: str, folder: Path, packages: Mapping[str, Path]) -> Path | None:
     """The folder of a ROS package: the one in ``packages`` (its name to its folder), else the nearest around ``folder`` that is called like
     it or whose ``package.xml`` names it; None where there is none."""
     if name in packages:
-        return packages[name] if packages[name].is_dir() else None
+        return packages[name] if isdir(packages[name]) else None
     return next((home for home in _around(folder.resolve(), name) if _is_package(home, name)), None)
 
 
@@ -40,11 +41,11 @@ def _around(folder: Path, name: str) -> Iterator[Path]:
 
 def _is_package(home: Path, name: str) -> bool:
     manifest = home / "package.xml"
-    if not manifest.is_file():
-        return home.name == name and home.is_dir()
+    if not isfile(manifest):
+        return home.name == name and isdir(home)
     try:
         element = ElementTree.parse(manifest).getroot().find("name")
-    except ElementTree.ParseError:
+    except (ElementTree.ParseError, OSError, ValueError, LookupError):
         return home.name == name
     return element is not None and (element.text or "").strip() == name
 

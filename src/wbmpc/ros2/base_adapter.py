@@ -10,7 +10,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, Bound, Guess
+from wbmpc.mpc.guess import Bound, Guess
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.terms import Weight
 from wbmpc.ros2.bus import Node
@@ -83,7 +84,7 @@ class BaseAdapter(Protocol):
     settings: RosSettings
     planner: Planner
     mpc: MPC
-    pending: Pending
+    pending: PendingChanges
     controller: Any
     must_keep_running: bool
     watches: str
@@ -116,7 +117,7 @@ class BaseAdapter(Protocol):
     def estimate(self) -> Estimate | None: ...
 
 
-class Pending:
+class PendingChanges:
     """A guess for the MPC that first puts new references, weights and modes into force: in its own thread, between two solves."""
 
     def __init__(self, then: Guess | None = None) -> None:

@@ -11,15 +11,18 @@ import numpy as np
 
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
+from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.base_adapter import BaseAdapter, LegCommands
+from wbmpc.ros2.base_adapter import BaseAdapter
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
+from wbmpc.ros2.external_pose import ExternalPose
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.health import Health
-from wbmpc.ros2.interpreter import TURNS, control_priority, kept_for_ticks
-from wbmpc.ros2.localisation import POSE_AGE, PoseGate, PoseSource
+from wbmpc.ros2.interpreter import TURNS, control_priority, real_time_interpreter
+from wbmpc.ros2.leg_control import LegControl
+from wbmpc.ros2.localisation import POSE_AGE, PoseSource
 from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.publishers import Publishers
 from wbmpc.ros2.request_queue import RequestQueue
@@ -36,10 +39,8 @@ from wbmpc.types import Observation
 _LOG = logging.getLogger("wbmpc")
 #: How often [s] goals are taken up, and the graph is looked at.
 POLL_PERIOD, GRAPH_POLL_PERIOD = 0.02, 0.5
-#: Brakes are reported this long before they are to act [s]: the control thread is never between two entries.
-AHEAD = 0.02
 #: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
-OFFSET, GAP = 0.5, (0.4, 0.75)
+MPC_OFFSET, QUIET_PHASES = 0.5, (0.4, 0.75)
 #: Samples kept of the runner's figures.
 _RECORDS = 4000
 
@@ -59,28 +60,30 @@ class ControlNode:
         elif settings.use_sim_time:
             self.clock = BusClock()
         self.runner: RealTimeRunner | None = None
+        self._limit = RateLimit()
         self.rosout = Rosout(node, settings.node, self.now, self.yield_to_controller)
         try:
-            self._open()
+            self._create_parts()
         except BaseException:
             self.rosout.close()
             raise
 
-    def _open(self) -> None:
+    def _create_parts(self) -> None:
         """What the node is made of, and its endpoints."""
         node, robot, settings = self.node, self.robot, self.settings
         self.adapter: BaseAdapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
         steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady, self.now)
-        self.pose_gate = PoseGate(settings.topics.pose, settings.safety.jump)
+        self.external_pose = ExternalPose(self)
         if settings.topics.pose:
-            self.adapter.fix = self._fix
+            self.adapter.fix = self.external_pose.take
         self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
-        self.legs = self.adapter.leg_commands(node, self._not_for_legs, self._legs_now)
-        self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._origin, steady)
+        self.leg_control = LegControl(self)
+        self.legs = self.leg_control.commands
+        self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady)
         self.planning = Planning(self.adapter.references)
-        self._commander, self._logged, self._held = "", "", ""
-        self._task: Task | None = None
+        self._other_commander, self._logged, self._hold_reason = "", "", ""
+        self.active_task: Task | None = None
         self._graph_checked_at = -np.inf
         if isinstance(self.clock, BusClock):
             clock = self.clock
@@ -97,7 +100,7 @@ class ControlNode:
     def spin(self, ended: Callable[[], bool]) -> None:
         """Until ``ended()``; then the robot is brought to rest. Garbage is collected when it suits, and young only."""
         try:
-            with kept_for_ticks() as collect:
+            with real_time_interpreter() as collect:
                 while not ended():
                     self.step()
                     collect(self.yield_to_controller)
@@ -109,16 +112,19 @@ class ControlNode:
         """One look: goals, start and stop, messages."""
         self.node.work()
         self.tuning.update()
-        self._watch()
+        self._supervise()
         if not self.running:
-            self._stand()
-        self._take_up()
+            self._follow_sensors()
+        self._process_requests()
         self.yield_to_controller()
-        self.adapter.inspect()
-        self._move_legs()
-        self._lead()
-        self.health.update()
-        self.publishers.publish()
+        parts = (
+            self.adapter.inspect, self.leg_control.update, self._send_setpoints, self.health.update, self.publishers.publish,
+        )  # fmt: skip
+        for update in parts:
+            try:
+                update()
+            except Exception as error:  # of what is beside the control of a robot that may be moving
+                self._limit.log(_LOG, logging.ERROR, str(update), f"{update.__qualname__}: {error_message(error)}")
         if self.state != self._logged:
             self._logged = self.state
             if self.runner is None or not self.runner.stopped:  # a stop is reported by the runner
@@ -129,7 +135,7 @@ class ControlNode:
         """Bring the robot to rest and end."""
         moved = self.running
         if moved:
-            self._stay()
+            self._hold_trajectories()
         self._end_runner()
         self.planning.close()
         if moved:
@@ -157,7 +163,7 @@ class ControlNode:
         return self.runner is not None and not self.runner.stopped
 
     @property
-    def _ramping(self) -> bool:
+    def stopping(self) -> bool:
         """Whether a stop is still going on: nothing is started before it is over."""
         return not self.running and self.robot_io.ramping
 
@@ -165,17 +171,17 @@ class ControlNode:
     def degraded(self) -> bool:
         """Whether it runs, but not as it should."""
         kept = self.runner is not None and bool(self.runner.kept)
-        return self.running and (kept or bool(self._held) or bool(self.robot_io.fault))
+        return self.running and (kept or bool(self._hold_reason) or bool(self.robot_io.fault))
 
     @property
     def state(self) -> str:
         """What the node does, as a message."""
         if self.runner is not None:
-            trouble = self._held or (self.robot_io.fault if self.adapter.must_keep_running else "")
+            trouble = self._hold_reason or (self.robot_io.fault if self.adapter.must_keep_running else "")
             if self.running and trouble:
-                return f"{self.runner.state}: {'holds its position: ' if self._held else ''}{trouble}"
-            if self.running and self._task is not None:
-                return f"{self.runner.state}: {self._task.description}"
+                return f"{self.runner.state}: {'holds its position: ' if self._hold_reason else ''}{trouble}"
+            if self.running and self.active_task is not None:
+                return f"{self.runner.state}: {self.active_task.description}"
             return self.runner.state
         return self.waiting_reason() or "waiting for a goal"
 
@@ -191,7 +197,7 @@ class ControlNode:
     @property
     def task(self) -> str:
         """What the last goal was about, in words; empty before the first."""
-        return self._task.description if self._task is not None else ""
+        return self.active_task.description if self.active_task is not None else ""
 
     def now(self) -> float:
         """Stamp [s] of what is published now."""
@@ -202,42 +208,19 @@ class ControlNode:
         if not self.running or isinstance(self.clock, BusClock):
             return
         phase = self.clock.now() / self.period % 1.0
-        if not GAP[0] < phase < GAP[1]:
-            time.sleep((GAP[0] - phase) % 1.0 * self.period)
+        if not QUIET_PHASES[0] < phase < QUIET_PHASES[1]:
+            time.sleep((QUIET_PHASES[0] - phase) % 1.0 * self.period)
 
     def stamp_of(self, t: float) -> float:
         """Stamp [s] of a time of the runner's clock."""
         return self.now() - (self.clock.now() - t)
 
-    def _origin(self) -> float:
+    def _plan_origin(self) -> float:
         """The bus's time [s] at which the plan's is 0."""
         return self.now() - (self.clock.now() if self.running else 0.0)
 
-    def _fix(self) -> tuple[float, np.ndarray, np.ndarray] | None:
-        """A new pose of the other localisation: its time on the runner's clock, the pose, its covariance. One that jumps while
-        the robot moves does not count; a robot that can stop does, and takes its place from the next one."""
-        if self.running:
-            seen = self.adapter.snapshot()
-            if seen is not None:
-                self.pose_gate.note(seen[0], seen[1][self.robot.state["base"]][:3])
-        # who would fall goes on without; see _check_graph
-        taken = self.source.newest() if self.adapter.must_keep_running else self.source.take()
-        if taken is None:
-            return None
-        fix = self.clock.now() - taken[0], *taken[1:]
-        estimate = self.adapter.estimate()
-        if not self.running or estimate is None:
-            self.source.judge("")
-            return fix
-        jumped = self.pose_gate.jumped(*fix, estimate.covariance[np.ix_([0, 1, 5], [0, 1, 5])])
-        self.source.judge(jumped, self.adapter.must_keep_running)
-        if jumped and not self.adapter.must_keep_running:
-            self.adapter.relocate()
-            raise SafeStop(jumped)
-        return None if jumped else fix
-
     # ------------------------------------------------------------------ before a goal
-    def _stand(self) -> None:
+    def _follow_sensors(self) -> None:
         """Follow the sensors while nobody commands the drives, whatever it waits for, or stopped for."""
         unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
         if unheard or (self.adapter.needs_imu and not self.robot_io.has_imu):
@@ -247,11 +230,11 @@ class ControlNode:
                 self.adapter.stand(measurement)
 
     # ------------------------------------------------------------------ goals
-    def _take_up(self) -> None:
+    def _process_requests(self) -> None:
         """All goals that wait, in the order in which they came; those whose plans take long in a later step."""
-        while self.planning.busy or (not self._ramping and (request := self.request_queue.take()) is not None):
+        while self.planning.busy or (not self.stopping and (request := self.request_queue.take()) is not None):
             if not self.planning.busy:
-                seen, why = self.adapter.snapshot(), self._not_now()
+                seen, why = self.adapter.snapshot(), self._rejection_reason()
                 if why or seen is None:
                     self.request_queue.reject(f"a goal is rejected: {why or 'there is no state yet'}")
                     continue
@@ -260,76 +243,30 @@ class ControlNode:
             if not self.planning.ready():
                 return
             try:
-                self._take_over(self.planning.take())
+                self._activate(self.planning.take())
             except Exception as error:  # whatever a goal does, a robot that moves is not left alone
                 self.request_queue.reject(f"a goal is rejected: {error_message(error)}")
                 self.request_queue.running = self.request_queue.running if self.running else None
             else:
                 self.request_queue.rejected = ""
 
-    def _not_now(self) -> str:
+    def _rejection_reason(self) -> str:
         """Why no goal can be taken; empty if one can."""
-        return self._held if self.running else self.waiting_reason()
+        return self._hold_reason if self.running else self.waiting_reason()
 
-    def _take_over(self, planned: Planned) -> None:
+    def _activate(self, planned: Planned) -> None:
         """Put a planned task into force, if that is still right. Raises :class:`InputError`."""
-        seen, why = self.adapter.snapshot(), self._not_now()
+        seen, why = self.adapter.snapshot(), self._rejection_reason()
         if planned.moving and not self.running:
             why = "the robot has stopped meanwhile"
         if why or seen is None:
             raise InputError(why or "there is no state yet")
         if planned.moving or self.running:  # one that was for a moving robot starts none, whenever it has stopped
-            self._put(planned.task, planned.references)
+            self.set_task(planned.task, planned.references)
         else:
-            self._start(seen[1], planned.task, planned.references)
+            self.start(seen[1], planned.task, planned.references)
 
-    def _not_for_legs(self) -> str:
-        """Why legs cannot be moved now; empty if they can."""
-        return "" if self.running else self.waiting_reason()
-
-    def _legs_now(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Brakes (n, 1 = open) and legs (n) [rad] now; None before the first state."""
-        seen, brakes = self.adapter.snapshot(), self.adapter.brakes
-        if seen is None or brakes is None:
-            return None
-        t = self.clock.now() + AHEAD if self.running else 0.0
-        return brakes.commanded(t), seen[1][self.robot.state["leg"]]
-
-    def _move_legs(self) -> None:
-        """Commands for legs and brakes; the first one starts a robot that stands, and it stays where it is."""
-        legs, adapter = self.legs, self.adapter
-        if legs is None or not (legs.waiting or self.running) or self.planning.busy or self._ramping:
-            return
-        seen = adapter.snapshot()
-        if seen is None:
-            return
-        try:
-            self._start_or_apply(legs, seen[1])
-        except Exception as error:
-            legs.drop()
-            legs.reject(f"a command for the legs is rejected: {error_message(error)}")
-
-    def _start_or_apply(self, legs: LegCommands, x: np.ndarray) -> None:
-        adapter = self.adapter
-        if not self.running:
-            if not legs.waiting:  # it has stopped just now
-                return
-            task = adapter.planner.hold(x, 0.0)
-            self._start(x, task, adapter.references(task, x))
-        assert adapter.brakes is not None
-        leg, t = x[self.robot.state["leg"]], self.clock.now() + AHEAD
-        if legs.apply(adapter.brakes, t, leg):
-            assert legs.angles is not None
-            adapter.swing(legs.angles)
-            adapter.legs = legs.aims
-            assert self._task is not None
-            self._put(self._task, adapter.references(self._task, x))
-        if legs.watch(adapter.brakes, t, leg):
-            adapter.legs = legs.aims
-            assert self._task is not None
-            self._put(self._task, adapter.references(self._task, x))
-
-    def _lead(self) -> None:
+    def _send_setpoints(self) -> None:
         """Trajectories to those who follow them, and the wrench to who counts with it."""
         wrench = self.request_queue.wrench()
         if np.any(wrench != self.wrench):
@@ -341,18 +278,18 @@ class ControlNode:
             return
         self.trajectories.send(policy, self.clock.now(), self.now)
 
-    def _put(self, task: Task, references: References) -> None:
+    def set_task(self, task: Task, references: References) -> None:
         self.adapter.follow(references)
-        self.request_queue.running, self._task = task, task
+        self.request_queue.running, self.active_task = task, task
 
-    def _start(self, x: np.ndarray, task: Task, references: References) -> None:
+    def start(self, x: np.ndarray, task: Task, references: References) -> None:
         self._end_runner()
         settings, adapter = self.settings, self.adapter
         adapter.begin(x)
-        self.pose_gate.reset()
-        self._put(task, references)
+        self.external_pose.reset()
+        self.set_task(task, references)
         adapter.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
-        self._stand()  # what the sensors said meanwhile
+        self._follow_sensors()  # what the sensors said meanwhile
         watchdog = settings.safety.watchdog
         times = RealTimeSettings(
             settings.rates.control,
@@ -362,34 +299,34 @@ class ControlNode:
             records=_RECORDS,
             keep=adapter.must_keep_running,
             priority=control_priority(),
-            offset=OFFSET * self.period,
+            offset=MPC_OFFSET * self.period,
         )
         self.runner = RealTimeRunner(
             self.robot_io, adapter.controller, adapter.mpc, times, self.clock, parameters=adapter.parameters
         )
         self.robot_io.arm()
         self.trajectories.restart()
-        self._held = ""
+        self._hold_reason = ""
         self.runner.start()
 
     # ------------------------------------------------------------------ watching
-    def _watch(self) -> None:
+    def _supervise(self) -> None:
         if self.runner is not None and self.runner.stopped:
             self._after_stop()
-        self._watch_clock()
+        self._check_clock()
         if time.monotonic() - self._graph_checked_at > GRAPH_POLL_PERIOD:
             self._graph_checked_at = time.monotonic()
             self.yield_to_controller()
             self.request_queue.detect_speed_inputs()
             self.source.update()
             self._check_graph()
-        self._check_others()
+        self._check_other_publishers()
 
     def _after_stop(self) -> None:
         """The runner has stopped the robot: nothing that was asked for before counts any more."""
         self.robot_io.disarm()
         if self.request_queue.running is not None:
-            self._stay()
+            self._hold_trajectories()
             self.request_queue.stop()
             if self.legs is not None and self.legs.waiting:
                 self.legs.drop()
@@ -398,63 +335,63 @@ class ControlNode:
         if self.legs is not None:
             self.legs.stop()
 
-    def _watch_clock(self) -> None:
+    def _check_clock(self) -> None:
         clock = self.clock
         if not isinstance(clock, BusClock):
             return
         lost = clock.lost(self.settings.silence(clock.speed), lambda: bool(self.node.publishers("/clock")))
         if lost and self.running:
-            self._halt(lost)
+            self._stop_runner(lost)
         elif lost and self.runner is not None:
             self.robot_io.stop()  # the runner's loop waits for a time that does not come
         elif clock.went_back and self.running:
-            self._halt("the time on /clock went back: the simulator was started anew")
+            self._stop_runner("the time on /clock went back: the simulator was started anew")
         elif clock.source.replaced and self.running:
-            self._halt(clock.source.replaced)
+            self._stop_runner(clock.source.replaced)
 
     def _check_graph(self) -> None:
         """Somebody else on our command topics: two controllers on one drive are worse than none."""
         topics = [c.topic for c in self.settings.command_topics(self.robot).values()]
         others = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
-        self._commander = f"another node publishes on {others[0]}" if others else ""
+        self._other_commander = f"another node publishes on {others[0]}" if others else ""
 
     @property
     def _other_publisher(self) -> str:
         """Who else commands the drives, or sends what has one source; empty if nobody does."""
         clock = self.clock.source.conflict if isinstance(self.clock, BusClock) else ""
-        return self._commander or clock or self.robot_io.conflict
+        return self._other_commander or clock or self.robot_io.conflict
 
-    def _check_others(self) -> None:
+    def _check_other_publishers(self) -> None:
         """Nobody moves beside another publisher. And a robot that cannot stop because it has lost its localisation at least goes
         nowhere."""
         other = self._other_publisher
         lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""
         if (other or lost) and self.running:
-            self._quit(other or lost)
-        elif self._held and not (other or lost):
-            self._held = ""
+            self._stop_or_hold(other or lost)
+        elif self._hold_reason and not (other or lost):
+            self._hold_reason = ""
 
-    def _quit(self, message: str) -> None:
+    def _stop_or_hold(self, message: str) -> None:
         """No more goals: a stop, or, for a robot that would fall, balance on the spot as long as that lasts."""
         if not self.adapter.must_keep_running:
-            self._halt(message)
-        elif not self._held:
-            self._held = message
+            self._stop_runner(message)
+        elif not self._hold_reason:
+            self._hold_reason = message
             _LOG.error("holds its position: %s", message)
             seen = self.adapter.snapshot()
             assert seen is not None
             task = self.adapter.planner.hold(seen[1], self.clock.now())
-            self._put(task, self.adapter.references(task, seen[1]))
+            self.set_task(task, self.adapter.references(task, seen[1]))
 
-    def _stay(self) -> None:
+    def _hold_trajectories(self) -> None:
         """Who follows trajectories stays where the robot is: a stop, once."""
         seen = self.adapter.snapshot()
         self.trajectories.restart()
         if seen is not None:
             self.trajectories.hold(seen[1], self.now)
 
-    def _halt(self, message: str) -> None:
-        """Stop; see :meth:`_watch` for one without a clock."""
+    def _stop_runner(self, message: str) -> None:
+        """Stop; see :meth:`_supervise` for one without a clock."""
         assert self.runner is not None
         self.runner.halt(message)
         self.robot_io.stop()

@@ -13,6 +13,8 @@ from wbmpc.errors import InputError, NotFinite
 Array = np.ndarray
 #: Of a message about something from the bus.
 LONGEST = 300
+#: No position [m, rad], speed or force is farther from 0, nor the turns of a wheel: what follows would overflow.
+LARGEST_NUMBER = 1e7
 
 
 def error_message(error: Exception) -> str:
@@ -62,13 +64,13 @@ def upright(base: Array, height: float = 0.0) -> tuple[Array, Array]:
 
 
 def read_vector(v: Any, what: str) -> Array:
-    """x, y, z of a message; :class:`NotFinite` if one is not a finite number."""
-    return _finite(np.array([v.x, v.y, v.z], float), what)
+    """x, y, z of a message, checked as by :func:`check_numbers`."""
+    return check_numbers(np.array([v.x, v.y, v.z], float), what)
 
 
 def read_pose(p: Any, what: str) -> tuple[Array, Array]:
     """Position (3) [m] and unit quaternion (4) of this library."""
-    q = _finite(np.array([getattr(p.orientation, n) for n in lie.PARTS], float), what)
+    q = check_numbers(np.array([getattr(p.orientation, n) for n in lie.PARTS], float), what)
     length = float(np.linalg.norm(q))
     if abs(length - 1.0) > 0.05:
         raise InputError(f"{what}: the quaternion has length {length:.3g}, 1 is needed")
@@ -81,7 +83,7 @@ def planar(position: Array, orientation: Array) -> Array:
     return np.array([position[0], position[1], yaw])
 
 
-def nearest_turn(yaw: float, to: float) -> float:
+def nearest_angle(yaw: float, to: float) -> float:
     """The angle [rad] of the same direction that is nearest to another one."""
     return to + (yaw - to + np.pi) % (2.0 * np.pi) - np.pi
 
@@ -100,7 +102,10 @@ def status(level: int, name: str, message: str, hardware: str, values: Mapping[s
     return {"level": level, "name": name, "message": message, "hardware_id": hardware, "values": pairs}
 
 
-def _finite(values: Array, what: str) -> Array:
+def check_numbers(values: Array, what: str) -> Array:
+    """Raise :class:`NotFinite`, or :class:`InputError` for numbers beyond :data:`LARGEST_NUMBER`; returns them."""
     if not np.isfinite(values).all():
         raise NotFinite(f"{what}: a number is not finite")
+    if np.abs(values).max(initial=0.0) > LARGEST_NUMBER:
+        raise InputError(f"{what}: a number is too large; valid: -{LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}")
     return values

@@ -36,7 +36,7 @@ from wbmpc.ros2.dds_domain import open_domain
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
-from wbmpc.ros2.mismatch import Mismatches, Ours
+from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.parameters import Parameters, ParameterServices
 
@@ -101,7 +101,7 @@ class DdsNode:
         """A publisher; messages are complete on the wire when :meth:`DdsPublisher.publish` returns."""
         name = full_name(topic)
         place = self._topic(f"rt{name}", kind)
-        ours = Ours("publisher", name, kind, qos)
+        ours = OwnEndpoint("publisher", name, kind, qos)
         listener = _Watch(lambda policy: self._mismatch(ours, policy))
         writer = DataWriter(self._participant, place, qos=self._qos(qos, kind), listener=listener)
         self._own(self._writers, writer)
@@ -130,7 +130,7 @@ class DdsNode:
                     else:
                         call((data, source))
 
-        ours = Ours("subscription", name, kind, qos, others)
+        ours = OwnEndpoint("subscription", name, kind, qos, others)
         place = self._topic(f"rt{name}", kind, others=others)
         reader = self._read(place, self._qos(qos, kind), take, self, lambda policy: self._mismatch(ours, policy))
         return lambda: self._end(reader)
@@ -358,7 +358,7 @@ class DdsNode:
             Policy.Userdata(f"{mark}typehash={self.types.hash(kind)};".encode()),
         )
 
-    def _mismatch(self, ours: Ours, policy: int) -> None:
+    def _mismatch(self, ours: OwnEndpoint, policy: int) -> None:
         self._mismatches.notice(ours, _POLICIES.get(policy, f"policy {policy}"))
 
 

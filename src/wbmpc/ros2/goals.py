@@ -14,7 +14,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.convert import nearest_turn, planar
+from wbmpc.ros2.convert import nearest_angle, planar
 from wbmpc.ros2.settings import Goals, Speeds
 
 Array = np.ndarray
@@ -98,7 +98,7 @@ class Planner:
         """The base goes to the pose ``goal`` (x, y, yaw), the shorter way round."""
         start = self._base(x)
         self._check_far("base", goal[None, :2], start[:2])
-        goal = np.array([goal[0], goal[1], nearest_turn(goal[2], start[2])])
+        goal = np.array([goal[0], goal[1], nearest_angle(goal[2], start[2])])
         way = float(np.hypot(*(goal - start)[:2])) / self.speeds.base
         times, share = _profile(max(way, abs(goal[2] - start[2]) / self.speeds.turn))
         poses = start + share[:, None] * (goal - start)
@@ -123,7 +123,7 @@ class Planner:
         """The base goes along a path at its times, from where it is; ``end_effector``: the end effector's own track, else it is carried."""
         start = self._base(x)
         self._check_far("base", path.poses[:, :2], start[:2])
-        first = path.poses[0] + np.array([0.0, 0.0, nearest_turn(path.poses[0, 2], start[2]) - path.poses[0, 2]])
+        first = path.poses[0] + np.array([0.0, 0.0, nearest_angle(path.poses[0, 2], start[2]) - path.poses[0, 2]])
         poses = path.poses + (first - path.poses[0])
         approach = self.to_base(x, t, first).base
         late = max(float(approach.times[-1]) - float(path.times[0]), 0.0)

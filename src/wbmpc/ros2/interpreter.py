@@ -19,7 +19,7 @@ COLLECT = 1.0
 
 
 @contextmanager
-def kept_for_ticks() -> Iterator[Callable[[Callable[[], None]], None]]:
+def real_time_interpreter() -> Iterator[Callable[[Callable[[], None]], None]]:
     """Threads give way at once, and nothing is collected but young garbage by what this yields: to be called again and again,
     with a function that waits for a good moment."""
     gc.collect()

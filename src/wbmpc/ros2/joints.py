@@ -11,7 +11,7 @@ import numpy as np
 
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.convert import read_vector, seconds
+from wbmpc.ros2.convert import check_numbers, read_vector, seconds
 from wbmpc.ros2.settings import RosSettings, joint_groups
 
 #: A joint may move this often its speed limit, and by this [rad] besides, between two messages.
@@ -59,6 +59,7 @@ class JointReader:
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise NotFinite(f"joint states: the position of '{self.names[bad[0]]}' is not finite")
+        check_numbers(values, "joint states")
         self._check_motion(stamp, values)
         self._last, self._doubted = (stamp, values), None
         groups, start = {}, 0
@@ -139,5 +140,5 @@ def mean_rate(times: Sequence[float], rates: Sequence[np.ndarray], longest: floa
 
 
 def read_imu(message: Any) -> Inertial:
-    """An Imu message; :class:`NotFinite` if a number is not finite."""
+    """An Imu message; an :class:`InputError` says what is wrong with one."""
     return Inertial(read_vector(message.angular_velocity, "imu"), read_vector(message.linear_acceleration, "imu"))

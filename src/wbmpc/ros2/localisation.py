@@ -13,7 +13,7 @@ from wbmpc.checks import is_covariance
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import Node
-from wbmpc.ros2.convert import error_message, nearest_turn, planar, read_pose, seconds
+from wbmpc.ros2.convert import error_message, nearest_angle, planar, read_pose, seconds
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.runtime.safety import SafeStop
@@ -28,6 +28,8 @@ _POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped"
 _REMEMBERED = 400
 #: Time that goes back by more than this [s] is a clock that was started anew, not rounding.
 _ROUNDING = 1e-6
+#: What is known no better is not known at all [m², rad²].
+LARGEST_VARIANCE = 1e12
 #: A pose may be off by this many standard deviations besides.
 _SPREAD = 3.0
 
@@ -103,6 +105,8 @@ class PoseSource:
         pose = planar(*read_pose(message.pose.pose, topic))
         if not np.isfinite(covariance).all():
             raise InputError(f"{topic}: a number of the covariance is not finite")
+        if np.abs(covariance).max() > LARGEST_VARIANCE:
+            raise InputError(f"{topic}: a number of the covariance is too large; valid: at most {LARGEST_VARIANCE:g}")
         if not is_covariance(covariance):
             raise InputError(f"{topic}: a variance is negative")
         now, stamped = self.stamp(), seconds(message.header.stamp)
@@ -138,7 +142,7 @@ class PoseGate:
             return ""
         then = min(self._was, key=lambda place: abs(place[0] - t))[1]
         spread = covariance + own
-        moved, turned = float(np.hypot(*(pose - then)[:2])), abs(nearest_turn(pose[2], then[2]) - then[2])
+        moved, turned = float(np.hypot(*(pose - then)[:2])), abs(nearest_angle(pose[2], then[2]) - then[2])
         variances = max(float(np.linalg.eigvalsh(spread[:2, :2])[-1]), 0.0), float(spread[2, 2])
         for off, variance, unit in ((moved, variances[0], "m"), (turned, variances[1], "rad")):
             maximum = self._limit + _SPREAD * float(np.sqrt(variance))

@@ -17,7 +17,7 @@ _SEEN = ("type", "durability", "reliability")
 
 
 @dataclass(frozen=True)
-class Ours:
+class OwnEndpoint:
     """A publisher or a subscription of this node; ``others``: types that it takes or gives on this topic besides."""
 
     side: str
@@ -43,11 +43,11 @@ class Mismatches:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._found: dict[str, tuple[Ours, str, float]] = {}
+        self._found: dict[str, tuple[OwnEndpoint, str, float]] = {}
         self._lock = threading.Lock()
         self._looking, self._closed = threading.Lock(), False
 
-    def notice(self, ours: Ours, policy: str) -> None:
+    def notice(self, ours: OwnEndpoint, policy: str) -> None:
         """``policy``: what does not match; ``type`` if that is the type."""
         if policy == "type":
             later = threading.Timer(_UNSEEN, self._check_types, [ours])
@@ -63,7 +63,7 @@ class Mismatches:
         with self._looking:
             self._closed = True
 
-    def _check_types(self, ours: Ours) -> None:
+    def _check_types(self, ours: OwnEndpoint) -> None:
         with self._looking:
             types = [] if self._closed else sorted({e.type for e in self._wrong(ours) if ours.wrong_type(e)})
         if not types:
@@ -73,7 +73,7 @@ class Mismatches:
         why = f"{who} of {ours.topic} has another type ({', '.join(types)}) than {than} ({ours.type})"
         self._report(f"a {why}; no message will come through", ours, "type")
 
-    def _report(self, message: str, ours: Ours, policy: str) -> None:
+    def _report(self, message: str, ours: OwnEndpoint, policy: str) -> None:
         with self._lock:
             new = message not in self._found
             self._found[message] = ours, policy, time.monotonic()
@@ -90,20 +90,20 @@ class Mismatches:
                 self._found.pop(message, None)
         return [s for s in found if s not in gone]
 
-    def _there(self, ours: Ours, policy: str, at: float) -> bool:
+    def _there(self, ours: OwnEndpoint, policy: str, at: float) -> bool:
         still = self._wrong(ours) if policy in _SEEN else [e for e in self._others(ours) if not e.own]
         return bool(still) or (policy != "type" and time.monotonic() - at < _UNSEEN)
 
-    def _wrong(self, ours: Ours) -> list[Endpoint]:
+    def _wrong(self, ours: OwnEndpoint) -> list[Endpoint]:
         """Those that do not match; a node that has another endpoint in our type takes part all the same."""
         across = self._others(ours)
         fit = {e.node for e in across if e.type == ours.type and e.node is not None}
         return [e for e in ours.wrong(across) if not (ours.wrong_type(e) and e.node in fit)]
 
-    def _others(self, ours: Ours) -> list[Endpoint]:
+    def _others(self, ours: OwnEndpoint) -> list[Endpoint]:
         find = self._node.publishers if ours.side == "subscription" else self._node.subscribers
         return find(ours.topic)
 
 
-def _across(ours: Ours) -> str:
+def _across(ours: OwnEndpoint) -> str:
     return "publisher" if ours.side == "subscription" else "subscription"

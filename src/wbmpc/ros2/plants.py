@@ -31,7 +31,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Led:
+class ActiveTrajectory:
     """A trajectory that drives follow: ``positions`` and ``velocities`` (n, joints) at ``times`` (n) [s] of the bus."""
 
     places: list[tuple[str, int]]
@@ -59,7 +59,7 @@ class RosPlant(ABC):
     def __init__(self, robot: RobotModel, plant: Any) -> None:
         self.robot, self.plant = robot, plant
         self.held, self.lift = robot.base.balances, -robot.base.ground
-        self.led: dict[str, Led] = {}
+        self.led: dict[str, ActiveTrajectory] = {}
         self.last: Reading | None = None
 
     @abstractmethod
@@ -78,7 +78,7 @@ class RosPlant(ABC):
     def base(self, truth: Truth) -> tuple[Array, Array]:
         """True position (3) [m] above the floor and quaternion (4) of the base's frame."""
 
-    def lead(self, joints: list[str], places: list[tuple[str, int]], message: Any, now: float) -> Led:
+    def lead(self, joints: list[str], places: list[tuple[str, int]], message: Any, now: float) -> ActiveTrajectory:
         """A JointTrajectory of ``joints``, checked by the rules of ros2_control's joint_trajectory_controller as it is configured
         when nothing is said: all joints once, times that rise, an end that is not over yet and at rest. Raises
         :class:`InputError`."""
@@ -101,7 +101,7 @@ class RosPlant(ABC):
             raise InputError(
                 f"trajectory: its last point must be at rest, got velocities {velocities[-1].tolist()} rad/s"
             )
-        return Led(places, (start or now) + after, positions[:, order], velocities[:, order])
+        return ActiveTrajectory(places, (start or now) + after, positions[:, order], velocities[:, order])
 
     def track(self, groups: dict[str, Array], now: float) -> None:
         """Speeds of the drives that follow a trajectory, in place."""

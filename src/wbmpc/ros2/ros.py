@@ -20,7 +20,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LARGEST, Endpoint, Qos, full_name
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.deferred import Deferred
-from wbmpc.ros2.mismatch import Mismatches, Ours
+from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.parameters import Parameters, descriptor_of
 from wbmpc.ros2.sources import AMBIGUOUS
 
@@ -77,7 +77,7 @@ class RosNode:
         """A publisher."""
         name, message = full_name(topic), get_message(kind)
         self._made["publisher", name] += 1
-        ours = Ours("publisher", name, kind, qos)
+        ours = OwnEndpoint("publisher", name, kind, qos)
         events = PublisherEventCallbacks(incompatible_qos=lambda e: self._mismatch(ours, e))
         return RosPublisher(self._node.create_publisher(message, name, _profile(qos), event_callbacks=events), message)
 
@@ -88,7 +88,7 @@ class RosNode:
         """Call back for every message; ``deferred``: not before :meth:`work`. What the callback raises is logged: the bus must
         go on. Returns what ends it."""
         name = full_name(topic)
-        ours = Ours("subscription", name, kind, qos, others)
+        ours = OwnEndpoint("subscription", name, kind, qos, others)
         events = SubscriptionEventCallbacks(incompatible_qos=lambda e: self._mismatch(ours, e))
         source = _Source(self._node, name, kind) if sourced else None
 
@@ -173,7 +173,7 @@ class RosNode:
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)
 
-    def _mismatch(self, ours: Ours, event: Any) -> None:
+    def _mismatch(self, ours: OwnEndpoint, event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
         # ROS has no name for the policy by which types differ
         self._mismatches.notice(ours, "type" if policy.startswith("invalid") else policy)

@@ -123,7 +123,7 @@ class Speeds(Settings):
     end_effector: float = Field(0.2, ge=1e-3, le=20)
 
 
-class Fastest(Settings):
+class VelocityLimits(Settings):
     """The largest speed that ``cmd_vel`` may ask for [m/s along x and y, rad/s]; left out, what the robot can (where
     these are no inputs: ``speeds``)."""
 
@@ -131,7 +131,7 @@ class Fastest(Settings):
     turn: float | None = Field(None, ge=1e-3, le=20)
 
 
-class Exerted(Settings):
+class WrenchLimits(Settings):
     """The most that the end effector of a balancing robot may be asked to exert: force [N], moment [N m]. Its plan leans on the world's
     answer, and where there is none it has to stand all the same: 20 N that nobody answers fell it."""
 
@@ -201,9 +201,9 @@ class RosSettings(Settings):
     frames: Frames = Frames()
     rates: Rates = Rates()
     speeds: Speeds = Speeds()
-    cmd_vel: Fastest = Fastest()
+    cmd_vel: VelocityLimits = VelocityLimits()
     goals: Goals = Goals()
-    wrench: Exerted | None = None
+    wrench: WrenchLimits | None = None
     safety: Safety = Safety()
     joints: dict[str, str] = Field({})
     ignore: tuple[str, ...] = ()

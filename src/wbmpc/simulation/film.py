@@ -21,8 +21,8 @@ _KINDS = {
 }
 
 
-class Puppet:
-    """A scene as a model whose bodies are free: :class:`~wbmpc.simulation.render.Visible`, without physics."""
+class SceneModel:
+    """A scene as a model whose bodies are free: :class:`~wbmpc.simulation.render.Drawable`, without physics."""
 
     def __init__(self, scene: Scene) -> None:
         spec = mujoco.MjSpec()

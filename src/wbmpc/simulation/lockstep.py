@@ -266,7 +266,7 @@ def _tick(
 
 def _because(plant: Any, mpc: Any) -> str:
     """Why the robot fell, as far as plant and MPC know."""
-    whys = [why for why in (getattr(plant, "why_fell", ""), getattr(mpc, "fault", "")) if why]
+    whys = [why for why in (getattr(plant, "fall_reason", ""), getattr(mpc, "fault", "")) if why]
     return f" because {'; the MPC had no new plan: '.join(whys)}" if whys else ""
 
 

@@ -128,7 +128,7 @@ class Perturbation(BaseModel):
         kept = {"actuator_time_constant": 0.020, "friction": 0.8, "torsional_friction": 0.01, "brake_fault": "none"}
         return cls(**{**{name: 0 for name in cls.model_fields}, **kept, **changes})
 
-    def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> Draw:
+    def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> PlantSample:
         """One plant: numbers for the named bodies, ``wheels`` driven wheels (modules) and ``arm`` joints."""
 
         def around(spread: float, *size: int) -> Array:
@@ -137,7 +137,7 @@ class Perturbation(BaseModel):
         def lag(size: int) -> Array:
             return self.actuator_time_constant * (1.0 + around(self.actuator_time_constant_spread, size))
 
-        return Draw(
+        return PlantSample(
             mass={name: 1.0 + float(around(self.mass)) for name in bodies},
             inertia={name: 1.0 + float(around(self.inertia)) for name in bodies},
             com={name: around(self.com_offset, 3) for name in bodies},
@@ -157,7 +157,7 @@ class Perturbation(BaseModel):
 
 
 @dataclass(frozen=True)
-class Draw:
+class PlantSample:
     """The numbers of one plant: factors by body, shifts (3) [m] of centres of mass in the body's frame, and the rest
     as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]; ``downhill`` [rad]: the
     direction in which a slope falls."""

@@ -19,7 +19,7 @@ from wbmpc.errors import WbmpcError
 Image = NDArray[np.uint8]
 
 
-class Visible(Protocol):
+class Drawable(Protocol):
     """A plant that can be drawn."""
 
     model: mujoco.MjModel
@@ -41,7 +41,7 @@ class Camera:
     follow: bool = True
 
 
-def default_camera(plant: Visible) -> Camera:
+def default_camera(plant: Drawable) -> Camera:
     """A view of the whole robot from its front left, by its size."""
     size = min(1.8 * float(plant.model.stat.extent), 4.2)
     tall = float(np.max(plant.data.xpos[1:, 2]))
@@ -51,7 +51,7 @@ def default_camera(plant: Visible) -> Camera:
 class Renderer:
     """Draws one plant: ``frame`` gives RGB pictures (height, width, 3). Without ``shadows`` it is ten times faster."""
 
-    def __init__(self, plant: Visible, width: int = 960, height: int = 540, *, shadows: bool = True) -> None:
+    def __init__(self, plant: Drawable, width: int = 960, height: int = 540, *, shadows: bool = True) -> None:
         self.plant, model = plant, plant.model
         _use_egl_without_screen()
         model.vis.global_.offwidth = max(width, int(model.vis.global_.offwidth))

@@ -15,8 +15,8 @@ import numpy as np
 
 from wbmpc.robots import RobotDescription
 from wbmpc.simulation.payloads import PAYLOAD, add_body_payload, add_payload, incline
-from wbmpc.simulation.perturbation import Draw, Perturbation
-from wbmpc.simulation.world import Array, Edit, InWorld, add_drive, add_floor, add_light, set_options
+from wbmpc.simulation.perturbation import Perturbation, PlantSample
+from wbmpc.simulation.world import Array, Edit, WorldAccess, add_drive, add_floor, add_light, set_options
 
 #: Contact softness of the tyres (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
 TYRE = [0.01, 1.0]
@@ -33,7 +33,7 @@ def span(index: Array) -> slice | Array:
     return index
 
 
-class WheeledPlant(InWorld):
+class WheeledPlant(WorldAccess):
     """Subclasses set ``description``, ``base`` (its ``body``), ``timestep``, ``perturbation``, ``draw`` and ``_names``, the joints by
     group ("wheel" and "arm" among them), before they build; ``model`` and ``data`` before :meth:`index`."""
 
@@ -41,7 +41,7 @@ class WheeledPlant(InWorld):
     base: Any
     timestep: float
     perturbation: Perturbation
-    draw: Draw
+    draw: PlantSample
     model: mujoco.MjModel
     data: mujoco.MjData
     _names: dict[str, list[str]]

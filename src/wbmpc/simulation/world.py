@@ -253,7 +253,7 @@ class World:
         return {name: speeds[v] for name, (_, v) in self._joints.items()}
 
 
-class InWorld:
+class WorldAccess:
     """What a plant hands on to its world: time, the fall, pushes."""
 
     world: World
@@ -274,7 +274,7 @@ class InWorld:
         return self.world.diverged
 
     @property
-    def why_fell(self) -> str:
+    def fall_reason(self) -> str:
         """What counts as the fall, in words; empty while there is none."""
         if not self.fell:
             return ""

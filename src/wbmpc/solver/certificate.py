@@ -215,7 +215,7 @@ def _state_jacobian(problem: Transcription, ws: Any, k: int) -> np.ndarray:
     return (values[:, : problem.nx] - values[:, problem.nx :]) / (2.0 * step)  # type: ignore[no-any-return]
 
 
-def unseen_inputs(problem: Transcription) -> list[str]:
+def unweighted_inputs(problem: Transcription) -> list[str]:
     """Inputs that no term of the path looks at: nothing but the motion says what they should be."""
     seen = np.zeros(problem.nu, bool)
     for value in problem.term_values("path").values():

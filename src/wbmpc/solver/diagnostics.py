@@ -56,7 +56,7 @@ def diagnose(solver: Solver, solution: Solution) -> Solution:
 
 def _not_finite(solver: Solver) -> str:
     found = certificate.not_finite(solver.problem, solver.ws)
-    free = certificate.unseen_inputs(solver.problem)
+    free = certificate.unweighted_inputs(solver.problem)
     return f"{found or 'the step'}; no term looks at input '{free[0]}'" if free else found
 
 
@@ -190,7 +190,7 @@ def _diverged(solver: Solver) -> str:
         parts["largest term a step further"] = certificate.largest_term(
             problem, certificate.after_full_step(problem, ws)
         )
-    free = certificate.unseen_inputs(problem)
+    free = certificate.unweighted_inputs(problem)
     if free:
         parts["no term looks at"] = f"input '{free[0]}'"
     causes = ", ".join(f"{name}: {text}" for name, text in parts.items() if text)

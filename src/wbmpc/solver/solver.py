@@ -19,11 +19,13 @@ from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.diagnostics import diagnose
+from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive, Interruptible
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.trajectory import Trajectory
+from wbmpc.solver.violations import violation_message
 from wbmpc.solver.warm_start import trajectories
 from wbmpc.solver.workspace import LOG
 
@@ -55,14 +57,6 @@ def _read_only(part: np.ndarray) -> np.ndarray:
 def _warn(why: str) -> None:
     """Once for each problem's reason."""
     _LOG.warning("%s: CasADi's interpreter evaluates the whole problem, thousands of times slower", why)
-
-
-def one_jump(first: float, second: float) -> str:
-    """What to say of two events [s] within one interval whose jumps would be applied as one."""
-    return (
-        f"mode schedule: the events at {first:g} and {second:g} s can fall into one interval, which applies one jump of the state;"
-        " valid: align_events=True, or events further apart than intervals are long"
-    )
 
 
 @dataclass
@@ -331,14 +325,7 @@ class Solver:
         x0 = self._start_state(x0)
         if not np.isfinite(t0):
             raise InputError(f"start of the horizon: a finite time is needed, got {t0}")
-        without = self.events_without_node(t0)
-        if without and not self.ocp.align_events:
-            raise InputError(one_jump(*self._lost_jumps(t0)[0]))
-        if without:
-            raise InputError(
-                f"mode schedule: {without + self.ocp.intervals - 1} events within the horizon, but {self.ocp.intervals - 1} inner"
-                " nodes: more intervals are needed"
-            )
+        check_events(self, t0)
         with self.exclusive, Interruptible():
             start = time.perf_counter()
             status, count = self.run(x0, t0)
@@ -356,23 +343,7 @@ class Solver:
         The last ones then wait until the horizon has moved on: a plan changes their modes at a later node, or misses short ones.
         Where the grid does not follow, and the state jumps at events: how many jumps are lost, as an interval applies one.
         """
-        if not self.ocp.align_events:
-            return len(self._lost_jumps(t0)) if self.problem.jumps else 0
-        numbers, integers, *_ = self.tables()
-        t = np.unique(numbers[: integers[1]]) - t0
-        inside = int(np.sum((t > 1e-6) & (t < self.ocp.horizon - 1e-6)))
-        return max(inside - (self.ocp.intervals - 1), 0)
-
-    def _lost_jumps(self, t0: float) -> list[tuple[float, float]]:
-        """Pairs of successive events [s] that fall into one interval of the fixed grid of a horizon from ``t0`` [s]."""
-        events = np.array(self.schedule.events)
-        interval = np.searchsorted(
-            t0 + self.ocp.grid + 1e-9, events
-        )  # an event on a node belongs to the interval before
-        same = np.flatnonzero(
-            (interval[1:] == interval[:-1]) & (interval[1:] > 0) & (interval[1:] <= self.ocp.intervals)
-        )
-        return [(float(events[i]), float(events[i + 1])) for i in same]
+        return events_without_node(self, t0)
 
     def _start_state(self, x0: np.ndarray) -> np.ndarray:
         """``x0`` as (nx) finite numbers."""
@@ -417,43 +388,15 @@ class Solver:
             kkt=float(row[COLUMNS["kkt"]]),
             solve_time=elapsed,
             log=self.log[:count].copy(),
-            detail=self.missed(self.status(status)),
+            detail=self.violation_message(self.status(status)),
         )
 
-    def missed(self, status: Status) -> str:
-        """The equality of the first input, or the hard row, that the last plan misses most; empty where none is missed.
+    def violation_message(self, status: Status) -> str:
+        """The equality of the first input, or the hard row, that the last plan violates most; empty where none is violated.
 
         Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (nonlinear rows).
         """
-        state = self.ws.state
-        if status is Status.EQUALITY_INFEASIBLE:
-            return self._unequal()
-        by, of_inputs = (
-            max(state[StateField.INPUT_VIOLATION], self.limit_violation),
-            max(state[StateField.INPUT_VIOLATION], state[StateField.MIXED_VIOLATION]),
-        )
-        if by <= LIMIT_TOLERANCE:
-            return ""
-        node, row = divmod(
-            int(state[StateField.INPUT_VIOLATION_ROW if of_inputs == by else StateField.STATE_VIOLATION_ROW]),
-            self.ws.rows_h.shape[1],
-        )
-        limit = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
-        message = f"hard limit missed: {limit.name} by {by * limit.unit:.3g} at node {node}"
-        if of_inputs == by:
-            return message
-        return f"{message}, {'not yet reached' if state[StateField.UNRELAXED_VIOLATION] == by else 'where its slack gives way'}"
-
-    def _unequal(self) -> str:
-        names, row = self.problem.equality_names(), int(self.ws.state[StateField.EQUALITY_ROW])
-        by = f"by {100.0 * self.ws.state[StateField.EQUALITY_RESIDUAL]:.3g} % of the row's size"
-        if row < len(names):
-            return f"{names[row]} {by}, at the first input"
-        node, row = divmod(row - len(names), self.ws.rows_h.shape[1])
-        own = (self.problem.path if node < len(self.ws.u) else self.problem.end).rows[row]
-        node_by, row_by = divmod(int(self.ws.state[StateField.BLOCKING_ROW]), self.ws.rows_h.shape[1])
-        others = f"'{self.problem.path.rows[row_by].name}' at node {node_by}" if node_by >= 0 else "others"
-        return f"{own.name} {by} at node {node}: it cannot be met together with {others}"
+        return violation_message(self, status)
 
     @property
     def limit_violation(self) -> float:

@@ -49,7 +49,7 @@ class LiveView(Window):
 
 
 @dataclass(frozen=True)
-class Followed:
+class ReferencePoses:
     """What an MPC follows at one time, above the floor, in the frame of the estimate: the end effector's ``goal`` (7) and the ``base``'s
     (x, y, yaw), nan where there is none, and the ``way`` (n, 3) of the end effector's reference."""
 
@@ -58,14 +58,14 @@ class Followed:
     way: Array
 
 
-def followed(mpc: MPC | None, t: float, lift: Array) -> Followed:
+def followed(mpc: MPC | None, t: float, lift: Array) -> ReferencePoses:
     """At time t [s]; ``lift`` (3) [m] of the planner's origin above the floor."""
     goal, base, way = end_effector_goal(mpc, t, lift), np.full(3, np.nan), np.zeros((0, 3))
     if mpc is not None and "end_effector" in mpc.reference:
         way = mpc.reference["end_effector"].values[:, :3] + lift
     if mpc is not None and Steering.base_of(mpc):
         base = mpc.reference["state"].at(t)[mpc.ocp.dynamics.state["base"]]
-    return Followed(np.full(7, np.nan) if goal is None else goal, base, way)
+    return ReferencePoses(np.full(7, np.nan) if goal is None else goal, base, way)
 
 
 def timing(mpc: MPC | None) -> dict[str, float]:

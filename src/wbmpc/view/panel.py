@@ -16,7 +16,7 @@ from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.stability import CONFIGURATIONS
 from wbmpc.view.history import History
 from wbmpc.view.scene import add_follow, add_legend, name_tab
-from wbmpc.view.snapshot import NUMBERS, plain, spoken
+from wbmpc.view.snapshot import NUMBERS, plain, status_text
 from wbmpc.view.steering import Controls, no_requests
 
 Array = np.ndarray
@@ -192,7 +192,7 @@ class Panel:
         self._show_brakes(float(s["brakes"]))
         value = dict(zip(NUMBERS, numbers, strict=True))
         digits = 4 if self._values["paused"] else 1  # a single step is a few milliseconds
-        self._about = f", {value['t']:.{digits}f} s{spoken(value)}"
+        self._about = f", {value['t']:.{digits}f} s{status_text(value)}"
         self._head()
         if self._count % _EVERY_PLOT:
             return

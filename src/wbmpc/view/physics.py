@@ -174,4 +174,4 @@ def _record(plant: Any, board: Board, time: float) -> None:
         board.sample(name, value)
     board["tilt"] = max(board["tilt"], truth.tilt)
     if plant.fell and not board["fell"]:
-        board.text, board["fell"] = plant.why_fell, 1.0
+        board.text, board["fell"] = plant.fall_reason, 1.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from wbmpc.errors import InputError, WbmpcError
 from wbmpc.output_file import whole_file
-from wbmpc.simulation.film import Puppet
+from wbmpc.simulation.film import SceneModel
 from wbmpc.simulation.render import Camera, Renderer
 from wbmpc.simulation.scene import Scene
 from wbmpc.view.camera import clearest
@@ -57,7 +57,7 @@ def render(film: Film, path: Path, times: tuple[float, float], size: tuple[int, 
 
 
 def _pictures(film: Film, moments: np.ndarray, size: tuple[int, int]) -> Iterator[np.ndarray]:
-    puppet = Puppet(film.scene)
+    puppet = SceneModel(film.scene)
     puppet.place(film.snapshot(float(moments[0]))["poses"])
     try:
         renderer = Renderer(puppet, *size)

@@ -17,7 +17,7 @@ from wbmpc.recording.plots import end_effector_error, positions
 from wbmpc.recording.reader import Recording
 from wbmpc.simulation.scene import Body, Contact, Scene
 from wbmpc.view.access import Access
-from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, plain, spoken
+from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, plain, status_text
 
 Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
@@ -203,7 +203,7 @@ class Player:
         self.stage.show(s)
         self.stage.follow(s["poses"], bool(self._follow.value))
         numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
-        self._text.content = f"{self._title}, {t:.2f} s{spoken(numbers)}"
+        self._text.content = f"{self._title}, {t:.2f} s{status_text(numbers)}"
 
     def run(self) -> None:
         """Play, again and again, until Ctrl-C. Without a browser nothing moves: a replay that was forgotten takes no time."""

@@ -97,7 +97,7 @@ def errors(end_effector: Array, goal: Array, base: Array, base_goal: Array) -> d
     }
 
 
-def spoken(numbers: Mapping[str, float]) -> str:
+def status_text(numbers: Mapping[str, float]) -> str:
     """The end effector's error, how far the ZMP is inside of what it must stay in and how late the run is, in Markdown's lines that follow
     a first one."""
     lines = [f"end effector error {1e3 * numbers['error']:.1f} mm"] if np.isfinite(numbers["error"]) else []

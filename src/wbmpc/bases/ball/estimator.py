@@ -96,7 +96,7 @@ class BallEstimator:
         wrong = pose - then
         wrong[2] = np.remainder(wrong[2] + np.pi, 2.0 * np.pi) - np.pi
         previous = self.state[:3].copy()
-        self.filter.know_place(wrong, covariance)
+        self.filter.correct_pose(wrong, covariance)
         state = self.state
         for _, place in self._places:  # what was wrong now was wrong then
             place += state[:3] - previous
@@ -114,7 +114,7 @@ class BallEstimator:
         self._stood += interval
         if self._stood >= STANDS:
             pitch, roll = self._robot.base.numeric.equilibrium(self.arm.angle)[0][3:5]
-            self.filter.know_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
+            self.filter.correct_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
             self._balanced = True
 
     @property

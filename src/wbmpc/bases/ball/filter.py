@@ -225,7 +225,7 @@ class BallFilter:
             return ()
         return (("ball spins", *(f"wheel_{i} slips" for i in range(self._n)), "ball slips")[choice - 1],)
 
-    def know_lean(self, up: ArrayLike, spread: float) -> None:
+    def correct_lean(self, up: ArrayLike, spread: float) -> None:
         """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].
 
         Near upright a horizontal bias of the accelerometer looks like a lean; this distinguishes them, as well as it is known.
@@ -241,7 +241,7 @@ class BallFilter:
         slope[:, A] = skew(expected)[:2]
         self._correct(slope, (up / length - expected)[:2], spread**2 * np.eye(2))
 
-    def know_place(self, wrong: ArrayLike, covariance: ArrayLike) -> None:
+    def correct_pose(self, wrong: ArrayLike, covariance: ArrayLike) -> None:
         """A pose that is known from elsewhere: ``wrong`` (3) is what it says minus the estimate, x, y [m] and yaw [rad], with a
         ``covariance`` (3, 3); with one of zeros it counts as exact. Raises :class:`InputError` (:class:`NotFinite`) for numbers
         that cannot be."""

@@ -32,8 +32,8 @@ from wbmpc.simulation.world import (
     TIMESTEP,
     Array,
     Edit,
-    InWorld,
     World,
+    WorldAccess,
     add_drive,
     add_floor,
     add_light,
@@ -78,7 +78,7 @@ def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
     )
 
 
-class BallPlant(InWorld):
+class BallPlant(WorldAccess):
     """Physics and drives of a ball robot.
 
     ``state`` (16): where it starts in the planner's minimal coordinates, as its sensors see it (left out: upright, arm

@@ -24,9 +24,9 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Brakes, Estimate, Fix, Groups, LegCommands, Pending
+from wbmpc.ros2.base_adapter import Brakes, Estimate, Fix, Groups, LegCommands, PendingChanges
 from wbmpc.ros2.bus import Node
-from wbmpc.ros2.convert import nearest_turn
+from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import EndEffectorTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 
@@ -155,7 +155,7 @@ def bodies(task: Task, robot: RobotModel, x: Array) -> Reference:
     if np.ptp(turns) > 1e-9:
         rest[:, 2] = np.interp(times, base.times, turns)
     else:
-        rest[:, 2] = np.array([nearest_turn(a, x[2]) for a in rest[:, 2]])
+        rest[:, 2] = np.array([nearest_angle(a, x[2]) for a in rest[:, 2]])
     return Reference(times, rest)
 
 
@@ -189,7 +189,7 @@ class BallRosAdapter:
     def __init__(self, robot: RobotModel, settings: BallRosSettings, period: float) -> None:
         self.robot, self.settings, self.period = robot, settings, period
         self.planner = Planner(robot, settings.speeds, settings.goals)
-        self.pending = Pending()
+        self.pending = PendingChanges()
         self.mpc, self._model = (rezero_mpc(robot, settings.mpc, settings.cost) for _ in range(2))
         self.mpc.guess = self.pending
         self.brakes: Brakes | None = None
@@ -283,7 +283,7 @@ class BallRosAdapter:
             return
         previous, fix = self._standing, self.fix() if self.fix is not None else None
         if fix is not None:
-            self._place = np.array([*fix[1][:2], nearest_turn(fix[1][2], self._place[2])])
+            self._place = np.array([*fix[1][:2], nearest_angle(fix[1][2], self._place[2])])
             self._spread = float(np.sqrt(np.diag(fix[2]).max()))
         if fix is None and previous is not None and np.abs(previous[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
             self._standing = m.time, previous[1]

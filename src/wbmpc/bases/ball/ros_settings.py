@@ -10,7 +10,7 @@ from pydantic import Field
 from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.settings import LEARNT, STEPS_AND_PUSHES, BallControllerSettings
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.settings import Exerted, RosSettings
+from wbmpc.ros2.settings import RosSettings, WrenchLimits
 from wbmpc.settings import MpcSettings
 
 _DEFAULT = BallControllerSettings()
@@ -25,7 +25,7 @@ class BallRosSettings(RosSettings):
 
     mpc: MpcSettings = _DEFAULT.mpc
     cost: RezeroCost = STEPS_AND_PUSHES
-    wrench: Exerted | None = Exerted()
+    wrench: WrenchLimits | None = WrenchLimits()
     estimate_disturbance: bool = True
     expected_push_time: float = Field(_DEFAULT.expected_push_time, ge=0, le=1.0)
     max_pushed_speed: Annotated[float, LEARNT] = Field(_DEFAULT.max_pushed_speed, ge=0.01, le=100)

@@ -16,7 +16,7 @@ from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.sensor_step import GRAVITY, see
 from wbmpc.errors import unknown_name
 from wbmpc.kernel.step import Backend, bind
-from wbmpc.simulation.perturbation import Draw, Perturbation, quantise
+from wbmpc.simulation.perturbation import Perturbation, PlantSample, quantise
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class BallSensors:
     (:mod:`wbmpc.bases.ball.sensor_step`), or the same source as ordinary Python."""
 
     def __init__(
-        self, p: Perturbation, draw: Draw, wheels: WheelGeometry, mount: Array, timestep: float, jitter: int,
+        self, p: Perturbation, draw: PlantSample, wheels: WheelGeometry, mount: Array, timestep: float, jitter: int,
         rng: np.random.Generator, sizes: tuple[int, int], ball: tuple[int, int], backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         self._p, self._h, self._rng, self._jitter = p, timestep, rng, jitter

@@ -52,7 +52,7 @@ class BallControllerSettings(Settings):
     actuator_dead_time: float = Field(0.010, ge=0, le=0.05)
 
 
-class Leans(Protocol):
+class BallControlSettings(Protocol):
     """Settings of whatever controls a ball robot with the MPC."""
 
     @property
@@ -63,7 +63,7 @@ class Leans(Protocol):
     def max_pushed_speed(self) -> float: ...
 
 
-def lean_control_of(settings: Leans, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
+def lean_control_of(settings: BallControlSettings, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
     """How the MPC's robot leans against forces that it learns, its ``arm`` (m) [rad] about there; None if it learns none."""
     return (
         LeanControl(robot, arm, settings.cost.lean, settings.max_pushed_speed)

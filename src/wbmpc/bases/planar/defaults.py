@@ -8,13 +8,10 @@ from numpy.typing import NDArray
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
+from wbmpc.ocp.scaling import scaled_weights
 from wbmpc.settings import MpcSettings, Settings, Weight
 
 Array = NDArray[np.float64]
-#: Half range [rad] of a joint that turns on and on; largest speed [rad/s] of one without a limit.
-_TURNS, _FAST = np.pi, 2.0
-#: Random postures of the arm whose spread is its reach.
-_POSTURES = 400
 
 
 class PlanarCost(Settings):
@@ -30,17 +27,6 @@ class PlanarCost(Settings):
     terminal: Weight = 0.5
 
 
-def reach(robot: RobotModel) -> float:
-    """How far [m] the end effector gets from the middle of where it can be: 98 % of random postures."""
-    arm = robot.state["arm"]
-    low, high = robot.limits.state_lower[arm], robot.limits.state_upper[arm]
-    low, high = np.where(np.isfinite(low), low, -_TURNS), np.where(np.isfinite(high), high, _TURNS)
-    states = np.zeros((_POSTURES, robot.state.size))
-    states[:, arm] = np.random.default_rng(0).uniform(low, high, (_POSTURES, low.size))
-    at = robot.poses(states)[:, :3]
-    return float(np.quantile(np.linalg.norm(at - at.mean(axis=0), axis=1), 0.98))
-
-
 def planar_settings() -> MpcSettings:
     """Horizon and grid of :func:`planar_mpc`."""
     return MpcSettings(horizon=4.0, intervals=40, first_interval=0.02)
@@ -54,17 +40,14 @@ def planar_problem(
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     limits, hard = robot.limits, settings.limits == "hard"
-    effector = cost.end_effector * np.array([1.0] * 3 + [(reach(robot) / 4.0) ** 2] * 3)
+    weights = scaled_weights(robot, cost.end_effector, cost.input, cost.posture)
+    effector = weights.end_effector
     frame = residuals.FramePose(robot, robot.tool)
     ocp.add(
         Cost("end_effector", frame, list(effector), at="path+terminal", terminal_weight=list(cost.terminal * effector))
     )
-    arm = robot.state["arm"]
-    half = np.minimum(0.5 * (limits.state_upper[arm] - limits.state_lower[arm]), _TURNS)
-    ocp.add(Cost("state", residuals.State(robot), {"base": 0.0, "arm": list(cost.posture / half**2)}))
-    maximum = np.where(np.isfinite(limits.input_upper), limits.input_upper, _FAST)
-    rates = {group: list(cost.input / maximum[robot.input[group]] ** 2) for group in robot.input.groups}
-    ocp.add(Cost("input", residuals.Input(robot), rates))
+    ocp.add(Cost("state", residuals.State(robot), {"base": 0.0, "arm": list(weights.posture)}))
+    ocp.add(Cost("input", residuals.Input(robot), weights.input))
     for constraint in robot.base.constraints(robot, hard=hard):
         ocp.add(constraint)
     barrier = RelaxedBarrier(settings.barrier_mu, 0.02)

@@ -12,8 +12,9 @@ from wbmpc.bases.base import Proposal, Question
 from wbmpc.robots.wheel_search import Wheel
 
 Array = NDArray[np.float64]
-#: Rim speed [m/s] of wheels for which a file has no limit; radius [m] that is assumed where nothing shows it.
-RIM_SPEED, RADIUS = 1.5, 0.1
+#: Rim speed [m/s] of wheels for which a file has no limit; rim acceleration [m/s²] at which they do not slip; radius [m] that is
+#: assumed where nothing shows it.
+RIM_SPEED, RIM_ACCELERATION, RADIUS = 1.5, 2.0, 0.1
 #: Radii that differ by more [m] are not those of one kind of wheels.
 _SAME = 0.003
 
@@ -34,7 +35,7 @@ def propose(
         return Proposal(keys, 0.0, f"{reason}, of different radii")
     held = tuple(n for w in wheels for n in w.held)
     return Proposal(
-        keys, fit, reason, tuple(names), held, {n: round(RIM_SPEED / radius, 2) for n in names}, tuple(asked)
+        keys, fit, reason, tuple(names), held, {n: round(RIM_SPEED / radius, 2) for n in names}, questions=tuple(asked)
     )
 
 

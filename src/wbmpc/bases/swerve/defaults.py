@@ -10,7 +10,8 @@ import numpy as np
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC, Guess
+from wbmpc.mpc.guess import Guess
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
 

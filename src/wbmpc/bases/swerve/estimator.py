@@ -44,7 +44,7 @@ class EstimatorSettings:
         not_negative("swerve robot's estimator", smoothing=self.smoothing)
 
 
-class OddWheels:
+class SlippingWheels:
     """Finds the wheel that goes elsewhere than all others do. ``odd`` (n): for how long [s] each is not believed yet."""
 
     def __init__(self, geometry: ModuleGeometry) -> None:
@@ -86,7 +86,9 @@ class SwerveEstimator:
             leg_offset=wheels.leg_offset,
             steer_offset=wheels.steer_offset,
         )
-        self._odd = OddWheels(geometry) if settings.reject_lifted_wheels and geometry.modules >= ODD_WHEELS else None
+        self._odd = (
+            SlippingWheels(geometry) if settings.reject_lifted_wheels and geometry.modules >= ODD_WHEELS else None
+        )
         self._smoothing = Smoothing(settings.smoothing) if settings.smoothing > 0.0 else None
         self._mean_age = (settings.noise or OdometryNoise()).mean_age
         self.measured: SwerveMeasurement | None = None

@@ -15,7 +15,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.solver import Trajectory
 
 if TYPE_CHECKING:
-    from wbmpc.mpc.mpc import MPC, References
+    from wbmpc.mpc.mpc import MPC
+    from wbmpc.mpc.references import References
 
 Array = np.ndarray
 #: Speed [m/s] of the way that is foreseen, its least time [s]; a goal nearer than this [m] is reached.

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class LegHeld:
+class LegHold:
     """At ``time`` [s] it is decided to hold ``leg`` (index) until ``until`` [s], or that long no more: ``str()`` says it."""
 
     time: float
@@ -79,7 +79,7 @@ class LegGuard:
         """The brake of ``leg`` (index) does not hold: it is left alone until it is next commanded to be closed."""
         self._useless[leg], self._held[leg] = True, False
 
-    def update(self, t: float, leg: ArrayLike, rate: ArrayLike, is_open: ArrayLike) -> list[LegHeld]:
+    def update(self, t: float, leg: ArrayLike, rate: ArrayLike, is_open: ArrayLike) -> list[LegHold]:
         """Legs whose ``until`` is another one after measured angles ``leg`` (n) [rad] at t [s], planned rates ``rate`` (n) [rad/s]
         since the last look; which brakes (n, 1 = open) are commanded to be open.
 
@@ -102,7 +102,7 @@ class LegGuard:
         astray = free & (np.abs(self._moved - self._planned) - np.abs(self._planned) > self.away)
         if astray.any():
             self._begin(t, astray)
-        return [LegHeld(t, int(i), float(self.until[i])) for i in np.flatnonzero(previous != self.until)]
+        return [LegHold(t, int(i), float(self.until[i])) for i in np.flatnonzero(previous != self.until)]
 
     def _begin(self, t: float, astray: NDArray[np.bool_]) -> None:
         soon = t - self.until < self.again  # after its last hold

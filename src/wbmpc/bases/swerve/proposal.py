@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 #: Rim speed [m/s], steering and leg rates [rad/s] where a file has no limit; radius [m] where nothing shows it.
 RIM_SPEED, STEER_RATE, LEG_RATE, RADIUS = 1.5, 5.0, 0.4, 0.1
+#: How fast they change: rim [m/s²] without slipping, steering and legs [rad/s²].
+RIM_ACCELERATION, STEER_ACCELERATION, LEG_ACCELERATION = 4.0, 60.0, 5.0
 
 
 def propose(mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
@@ -34,10 +36,11 @@ def propose(mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
     modules = [_module(w, hinged) for w in steered]
     held = [n for w in steered for n in (*w.held, *(() if hinged or not w.hinge else (w.hinge,)))]
     rates = {"hinge": LEG_RATE, "steer": STEER_RATE, "wheel": RIM_SPEED / radius}
-    speed = {name: round(rates[part], 2) for module in modules for part, name in module.items()}
+    changes = {"hinge": LEG_ACCELERATION, "steer": STEER_ACCELERATION, "wheel": RIM_ACCELERATION / radius}
+    speed, acceleration = ({n: round(v[part], 2) for m in modules for part, n in m.items()} for v in (rates, changes))
     reason = f"{len(steered)} wheels under steering axes" + (", on hinged legs" if hinged else "")
     section: dict[str, Any] = {"wheel_radius": radius, "modules": modules}
-    return Proposal(section, 0.9, reason, tuple(speed), tuple(held), speed, asked)
+    return Proposal(section, 0.9, reason, tuple(speed), tuple(held), speed, acceleration, asked)
 
 
 def _module(wheel: Wheel, hinged: bool) -> dict[str, str]:

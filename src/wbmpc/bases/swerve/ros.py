@@ -25,9 +25,9 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Pending
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges
 from wbmpc.ros2.bus import Node
-from wbmpc.ros2.convert import nearest_turn
+from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import GROUPS
@@ -96,7 +96,7 @@ class BusEstimator(SwerveEstimator):
             self.odometry.correct(t, pose, covariance)
             return
         self.placed = True
-        place = [pose[0], pose[1], nearest_turn(pose[2], self.odometry.pose[2])]
+        place = [pose[0], pose[1], nearest_angle(pose[2], self.odometry.pose[2])]
         self.odometry.place(place, None if exact else covariance)
 
 
@@ -170,7 +170,7 @@ class SwerveRosAdapter:
         self.robot, self.settings, self.period = robot, settings, period
         self.planner = Planner(robot, settings.speeds, settings.goals)
         self._steering = SteeringGuess(robot, self._preview)
-        self.pending = Pending(self._steering)
+        self.pending = PendingChanges(self._steering)
         self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.pending)
         self._twists: Reference | None = None
         self._has_imu = False

@@ -22,7 +22,7 @@ from wbmpc.studies.minniti2019.door_control import DoorController, Push
 from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, worst_estimates
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, TIP_MASS, TIP_RADIUS, Door, DoorPlant
-from wbmpc.studies.minniti2019.door_problem import door_problem, suited
+from wbmpc.studies.minniti2019.door_problem import default_push_cost, door_problem
 from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
 from wbmpc.studies.minniti2019.task import IDEALISATIONS, ball_robot, record_rezero
 
@@ -88,7 +88,7 @@ def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: P
     robot = ball_robot(settings, settings.estimate_payload and settings.estimate_disturbance, contact="force")
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0])
-    push = settings.push or suited(settings.scheme)
+    push = settings.push or default_push_cost(settings.scheme)
     mpc = MPC(
         door_problem(robot, settings.mpc, settings.cost, push, settings.scheme, geometry.opening),
         settings.mpc.solver(), settings.mpc.rate,

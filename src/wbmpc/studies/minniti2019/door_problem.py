@@ -50,7 +50,7 @@ class DoorScheme(Settings):
     door_rate: Annotated[Positive, OnlyWith(row=True)] = 0.8
 
 
-def suited(scheme: DoorScheme) -> PushCost:
+def default_push_cost(scheme: DoorScheme) -> PushCost:
     """The weights while the end effector pushes that suit a scheme."""
     return PushCost() if scheme.row else UNTIED
 

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost, TorqueCost
 from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
-from wbmpc.studies.minniti2019.door_problem import DoorScheme, PushCost, suited
+from wbmpc.studies.minniti2019.door_problem import DoorScheme, PushCost, default_push_cost
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 DOORS: dict[str, dict[str, Any]] = {
@@ -67,4 +67,4 @@ class RezeroDoorSettings(RezeroSettings):
     def _suit_the_scheme(cls, push: Any, info: ValidationInfo) -> Any:
         """Some weights as a mapping: the others are those of the scheme."""
         scheme = info.data.get("scheme")  # missing where it is wrong itself
-        return {**suited(scheme).model_dump(), **push} if isinstance(push, Mapping) and scheme else push
+        return {**default_push_cost(scheme).model_dump(), **push} if isinstance(push, Mapping) and scheme else push

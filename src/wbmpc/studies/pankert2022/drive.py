@@ -30,7 +30,7 @@ from wbmpc.stability import CONFIGURATIONS, corners
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import metrics, plots
 from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings, straight, tour
-from wbmpc.studies.pankert2022.mission import Mission, at_home, riding
+from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses
 from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
@@ -93,7 +93,7 @@ class _Run:
         mpc = swerve_mpc(robot, s.mpc, s.cost, SteeringGuess(robot, mission.preview))
         mission.set(mpc, robot, home, duration + s.mpc.horizon)
         t = np.arange(0.0, duration, 0.1)
-        mpc.reference["end_effector"] = Reference.poses(t, *riding(robot, home, mission.base(t)[0]))
+        mpc.reference["end_effector"] = Reference.poses(t, *carried_poses(robot, home, mission.base(t)[0]))
         brakes = BrakeControl(robot, delay=s.plant.brake_delay, changed=mpc.set_schedule)
         mission.apply(brakes)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)
@@ -117,7 +117,7 @@ class _Run:
         self, mission: Mission, duration: float, edit: Any = None, progress: Progress | None = None
     ) -> Outcome:
         """The rolling inverse kinematics on the same way: same plant, odometry and brakes."""
-        s, robot, name = self.settings, self.robot, "rival"
+        s, robot, name = self.settings, self.robot, "baseline"
         _, plant = self.start(mission, edit)
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)
         brakes = BrakeControl(robot)
@@ -147,7 +147,7 @@ def baseline_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
     robot, log = swerve_robot(settings.robot), Log()
     mission, duration = tour(robot, settings.plant.brake_delay)
     ending = _Run(settings, robot, seed, log).baseline(mission, duration, terrain).ending
-    error = log.array("rival.base_odometry") - log.array("rival.base_reference")
+    error = log.array("baseline.base_odometry") - log.array("baseline.base_reference")
     return np.full_like(error, np.inf) if ending.reason else error
 
 
@@ -167,8 +167,8 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
         return replace(outcome, mpc=None)  # the solves of the tour count
 
     def measured(run: Run) -> dict[str, Metric]:
-        faults = [fault for name, o in run.outcomes.items() if name != "rival" for fault in o.faults]
-        held, baseline = run.outcomes["tour"].controller.holds, run.outcomes.get("rival")
+        faults = [fault for name, o in run.outcomes.items() if name != "baseline" for fault in o.faults]
+        held, baseline = run.outcomes["tour"].controller.holds, run.outcomes.get("baseline")
         knocked = knocks[0].done if knocks and knocks[0] is not None else None
         return metrics(bench.log, robot, faults, held, knocked, None if baseline is None else baseline.ending)
 
@@ -177,7 +177,7 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
         bench.log,
         [
             Part("tour", lambda progress: bench.planned("tour", mission, duration, terrain, progress=progress)[0]),
-            Part("rival", lambda progress: bench.baseline(mission, duration, terrain, progress), baseline=True),
+            Part("baseline", lambda progress: bench.baseline(mission, duration, terrain, progress), baseline=True),
             Part("knock", partial(aside, "knock", *straight(robot, "X", True), 4.0)),
             *(Part(name, partial(aside, name, *way, None)) for name, way in closed.items()),
         ],

@@ -86,7 +86,7 @@ def metrics(
     }
     if baseline is not None and not baseline.interrupted:
         whole = not baseline.reason
-        away, turned, legs = (*_error(log, "rival"), _leg_error(log, "rival")) if whole else (np.inf,) * 3
+        away, turned, legs = (*_error(log, "baseline"), _leg_error(log, "baseline")) if whole else (np.inf,) * 3
         found["baseline_position_error_rms"] = Metric(away, "m")
         found["baseline_yaw_error_rms"] = Metric(turned, "rad")
         found["baseline_leg_angle_error_rms"] = Metric(legs, "rad")
@@ -134,7 +134,7 @@ def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
         1e3 * np.linalg.norm((log.array(f"{name}.base_odometry") - log.array(f"{name}.base_reference"))[:, :2], axis=1)
     )
     runs = [
-        (n, label) for n, label in (("tour", "MPC"), ("rival", "inverse kinematics")) if f"{n}.base" in log.channels
+        (n, label) for n, label in (("tour", "MPC"), ("baseline", "inverse kinematics")) if f"{n}.base" in log.channels
     ]
     drawn: list[Plot | Drawing] = [
         _story(log, robot),

@@ -194,7 +194,7 @@ def branches(angle: np.ndarray, speed: np.ndarray, low: float, high: float) -> n
     return np.asarray(options[np.arange(len(options)), best[::-1]])
 
 
-def riding(robot: RobotModel, home: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def carried_poses(robot: RobotModel, home: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions (k, 3) and quaternions (k, 4) of an end effector that rides along with base poses (k, 3) as it is at ``home``."""
     place, orientation = robot.pose(home)
     turns = np.array([lie.quaternion_multiply(lie.quaternion_about((0, 0, 1), p[2]), orientation) for p in poses])

@@ -31,7 +31,8 @@ from wbmpc.ocp import Reference
 from wbmpc.solver import Trajectory
 
 if TYPE_CHECKING:
-    from wbmpc.mpc.mpc import MPC, References
+    from wbmpc.mpc.mpc import MPC
+    from wbmpc.mpc.references import References
 
 #: Length of a turn [s] and of its ramps: speed and acceleration stay below those of the drives.
 TURN, RAMP = 0.8, 0.12

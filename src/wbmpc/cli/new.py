@@ -1,0 +1,199 @@
+"""`wbmpc new`: from a model to a robot's YAML, with proposals and at most six questions."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from wbmpc.cli.directories import Force, new_file
+from wbmpc.cli.doctor import Arguments, Packages, pairs
+from wbmpc.cli.recordings import AsJson
+from wbmpc.cli.terminal import printable
+from wbmpc.errors import InputError
+
+if TYPE_CHECKING:
+    from wbmpc.model.robot import RobotModel
+    from wbmpc.robots.draft import Draft
+    from wbmpc.robots.home import Home
+
+
+def new(
+    model: Annotated[Path, typer.Argument(help="A URDF, xacro or MJCF.")],
+    out: Annotated[Path | None, typer.Option(help="The YAML to write (default: the model's name beside you).")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Take the proposals, ask nothing.")] = False,
+    base: Annotated[str | None, typer.Option(help="Base type.")] = None,
+    arm: Annotated[str | None, typer.Option(help="Name of the arm, or of its last joint.")] = None,
+    tool: Annotated[str | None, typer.Option(help="Frame of the end effector.")] = None,
+    height: Annotated[
+        float | None, typer.Option(help="Height (m) of the end effector above the ground at home.")
+    ] = None,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="A key of the YAML, e.g. base.wheel_radius=0.1; may be repeated."
+        ),
+    ] = None,
+    package: Packages = None,
+    argument: Arguments = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Describe a robot: find wheels, arm and tool of a model, propose base type, home and limits, write a YAML."""
+    from wbmpc.robots.draft import description_of, make_draft
+    from wbmpc.robots.mechanism import read_mechanism
+    from wbmpc.robots.model_file import read_model
+
+    if not model.is_file():
+        raise InputError(f"{model}: there is no such file; a URDF, xacro or MJCF is needed")
+    path = new_file("--out", out, Path(f"{model.name.split('.')[0]}.yaml"), force)
+    packages = {name: Path(folder) for name, folder in pairs("--package", package).items()}
+    arguments, keys = pairs("--argument", argument), dict(_assigned(assignments))
+    draft = make_draft(read_mechanism(read_model(model, packages, arguments)))
+    ask = not yes and not as_json and sys.stdin.isatty()
+    _choose(draft, base, arm, tool, keys, ask)
+    if ask and height is None and draft.subject.driven:
+        height = typer.prompt("height of the end effector above the ground at home [m]", default=_usual_height())
+    data, home = description_of(draft, path, packages, arguments, height)
+    for key, value in keys.items():
+        _assign(data, key, value)
+    robot = _write(path, data, draft, home)
+    if as_json:
+        typer.echo(json.dumps({"robot": str(path), "description": data}))
+    else:
+        for line in _summary(path, draft, home, robot):
+            typer.echo(printable(line))
+
+
+# ---------------------------------------------------------------------- choices
+def _usual_height() -> float:
+    from wbmpc.robots.draft import WORKING_HEIGHT
+
+    return WORKING_HEIGHT
+
+
+def _choose(
+    draft: Draft, base: str | None, arm: str | None, tool: str | None, keys: Mapping[str, Any], ask: bool
+) -> None:
+    """Base, its own questions, arm and tool: by options, else by questions, else as proposed."""
+    if base is None and ask and len(draft.bases) > 1:
+        for name, proposal in draft.bases.items():
+            typer.echo(f"  {name}: {proposal.reason}")
+        base = typer.prompt("base type", default=draft.base)
+    if base is not None:
+        draft.choose_base(base)
+    for question in draft.proposal.questions:
+        if ask and f"base.{question.key}" not in keys:
+            draft.answers[question.key] = _value(
+                question.text, typer.prompt(question.text, default=str(question.answer))
+            )
+    if arm is None and ask and len(draft.arms) > 1:
+        for found in draft.arms:
+            typer.echo(f"  {found.name}: {len(found.joints)} joints, {found.length:.2f} m")
+        arm = typer.prompt("arm", default=draft.arm.name)
+    if arm is not None:
+        draft.choose_arm(arm)
+    if tool is None and ask and len(draft.arm.tools) > 1:
+        tool = typer.prompt(f"frame of the end effector ({', '.join(draft.arm.tools[:8])})", default=draft.tool)
+    if tool is not None:
+        draft.choose_tool(tool)
+
+
+def _assigned(given: list[str] | None) -> Iterator[tuple[str, Any]]:
+    for text in given or []:
+        key, sign, value = text.partition("=")
+        if not sign or not key:
+            raise InputError(f"--set: KEY=VALUE is needed, got '{text}'")
+        yield key, _value("--set", value)
+
+
+def _value(what: str, text: str) -> Any:
+    from wbmpc.yaml_file import parse_yaml
+
+    return parse_yaml(text, what)
+
+
+def _assign(data: dict[str, Any], key: str, value: Any) -> None:
+    """Set a dotted key; what is wrong with it the robot's loader says."""
+    *above, last = key.split(".")
+    for part in above:
+        inner = data.setdefault(part, {})
+        if not isinstance(inner, dict):
+            raise InputError(f"--set: key '{key}': '{part}' has no keys inside")
+        data = inner
+    data[last] = value
+
+
+# ---------------------------------------------------------------------- writing
+def _write(path: Path, data: dict[str, Any], draft: Draft, home: Home) -> RobotModel:
+    """Write the YAML if the robot loads with it; then its weights are known too."""
+    from wbmpc.model.robot import load_robot
+    from wbmpc.robots.robot_yaml import write_yaml
+
+    comments = _comments(draft, home)
+    path.write_text(write_yaml(data, comments), encoding="utf-8")
+    try:
+        robot = load_robot(path)
+    except BaseException:
+        path.unlink()
+        raise
+    comments["limits"] += "\n" + _weights(robot)
+    path.write_text(write_yaml(data, comments), encoding="utf-8")
+    return robot
+
+
+def _comments(draft: Draft, home: Home) -> dict[str, str]:
+    from wbmpc.robots.draft import limits_of
+
+    x, _, z = home.tool
+    assumed = limits_of(draft)[1]
+    free = {True: ", no collision of the file's shapes", False: ", ITS SHAPES TOUCH: choose another", None: ""}[
+        home.free
+    ]
+    speeds = "as the model has them" + (f"; assumed: {', '.join(assumed)}" if assumed else "")
+    others = [a.name for a in draft.arms if a is not draft.arm]
+    return {
+        "": f"Written by wbmpc new from {draft.mechanism.file.path.name}. Units: SI and radians. Check it with: wbmpc doctor FILE",
+        "base": f"{draft.base}: {draft.proposal.reason}",
+        "arm": f"{draft.arm.length:.2f} m along {len(draft.arm.joints)} joints"
+        + (f"; others: {', '.join(others)}" if others else ""),
+        "fixed_joints": "held: joints that neither base nor arm moves",
+        "home": f"best of random postures: end effector at x = {x:.2f}, z = {z:.2f} m{free}",
+        "limits": "What is not here is as the model has it (ranges, efforts).",
+        "limits.velocity": f"[rad/s, m/s] {speeds}",
+        "limits.acceleration": "[rad/s², m/s²] assumed: wheels that do not slip, an arm that is at its speed in 1/3 s",
+    }
+
+
+def _weights(robot: RobotModel) -> str:
+    """The default weights, for one's own problems."""
+    from wbmpc.ocp.scaling import reach, scaled_weights
+
+    weights = scaled_weights(robot)
+    posture = ", ".join(f"{w:.3g}" for w in weights.posture)
+    inputs = "; ".join(f"{g}: {', '.join(f'{w:.3g}' for w in row)}" for g, row in weights.input.items())
+    return (
+        f"Weights that follow (wbmpc.ocp.scaling, reach {reach(robot):.2f} m): end effector {weights.end_effector[0]:g} /m², "
+        f"orientation {weights.end_effector[3]:.3g} /rad²,\nposture {posture},\ninputs {inputs}"
+    )
+
+
+def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel) -> Iterator[str]:
+    from wbmpc.bases.base import offering
+    from wbmpc.robots.doctor import examine_robot
+
+    yield f"{path}: {robot.description.name}, {robot.state.size} states"
+    yield f"  base: {draft.base} ({draft.proposal.reason})"
+    yield f"  arm: {', '.join(draft.arm.joints)}"
+    yield f"  end effector: {draft.tool}, at home {home.tool[2]:.2f} m high" + (
+        "" if home.free is not False else "; shapes touch there"
+    )
+    yield f"  held: {', '.join(robot.description.fixed_joints) or 'none'}"
+    found = examine_robot(str(path))
+    yield f"  wbmpc doctor {path}: {found.count('error')} errors, {found.count('warning')} warnings"
+    shown = draft.base in offering("system")
+    yield f"  next: wbmpc view {path}" if shown else f"  next: wb.load_robot('{path}')"

@@ -1,0 +1,69 @@
+"""Results of runs on standard output: a table of metrics against goals, or JSON."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import typer
+
+from wbmpc.cli.terminal import ABORTED, INTERRUPTED, console
+from wbmpc.cli.terminal import table as plain_table
+
+if TYPE_CHECKING:
+    from wbmpc.result import MpcStatistics, RunResult
+
+
+def _table(results: list[RunResult]) -> None:
+    from wbmpc.report import figure_text, goal_notes, goal_text, number
+
+    table = plain_table(
+        "Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values, or ranges."
+    )
+    for column in ("experiment", "metric"):
+        table.add_column(column, overflow="fold")
+    table.add_column("unit", no_wrap=True)
+    for column in ("ours", "paper", "goal"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for result in results:
+        for k, (name, m) in enumerate(result.metrics.items()):
+            figures = [figure_text(result, name), "" if m.paper is None else number(m.paper), goal_text(m)]
+            outcome = {True: "reached", False: "missed", None: ""}[result.reached(name)]
+            table.add_row(result.experiment if k == 0 else "", name, m.unit, *figures, outcome)
+        mpc = result.mpc
+        if mpc is not None:
+            table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}", "", "", "")
+            for kind, milliseconds in mpc.solve_ms.items():
+                table.add_row("", f"MPC solve time, {kind}", "ms", number(milliseconds), "", "", "")
+            for kind, how_many in _counts(mpc).items():
+                table.add_row("", f"MPC {kind}", f"of {mpc.solves}", str(how_many), "", "", "")
+        table.add_section()
+    out = console()
+    out.print(table)
+    for result in results:
+        for note in goal_notes(result):
+            out.print(f"{result.experiment}, {note}", highlight=False)
+
+
+def _counts(mpc: MpcStatistics) -> dict[str, int]:
+    return {"deadline misses": mpc.deadline_misses, "solves that failed": mpc.failures + mpc.no_step}
+
+
+def show_results(results: list[tuple[RunResult, dict[str, str]]], as_json: bool) -> None:
+    """Print results with the files of each run, as a table or as JSON, and raise :class:`typer.Exit` unless all completed."""
+    from wbmpc.report import to_json
+
+    if as_json:
+        objects = [to_json(r, f) for r, f in results]
+        typer.echo(json.dumps(objects[0] if len(objects) == 1 else {"runs": objects}, allow_nan=False))
+    else:
+        _table([r for r, _ in results])
+        for result, files in results:
+            if not result.completed:
+                typer.echo(f"{result.experiment} did not complete: {result.reason}")
+            typer.echo(f"{result.experiment}: the report page is {files['report']}")
+    if any(r.interrupted for r, _ in results):
+        raise typer.Exit(INTERRUPTED)
+    if not all(r.completed for r, _ in results):
+        raise typer.Exit(ABORTED)

@@ -1,0 +1,52 @@
+"""Weights that follow from a robot's size and limits: a start for any robot, without tuning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from wbmpc.model.robot import RobotModel
+
+Array = NDArray[np.float64]
+#: Half range [rad] of a joint that turns on and on; largest speed [rad/s] of one without a limit.
+_TURNS, _FAST = np.pi, 2.0
+#: Random postures of the arm whose spread is its reach.
+_POSTURES = 400
+
+
+@dataclass(frozen=True)
+class ScaledWeights:
+    """``end_effector`` (6): of position [1/m²] and orientation [1/rad²]; ``posture`` (n): of each arm joint; ``input``: of every input, by
+    group. All per second."""
+
+    end_effector: Array
+    posture: Array
+    input: dict[str, list[float]]
+
+
+def scaled_weights(
+    robot: RobotModel, end_effector: float = 4000.0, input: float = 0.4, posture: float = 0.5
+) -> ScaledWeights:
+    """Position ``end_effector`` [1/m²] and orientation that times (reach / 4)²; every input ``input`` over the square of its limit; every
+    arm joint ``posture`` over the square of half its range."""
+    limits, arm = robot.limits, robot.state["arm"]
+    effector = end_effector * np.array([1.0] * 3 + [(reach(robot) / 4.0) ** 2] * 3)
+    half = np.minimum(0.5 * (limits.state_upper[arm] - limits.state_lower[arm]), _TURNS)
+    maximum = np.where(np.isfinite(limits.input_upper), limits.input_upper, _FAST)
+    rates = {group: list(input / maximum[robot.input[group]] ** 2) for group in robot.input.groups}
+    return ScaledWeights(effector, posture / half**2, rates)
+
+
+def reach(robot: RobotModel) -> float:
+    """How far [m] the end effector gets from the middle of where it can be: 98 % of random postures."""
+    arm = robot.state["arm"]
+    low, high = robot.limits.state_lower[arm], robot.limits.state_upper[arm]
+    low, high = np.where(np.isfinite(low), low, -_TURNS), np.where(np.isfinite(high), high, _TURNS)
+    states = np.zeros((_POSTURES, robot.state.size))
+    states[:, arm] = np.random.default_rng(0).uniform(low, high, (_POSTURES, low.size))
+    at = robot.poses(states)[:, :3]
+    return float(np.quantile(np.linalg.norm(at - at.mean(axis=0), axis=1), 0.98))

@@ -1,0 +1,191 @@
+"""A description of a robot that nobody has described yet: what its model shows, made into a robot's YAML."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wbmpc.bases import base_type
+from wbmpc.bases.base import Proposal
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.robots.arm_search import Arm, find_arms
+from wbmpc.robots.doctor import propose_bases
+from wbmpc.robots.home import Home, find_home
+from wbmpc.robots.mechanism import Joint, Mechanism
+from wbmpc.robots.model_checks import Subject
+
+#: Height [m] above the ground at which an end effector of a mobile robot works, where it can.
+WORKING_HEIGHT = 0.8
+#: Speeds [rad/s], [m/s] of arm joints for which a file has none; of the base [m/s].
+TURN, SLIDE, BASE_SPEED = 2.0, 0.2, 1.0
+#: An arm's joint has its largest speed after this time [s].
+START = 1.0 / 3.0
+
+
+@dataclass
+class Draft:
+    """What is found in a model, and what is chosen of it: ``base``, a name of ``bases``, ``arm`` one of ``arms``, ``tool`` one of its frames;
+    ``answers`` to the base's questions, by key."""
+
+    subject: Subject
+    bases: dict[str, Proposal]
+    base: str
+    arms: list[Arm]
+    arm: Arm
+    tool: str
+    answers: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The model."""
+        return self.subject.mechanism
+
+    @property
+    def proposal(self) -> Proposal:
+        """Of the chosen base type."""
+        return self.bases[self.base]
+
+    def choose_arm(self, name: str) -> None:
+        """By its name, or by that of its last joint. Raises :class:`InputError` listing the arms."""
+        found = next((a for a in self.arms if name in (a.name, a.joints[-1])), None)
+        if found is None:
+            raise unknown_name("arm", name, [a.name for a in self.arms])
+        self.arm, self.tool = found, found.tool
+
+    def choose_base(self, name: str) -> None:
+        """A base type that can describe the model. Raises :class:`InputError` listing them."""
+        if name not in self.bases:
+            raise unknown_name("base type for this model", name, self.bases)
+        self.base = name
+
+    def choose_tool(self, name: str) -> None:
+        """A frame that the arm moves. Raises :class:`InputError` listing them."""
+        if name not in self.arm.tools:
+            raise unknown_name(f"frame behind '{self.arm.joints[-1]}'", name, self.arm.tools)
+        self.tool = name
+
+
+def make_draft(mechanism: Mechanism) -> Draft:
+    """The best proposals. Raises :class:`InputError` for a model without an arm."""
+    subject = Subject(mechanism)
+    arms = find_arms(mechanism, {n for w in subject.wheels for n in (w.joint, w.steer, w.hinge, *w.held) if n})
+    if not arms:
+        raise InputError(
+            f"{mechanism.file.path}: no joint looks like an arm's; an end effector is moved by one joint at least"
+        )
+    bases = propose_bases(subject)
+    return Draft(subject, bases, next(iter(bases)), arms, arms[0], arms[0].tool)
+
+
+# ---------------------------------------------------------------------- what follows from the choices
+def body_of(draft: Draft) -> str:
+    """The highest body that is fixed to the one which carries arm and wheels; of a base that does not move the one that stands in the
+    world."""
+    mechanism = draft.mechanism
+    arm = mechanism.path(mechanism.parent(mechanism.joints[draft.arm.joints[0]].body))
+    if not base_type(draft.base).Description.moves:
+        return arm[1] if len(arm) > 1 else arm[0]
+    paths = [arm]
+    for wheel in draft.subject.driven:
+        first = (*mechanism.joints[wheel.joint].above, wheel.joint)[0]
+        paths.append(mechanism.path(mechanism.parent(mechanism.joints[first].body)))
+    common = [bodies[0] for bodies in zip(*paths) if len(set(bodies)) == 1]
+    if len(common) < 2:
+        raise InputError(
+            f"{mechanism.file.path}: wheels and arm have no common body but the world: no body is the base's"
+        )
+    carrier = draft.mechanism.model.body(common[-1])
+    weld = draft.mechanism.model.body_weldid
+    return next(b for b in common[1:] if weld[draft.mechanism.model.body(b).id] == weld[carrier.id])
+
+
+def held_joints(draft: Draft, body: str) -> dict[str, float]:
+    """Joints below the base that neither base nor arm moves, with the values [rad or m] at which they are held."""
+    used = {*draft.arm.joints, *draft.proposal.joints}
+    inside = [j for j in draft.mechanism.joints.values() if body in draft.mechanism.path(j.body)[:-1]]
+    return {j.name: round(j.rest, 4) for j in inside if j.name not in used}
+
+
+def home_of(draft: Draft, held: Mapping[str, float], height: float | None) -> Home:
+    """A home; ``height`` [m] of the end effector above the ground, None: the usual one of a mobile robot, or any."""
+    moves = base_type(draft.base).Description.moves
+    ground = min((float(w.center[2]) - (w.radius or 0.0) for w in draft.subject.driven), default=0.0)
+    if height is None and moves:
+        height = WORKING_HEIGHT
+    above = None if height is None else height + ground
+    return find_home(draft.mechanism, draft.arm.joints, draft.tool, dict(held), above, np.array([1.0, 0.0]))
+
+
+def speed_of(joint: Joint) -> tuple[float, bool]:
+    """Largest speed [rad/s or m/s] of an arm's joint, and whether the model has it."""
+    if joint.drive.velocity is not None:
+        return joint.drive.velocity, True
+    return (SLIDE if joint.kind == "slide" else TURN), False
+
+
+def limits_of(draft: Draft) -> tuple[dict[str, float], list[str]]:
+    """Speeds by joint, and those of them that the model does not have."""
+    joints, assumed = draft.mechanism.joints, []
+    speeds = {}
+    for name in draft.proposal.joints:
+        given = joints[name].drive.velocity
+        speeds[name] = draft.proposal.speed[name] if given is None else given
+        assumed += [name] if given is None else []
+    for name in draft.arm.joints:
+        speeds[name], known = speed_of(joints[name])
+        assumed += [] if known else [name]
+    return {n: round(v, 4) for n, v in speeds.items()}, assumed
+
+
+def accelerations_of(draft: Draft, speeds: Mapping[str, float]) -> dict[str, float]:
+    """By joint [rad/s² or m/s²]: the base type's, and an arm's by its speeds."""
+    return {**draft.proposal.acceleration, **{n: round(speeds[n] / START, 3) for n in draft.arm.joints}}
+
+
+def base_speed(draft: Draft) -> float | None:
+    """Largest speed [m/s] of a base on wheels, as they can; None where its type has no such limit."""
+    if "base_linear" not in base_type(draft.base).Description.limit_keys:
+        return None
+    speeds, _ = limits_of(draft)
+    rims = [speeds[w.joint] * w.radius for w in draft.subject.driven if w.radius and w.joint in speeds]
+    return round(min([BASE_SPEED, *rims]), 3)
+
+
+def description_of(
+    draft: Draft, out: Path, packages: Mapping[str, Path], arguments: Mapping[str, str], height: float | None
+) -> tuple[dict[str, Any], Home]:
+    """The content of the robot's YAML in the folder of ``out``, and its home."""
+    body = body_of(draft)
+    held = held_joints(draft, body)
+    home = home_of(draft, held, height)
+    speeds, _ = limits_of(draft)
+    linear = base_speed(draft)
+    limits: dict[str, Any] = {} if linear is None else {"base_linear": linear, "base_angular": 1.0}
+    data: dict[str, Any] = {
+        "name": robot_name(out.stem),
+        "model": relative(draft.mechanism.file.path, out.parent),
+        "packages": {name: relative(folder, out.parent) for name, folder in packages.items()},
+        "xacro_arguments": dict(arguments),
+        "base": {"type": draft.base, "body": body, **draft.proposal.section, **draft.answers},
+        "arm": {"joints": list(draft.arm.joints), "tool": draft.tool},
+        "fixed_joints": held,
+        "home": home.angles,
+        "limits": {**limits, "velocity": speeds, "acceleration": accelerations_of(draft, speeds)},
+    }
+    return {key: value for key, value in data.items() if value != {}}, home
+
+
+def robot_name(text: str) -> str:
+    """Letters, digits, - and _ of a text, as a robot's name has them."""
+    plain = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "-" for c in text).strip("-_")
+    return plain[:64] or "robot"
+
+
+def relative(path: Path, folder: Path) -> str:
+    """A path as a file in ``folder`` names it."""
+    return os.path.relpath(path.resolve(), folder.resolve())
