@@ -69,7 +69,7 @@ class Force:
     u: np.ndarray
 
 
-class ToyAgent:
+class ToyController:
     """Predicts exactly, tick by tick, under the policies that it knows; ``limit`` of the input."""
 
     def __init__(self, period: float, limit: float = np.inf) -> None:
@@ -164,7 +164,7 @@ def virtual(
     """A runner in virtual time; every solve takes ``computing`` [s]."""
     clock = VirtualClock(computing)
     return RealTimeRunner(
-        ToyRobot(clock), ToyAgent(PERIOD, limit), mpc or make_mpc(), RealTimeSettings(**settings), clock
+        ToyRobot(clock), ToyController(PERIOD, limit), mpc or make_mpc(), RealTimeSettings(**settings), clock
     )
 
 

@@ -144,7 +144,7 @@ def messages(
     return found
 
 
-def test_the_gyro_tells_the_turn_once_its_bias_is_known():
+def test_the_gyro_gives_the_turn_once_its_bias_is_known():
     for rest, expected in ((1.0, 1.0), (0.0, 1.1)):  # without a rest the wheels' turn is all there is, 10 % wrong
         odometry = PlanarOdometry(ROBOT.base.twist, ROBOT.base.rates, np.zeros(3))
         for time, wheel, gyro in messages(0.3, 0.5, 2.0, 0.1, 0.02, rest):

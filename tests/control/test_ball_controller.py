@@ -54,7 +54,7 @@ def feedback_policy(seed: int) -> Policy:
     return Policy(times, rng.normal(size=(51, 2 * N)) * 0.1, rng.normal(size=(50, TORQUES)), gain)
 
 
-def ball_agent(lag: float = 0.0, observer: bool = False, dead: int = 0) -> BallController:
+def ball_controller(lag: float = 0.0, observer: bool = False, dead: int = 0) -> BallController:
     drives = DriveSettings(lag, dead * PERIOD)
     return BallController(BALL, LinearMpc(), np.zeros(TORQUES), PERIOD, drives, observer)  # type: ignore[arg-type]
 
@@ -93,7 +93,7 @@ def run_ball(
 def test_ball_robot_prediction_is_what_happens(late: int, dead: int, lag: float) -> None:
     """A late message is brought up to now (checked at every tick), and the state for the plan's start comes true: with a dead
     time, that in which the plan's first torques will act."""
-    states, predictions = run_ball(ball_agent(lag, dead=dead), late, lag, dead=dead)
+    states, predictions = run_ball(ball_controller(lag, dead=dead), late, lag, dead=dead)
     assert len(predictions) == 3
     for tick, observation in predictions:
         assert observation.t == pytest.approx((tick + dead) * PERIOD)
@@ -104,7 +104,7 @@ def test_ball_robot_prediction_is_what_happens(late: int, dead: int, lag: float)
 def test_a_dead_time_of_many_ticks_is_predicted_over() -> None:
     """More of them than are remembered for late messages alone, and such a message. Truth: the same torques, step by step."""
     dead, late, x = 100, 5, 0.1 * np.ones(2 * N)
-    controller, sent = ball_agent(dead=dead), np.random.default_rng(3).normal(size=(120, TORQUES))
+    controller, sent = ball_controller(dead=dead), np.random.default_rng(3).normal(size=(120, TORQUES))
     for torque in sent:
         controller._drive(torque)
     controller.measure(BallMeasurement(1.0, x, late * PERIOD))
@@ -129,7 +129,7 @@ def test_a_dead_time_that_cannot_be_predicted_over_is_rejected(dead: float, said
 
 
 def test_ball_robot_clips_torques_and_stops_without() -> None:
-    controller, plans = ball_agent(), PolicyQueue()
+    controller, plans = ball_controller(), PolicyQueue()
     controller.measure(BallMeasurement(0.0, np.zeros(2 * N), 0.0))
     wild = feedback_policy(0)
     plans.add(0.0, Policy(wild.times, wild.x, 1e3 * np.sign(wild.u), wild.gain))
@@ -153,7 +153,7 @@ def largest_share(lean: np.ndarray) -> float:
 @pytest.mark.parametrize("size", [1.0, 3.0, 8.0, 100.0])
 def test_balance_comes_before_yaw(size: float) -> None:
     """What tilts keeps its direction and as much of its size as some spin allows; what is possible is not touched."""
-    controller, plans = ball_agent(), PolicyQueue()
+    controller, plans = ball_controller(), PolicyQueue()
     controller.measure(BallMeasurement(0.0, np.zeros(2 * N), 0.0))
     wild, rng, untouched = feedback_policy(0), np.random.default_rng(0), 0
     for _ in range(50):
@@ -172,7 +172,7 @@ def test_balance_comes_before_yaw(size: float) -> None:
 
 
 def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
-    controller = ball_agent(observer=True)
+    controller = ball_controller(observer=True)
     state = np.zeros(2 * N)
     for k in range(3):
         state[N] = 0.01 * k  # it moves without a torque
@@ -185,7 +185,7 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
 
 def test_what_makes_the_disturbance_infinite_is_reported() -> None:
     """A joint that turns at 17 rad/s (its limit is 4) in a state that the model has no answer to."""
-    controller, state = ball_agent(observer=True), np.zeros(2 * N)
+    controller, state = ball_controller(observer=True), np.zeros(2 * N)
     controller.observer.step = lambda x, u, h: np.full(2 * N, np.nan)  # type: ignore[union-attr]
     state[-1] = -17.0
     why = "the estimated disturbance is not finite: arm_elbow is believed to turn at 17 rad/s, and its limit is 4 rad/s"
@@ -195,7 +195,7 @@ def test_what_makes_the_disturbance_infinite_is_reported() -> None:
 
 def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learnt() -> None:
     """The shift of the limit is that of the disturbance just learnt (tests/control/test_lean_control.py), beside a push's room."""
-    controller = ball_agent(observer=True)
+    controller = ball_controller(observer=True)
     controller.lean_control = LeanControl(BALL, np.zeros(3), 0.6, 2.0)
     state = np.zeros(2 * N)
     for k in range(200):  # half of what 20 N along x would do: 26 kg
@@ -212,7 +212,7 @@ HEIGHT = (18.66 * 0.1956 + 1.2 * 0.48 + 1.4 * 0.63 + 1.1 * 0.94) / (18.66 + 1.2 
 
 def test_ball_robot_hands_a_push_that_it_feels_to_the_model() -> None:
     """What the model does not explain tilts it forward, ever faster: room is kept in front, for 0.2 s of that drift."""
-    controller, state = ball_agent(), np.zeros(2 * N)
+    controller, state = ball_controller(), np.zeros(2 * N)
     controller.shoves = PushEstimator(BALL, np.zeros(3), 0.2)
     for k in range(40):
         controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
@@ -234,7 +234,7 @@ class Fixed:
 
 
 def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
-    controller, fixed = ball_agent(), Fixed()
+    controller, fixed = ball_controller(), Fixed()
     controller.estimator = fixed  # type: ignore[assignment]
     readings = (np.ones(3), 2.0 * np.ones(3), 3.0 * np.ones(3), 4.0 * np.ones(3))
     acted = np.array([0.3, -0.1, 0.5, 9.0, 9.0, 9.0])  # two ticks ago, as old as the readings are
@@ -249,7 +249,7 @@ def test_with_an_estimator_the_simulators_state_is_not_used() -> None:
 
 def test_a_measurement_later_than_all_known_torques_counts_as_from_the_first() -> None:
     """A machine that stalls hands over what is 0.2 s old at 400 Hz: 64 torques are known. Truth: the torques at the start."""
-    controller = ball_agent(observer=True)
+    controller = ball_controller(observer=True)
     controller.measure(BallMeasurement(0.0, 0.1 * np.ones(2 * N), 0.0))
     x = 0.2 * np.ones(2 * N)
     controller.measure(BallMeasurement(1.0, x, 1000 * PERIOD))

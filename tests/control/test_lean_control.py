@@ -11,7 +11,7 @@ from wbmpc.errors import DisturbanceTooLarge
 
 ROBOT = robot("rezero")
 ARM = ROBOT.home[ROBOT.state["arm"]]
-LEANING = LeanControl(ROBOT, ARM, 0.6, 2.0)
+LEAN = LeanControl(ROBOT, ARM, 0.6, 2.0)
 HEIGHT = 0.2
 
 
@@ -24,7 +24,7 @@ def pushed(size: float, heading: float = 0.0) -> np.ndarray:
 
 
 def stand(force: np.ndarray) -> np.ndarray:
-    return np.asarray(LEANING.balance.stand @ force[:5])
+    return np.asarray(LEAN.balance.stand @ force[:5])
 
 
 def test_the_robot_stands_where_its_weight_answers_the_moment_about_the_floor() -> None:
@@ -36,27 +36,27 @@ def test_the_robot_stands_where_its_weight_answers_the_moment_about_the_floor() 
 
 def test_what_the_wheels_bear_is_the_force_at_the_contact() -> None:
     """The floor's friction answers the force: a moment of F r about the ball's centre, whatever the height. A moment alone, as
-    of a displaced centre of mass, costs the wheels nothing: the robot stands leaning, and the limit moves with it."""
+    of a displaced centre of mass, costs the wheels nothing: the robot stands with a lean, and the limit moves with it."""
     low, high = pushed(40.0), pushed(40.0)
     high[3] *= 2.0
-    np.testing.assert_allclose(LEANING._borne(low, 0.0), LEANING._borne(high, 0.0), atol=1e-3)
+    np.testing.assert_allclose(LEAN._borne(low, 0.0), LEAN._borne(high, 0.0), atol=1e-3)
     moment = np.zeros(ROBOT.base.nq)
     moment[3] = 2.0
-    assert np.abs(LEANING._borne(moment, 0.0)).max() < 1e-3 < 5e-3 < np.abs(stand(moment)).max()
-    np.testing.assert_allclose(LEANING.centre(moment, 0.0), LEANING.shift(moment, 0.0) - LEANING._borne(moment, 0.0))
+    assert np.abs(LEAN._borne(moment, 0.0)).max() < 1e-3 < 5e-3 < np.abs(stand(moment)).max()
+    np.testing.assert_allclose(LEAN.centre(moment, 0.0), LEAN.shift(moment, 0.0) - LEAN._borne(moment, 0.0))
 
 
 def test_the_limit_is_about_where_the_robot_stands_as_far_as_the_reach_allows() -> None:
     weak, strong = pushed(10.0), pushed(60.0)
-    np.testing.assert_allclose(LEANING.centre(weak, 0.0), -stand(weak), atol=1e-12)  # in the middle of the limit
-    margin = 0.6 * LEANING.reach - np.abs(stand(strong) + LEANING.centre(strong, 0.0))[0]
-    left = MAXIMUM * LEANING.reach - np.abs(LEANING._borne(strong, 0.0))[0]
+    np.testing.assert_allclose(LEAN.centre(weak, 0.0), -stand(weak), atol=1e-12)  # in the middle of the limit
+    margin = 0.6 * LEAN.reach - np.abs(stand(strong) + LEAN.centre(strong, 0.0))[0]
+    left = MAXIMUM * LEAN.reach - np.abs(LEAN._borne(strong, 0.0))[0]
     assert margin == pytest.approx(left, abs=1e-9) and left > 0.0
 
 
 def test_the_heading_turns_it_all() -> None:
-    along = LEANING.centre(pushed(60.0), 0.0)
-    turned = LEANING.centre(pushed(60.0, 0.5 * np.pi), 0.5 * np.pi)
+    along = LEAN.centre(pushed(60.0), 0.0)
+    turned = LEAN.centre(pushed(60.0, 0.5 * np.pi), 0.5 * np.pi)
     np.testing.assert_allclose(turned, [-along[1], along[0]], atol=1e-12)
 
 

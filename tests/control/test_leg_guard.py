@@ -174,7 +174,7 @@ def opened(reported: list[ModeSchedule]) -> BrakeControl:
     return brakes
 
 
-def test_the_controller_closes_the_brake_and_tells_the_planner() -> None:
+def test_the_controller_closes_the_brake_and_informs_the_planner() -> None:
     reported: list[ModeSchedule] = []
     controller = SwerveController(SWERVE, np.zeros(3), PERIOD, opened(reported))
     assert swung(controller) == [1, 0, 1, 1] and controller.holds == 1 and not controller.faults
@@ -193,7 +193,7 @@ def test_it_can_be_turned_off_and_rests_where_the_planner_would_not_know() -> No
     assert swung(controller) == [1, 1, 1, 1]
 
 
-def test_on_a_bus_the_nodes_own_thread_tells_the_planner() -> None:
+def test_on_a_bus_the_nodes_own_thread_informs_the_planner() -> None:
     reported: list[ModeSchedule] = []
     brakes = opened(reported)
     controller = BusSwerveController(SWERVE, np.zeros(3), PERIOD, brakes)

@@ -28,7 +28,7 @@ class FakeMPC:
         return observation.t
 
 
-class FakeAgent:
+class FakeController:
     def __init__(self) -> None:
         self.measured = 0
 
@@ -45,7 +45,7 @@ class FakeAgent:
         return SimpleNamespace(drive=0.0)
 
 
-class ErringAgent(FakeAgent):
+class ErringController(FakeController):
     """At 0.2 s something that is not finite turns up."""
 
     def __init__(self, where: str) -> None:
@@ -111,7 +111,7 @@ def test_rates_that_are_not_a_whole_number_of_steps(rates: tuple[float, ...], me
 def test_who_is_in_force(every: int, delay: int) -> None:
     """The newest policy whose computation is over; also when computing takes several MPC periods."""
     timing = Timing(0.01, 3, every, delay)
-    controller, plant, seen = FakeAgent(), fake_plant(), []
+    controller, plant, seen = FakeController(), fake_plant(), []
     record = lambda t, c, p: seen.append((round(t / 0.01), c.drive))
     assert run_lockstep(plant, controller, FakeMPC(), timing, 0.5, record) == Ending()
     assert plant.steps == 150
@@ -140,7 +140,7 @@ def test_a_fall_ends_the_run() -> None:
     plant, progress = fake_plant(falls_after=30), []
     timing = Timing(0.01, 3, 5, 1)
     ending = run_lockstep(
-        plant, FakeAgent(), FakeMPC(), timing, 1.0, lambda *a: None, lambda p, text: progress.append(p)
+        plant, FakeController(), FakeMPC(), timing, 1.0, lambda *a: None, lambda p, text: progress.append(p)
     )
     assert ending == Ending("the robot fell at 0.10 s", fell=True)
     assert plant.commands[-1] == (0.0, 150)  # held at a stop for half a second
@@ -149,7 +149,7 @@ def test_a_fall_ends_the_run() -> None:
 
 def test_an_aborted_mpc_ends_the_run() -> None:
     plant = fake_plant()
-    ending = run_lockstep(plant, FakeAgent(), FakeMPC(0.5), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
+    ending = run_lockstep(plant, FakeController(), FakeMPC(0.5), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
     assert ending == Ending("aborted at 0.50 s: no plan")
     assert plant.commands[-1] == (0.0, 150)
 
@@ -164,7 +164,7 @@ def test_an_aborted_mpc_ends_the_run() -> None:
 def test_what_is_not_finite_stops_the_robot_and_never_reaches_it(where: str, reason: str) -> None:
     plant, recorded = fake_plant(), []
     ending = run_lockstep(
-        plant, ErringAgent(where), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda t, c, p: recorded.append(t)
+        plant, ErringController(where), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda t, c, p: recorded.append(t)
     )
     assert ending == Ending(reason)
     assert plant.commands.pop() == (0.0, 150)
@@ -172,7 +172,7 @@ def test_what_is_not_finite_stops_the_robot_and_never_reaches_it(where: str, rea
     assert all(np.isfinite(drive).all() for drive, _ in plant.commands)
 
 
-class RaisingAgent(FakeAgent):
+class RaisingController(FakeController):
     """Its ``tick``-th measurement (from 1 on) ends in a mistake of the program."""
 
     def __init__(self, tick: int) -> None:
@@ -189,7 +189,7 @@ def test_whatever_is_raised_in_a_run_stops_the_robot_and_is_reported(caplog: pyt
     plant, recorded = fake_plant(), []
     with caplog.at_level("DEBUG", "wbmpc"):
         ending = run_lockstep(
-            plant, RaisingAgent(21), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda t, c, p: recorded.append(t)
+            plant, RaisingController(21), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda t, c, p: recorded.append(t)
         )
     assert ending == Ending("stopped at 0.20 s: ZeroDivisionError: nothing to divide by")
     assert plant.commands.pop() == (0.0, 150)
@@ -200,13 +200,13 @@ def test_whatever_is_raised_in_a_run_stops_the_robot_and_is_reported(caplog: pyt
 def test_what_is_raised_before_the_first_command_is_raised() -> None:
     plant = fake_plant()
     with pytest.raises(ZeroDivisionError):
-        run_lockstep(plant, RaisingAgent(1), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
+        run_lockstep(plant, RaisingController(1), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
     assert plant.commands == []
 
 
 def test_a_simulation_that_diverged_is_left_alone() -> None:
     plant = fake_plant(diverges_after=30)
-    ending = run_lockstep(plant, FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
+    ending = run_lockstep(plant, FakeController(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, lambda *a: None)
     assert ending == Ending("the simulation diverged at 0.10 s: positions are not finite")
     assert plant.steps == 33
 
@@ -220,7 +220,7 @@ def test_ctrl_c_takes_effect_between_ticks_and_stops_the_robot() -> None:
             os.kill(os.getpid(), signal.SIGINT)
         recorded.append(t)
 
-    ending = run_lockstep(plant, FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, record)
+    ending = run_lockstep(plant, FakeController(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, record)
     assert ending == Ending("interrupted at 0.11 s", interrupted=True)
     assert len(recorded) == 11
     assert plant.commands[-1] == (0.0, 150)
@@ -233,14 +233,14 @@ def test_a_second_ctrl_c_acts_at_once() -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        run_lockstep(fake_plant(), FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, record)
+        run_lockstep(fake_plant(), FakeController(), FakeMPC(), Timing(0.01, 3, 5, 1), 1.0, record)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_other_threads_leave_the_signal_alone() -> None:
     found: list[object] = []
     record = lambda *a: found.append(signal.getsignal(signal.SIGINT))
-    arguments = (fake_plant(), FakeAgent(), FakeMPC(), Timing(0.01, 3, 5, 1), 0.05, record)
+    arguments = (fake_plant(), FakeController(), FakeMPC(), Timing(0.01, 3, 5, 1), 0.05, record)
     thread = threading.Thread(target=run_lockstep, args=arguments)
     thread.start()
     thread.join()
@@ -251,7 +251,7 @@ def test_progress_ends_at_one() -> None:
     progress: list[float] = []
     run_lockstep(
         fake_plant(),
-        FakeAgent(),
+        FakeController(),
         FakeMPC(),
         Timing(0.01, 3, 5, 1),
         1.0,

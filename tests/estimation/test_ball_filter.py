@@ -185,7 +185,7 @@ def test_errors_in_physics_stay_within_the_covariance() -> None:
 
 
 def twisted(seed: int, reported: float) -> Balancing:
-    """A robot that is twisted by 1.5 N m about the vertical from 1 to 3.5 s; the estimator is reported of ``told`` times its torque."""
+    """A robot that is twisted by 1.5 N m about the vertical from 1 to 3.5 s; the estimator gets ``reported`` times its torque."""
     run, gain, limit = Balancing(seed), regulator(), ROBOT.limits.input_upper[:6]
     base, torque = run.plant.model.body(run.plant.base.body).id, TORQUE
     for _ in range(round(3.5 / H)):
@@ -248,7 +248,7 @@ def test_a_ball_that_spins_on_the_floor_is_found() -> None:
 
 
 # ---------------------------------------------------------------------- lean and bias
-def test_balance_tells_bias_from_lean() -> None:
+def test_balance_distinguishes_bias_from_lean() -> None:
     """Near upright only g · lean + bias is seen. A known lean leaves a bias error of g · spread, and no more."""
     known = BallFilter(GEOMETRY, np.zeros(2), np.eye(3), replace(BallNoise(), accel_bias=0.3, tilt=0.1))
     bias = np.array([0.2, -0.15, 0.0])

@@ -13,7 +13,7 @@ COUNT = 2.0 * np.pi / 2**14
 
 
 def watch(leg, brake, rate, end: float = 6.0, period: float = 0.0025, **settings: float) -> BrakeMonitor:  # type: ignore[no-untyped-def]
-    """A monitor after legs leg(t), brakes brake(t), rates rate(t) (4 each), at 400 Hz unless told."""
+    """A monitor after legs leg(t), brakes brake(t), rates rate(t) (4 each), at 400 Hz unless ``rate`` is set."""
     monitor = BrakeMonitor(NAMES, **settings)
     for t in np.arange(0.0, end, period):
         monitor.update(t, np.round(np.asarray(leg(t)) / COUNT) * COUNT, brake(t), rate(t))

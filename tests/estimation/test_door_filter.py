@@ -68,7 +68,7 @@ def test_covariance_is_what_the_errors_are() -> None:
     assert low < total < high
 
 
-def test_steady_rate_tells_only_the_sum() -> None:
+def test_steady_rate_shows_only_the_sum() -> None:
     """At φ̇ = 0.2 rad/s nothing distinguishes 8 · 0.2 + 5 from other pairs with the same sum."""
     noise = DoorNoise(walk=1e-6)
     f = estimated(door(6.0, lambda t: 8.0 * 0.2 + 5.0, noise), noise)

@@ -134,7 +134,7 @@ def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float
     assert bool(monitor.fault) == reported and (not reported or "that the robot's motion does not" in monitor.fault)
 
 
-def agent_that_stands(begin: float) -> DoorController:
+def controller_with_stalled_sensor(begin: float) -> DoorController:
     """An end effector at rest with a level forearm, the panel above it; it starts at ``begin`` [s]."""
     controller = DoorController.__new__(DoorController)
     controller.phase, controller.period, controller.door, controller.measured = "approach", H, np.zeros(2), None
@@ -149,7 +149,7 @@ def agent_that_stands(begin: float) -> DoorController:
 @pytest.mark.parametrize(("off", "reported"), [(2.6, False), (6.5, True)])
 def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> None:
     """A zero that is off by 2.6 N was a touch at 0.01 s, and the closed panel learnt in the air. 8 N from 2 s on are one."""
-    controller, rng = agent_that_stands(1.0), np.random.default_rng(2)
+    controller, rng = controller_with_stalled_sensor(1.0), np.random.default_rng(2)
     for k in range(round(2.5 / H)):
         force = np.array([0.0, 0.0, off + 8.0 * (k * H >= 2.0)]) + 0.1 * rng.normal(size=3)
         controller._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=force))
@@ -162,8 +162,8 @@ def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> N
 
 @pytest.mark.parametrize("phase", ["approach", "push", "release"])
 def test_an_controller_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
-    """An end effector at rest with a level forearm; its sensor stands at 8 N. Told once; neither force nor contact then, in any phase."""
-    controller = agent_that_stands(0.0)
+    """An end effector at rest with a level forearm; its sensor stands at 8 N. One report; neither force nor contact then, in any phase."""
+    controller = controller_with_stalled_sensor(0.0)
     controller.phase = phase
     touched = False
     for k in range(60):

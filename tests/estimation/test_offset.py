@@ -126,7 +126,7 @@ def test_no_wind_up_under_input_limits() -> None:
     """3 N against a drive of 2 N for 2 s, then 1 N: the estimate is right to 0.4 N rms of noise
     while the drive cannot hold it, and 0.6 s after.
 
-    Told the input that was asked for in place of the one that acted, it is wrong by what was cut off.
+    With the input that was commanded in place of the one that acted, it is wrong by what was cut off.
     """
     rng, system = np.random.default_rng(3), mass_point()
     mpc = controller(system, 0.0, 0.0, limit=2.0)
@@ -264,7 +264,7 @@ def pull_on_spring(observer: OffsetObserver, stiffness: float, seed: int) -> flo
 
 
 def test_known_parameters_are_part_of_the_model() -> None:
-    """With the true stiffness the force is found; told another one, the spring's error passes for a force. They are kept."""
+    """With the true stiffness the force is found; with another one, the spring's error passes for a force. They are kept."""
     system, how = spring(), {"measured": ["x.place"], "noise": NOISE, "process": 1e-2, "walk": 2.0}
     observer = OffsetObserver(system, "d", [1, 0], [0], known={"k": 8.0}, **how)  # type: ignore[arg-type]
     assert abs(pull_on_spring(observer, 8.0, 0) - 1.5) < 0.3

@@ -35,7 +35,7 @@ def some_state(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("opening", [1.0, -1.0])
-def test_touching_hand_tells_the_angle(opening: float) -> None:
+def test_touching_end_effector_shows_the_angle(opening: float) -> None:
     g = geometry(opening)
     for angle in (0.0, 0.4, 1.2):
         end_effector = g.place(angle, 0.65, 0.7)

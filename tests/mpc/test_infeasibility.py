@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from realtime_toys import START, ToyAgent, ToyRobot
+from realtime_toys import START, ToyController, ToyRobot
 from toys import Rows, ToyDynamics
 from wbmpc.errors import RunAborted
 from wbmpc.mpc.mpc import MPC
@@ -41,7 +41,7 @@ def make(size: float = 1.0, event: float = LATER, softness: float = 0.0) -> MPC:
     return mpc
 
 
-class Summing(ToyAgent):
+class Summing(ToyController):
     """The trolley is pushed by all three inputs together."""
 
     def _input(self, policy, t, x):  # type: ignore[no-untyped-def]
@@ -76,7 +76,7 @@ def test_from_the_start_it_is_rejected() -> None:
         make(event=-1.0).update(Observation(0.0, START))
 
 
-def test_a_wish_is_no_contradiction() -> None:
+def test_a_soft_term_is_no_contradiction() -> None:
     mpc = make(softness=0.01)
     for k in range(150):
         mpc.update(Observation(0.02 * k, START))

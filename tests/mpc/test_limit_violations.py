@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from realtime_toys import ToyAgent, ToyRobot
+from realtime_toys import ToyController, ToyRobot
 from toys import Rows, ToyDynamics
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
@@ -134,13 +134,13 @@ def runner_of(settings: SQP | None = None) -> tuple[RealTimeRunner, list[float]]
     mpc = MPC(trolley(), settings, rate=50.0, first_iterations=10)
     start = np.array([0.05, 0.0])
     mpc.reset(start)
-    runner = RealTimeRunner(ToyRobot(clock, knock, x=start), ToyAgent(1.0 / 400.0), mpc, RealTimeSettings(), clock)
+    runner = RealTimeRunner(ToyRobot(clock, knock, x=start), ToyController(1.0 / 400.0), mpc, RealTimeSettings(), clock)
     seen: list[float] = []
     runner.watch = lambda t, late, plans: seen.append(plans.current.limit_violation)  # type: ignore[union-attr,func-returns-value]
     return runner, seen
 
 
-def test_the_runner_tells(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_runner_reports_violations(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL + 1, "wbmpc")
     runner, seen = runner_of()
     report = runner.run(2.0)
@@ -151,7 +151,7 @@ def test_the_runner_tells(caplog: pytest.LogCaptureFixture) -> None:
     assert report.initial_state_mismatches == 0 and "start elsewhere" not in str(report)
 
 
-def test_the_runner_tells_of_plans_that_start_elsewhere(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_runner_reports_plans_that_start_elsewhere(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL + 1, "wbmpc")
     report = runner_of(NEVER_MORE)[0].run(2.0)
     assert report.initial_state_mismatches >= 20 and 0.05 < report.worst_initial_state_mismatch < 1.0

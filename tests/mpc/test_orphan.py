@@ -17,14 +17,14 @@ from realtime_toys import wait_for
 PARENT = """
 import os, threading, time
 from functools import partial
-from realtime_toys import ToyAgent, ToyRobot, make_mpc, problem
+from realtime_toys import ToyController, ToyRobot, make_mpc, problem
 from wbmpc import RealTimeRunner, RealTimeSettings, WallClock
 from wbmpc.runtime.shared_memory import Sizes
 
 def main():
     clock = WallClock()
     settings = RealTimeSettings(max_observation_age=60.0, watchdog=60.0, max_policy_age=60.0)
-    runner = RealTimeRunner(ToyRobot(clock), ToyAgent(1 / 400), make_mpc, settings, clock, sizes=Sizes.of(problem()))
+    runner = RealTimeRunner(ToyRobot(clock), ToyController(1 / 400), make_mpc, settings, clock, sizes=Sizes.of(problem()))
     starter = threading.Thread(target=runner.start)  # a thread that has ended is no parent that has
     starter.start()
     starter.join()

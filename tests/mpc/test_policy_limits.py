@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from realtime_toys import Force, Measured, ToyAgent, ToyRobot
+from realtime_toys import Force, Measured, ToyController, ToyRobot
 from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.mpc.mpc import MPC
@@ -73,7 +73,7 @@ def test_a_state_of_another_shape_is_an_error_and_not_spread(mpc: MPC) -> None:
         Policy(policy.times, policy.x, policy.u, gain, limits=policy.limits)(0.0, np.full(2, 1e200))
 
 
-def test_bounds_in_any_spelling_but_not_wishes_or_modes() -> None:
+def test_bounds_in_any_spelling_but_not_soft_or_switched_ones() -> None:
     """Beside rows of several variables, and scaled; soft ones, ranges of states and bounds of one mode do not count."""
     mixed = Rows(3, lambda s: ca.vertcat(4.0 - 2.0 * s.u[1], 3.0 + s.u[0] - s.x[1], 0.5 * (s.u[1] + 3.0)))
     problem = trolley(
@@ -127,7 +127,7 @@ def test_the_bounds_travel_with_the_policy(mpc: MPC) -> None:
     assert taken(2.0, x)[0] == LOWER and taken.limits.count == 2
 
 
-class Plain(ToyAgent):
+class Plain(ToyController):
     """Sends what the policy says, and does not count anything."""
 
     def __init__(self) -> None:

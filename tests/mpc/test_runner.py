@@ -14,7 +14,7 @@ from realtime_toys import (
     FaultyMPC,
     Force,
     Measured,
-    ToyAgent,
+    ToyController,
     ToyRobot,
     make_mpc,
     virtual,
@@ -97,7 +97,7 @@ def test_a_fast_mpc_repeats_the_observation() -> None:
     report = virtual(mpc=make_mpc(1000.0)).run(1.0)
     assert report.updates == 1000 and report.repeated == 600  # 400 ticks before the last of them
     assert report.failures == 0
-    # the controller sees one policy per tick, but only its first answer tells how long an observation takes
+    # the controller sees one policy per tick, but only its first answer shows how long an observation takes
     assert report.ready.count == 400 and report.ready.max < 0.001 + 1e-9
     assert report.latency.max == pytest.approx(PERIOD)
 
@@ -124,16 +124,21 @@ def test_a_policy_waits_for_its_time() -> None:
 def test_parameters_travel_with_the_observation() -> None:
     clock, mpc = VirtualClock(), make_mpc()
     runner = RealTimeRunner(
-        ToyRobot(clock), ToyAgent(PERIOD), mpc, RealTimeSettings(), clock, parameters=lambda: np.array([clock.now()])
+        ToyRobot(clock),
+        ToyController(PERIOD),
+        mpc,
+        RealTimeSettings(),
+        clock,
+        parameters=lambda: np.array([clock.now()]),
     )
     runner.run(1.0)
     assert mpc.solver.parameters == pytest.approx(0.98)
 
 
 def test_clamped_ticks_are_counted() -> None:
-    asked, controller = 0, ToyAgent.command
+    asked, controller = 0, ToyController.command
 
-    def command(self: ToyAgent, t: float, plans: PolicyQueue) -> Force:
+    def command(self: ToyController, t: float, plans: PolicyQueue) -> Force:
         nonlocal asked
         asked += int(abs(plans.current(t, self.measured.x)[0]) > 0.5)  # type: ignore[misc]
         return controller(self, t, plans)
@@ -239,4 +244,4 @@ def test_settings_are_checked() -> None:
                 RealTimeSettings(**{name: value})
     RealTimeSettings(control_rate=np.float64(5), window=np.int64(1), offset=0, margin=0, priority=99, records=1)
     with pytest.raises(InputError, match="needs 'sizes' and the wall clock"):
-        RealTimeRunner(ToyRobot(WallClock()), ToyAgent(PERIOD), make_mpc)
+        RealTimeRunner(ToyRobot(WallClock()), ToyController(PERIOD), make_mpc)

@@ -16,7 +16,7 @@ import pytest
 
 from realtime_toys import (
     FaultyMPC,
-    ToyAgent,
+    ToyController,
     ToyRobot,
     at,
     freeze,
@@ -50,7 +50,7 @@ def real(mpc: Any = None, fault: Callable[[ToyRobot], None] = lambda robot: None
     given = {"max_observation_age": 30.0, "watchdog": 30.0, "patience": 60.0, "max_policy_age": 30.0, **settings}
     return RealTimeRunner(
         ToyRobot(clock, fault),
-        ToyAgent(PERIOD),
+        ToyController(PERIOD),
         mpc or make_mpc(),
         RealTimeSettings(**given),
         clock,

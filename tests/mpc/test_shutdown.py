@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from realtime_toys import FaultyMPC, ToyAgent, ToyRobot, make_mpc, wait_for
+from realtime_toys import FaultyMPC, ToyController, ToyRobot, make_mpc, wait_for
 from wbmpc.errors import InputError
 from wbmpc.runtime.clock import VirtualClock, WallClock
 from wbmpc.runtime.runner import RealTimeRunner
@@ -23,10 +23,10 @@ PATIENT = RealTimeSettings(max_observation_age=30.0, watchdog=30.0, patience=60.
 
 RUN = """
 import signal
-from realtime_toys import ToyAgent, ToyRobot, make_mpc
+from realtime_toys import ToyController, ToyRobot, make_mpc
 from wbmpc import RealTimeRunner, RealTimeSettings, WallClock
 
-class Told(ToyRobot):
+class Reporting(ToyRobot):
     def write(self, command):
         super().write(command)
         if len(self.writes) == 10:
@@ -34,10 +34,10 @@ class Told(ToyRobot):
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where whoever started this ignores it
 clock = WallClock()
-robot = Told(clock)
+robot = Reporting(clock)
 settings = RealTimeSettings(max_observation_age=60.0, watchdog=60.0, max_policy_age=60.0, patience=60.0)
 try:
-    RealTimeRunner(robot, ToyAgent(1 / 400), make_mpc(), settings, clock).run(120.0)
+    RealTimeRunner(robot, ToyController(1 / 400), make_mpc(), settings, clock).run(120.0)
 except KeyboardInterrupt:
     print("interrupted", robot.u, robot.stops > 0)
 """
@@ -64,7 +64,7 @@ def test_the_robot_is_stopped_before_the_mpc_has_ended() -> None:
 
     clock = WallClock()
     robot = ToyRobot(clock)
-    runner = RealTimeRunner(robot, ToyAgent(PERIOD), FaultyMPC(hang), PATIENT, clock)
+    runner = RealTimeRunner(robot, ToyController(PERIOD), FaultyMPC(hang), PATIENT, clock)
     runner.start()
     assert hangs.wait(60.0) and wait_for(lambda: robot.u != 0.0)
     thread, inputs = runner._threads[1], []
@@ -88,7 +88,7 @@ def test_a_priority_that_is_not_to_be_had(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(os, "sched_setscheduler", reject)
     clock = WallClock()
-    runner = RealTimeRunner(ToyRobot(clock), ToyAgent(PERIOD), make_mpc(), replace(PATIENT, priority=50), clock)
+    runner = RealTimeRunner(ToyRobot(clock), ToyController(PERIOD), make_mpc(), replace(PATIENT, priority=50), clock)
     with pytest.raises(InputError, match=r"priority 50 is not to be had \(Operation not permitted\)"):
         runner.start()
     assert not any(thread.is_alive() for thread in runner._threads) and runner.robot.stops > 0
@@ -96,7 +96,7 @@ def test_a_priority_that_is_not_to_be_had(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_a_runner_runs_once_in_virtual_time_too() -> None:
     clock = VirtualClock()
-    runner = RealTimeRunner(ToyRobot(clock), ToyAgent(PERIOD), make_mpc(), PATIENT, clock)
+    runner = RealTimeRunner(ToyRobot(clock), ToyController(PERIOD), make_mpc(), PATIENT, clock)
     assert runner.run(0.1).ticks == 41
     with pytest.raises(InputError, match=r"can be started once; it is: shut down after 0\.1 s"):
         runner.run(0.1)

@@ -73,7 +73,7 @@ def test_a_brake_that_does_not_hold(pair: Callable[..., Any], caplog: pytest.Log
     holds = "brake of leg_LB holds after all: the leg was to move by"
     assert p.until(lambda: logged(caplog, holds)) and logged(caplog, holds) == [logging.INFO]
     assert p.until(lambda: planned(p).max() < 1e-6) and p.until(lambda: not reported(p))
-    slide(p, 2, -0.1)  # told again; the next command of the brake is believed
+    slide(p, 2, -0.1)  # reported again; the next command of the brake is believed
     assert p.until(lambda: reported(p)) and len(logged(caplog, slips.partition("moved")[0])) == 2
     p.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [0.0, 0.0, 1.0, 0.0]})
     assert p.until(lambda: not reported(p))

@@ -134,23 +134,23 @@ def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
 def test_legs_with_little_left_to_go_arrive() -> None:
     """Wheels point ahead, legs are 0.05 rad from X: with drives that do exactly what is planned. A plan to the angles themselves
     leaves two legs 0.017 rad away for good."""
-    pilot = SwerveRosAdapter(ROBOT, SwerveRosSettings(), 1.0 / 400.0)
+    adapter = SwerveRosAdapter(ROBOT, SwerveRosSettings(), 1.0 / 400.0)
     node: Any = SimpleNamespace(subscribe=lambda *given, **also: None, serve=lambda *given: None)
-    legs = Legs(node, ROBOT, pilot.settings, lambda: "", lambda: None)
+    legs = Legs(node, ROBOT, adapter.settings, lambda: "", lambda: None)
     x, goal, part = ROBOT.home.copy(), leg_angles(ROBOT, "X"), ROBOT.state["leg"]
     x[part] = goal - 0.05 * np.sign(goal)
-    pilot.begin(x)
-    task, t = pilot.planner.hold(x, 0.0), 0.0
+    adapter.begin(x)
+    task, t = adapter.planner.hold(x, 0.0), 0.0
     legs._put(goal, np.full(4, np.nan))
-    assert pilot.brakes is not None and legs.apply(pilot.brakes, t, x[part])
-    pilot.swing(goal)
+    assert adapter.brakes is not None and legs.apply(adapter.brakes, t, x[part])
+    adapter.swing(goal)
     while legs.moving.any() and t < 4.0:
-        pilot.legs = legs.aims
-        pilot.follow(pilot.references(task, x))
-        policy = pilot.mpc.update(Observation(t, x))
-        t += pilot.mpc.period
+        adapter.legs = legs.aims
+        adapter.follow(adapter.references(task, x))
+        policy = adapter.mpc.update(Observation(t, x))
+        t += adapter.mpc.period
         x = policy.state(t)
-        legs.watch(pilot.brakes, t, x[part])
+        legs.watch(adapter.brakes, t, x[part])
     assert not legs.moving.any() and not legs.short
     np.testing.assert_allclose(x[part], goal, rtol=0.0, atol=0.011)
 

@@ -29,18 +29,18 @@ def test_a_pose_in_a_wrong_frame_is_reported_once_until_it_is_right(
     assert p.until(lambda: publisher._writer.get_matched_subscriptions())
     says = "/amcl_pose: the pose is in frame 'map', 'odom' is needed"
 
-    def tell(frame: str, times: int) -> None:
+    def publish(frame: str, times: int) -> None:
         for _ in range(times):
             publisher.publish({"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": 1.0}}}})
             time.sleep(0.02)
 
     said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "rejected pose"]
     for k in (1, 2):
-        tell("map", 5)
+        publish("map", 5)
         assert p.until(lambda: p.control.state == f"waiting: {says}"), p.control.state
         assert p.until(lambda: says in said())
         assert sum(r.getMessage() == says for r in caplog.records) == k
-        tell("odom", 1)
+        publish("odom", 1)
         assert p.until(lambda: p.control.source.fault == "")
         time.sleep(0.6)
 

@@ -1,4 +1,4 @@
-"""What the controller's node tells and takes beside goals. Truth: MuJoCo's robot, its wheel loads, the stability library."""
+"""What the controller's node publishes and takes beside goals. Truth: MuJoCo's robot, its wheel loads, the stability library."""
 
 from __future__ import annotations
 

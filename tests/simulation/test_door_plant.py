@@ -57,7 +57,7 @@ def test_sticking_door_gives_way_once_and_locked_one_never() -> None:
     assert locked.angle == 0.0 and locked.rate == 0.0
 
 
-def test_leaning_robot_pushes_the_door_and_the_sensor_reads_it() -> None:
+def test_robot_with_a_lean_pushes_the_door_and_the_sensor_reads_it() -> None:
     """At the model's equilibrium under 8 N on its end effector the robot presses 8 N on a locked door; the sensor's reading is that
     force and the tip's weight; the panel feels the opposite."""
     state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))

@@ -165,8 +165,8 @@ def test_runs_are_bitwise_repeatable_and_differ_by_seed():
             p.step(replace(STOP, wheel=np.full(4, 0.02 * k), brake=np.full(4, float(k > 30))), 5)
         return p.data.qpos.copy(), reported
 
-    (a, told_a), (b, told_b), (c, _) = run(1), run(1), run(2)
-    assert np.array_equal(a, b) and all(np.array_equal(x, y) for x, y in zip(told_a, told_b, strict=True))
+    (a, read_a), (b, read_b), (c, _) = run(1), run(1), run(2)
+    assert np.array_equal(a, b) and all(np.array_equal(x, y) for x, y in zip(read_a, read_b, strict=True))
     assert not np.array_equal(a, c)
 
 

@@ -1,7 +1,7 @@
 """Hard limits in closed loop on the model, one iteration per step, while pushes come. Truth: the limits themselves.
 
 The model that is driven differs from the planned one: inputs arrive 5 % weaker. Loops without the slack reset and with
-relaxed barriers show that the scenarios press hard enough to tell.
+relaxed barriers show that the scenarios press hard enough to show a difference.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def test_steps_that_win_next_to_nothing_are_cut(chosen: SQP) -> None:
 def test_the_filter_remembers() -> None:
     """g = −2 + 2u + 5u³ − 4u⁴ = 0: Newton's steps go from 0 to 1 (g = −2 and 1) and from 1 to 0 for ever, and come back to that
     cycle from nearby, for g″(0) = 0. The first step wins violation, the second one cost: only the memory of (cost, violation)
-    at 0 tells that nothing was won."""
+    at 0 shows that nothing was won."""
     curve = lambda u: -2.0 + 2.0 * u + 5.0 * u**3 - 4.0 * u**4
     row = Constraint("root", Rows(1, lambda s: curve(s.u)))
     cycle = solve(lambda u: u, 0.0, replace(FILTER, min_step=1.0, accept_min_step=True), row)
@@ -78,7 +78,7 @@ def overshooting() -> OptimalControlProblem:
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 def test_forced_steps_that_overshoot_become_shorter(backend: str) -> None:
-    """Full steps go from u to −3u; what is left after two of them tells that a quarter is right."""
+    """Full steps go from u to −3u; what is left after two of them shows that a quarter is right."""
     forced = SQP.real_time(12, min_step=1.0, backend=backend)
     solver = Solver(overshooting(), forced)
     solver.warm_start(np.zeros((2, 1)), np.array([[1e-3]]))

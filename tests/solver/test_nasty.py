@@ -205,12 +205,12 @@ def test_contradictions_of_multipliers_are_named(algorithm: str, terms: tuple[Co
     assert re.search(f"largest violation: (?:{named})", found.detail), found
 
 
-WISH = row("wish", lambda s: s.x[0] - 100, penalty=RelaxedBarrier(1e-3, 1e-2))
+SOFT_GOAL = row("goal", lambda s: s.x[0] - 100, penalty=RelaxedBarrier(1e-3, 1e-2))
 SOFT = row("soft", lambda s: s.u - 100, ZERO, softness=1e3)
 
 
 @everywhere
-@pytest.mark.parametrize("wish", [WISH, SOFT], ids=["barrier", "softness"])
+@pytest.mark.parametrize("goal", [SOFT_GOAL, SOFT], ids=["barrier", "softness"])
 @pytest.mark.parametrize(
     ("terms", "named"),
     [
@@ -223,12 +223,12 @@ SOFT = row("soft", lambda s: s.u - 100, ZERO, softness=1e3)
     ],
     ids=["equalities", "limits", "the end"],
 )
-def test_wishes_are_never_the_culprit(
-    algorithm: str, wish: Constraint, terms: tuple[Constraint, ...], named: str
+def test_soft_terms_are_never_the_cause(
+    algorithm: str, goal: Constraint, terms: tuple[Constraint, ...], named: str
 ) -> None:
-    """What is wished for is missed by a hundred, what must hold by a unit: it is the latter that makes the problem infeasible."""
-    found = solve(cart(*terms, wish), SOLVERS[algorithm])
-    assert found.violations[wish.name].value > 50.0
+    """A soft goal is missed by a hundred, what must hold by a unit: it is the latter that makes the problem infeasible."""
+    found = solve(cart(*terms, goal), SOLVERS[algorithm])
+    assert found.violations[goal.name].value > 50.0
     assert found.status is Status.INFEASIBLE, found
     assert re.match(f"largest violation: {named}", found.detail), found
 
@@ -243,7 +243,7 @@ def test_wishes_are_never_the_culprit(
     ],
     ids=["barrier", "softness"],
 )
-def test_a_problem_of_wishes_alone_is_feasible(algorithm: str, backend: str, term: Constraint) -> None:
+def test_a_problem_of_soft_terms_alone_is_feasible(algorithm: str, backend: str, term: Constraint) -> None:
     """Whatever becomes of the iteration: every motion of the model meets what must hold. The twin, which is slow, has fewer nodes
     and steps."""
     settings, intervals = replace(SOLVERS[algorithm], backend=backend), 20

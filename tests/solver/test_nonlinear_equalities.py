@@ -71,7 +71,7 @@ def test_multipliers_of_a_curved_inequality(algorithm: SQP) -> None:
     np.testing.assert_allclose(multiplier.u, hard.u, atol=2e-4)
 
 
-WISHES: dict[str, Callable[..., ca.SX]] = {
+SOFT_GOALS: dict[str, Callable[..., ca.SX]] = {
     "sine of a state": lambda s: ca.sin(3.0 * s.x[0]) - s.u[1],
     "stretched": lambda s: s.u[0] * (1.0 + s.x[1] ** 2) - 1.0,
     "wheel": lambda s: s.u[0] * ca.sin(s.x[1]) - s.u[1] * ca.cos(s.x[1]),
@@ -81,14 +81,14 @@ WISHES: dict[str, Callable[..., ca.SX]] = {
 
 @pytest.mark.parametrize(
     ("name", "softness", "backend"),
-    [*((name, c, "compiled") for name in WISHES for c in (1e-3, 1e-2, 1.0)), ("wheel", 1e-2, "interpreted")],
+    [*((name, c, "compiled") for name in SOFT_GOALS for c in (1e-3, 1e-2, 1.0)), ("wheel", 1e-2, "interpreted")],
 )
-def test_a_curved_wish(name: str, softness: float, backend: str) -> None:
+def test_a_nonlinear_soft_goal(name: str, softness: float, backend: str) -> None:
     """A row g with softness c is a cost of ½ g² / c per interval, which IPOPT minimises."""
     solvers = []
     for term in (
-        Constraint("wish", Rows(1, WISHES[name]), softness=softness),
-        Cost("wish", Rows(1, WISHES[name]), 10.0 / softness),
+        Constraint("goal", Rows(1, SOFT_GOALS[name]), softness=softness),
+        Cost("goal", Rows(1, SOFT_GOALS[name]), 10.0 / softness),
     ):
         ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 2.0, 20)
         ocp.add(Cost("state", Rows(2, lambda s: s.x - np.array([3.0, 1.0])), 1.0, at="path+terminal"))

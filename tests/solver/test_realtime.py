@@ -101,7 +101,7 @@ def everything() -> OptimalControlProblem:
     ocp.add(Constraint("disc", row(lambda s: 6.0 - ca.sumsqr(s.u)), sets.NonNegative(), hard=True))
     ocp.add(Constraint("speed", row(lambda s: s.x[1]), sets.Box(-0.5, 0.5), at="path+terminal", hard=True))
     ocp.add(Constraint("power", row(lambda s: s.x[1] * s.u[0]), sets.Box(-1.0, 1.0), hard=True))
-    ocp.add(Constraint("wish", row(lambda s: s.u[0] - s.u[1]), softness=10.0))
+    ocp.add(Constraint("goal", row(lambda s: s.u[0] - s.u[1]), softness=10.0))
     ocp.add(Constraint("beyond", row(lambda s: s.u[2] - 4.0), penalty=AugmentedLagrangian(10.0), modes=("two",)))
     ocp.add(Constraint("end", row(lambda s: s.x[0] - 0.1), at="terminal"))
     return ocp

@@ -72,7 +72,7 @@ def test_what_the_twin_lacks_is_rejected(settings: SQP, grid: dict[str, bool], m
         Solver(cart(PARABOLA, **grid), settings)
 
 
-def test_the_twin_tells_an_input_without_curvature() -> None:
+def test_the_twin_names_an_input_without_curvature() -> None:
     """Its Cholesky factor fails; a shift of the Hessian's diagonal cannot mend what the costs leave open."""
     ocp = cart(PARABOLA)
     del ocp.terms["input"]

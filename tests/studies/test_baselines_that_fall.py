@@ -65,7 +65,9 @@ def test_the_figures_of_a_baseline_that_fell_are_infinite_and_there_is_no_ratio(
 
 
 @pytest.mark.parametrize(("how", "goes_on"), [(FELL, True), (ENDED, False)])
-def test_swerve_drive_tells_how_its_baseline_ended(how: Ending, goes_on: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_swerve_drive_reports_how_its_baseline_ended(
+    how: Ending, goes_on: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     parts: list[str] = []
     planned = lambda self, name, *_, **__: (
         parts.append(name) or (Outcome(controller=SimpleNamespace(faults=[], holds=0), mpc=no_mpc()), None)
@@ -168,7 +170,7 @@ def ball_runs(module: Any, monkeypatch: pytest.MonkeyPatch, **endings: Ending) -
 
 
 @pytest.mark.parametrize(("how", "falls"), [(Ending(), 0.0), (LOST, 0.0), (FELL, 1.0)])
-def test_rezero_taskspace_tells_how_its_baseline_ended(
+def test_rezero_taskspace_reports_how_its_baseline_ended(
     how: Ending, falls: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = ball_runs(rezero_taskspace, monkeypatch, taskspace=how)

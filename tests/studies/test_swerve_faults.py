@@ -1,4 +1,4 @@
-"""Brakes that fail in the swerve robots' experiments. Truth: faults put into their monitors, which the results must tell."""
+"""Brakes that fail in the swerve robots' experiments. Truth: faults put into their monitors, which the results must report."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_what_the_baselines_of_hinged_legs_found_is_handed_on(name: str, monkeyp
     assert (outcome.ending, [str(fault) for fault in outcome.faults]) == (EARLY, [str(FAULT)])
 
 
-def test_swerve_brakes_tells_what_nobody_made_fail_and_was_not_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_swerve_brakes_reports_what_nobody_made_fail_and_was_not_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leg 2 is made to fail; of leg 0 one fault was taken back, of leg 1 none. An alarm that was taken back is still one."""
     fault = lambda leg, t: BrakeFault(t, leg, f"leg {leg}", "does not open", 0.2)
     back, own, wrong, sound = fault(2, 1.0), fault(2, 2.5), fault(0, 1.5), fault(1, 3.0)

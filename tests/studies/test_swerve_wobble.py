@@ -51,7 +51,7 @@ def test_predicted_switches_are_those_of_the_physics(result) -> None:  # type: i
 
 
 @thorough
-def test_a_turn_before_tells_of_the_masses(result) -> None:  # type: ignore[no-untyped-def]
+def test_a_turn_before_shows_the_masses(result) -> None:  # type: ignore[no-untyped-def]
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert m["calibration_tippings"] == 2.0
     assert m["support_switch_time_error_max"] < 0.4 * m["support_switch_time_error_nominal_max"] < np.inf

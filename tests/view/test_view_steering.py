@@ -125,7 +125,7 @@ def on_its_way(robot: Any, seed: int) -> tuple[Any, ...]:
 
 
 def test_a_driving_base_goes_on_while_its_legs_move() -> None:
-    """Told of MuJoCo: it neither turns back towards where its reference began nor stops."""
+    """Truth: MuJoCo. It neither turns back towards where its reference began nor stops."""
     seen: list[tuple[float, float]] = []
     look = lambda t, running: seen.append((t, running.plant.truth().pose[0]))
     order = {"configurations": 1, "configuration": list(CONFIGURATIONS).index("A")}
