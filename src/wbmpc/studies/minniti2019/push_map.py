@@ -1,7 +1,7 @@
 """The push map: the impulses from which the ball robot recovers, and after which it still stands, over directions and lengths.
 
 To stand is no recovery: a robot that rolls away for ever, or swings its arm between the stops, stands. It recovers if it is back in
-its place, and rests there, when the push experiments would push it again (:data:`wbmpc.studies.minniti2019.push.NEAR`). A bisection
+its place, and rests there, when the push experiments would push it again (:data:`wbmpc.studies.minniti2019.recovery.NEAR`). A bisection
 for each direction, length and criterion; what came of a push is written at once, so that a map that was interrupted goes on, and
 one that was coarse is made finer.
 """
