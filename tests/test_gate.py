@@ -36,7 +36,7 @@ def true_speed_ratio(result, motion: Motion) -> float:
     return float(np.linalg.norm(way[-1] - way[0]) / ((t[-1] - t[0]) * np.hypot(*motion.twist[:2])))
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5])
+@pytest.mark.parametrize("seed", some([3, 4, 5], [0]))
 @pytest.mark.parametrize("name", ["H", "X", "A", "fixed"])
 def test_commanded_speed_with_noisy_steering(name: str, seed: int) -> None:
     motion = Motion((0.3, 0.0, 0.0), 3.0)
@@ -74,7 +74,7 @@ STARTS = (0.0, np.pi / 2, -np.pi / 2, 3.1)
 
 
 # the part: each goal once or not at all, each angle of the wheels at least once
-@pytest.mark.parametrize(("goal", "start"), some([(g, s) for g in GOALS for s in STARTS], [1, 6, 12, 23]))
+@pytest.mark.parametrize(("goal", "start"), some([(g, s) for g in GOALS for s in STARTS], [1, 12]))
 def test_goal_from_rest(goal: str, start: float) -> None:
     """At least 90 % of the way, wheels parallel to the body (and turned by ``start`` from that) at first."""
     motion = Motion(GOALS[goal], 3.0, start=1.5)

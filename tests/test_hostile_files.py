@@ -173,6 +173,15 @@ def test_a_name_that_no_file_system_takes_is_an_error(name: str, tmp_path: Path)
         load_description(tmp_path / f"{name}.yaml")
 
 
+@pytest.mark.parametrize("kind", ["yes", "no", "5", "[a]", "{a: yes}", "~"])
+def test_a_base_type_that_is_no_text_is_an_error_with_its_key(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM.format(top="", inside="", world=""))
+    path = _arm(tmp_path, "arm.xml")
+    path.write_text(path.read_text().replace("type: fixed", f"type: {kind}"))
+    with pytest.raises(InputError, match=r"key 'base\.type"):
+        load_description(path)
+
+
 @pytest.mark.parametrize(
     "manifest", [b"<package><name>", b'<?xml version="1.0" encoding="no-such"?><a/>', b"\xff\xfe<"]
 )

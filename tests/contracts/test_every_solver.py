@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "solver"))
 
 import ipopt
 
+from effort import thorough
 from toys import rezero_solver, robot
 from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.ocp import Constraint, Reference
@@ -96,7 +97,14 @@ def truth(name: str, refined: bool = False) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("name", "solver"), [(n, s) for n in PROBLEMS for s in SOLVERS if goes_with(n, s)], ids=lambda v: str(v)
+    ("name", "solver"),
+    [
+        pytest.param(n, s, marks=thorough if (n, s) == ("ball-robot-force", "sqp-exact") else ())
+        for n in PROBLEMS
+        for s in SOLVERS
+        if goes_with(n, s)
+    ],
+    ids=lambda v: str(v),
 )
 def test_optimum(name: str, solver: str) -> None:
     problem = PROBLEMS[name][0]()

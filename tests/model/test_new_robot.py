@@ -3,7 +3,9 @@ the files written here."""
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -171,7 +173,38 @@ def test_options_instead_of_answers(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["new", str(path), "--yes", "--out", str(out)]) == 2  # a file that is there stays
     assert main(["new", str(path), "--yes", "--out", str(out), "--force", "--set", "limits.base_lineal=1"]) == 2
     assert "did you mean 'limits.base_linear'" in capsys.readouterr().err
+    assert out.read_text() == before
     assert "wheel_radius" not in before  # the shapes show it
+
+
+class Terminal(io.StringIO):
+    """Somebody who answers."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_questions_on_a_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wheels of meshes: base type, radius, rollers, tool and height are asked, each with its proposal; an empty answer takes it."""
+    shape = '<geometry><cylinder radius="0.1" length="0.04"/></geometry>'
+    path = model(tmp_path, MECANUM.replace(shape, '<geometry><mesh filename="w.stl"/></geometry>') + ARM)
+    monkeypatch.setattr(sys, "stdin", Terminal("\n[-45, 45, 45, -45]\n0.098\npalm\n\n"))
+    out = tmp_path / "asked.yaml"
+    assert main(["new", str(path), "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    for question in (
+        "base type [omnidirectional]",
+        "radius of the wheels [m] [0.1]",
+        "rollers",
+        "frame of the end effector",
+        "height of",
+    ):
+        assert shown.count(question) == 1, shown
+    d = load_robot(out).description
+    assert d.base.model_dump()["wheel_radius"] == 0.098 and d.base.model_dump()["rollers"] == (-45.0, 45.0, 45.0, -45.0)
+    assert d.arm.tool == "palm"
 
 
 def found(path: Path, check: str) -> str:
@@ -247,6 +280,7 @@ def test_a_sound_model_has_none_of_them(tmp_path: Path) -> None:
         (("head_pan: 0", "head_pan: 0\n  caster: 0"), "description", ("'caster'",)),
         (("  head_pan: 0\n", ""), "description", ("'head_pan'", "fixed_joints: {head_pan: 0}")),
         (("  type: differential", "  type: differential\n  wheel_radius: 0.12"), "description", ("0.12 m", "0.1 m", "5 %")),
+        (("  type: differential\n", "  type: omnidirectional\n  rollers: [1, -1]\n"), "base", ("rank 2", "3 is needed")),
         (("base_footprint", "hull"), "base-body", ("'hull' hangs on 'base_footprint'", "base.body: base_footprint")),
     ],
 )  # fmt: skip
@@ -257,6 +291,20 @@ def test_a_robots_yaml_is_examined(keys: tuple[str, str], check: str, words: tup
     path.write_text(text.replace(*keys))
     seen = found(path, check)
     assert all(w in seen for w in words), seen
+
+
+def test_wheels_that_hardly_hold_the_base(tmp_path: Path) -> None:
+    """Omni wheels whose directions differ by 3 degrees: sideways motion is all in their difference."""
+    angles = (0.0, 0.05, -0.05)
+    wheels = "".join(
+        wheel(f"w{k}", (0.3 - 0.3 * k, 0.2 - 0.2 * k, RADIUS), turn=f"0 0 {a}") for k, a in enumerate(angles)
+    )
+    path = new(model(tmp_path, wheels + ARM), "--base", "fixed")
+    text = path.read_text().replace(
+        "type: fixed", "type: omnidirectional\n  wheels: [w0_joint, w1_joint, w2_joint]\n  rollers: omni"
+    )
+    path.write_text("\n".join(line for line in text.splitlines() if "w" not in line or "_joint: 0" not in line) + "\n")
+    assert "-fold in the worst motion" in found(path, "wheels"), examine_robot(str(path)).findings
 
 
 def test_the_doctor_speaks_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

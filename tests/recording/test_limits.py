@@ -41,6 +41,21 @@ def test_a_recording_rotates_and_both_parts_stand_by_themselves(tmp_path: Path) 
     np.testing.assert_array_equal(newest, rows[-len(newest) :])
 
 
+def test_a_scene_larger_than_the_limit_leaves_room_for_messages(tmp_path: Path) -> None:
+    """Every file begins with it: without room for more each message would begin a new one."""
+    path, limit = tmp_path / "run.mcap", 1_000_000
+    file = McapFile(path, limit)
+    file.attach("scene.json", {"v": RNG.random(100_000).tolist()})
+    rows = RNG.normal(size=(2000, 100))
+    for k, row in enumerate(rows):
+        file.put("/x", "std_msgs/Float64MultiArray", 0.01 * k, {"layout": {"dim": [], "data_offset": 0}, "data": row})
+    file.close()
+    parts = [read_recording(tmp_path / "run-1.mcap"), read_recording(path)]
+    assert len(parts[0]["/x"].times) * 800 > 0.2 * limit  # a message has 800 bytes
+    newest = [m["data"] for part in parts for _, m in part["/x"].messages()]
+    np.testing.assert_array_equal(newest, rows[-len(newest) :])
+
+
 def test_a_limit_is_a_size() -> None:
     assert size_of("--record-limit", "1.5GB") == 1_500_000_000
     for text in ("much", "5", "10B", "-1MB", "nanGB"):

@@ -3,6 +3,7 @@
 import logging
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,11 @@ def pair(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[..., Any]]:
     from standin import Pair
 
     caplog.set_level(logging.INFO, "wbmpc")
-    made: list[Any] = []
+    with ExitStack() as closing:  # all of them, whatever fails
 
-    def make(**settings: Any) -> Any:
-        made.append(Pair(**settings))
-        return made[-1]
+        def make(**settings: Any) -> Any:
+            made = Pair(**settings)
+            closing.callback(made.close)
+            return made
 
-    yield make
-    for p in made:
-        p.close()
+        yield make

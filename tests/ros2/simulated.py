@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -113,10 +114,11 @@ class Simulated:
             return
         self._end.set()
         self.sim.patience = 0.0
-        self.control.close()
-        self._thread.join(60.0)
-        self.node.close()
-        self.other.close()
+        with ExitStack() as closing:  # all, whatever fails: nothing is left on the bus for the next test
+            closing.callback(self.other.close)
+            closing.callback(self.node.close)
+            closing.callback(self._thread.join, 60.0)
+            closing.callback(self.control.close)
 
 
 class Localisation:

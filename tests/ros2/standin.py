@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -81,9 +82,14 @@ class Pair:
         time = {"use_sim_time": True, "lockstep": settings.get("use_sim_time", True)}
         safety = {"clock": 60.0, **settings.pop("safety", {})}  # a busy machine gives the time no time
         self.settings = SwerveRosSettings.model_validate({**time, **settings, "safety": safety})
-        self.node = open_node("wbmpc", "dds", NETWORK)
-        self.control = ControlNode(self.node, ROBOT, self.settings)
-        self.standin = Standin(ROBOT, NETWORK)
+        with ExitStack() as made:  # whatever fails, nothing is left on the bus for the next test
+            self.node = open_node("wbmpc", "dds", NETWORK)
+            made.callback(self.node.close)
+            self.control = ControlNode(self.node, ROBOT, self.settings)
+            made.callback(self.control.close)
+            self.standin = Standin(ROBOT, NETWORK)
+            made.callback(self.standin.node.close)
+            self.close = made.pop_all().close
         self.said: list[Any] = []
         self.standin.node.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self.said.append)
 
@@ -122,12 +128,6 @@ class Pair:
         """A goal for the base."""
         pose = {"header": {"frame_id": frame}, "pose": {"position": {"x": x, "y": y}}}
         self.send("/goal_pose", "geometry_msgs/msg/PoseStamped", pose)
-
-    def close(self) -> None:
-        """End both."""
-        self.control.close()
-        self.node.close()
-        self.standin.node.close()
 
 
 def drive(p: Pair) -> None:

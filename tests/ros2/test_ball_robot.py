@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,9 @@ if not MISSING:
     from wbmpc.bases.ball.ros import POSTURES, BallMessage, BallRosAdapter, bodies
     from wbmpc.bases.ball.ros_settings import BallRosSettings
     from wbmpc.ros2.goals import EndEffectorTrack, Planner
-    from wbmpc.ros2.settings import Speeds
+    from wbmpc.ros2.robot import BusRobot
+    from wbmpc.ros2.settings import Speeds, Topics
+    from wbmpc.runtime.clock import WallClock
 
 ROBOT = load_robot("rezero")
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "48"})
@@ -45,17 +48,39 @@ def made(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[..., Any]]:
         s.close()
 
 
+@pytest.fixture(scope="class")
+def balanced() -> Iterator[Callable[[], Any]]:
+    """A robot that balances: the one that a test before has left so, or else a new one."""
+    opened: list[Any] = []
+
+    def get() -> Any:
+        s = opened[-1] if opened else None
+        if s is None or s.why or not s.control.state.startswith("running: ") or s.control.degraded:
+            if s is not None:
+                s.close()
+            s = Simulated(ROBOT, NETWORK)
+            opened.append(s)
+            balancing(s)
+        s.change = lambda message: message
+        s.said.clear()
+        return s
+
+    yield get
+    for s in opened:
+        s.close()
+
+
 def balancing(s: Any) -> None:
     """Bring a robot to balance."""
     s.ready()
     s.end_effector()
     assert s.until(lambda: s.control.state.startswith("running:")), s.control.state
-    s.run(0.5)
+    s.run(0.2)
 
 
 def standing(s: Any) -> None:
-    """It stands, 2 s later too: without torques it falls within 1 s."""
-    s.run(2.0)
+    """It stands, 1.2 s later too: without torques it falls within 1 s."""
+    s.run(1.2)
     assert not s.why and s.truth().tilt < 0.25 and s.control.running
 
 
@@ -110,20 +135,6 @@ def test_it_is_held_until_a_goal_comes_and_then_balances(made: Callable[..., Any
     assert later[0, 0] > 0.9 * e.covariance[0, 0] and later[3, 3] < 1.5 * e.covariance[3, 3]
 
 
-def test_an_mpc_that_dies_leaves_its_last_policy(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
-    s = made()
-    balancing(s)
-
-    def dies(observation: Any) -> bool:
-        raise RuntimeError("no memory")
-
-    s.control.adapter.mpc.advance = dies
-    standing(s)
-    assert "running on the last policy" in s.control.state and "no memory" in s.control.state
-    assert errors(caplog, "no memory") == 1
-    assert any("no memory" in m for m in s.messages(2))
-
-
 @thorough
 def test_an_mpc_that_gives_no_plan_for_a_while(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     """A policy that is too old is kept, and given up as soon as there is a new one."""
@@ -139,42 +150,117 @@ def test_an_mpc_that_gives_no_plan_for_a_while(made: Callable[..., Any], caplog:
     standing(s)
 
 
-def test_a_message_that_is_wrong_does_not_count(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
-    s = made()
-    balancing(s)
-    broken = iter([
-        lambda m: {**m, "position": m["position"] * np.nan}, lambda m: m, lambda m: {**m, "position": m["position"] + 1.0},
-    ])  # fmt: skip
-    s.change = lambda m: next(broken, lambda same: same)(m)
-    standing(s)
-    assert errors(caplog, "is not finite; it does not count") == 1 and errors(caplog, "jumped by 1 rad") == 1
+STATES = {
+    "nan": lambda m: {**m, "position": m["position"] * np.nan},
+    "elsewhere": lambda m: {**m, "position": m["position"] + 1.0},
+    "huge": lambda m: {**m, "position": m["position"] - 1e300},
+    "short": lambda m: {**m, "position": m["position"][1:]},
+    "empty": lambda m: {**m, "name": [], "position": []},
+    "missing": lambda m: {**m, "name": ["hip", *m["name"][1:]]},
+    "late": lambda m: {**m, "header": {**m["header"], "stamp": {"sec": 0, "nanosec": 5}}},
+}
 
 
-def test_somebody_else_on_the_drives_topic_is_reported_and_it_holds_its_place(
-    made: Callable[..., Any], caplog: pytest.LogCaptureFixture
-) -> None:
-    s = made()
-    balancing(s)
-    somebody = s.other.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
-    assert s.until(lambda: "holds its position: another node publishes on /arm" in s.control.state)
-    s.end_effector(dx=0.2)
-    standing(s)
-    assert "a goal is rejected: another node" in s.control.request_queue.rejected
-    assert errors(caplog, "another node publishes") == 1 and any("another node" in m for m in s.messages(2))
-    s.other._writers.remove(somebody._writer)
-    somebody._writer.__del__()
-    assert s.until(lambda: s.control.state == "running: stay"), s.control.state
+class TestOneRun:
+    """On one robot as long as it balances; the last test ends that."""
 
+    def test_messages_that_are_wrong_do_not_count(
+        self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        """One at a time, twice each but for the jump, which would be believed; and the same message again."""
+        s = balanced()
+        changes = [lambda m: m] * 4
+        for name, change in STATES.items():
+            changes += [change] * (1 if name == "elsewhere" else 2) + [lambda m: m] * 4
+        frozen: list[Any] = []
+        repeated = lambda m: frozen[0] if frozen else frozen.append(m) or m
+        broken = iter([*changes, *[repeated] * 5])
+        s.change = lambda m: next(broken, lambda same: same)(m)
+        s.run(0.2)
+        standing(s)
+        assert next(broken, None) is None and not s.control.robot_io.fault
+        lines = [r.getMessage() for r in caplog.records if "it does not count, the robot goes on" in r.getMessage()]
+        assert 1 <= len(lines) <= 5 and "is not finite" in lines[0] and "jumped by 1 rad" in lines[1]
 
-def test_without_states_there_is_no_balance(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
-    s = made()
-    balancing(s)
-    s.change = lambda m: None
-    assert s.until(lambda: s.control.runner.stopped), s.control.state
-    assert "s old, the limit is 0.1 s" in s.control.state
-    assert s.until(lambda: np.all(s.sim._groups["wheel"] == 0.0) or s.why)
-    assert errors(caplog, "s old, the limit") == 1
-    assert s.until(lambda: any("s old" in m for m in s.messages(2)))
+    def test_a_second_inertial_unit_does_not_make_it_fall(
+        self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        """5 rad/s beside the truth, as often: it holds its position, and goes on when that has gone."""
+        s = balanced()
+        second, send = s.other.publisher("/imu", "sensor_msgs/msg/Imu"), s.sim._imu
+        s.sim._imu = Deaf(lambda m: (send.publish(m), second.publish({**m, "angular_velocity": {"x": 5.0, "y": 5.0}})))
+        says = "holds its position: 2 publishers on /imu, which has one source"
+        assert s.until(lambda: says in s.control.state), s.control.state
+        standing(s)
+        s.sim._imu = send
+        s.other._writers.remove(second._writer)
+        second._writer.__del__()
+        assert s.until(lambda: s.control.state == "running: stay"), s.control.state
+        assert errors(caplog, says) == 1
+
+    def test_somebody_else_on_the_drives_topic_is_reported_and_it_holds_its_place(
+        self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        s = balanced()
+        somebody = s.other.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
+        assert s.until(lambda: "holds its position: another node publishes on /arm" in s.control.state)
+        s.end_effector(dx=0.2)
+        standing(s)
+        assert "a goal is rejected: another node" in s.control.request_queue.rejected
+        assert errors(caplog, "another node publishes") == 1 and any("another node" in m for m in s.messages(2))
+        s.other._writers.remove(somebody._writer)
+        somebody._writer.__del__()
+        assert s.until(lambda: s.control.state == "running: stay"), s.control.state
+
+    def test_an_inertial_unit_that_says_nonsense_does_not_count(
+        self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        s = balanced()
+        send = s.sim._imu
+        s.sim._imu = Deaf(lambda m: send.publish({**m, "angular_velocity": {"x": np.nan}}))
+        s.run(0.01)
+        s.sim._imu = send
+        standing(s)
+        assert errors(caplog, "imu") == 1 and not s.control.robot_io.fault
+
+    def test_a_wrench_counts_beside_the_observers_disturbance(self, balanced: Callable[[], Any]) -> None:
+        """What the MPC is given: the world's answer to the wrench, and both end when no more messages come."""
+        s = balanced()
+        forces = lambda: ROBOT.parameters.split(s.control.adapter.parameters())["force"]
+        s.send(
+            "/wrench",
+            "geometry_msgs/msg/WrenchStamped",
+            {"header": {"frame_id": "odom"}, "wrench": {"force": {"x": 3.0}}},
+        )
+        assert s.until(lambda: np.allclose(forces(), [-3.0, 0.0, 0.0])), forces()
+        s.run(1.0)
+        np.testing.assert_array_equal(forces(), np.zeros(3))
+        assert np.any(ROBOT.parameters.split(s.control.adapter.parameters())["disturbance"] != 0.0)
+
+    def test_an_mpc_that_dies_leaves_its_last_policy(
+        self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        s = balanced()
+
+        def dies(observation: Any) -> bool:
+            raise RuntimeError("no memory")
+
+        s.control.adapter.mpc.advance = dies
+        standing(s)
+        assert "running on the last policy" in s.control.state and "no memory" in s.control.state
+        assert errors(caplog, "no memory") == 1
+        assert any("no memory" in m for m in s.messages(2))
+
+    def test_without_states_there_is_no_balance(
+        self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
+    ) -> None:
+        s = balanced()
+        s.change = lambda m: None
+        assert s.until(lambda: s.control.runner.stopped), s.control.state
+        assert "s old, the limit is 0.1 s" in s.control.state
+        assert s.until(lambda: np.all(s.sim._groups["wheel"] == 0.0) or s.why)
+        assert errors(caplog, "s old, the limit") == 1
+        assert s.until(lambda: any("s old" in m for m in s.messages(2)))
 
 
 def test_without_its_inertial_unit_there_is_no_balance(
@@ -190,19 +276,6 @@ def test_without_its_inertial_unit_there_is_no_balance(
     assert errors(caplog, "the messages on /imu stopped") == 1
     assert s.until(lambda: any("on /imu stopped" in m for m in s.messages(2)))
     assert s.until(lambda: np.all(s.sim._groups["wheel"] == 0.0) or s.why)
-
-
-def test_an_inertial_unit_that_says_nonsense_does_not_count(
-    made: Callable[..., Any], caplog: pytest.LogCaptureFixture
-) -> None:
-    s = made()
-    balancing(s)
-    send = s.sim._imu
-    s.sim._imu = Deaf(lambda m: send.publish({**m, "angular_velocity": {"x": np.nan}}))
-    s.run(0.01)
-    s.sim._imu = send
-    standing(s)
-    assert errors(caplog, "imu") == 1 and not s.control.robot_io.fault
 
 
 def keep_pace(s: Any, hung: threading.Event) -> None:
@@ -238,7 +311,7 @@ def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], capl
     s.control.adapter.mpc.advance = hangs
     assert s.until(hung.is_set)
     try:
-        s.run(2.5)
+        s.run(1.2)
         assert not s.why and s.truth().tilt < 0.25 and s.control.running
         assert "the policy is 0.5" in s.control.state and errors(caplog, "running on the last policy") == 1
         assert s.until(lambda: any("the policy is 0.5" in m for m in s.messages(2)))
@@ -247,15 +320,21 @@ def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], capl
         back.set()
         hung.clear()
     assert s.until(lambda: s.control.state == "running: end effector to a goal"), s.control.state
-    s.run(1.0)
+    s.run(0.5)
     assert not s.why and s.truth().tilt < 0.25
 
 
+@pytest.fixture(scope="module")
+def adapter() -> Any:
+    """Making one takes seconds."""
+    return BallRosAdapter(ROBOT, BallRosSettings(), 1.0 / 400.0)
+
+
 @pytest.mark.parametrize("simulated", [True, False])
-def test_time_that_goes_back_is_another_clocks(simulated: bool) -> None:
+def test_time_that_goes_back_is_another_clocks(adapter: Any, simulated: bool) -> None:
     """A simulator that was started anew has the robot at its beginning again, its arm where the encoders say; with a clock that was
     set the robot is where it was. In both cases it is upright, and at the message's time."""
-    adapter = BallRosAdapter(ROBOT, BallRosSettings(use_sim_time=simulated), 1.0 / 400.0)
+    adapter.settings = BallRosSettings(use_sim_time=simulated)
     arm, wheel, still = ROBOT.home[ROBOT.state["arm"]], np.zeros(3), (np.zeros(3), np.array([0.0, 0.0, 9.81]))
     x = ROBOT.home.copy()
     x[:3] = 0.5, -0.2, 0.3
@@ -349,20 +428,6 @@ def test_a_moment_that_is_announced_turns_the_hand_less(made: Callable[..., Any]
     assert moved[1] < 0.6 * moved[0], moved
 
 
-def test_a_wrench_counts_beside_the_observers_disturbance(made: Callable[..., Any]) -> None:
-    """What the MPC is given: the world's answer to the wrench, and both end when no more messages come."""
-    s = made()
-    balancing(s)
-    forces = lambda: ROBOT.parameters.split(s.control.adapter.parameters())["force"]
-    s.send(
-        "/wrench", "geometry_msgs/msg/WrenchStamped", {"header": {"frame_id": "odom"}, "wrench": {"force": {"x": 3.0}}}
-    )
-    assert s.until(lambda: np.allclose(forces(), [-3.0, 0.0, 0.0])), forces()
-    s.run(1.0)
-    np.testing.assert_array_equal(forces(), np.zeros(3))
-    assert np.any(ROBOT.parameters.split(s.control.adapter.parameters())["disturbance"] != 0.0)
-
-
 def test_the_bodys_posture_moves_no_hand() -> None:
     """Forward kinematics of the body's references is where the end effector is led, at rest: on a way, at steps and when it is carried."""
     planner, x = Planner(ROBOT, Speeds()), ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])[0]
@@ -387,9 +452,10 @@ def test_the_bodys_posture_moves_no_hand() -> None:
     np.testing.assert_allclose(carried.values[-1, :3], [1.0, 0.0, 0.5], atol=1e-9)
 
 
-def test_what_it_needs(made: Callable[..., Any]) -> None:
+def test_what_it_needs(adapter: Any) -> None:
+    node: Any = SimpleNamespace(subscribe=lambda *given, **also: None)
     with pytest.raises(InputError, match="needs an inertial unit"):
-        made(topics={"imu": ""})
+        BusRobot(node, adapter, BallRosSettings(topics=Topics(imu="")), WallClock())
     assert BallRosSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")
 
 

@@ -136,7 +136,6 @@ time.sleep(600.0)
 
 
 @needs_dds
-@pytest.mark.wallclock
 def test_who_starts_half_a_minute_later_finds_us() -> None:
     """Without multicast. By default Cyclone DDS looks for peers in the first 30 s of its life only."""
     environment = everything()

@@ -142,6 +142,11 @@ def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCap
     assert "the time on /clock has stopped for " in p.control.state
     assert wait_until(lambda: p.control.step() or p.standin.speed == 0.0)
     assert sum("/clock has stopped" in r.getMessage() for r in caplog.records if r.levelno == logging.ERROR) == 1
+    runner = p.control.runner
+    p.go(2.0)  # nothing would move it
+    says = "a goal is rejected: waiting: the time on /clock has stopped for "
+    assert wait_until(lambda: p.control.step() or says in p.control.request_queue.rejected)
+    assert p.control.runner is runner
 
 
 def test_in_lockstep_a_busy_machine_has_time(pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -134,12 +134,15 @@ def _write(path: Path, data: dict[str, Any], draft: Draft, home: Home) -> RobotM
     from wbmpc.model.robot import load_robot
     from wbmpc.robots.robot_yaml import write_yaml
 
-    comments = _comments(draft, home)
+    comments, previous = _comments(draft, home), path.read_bytes() if path.exists() else None
     path.write_text(write_yaml(data, comments), encoding="utf-8")
     try:
         robot = load_robot(path)
-    except BaseException:
-        path.unlink()
+    except BaseException:  # what was there before stays
+        if previous is None:
+            path.unlink()
+        else:
+            path.write_bytes(previous)
         raise
     comments["limits"] += "\n" + _weights(robot)
     path.write_text(write_yaml(data, comments), encoding="utf-8")
@@ -193,6 +196,8 @@ def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel) -> Iterato
         "" if home.free is not False else "; shapes touch there"
     )
     yield f"  held: {', '.join(robot.description.fixed_joints) or 'none'}"
+    if draft.subject.driven and not robot.description.base.moves:
+        yield f"  note: its wheels stand still; why no base type drives them: wbmpc doctor {draft.mechanism.file.path}"
     found = examine_robot(str(path))
     yield f"  wbmpc doctor {path}: {found.count('error')} errors, {found.count('warning')} warnings"
     shown = draft.base in offering("system")

@@ -6,6 +6,8 @@ turns slower than commanded by friction over gain), in whichever direction it tu
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -77,5 +79,5 @@ class Smoothing:
             self.value = now if self.value is None else self.value
         else:
             carried = self.value + moved
-            self.value = carried + (1.0 - np.exp(-h / self.time)) * (now - carried)
+            self.value = carried + (1.0 - math.exp(-h / self.time)) * (now - carried)
         return self.value

@@ -108,16 +108,29 @@ class WheelOdometry:
         steer_offset: ArrayLike = 0.0,
     ) -> None:
         n = self._n = geometry.modules
-        self.geometry, self.pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
+        self.geometry, self._pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
         radius = geometry.wheel_radius if wheel_radius is None else wheel_radius
         self.radius = each("odometry", "wheel_radius", radius, n)
         positive("odometry", wheel_radius=float(self.radius.min()))
         self._leg_offset = each("odometry", "leg_offset", leg_offset, n)
         self._steer_offset = each("odometry", "steer_offset", steer_offset, n)
-        self._fit, self._started, self._pose = WheelFit(geometry, self.radius), False, self.pose.copy()
+        self._fit, self._started = WheelFit(geometry, self.radius), False
         self._run = self._fit.with_pose(self._pose)
-        self.increment: Array = np.zeros(3)
-        self.residual: Array = np.zeros((n, 2))
+
+    @property
+    def pose(self) -> Array:
+        """(x, y, yaw)."""
+        return self._pose.copy()
+
+    @property
+    def increment(self) -> Array:
+        """(dx, dy, dyaw) [m, rad]."""
+        return self._fit.memory["twist"].copy()
+
+    @property
+    def residual(self) -> Array:
+        """(n, 2) [m]."""
+        return self._fit.memory["residual"].reshape(self._n, 2).copy()
 
     def update(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Array:
         """The pose after positions (n) [rad] of legs (empty or ignored for fixed legs), steering and wheels.
@@ -128,8 +141,6 @@ class WheelOdometry:
         np.concatenate(now, out=memory["now"])
         if self._started:
             self._run()
-            self.increment, self.residual = memory["twist"].copy(), memory["residual"].reshape(self._n, 2).copy()
-            self.pose = self._pose.copy()
         memory["before"][:] = memory["now"]
         self._started = True
         return self.pose

@@ -21,6 +21,17 @@ _OPCODE = int(Opcode.MESSAGE)
 _PARTS = ("_Writer__chunk_builder", "_Writer__statistics", "_Writer__maybe_finalize_chunk")
 
 
+class _Index(MessageIndex):
+    """Of a channel's messages in a chunk, written in one piece too."""
+
+    def write(self, stream: Any) -> None:
+        """Append the record."""
+        numbers = [number for record in self.records for number in record]
+        stream.start_record(Opcode.MESSAGE_INDEX)
+        stream.write(struct.pack(f"<HI{len(numbers)}Q", self.channel_id, 8 * len(numbers), *numbers))
+        stream.finish_record()
+
+
 class QuickWriter(Writer):
     """As the library's writer, for chunked files."""
 
@@ -28,7 +39,7 @@ class QuickWriter(Writer):
         super().__init__(*arguments, **options)
         parts: list[Any] = [getattr(self, name, None) for name in _PARTS]
         self._chunk, self._statistics, self._finalize = parts
-        self._quick = all(parts)
+        self._quick, self._size = all(parts), int(options.get("chunk_size", 1024 * 1024))
 
     def add_message(
         self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0
@@ -38,17 +49,20 @@ class QuickWriter(Writer):
             super().add_message(channel_id, log_time, data, publish_time, sequence)
             return
         chunk, seen = self._chunk, self._statistics
-        seen.message_start_time = min(log_time, seen.message_start_time) if seen.message_count else log_time
-        seen.message_end_time = max(log_time, seen.message_end_time)
+        for part, count in ((seen, seen.message_count), (chunk, chunk.num_messages)):
+            if not count or log_time < part.message_start_time:
+                part.message_start_time = log_time
+            if log_time > part.message_end_time:
+                part.message_end_time = log_time
         seen.channel_message_counts[channel_id] += 1
         seen.message_count += 1
-        chunk.message_start_time = min(log_time, chunk.message_start_time) if chunk.num_messages else log_time
-        chunk.message_end_time = max(log_time, chunk.message_end_time)
+        chunk.num_messages += 1
         index = chunk.message_indices.get(channel_id)
         if index is None:
-            index = chunk.message_indices[channel_id] = MessageIndex(channel_id=channel_id, records=[])
-        index.records.append((log_time, chunk.record_writer.count))
-        chunk.num_messages += 1
+            index = chunk.message_indices[channel_id] = _Index(channel_id=channel_id, records=[])
+        at = chunk.record_writer.count
+        index.records.append((log_time, at))
         head = _HEAD.pack(_OPCODE, _INSIDE + len(data), channel_id, sequence, log_time, publish_time)
         chunk.record_writer.write(head + data)
-        self._finalize()
+        if at + _HEAD.size + len(data) > self._size:
+            self._finalize()

@@ -175,8 +175,8 @@ class Recorder:
     def _numbers(self, prefix: str, parts: Any) -> None:
         """Every field of a command or measurement that holds an array, on a topic of its own."""
         for name, values in vars(parts).items() if parts is not None else ():
-            if isinstance(values, np.ndarray) and values.size:
-                make = partial(_array_message, name, values)
+            if type(values) is np.ndarray and values.size:
+                make = lambda name=name, values=values: _array_message(name, values)
                 self._fill(f"{prefix}/{name}", "std_msgs/Float64MultiArray", values.size, values, make)
 
     def _states(self, moment: Moment) -> None:

@@ -38,7 +38,8 @@ class McapFile:
     killed leaves every whole chunk behind.
 
     ``limit``: bytes on the disk, about. With half of them the file is closed and becomes ``run-1.mcap``, in place of one that was
-    there, and a new one begins; both are whole recordings, and the newest half of the limit is always there.
+    there, and a new one begins; both are whole recordings, and the newest half of the limit is always there. What every file begins
+    with counts for at most half of it: a scene larger than that makes the files larger.
     """
 
     def __init__(self, path: Path, limit: int = LIMIT) -> None:
@@ -58,6 +59,7 @@ class McapFile:
         self._size = 0  # of the file, as of its last message
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
+        self._end = self._half  # from which size on the next file begins
 
     def _rotate(self, t: float) -> None:
         """Make this file the one before, in place of another, and go on in a new one that stands by itself."""
@@ -71,6 +73,12 @@ class McapFile:
             self._writer.add_attachment(0, nanoseconds(at), name, "application/json", data)
         for topic, (kind, data) in self._latched.items():
             self._append(topic, kind, t, data, True)
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Leave half of a file to messages, however much every file begins with."""
+        given = (data for _, data in (*self._attached.values(), *self._latched.values()))
+        self._end = max(self._half, sum(map(len, given)) + self._half // 2)
 
     def put(self, topic: str, kind: str, t: float, message: Message, *, latched: bool = False) -> None:
         """Append a message of type ``kind`` (``geometry_msgs/Pose``) at time ``t`` [s]."""
@@ -80,7 +88,7 @@ class McapFile:
         """The same of a message that is encoded already."""
         if latched:
             self._latched[topic] = (kind, data)
-        if self._size > self._half:
+        if self._size > self._end:
             self._rotate(t)
             if latched:  # the new file has begun with it
                 return
@@ -117,6 +125,7 @@ class McapFile:
         self._attached[name] = (t, json.dumps(value).encode())
         self._writer.add_attachment(0, nanoseconds(t), name, "application/json", self._attached[name][1])
         self._file.flush()
+        self._make_room()
 
     def close(self) -> None:
         """Write index and end."""

@@ -31,7 +31,7 @@ from wbmpc.robots.fixed_joints import fix_joint
 from wbmpc.robots.inertia import mend_inertias
 from wbmpc.robots.mechanism import Mechanism, read_mechanism
 from wbmpc.robots.model_checks import AT_LOAD, Subject, examine
-from wbmpc.robots.model_file import file_of, parse
+from wbmpc.robots.model_file import ModelFile, file_of, parse
 from wbmpc.robots.model_import import keep_mechanics, reject_couplings, widen
 from wbmpc.robots.wheel_geometry import check_radii
 from wbmpc.yaml_file import load_yaml
@@ -279,7 +279,7 @@ def _section(location: tuple[int | str, ...], data: dict[str, Any]) -> type[Base
         if not isinstance(key, str):
             continue
         if model is RobotDescription and key == "base":
-            model = base_type(data["base"]["type"]).Description
+            model = base_type(str(data["base"]["type"])).Description  # before its own check: YAML's ``yes`` is none
         else:
             model = _model_of(model.model_fields[key].annotation) or model
     return model
@@ -337,12 +337,30 @@ def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.
 
     ``meshes``: with those meshes of a URDF that are there, for display.
     """
-    spec = parse(file_of(description), meshes=meshes)
-    if not description.base.uses_inertia:
-        mend_inertias(spec, balance=True)  # else MuJoCo names the body
+    file = file_of(description)
+    spec = _parse(description, file, meshes)
+    if meshes and file.root is not None and spec.meshes and (fault := _fault(spec)):
+        _LOG.warning("%s: its meshes are not shown: %s", description.model, fault)
+        spec = _parse(description, file, meshes=False)
     keep_mechanics(spec, description.base.body, description.model)
     reject_couplings(spec, description)
     widen(spec, description.limits.position, description.model)
     for name, angle in description.fixed_joints.items():
         fix_joint(spec, name, angle, description.source)
     return spec
+
+
+def _parse(description: RobotDescription, file: ModelFile, meshes: bool) -> mujoco.MjSpec:
+    spec = parse(file, meshes=meshes)
+    if not description.base.uses_inertia:
+        mend_inertias(spec, balance=True)  # else MuJoCo names the body
+    return spec
+
+
+def _fault(spec: mujoco.MjSpec) -> str | None:
+    """Why a specification does not compile."""
+    try:
+        spec.compile()
+    except ValueError as error:
+        return " ".join(str(error).split())
+    return None

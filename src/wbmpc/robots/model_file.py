@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Meshes that MuJoCo reads.
 _MESHES = (".stl", ".obj", ".msh")
+#: Larger files [bytes] are too much for a page in a browser.
+_LARGEST_MESH = 5_000_000
 _ROOT = re.compile(rb"<\s*(robot|mujoco|mujocoinclude)[\s/>]")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
@@ -149,7 +151,7 @@ def _kept(element: ElementTree.Element, file: ModelFile, meshes: bool) -> bool:
     if mesh is None:
         return True
     found = file.locate(mesh.get("filename", "")) if meshes else None
-    if found is None or found.suffix.lower() not in _MESHES:
+    if found is None or found.suffix.lower() not in _MESHES or found.stat().st_size > _LARGEST_MESH:
         return False
     mesh.set("filename", str(found.resolve()))
     return True

@@ -189,7 +189,7 @@ class ControlNode:
         """Why no goal can be taken up; empty if one can."""
         if isinstance(self.clock, BusClock) and self.clock.heard is None:
             return "waiting: no time on /clock yet"
-        why = self._other_publisher or self.robot_io.waiting_reason()
+        why = self._clock_lost() or self._other_publisher or self.robot_io.waiting_reason()
         if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
             why = self.source.fault or f"no pose on {self.settings.topics.pose}"
         return f"waiting: {why}" if why else ""
@@ -335,11 +335,18 @@ class ControlNode:
         if self.legs is not None:
             self.legs.stop()
 
+    def _clock_lost(self) -> str:
+        """Why there is no time any more; empty if there is."""
+        if not isinstance(self.clock, BusClock):
+            return ""
+        published = lambda: bool(self.node.publishers("/clock"))
+        return self.clock.lost(self.settings.silence(self.clock.speed), published)
+
     def _check_clock(self) -> None:
         clock = self.clock
         if not isinstance(clock, BusClock):
             return
-        lost = clock.lost(self.settings.silence(clock.speed), lambda: bool(self.node.publishers("/clock")))
+        lost = self._clock_lost()
         if lost and self.running:
             self._stop_runner(lost)
         elif lost and self.runner is not None:

@@ -26,6 +26,13 @@ WHEEL_GAIN, _ARM_GAIN, _ARM_GAIN_LEAST = 100.0, 12.0, 800.0
 _IMU_INTERVAL = 0.0025
 
 
+def span(index: Array) -> slice | Array:
+    """The same places as a slice, where they follow each other: several times as fast."""
+    if index.size and (np.diff(index) == 1).all():
+        return slice(int(index[0]), int(index[-1]) + 1)
+    return index
+
+
 class WheeledPlant(WorldAccess):
     """Subclasses set ``description``, ``base`` (its ``body``), ``timestep``, ``perturbation``, ``draw`` and ``_names``, the joints by
     group ("wheel" and "arm" among them), before they build; ``model`` and ``data`` before :meth:`index`."""
@@ -82,7 +89,7 @@ class WheeledPlant(WorldAccess):
         m, names = self.model, self._names
         self._q = {g: np.array([m.joint(n).qposadr[0] for n in part], dtype=int) for g, part in names.items()}
         self._all = np.concatenate(list(self._q.values()))
-        self._arm_dofs = np.array([m.joint(n).dofadr[0] for n in names["arm"]], dtype=int)
+        self._arm_dofs = span(np.array([m.joint(n).dofadr[0] for n in names["arm"]], dtype=int))
         self._imu = {n: slice(int(m.sensor(n).adr[0]), int(m.sensor(n).adr[0]) + 3) for n in ("gyro", "accel")}
         self._forces = np.array([m.sensor(f"contact_{n}").adr[0] + 2 for n in names["wheel"]], dtype=int)
         self.weight = float(m.body_mass.sum() * np.linalg.norm(m.opt.gravity))
@@ -117,7 +124,7 @@ class WheeledPlant(WorldAccess):
     def carry_arm(self) -> None:
         """Feed the arm's weight forward to its joints; that of a payload, which nobody knows of, is not."""
         d, m, dofs = self.data, self.model, self._arm_dofs
-        weight = d.qfrc_bias[dofs]
+        weight: Array = d.qfrc_bias[dofs]
         if self._payload is not None:
             jacobian = np.zeros((3, m.nv))
             mujoco.mj_jacBody(m, d, jacobian, None, self._payload)

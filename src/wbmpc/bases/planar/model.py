@@ -65,11 +65,20 @@ class PlanarBase:
         self.wheel_acceleration = np.array([limits.acceleration.get(n, np.inf) for n in joints])
         self._check_rank(description)
 
-    def _check_rank(self, description: RobotDescription) -> None:
+    def _singular_values(self) -> Array:
+        """Of the matrix of wheel rates, turns counted at the wheels' distance."""
         size = max(float(np.linalg.norm(np.ptp(self.geometry.position, axis=0))), self.geometry.radius)
         scaled = self.rates.copy()
         scaled[:, -1] /= size
-        values = np.linalg.svd(scaled, compute_uv=False)
+        return np.asarray(np.linalg.svd(scaled, compute_uv=False), float)
+
+    def condition(self) -> float:
+        """Ratio of the largest singular value of the wheel matrix to the smallest."""
+        values = self._singular_values()
+        return float(values[0] / values[-1])
+
+    def _check_rank(self, description: RobotDescription) -> None:
+        values = self._singular_values()
         if len(self.rates) < self.rates.shape[1] or values[-1] < _SINGULAR * values[0]:
             raise InputError(
                 f"{description.source}: key 'base.wheels': these {len(self.rates)} wheels do not determine the motion of the base "

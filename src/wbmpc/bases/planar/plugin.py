@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import mujoco
 
-from wbmpc.bases.base import BaseType, System
+from wbmpc.bases.base import Base, BaseType, System
+from wbmpc.bases.planar.model import PlanarBase
 from wbmpc.bases.planar.wheels import FixedWheels, check_wheels, read_wheels, wheel_radius
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Tree, read_tree
 from wbmpc.robots import RobotDescription
+from wbmpc.robots.findings import Finding
 
 #: Rate of the controller [Hz], drive lag that it assumes [s].
 CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
+#: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
+ILL = 20.0
 
 
 class PlanarBaseType(BaseType):
@@ -20,6 +24,17 @@ class PlanarBaseType(BaseType):
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Joints that are wheels."""
         check_wheels(description, model)
+
+    def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
+        """How well the wheels' rates determine each motion of the base."""
+        assert isinstance(base, PlanarBase)
+        condition = base.condition()
+        if condition <= ILL:
+            return []
+        text = f"errors of wheel rates grow {condition:.3g}-fold in the worst motion of the base"
+        return [
+            Finding("warning", "wheels", "key 'base.wheels'", text, "check positions, axes and rollers of the wheels")
+        ]
 
     def read(self, description: RobotDescription, spec: mujoco.MjSpec) -> tuple[Tree, FixedWheels]:
         """The file's tree and its wheels."""

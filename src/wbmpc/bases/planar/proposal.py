@@ -12,7 +12,8 @@ from wbmpc.bases.base import Proposal, Question
 from wbmpc.robots.wheel_search import Wheel
 
 Array = NDArray[np.float64]
-#: Rim speed [m/s] of wheels for which a file has no limit; rim acceleration [m/s²] at which they do not slip; radius [m] that is
+#: Rim speed [m/s] of wheels for which a file has no limit; rim acceleration [m/s²] at which they do not slip;
+#: radius [m] that is
 #: assumed where nothing shows it.
 RIM_SPEED, RIM_ACCELERATION, RADIUS = 1.5, 2.0, 0.1
 #: Radii that differ by more [m] are not those of one kind of wheels.
@@ -34,9 +35,8 @@ def propose(
     elif max(known) - min(known) > _SAME:
         return Proposal(keys, 0.0, f"{reason}, of different radii")
     held = tuple(n for w in wheels for n in w.held)
-    return Proposal(
-        keys, fit, reason, tuple(names), held, {n: round(RIM_SPEED / radius, 2) for n in names}, questions=tuple(asked)
-    )
+    speed, acceleration = ({n: round(rim / radius, 2) for n in names} for rim in (RIM_SPEED, RIM_ACCELERATION))
+    return Proposal(keys, fit, reason, tuple(names), held, speed, acceleration, questions=tuple(asked))
 
 
 def fixed_wheels(wheels: Sequence[Wheel]) -> list[Wheel]:

@@ -95,6 +95,11 @@ class SwerveEstimator:
 
     def update(self, measurement: SwerveMeasurement) -> Array:
         """The state (nx) after a message."""
+        self.take(measurement)
+        return self.state()
+
+    def take(self, measurement: SwerveMeasurement) -> None:
+        """Take in a message."""
         previous, self.measured = self.measured or measurement, measurement
         m = measurement
         h = m.time - previous.time
@@ -107,7 +112,6 @@ class SwerveEstimator:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
         if self._smoothing is not None:
             self._smooth(self._smoothing, h)
-        return self.state()
 
     def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
         """The gyro's mean yaw rate [rad/s] from one message to the next; None if it says nothing."""
@@ -115,6 +119,8 @@ class SwerveEstimator:
 
     def _weights(self) -> Array | None:
         """Weights (n) of the wheels in the odometry; None: all count in full."""
+        if self._side_slip is None and self._odd is None:
+            return None
         slips = np.zeros(self.robot.base.geometry.modules, bool)
         if self._side_slip is not None:
             slips |= self._side_slip.left > 0.0
@@ -127,10 +133,12 @@ class SwerveEstimator:
         """Positions of the base and of the arm at the moment of the message."""
         assert self.measured is not None
         pose = self.odometry.pose
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        vx, vy, _ = self._drives.rates[self.robot.input["base"]]
-        rates = np.concatenate([[c * vx - s * vy, s * vx + c * vy], self._arm_drives.mean + self._arm_drives.sag])
-        smoothing.update(np.concatenate([pose[:2], self.measured.arm]), rates * h, rates * self._mean_age, h)
+        c, s = lie.cos_sin(pose[2])
+        vx, vy, _ = self._drives.rates[self.robot.input["base"]].tolist()
+        rates, read = np.empty((2, 2 + self.measured.arm.size))
+        rates[0], rates[1], rates[2:] = c * vx - s * vy, s * vx + c * vy, self._arm_drives.mean + self._arm_drives.sag
+        read[:2], read[2:] = pose[:2], self.measured.arm
+        smoothing.update(read, rates * h, rates * self._mean_age, h)
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -143,7 +151,7 @@ class SwerveEstimator:
         """(x, y, yaw) of the base that is controlled."""
         pose = self.odometry.pose
         if self._smoothing is not None and self._smoothing.value is not None:
-            pose = np.append(self._smoothing.value[:2], pose[2])
+            pose[:2] = self._smoothing.value[:2]
         return pose
 
     @property
@@ -175,8 +183,12 @@ class SwerveEstimator:
         """Estimated state (nx), with the measured steering angles."""
         m = self.measured
         assert m is not None
-        parts = {"base": self.pose, "leg": self.leg, "steer": self.steer, "wheel": m.wheel, "arm": self.arm}
-        return self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
+        layout, x = self.robot.state, np.zeros(self.robot.state.size)
+        x[layout["base"]], x[layout["steer"]], x[layout["arm"]] = self.pose, self.steer, self.arm
+        for group, values in (("leg", self.leg), ("wheel", m.wheel)):
+            if group in layout:
+                x[layout[group]] = values
+        return x
 
     def base_pose(self) -> Array:
         """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""

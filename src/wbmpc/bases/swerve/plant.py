@@ -23,7 +23,7 @@ from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation, clipped
-from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
+from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant, span
 from wbmpc.simulation.world import ROBOT, TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
@@ -144,7 +144,7 @@ class SwervePlant(WheeledPlant):
         m, names = self.model, self._names
         self._v = {g: np.array([m.joint(n).dofadr[0] for n in part], dtype=int) for g, part in names.items()}
         driven = ("wheel", "steer", "arm")
-        self._control = {g: np.array([m.actuator(n).id for n in names[g]], dtype=int) for g in driven}
+        self._control = {g: span(np.array([m.actuator(n).id for n in names[g]], dtype=int)) for g in driven}
         speed = self.description.limits.velocity
         self._arm_speed = np.array([speed.get(n, np.inf) for n in names["arm"]])
         self._wheel_geoms = [m.geom(f"contact_{n}").id for n in names["wheel"]]

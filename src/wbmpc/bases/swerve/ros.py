@@ -62,15 +62,14 @@ class BusEstimator(SwerveEstimator):
     placed = False
     _origin: float | None = None  # of the last measurement
 
-    def update(self, measurement: SwerveMeasurement) -> Array:
+    def take(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and another localisation's pose if there is a new one."""
         self._follow_clock(measurement)
-        super().update(measurement)
+        super().take(measurement)
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
             self.correct(*fix)
         self.seen = measurement, self.odometry.pose
-        return self.state()
 
     def _follow_clock(self, measurement: SwerveMeasurement) -> None:
         """The runner's clock starts anew with each run, and the estimate goes on."""

@@ -81,7 +81,7 @@ class SwerveTracking:
         n, nu, steer = robot.base.geometry.modules, robot.input.size, robot.state["steer"]
         own = {name: np.zeros(nu) for name in ("u", "sent", "future", "ahead", "moved", "excess")}
         own |= {name: np.zeros(n) for name in ("planned", "measured", "brake", "error", "wheels", "leg_rates")}
-        given = {
+        values = {
             "low": limits.state_lower[steer], "high": limits.state_upper[steer], "wheel_scale": wheel_scale,
             "actuator_upper": limits.actuator_upper, "input_upper": limits.input_upper, "input_rate": limits.input_rate,
         }  # fmt: skip
@@ -90,16 +90,16 @@ class SwerveTracking:
             own
             | self.drives.arrays
             | arm
-            | {k: np.array(v, float) for k, v in given.items()}
+            | {k: np.array(v, float) for k, v in values.items()}
             | {"x": np.zeros(robot.state.size)}
         )
 
     def _bind(self, backend: Backend) -> None:
-        a, s, given, state = self._arrays, self.settings, self.robot.input, self.robot.state
-        legs, n, m = len(given.groups.get("leg", ())), self.robot.base.geometry.modules, len(given.groups["arm"])
-        places = {g: given[g].start if g in given else 0 for g in ("base", "leg", "steer", "wheel", "arm")}
+        a, s, inputs, state = self._arrays, self.settings, self.robot.input, self.robot.state
+        legs, n, m = len(inputs.groups.get("leg", ())), self.robot.base.geometry.modules, len(inputs.groups["arm"])
+        places = {g: inputs[g].start if g in inputs else 0 for g in ("base", "leg", "steer", "wheel", "arm")}
         states = {f"x_{g}": state[g].start if g in state else 0 for g in places}
-        sizes, blend = {"nu": given.size, "n": n}, self.drives.blend
+        sizes, blend = {"nu": inputs.size, "n": n}, self.drives.blend
         steering = {"planned_steering": s.planned_steering}
         law = {
             "legs": legs,
@@ -114,7 +114,7 @@ class SwerveTracking:
         self._follow = bind(follow, a, backend, **sizes, steer=places["steer"], blend=blend, **steering)
         moving = {"n": n, "legs": legs, "m": m, **places, **states}
         self._predict = bind(
-            predict, a | {"u": a["future"]}, backend, nu=given.size, period=self.period, **moving, **steering
+            predict, a | {"u": a["future"]}, backend, nu=inputs.size, period=self.period, **moving, **steering
         )
         self._move = bind(move, a | {"u": a["moved"]}, backend, **moving)
 
