@@ -37,11 +37,11 @@ from wbmpc.studies.minniti2019.push_map import (
     Point,
     bracket,
     check,
+    next_impulse,
     points,
     push_map,
     read,
     simulated,
-    target,
 )
 
 #: Gains of baselines by what is held and controller, found by benchmarks/regulator_search.py on tuning seeds.
@@ -90,7 +90,7 @@ def todo_of(given: argparse.Namespace) -> dict[str, list[Point]]:
 def run(todo: list[Point], file: Path, workers: Workers, processes: int, fine: float, criteria: Sequence[str]) -> None:
     """All pushes, each written and reported when it is done. Ctrl-C (or SIGTERM) ends the program with a message."""
     started, done = time.time(), read(file)
-    left = {p.key for p in todo if target(done.get(p.key, {}), fine, criteria) is not None}
+    left = {p.key for p in todo if next_impulse(done.get(p.key, {}), fine, criteria) is not None}
     push = partial(workers.submit, simulated)
     with terminable() as termination:
         try:
@@ -98,7 +98,7 @@ def run(todo: list[Point], file: Path, workers: Workers, processes: int, fine: f
                 for point, impulse, outcome in push_map(todo, file, push, processes, fine, criteria):
                     found = done.setdefault(point.key, {})
                     found[impulse] = outcome
-                    if target(found, fine, criteria) is None:
+                    if next_impulse(found, fine, criteria) is None:
                         left.discard(point.key)
                     said = f"{impulse:g} N s: {outcome_text(outcome)} ({', '.join(limits(found, c) for c in criteria)})"
                     print(
@@ -124,7 +124,7 @@ def limits(found: Outcomes, criterion: str) -> str:
 
 def passed(chosen: list[Point], done: dict[str, Outcomes], criterion: str, fine: float = FINE) -> dict[float, float]:
     """The largest impulse [N s] that passes, by direction, of the pushes that were measured to ``fine`` [N s]."""
-    ready = [p for p in chosen if target(done.get(p.key, {}), fine, (criterion,)) is None]
+    ready = [p for p in chosen if next_impulse(done.get(p.key, {}), fine, (criterion,)) is None]
     return {p.direction: (bracket(done[p.key], criterion) or (0.0, np.inf))[0] for p in ready}
 
 

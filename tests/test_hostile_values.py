@@ -17,6 +17,7 @@ from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.recording.messages import encode, fields
 from wbmpc.recording.writer import McapFile
+from wbmpc.registry import REGISTRY
 from wbmpc.robots import load_description
 from wbmpc.robots.description import DATA
 from wbmpc.run_files import read_log
@@ -139,3 +140,12 @@ def test_metrics_with_odd_names_are_printed_safely(tmp_path: Path, capfd: pytest
     assert main(given) == 0
     said = capfd.readouterr()
     assert "\x1b" not in said.out + said.err and "\u202e" not in said.out + said.err
+
+
+@pytest.mark.parametrize("value", ["[a]", "{a: 1}", "[[]]", "5", "~"])
+@pytest.mark.parametrize("more", [(), ("tracking.x=1",), ("tracking=[a]",)])
+def test_a_kind_that_is_no_text_is_an_error(value: str, more: tuple[str, ...]) -> None:
+    """Before it is looked up in a table."""
+    settings = REGISTRY["rezero-push-ball"].config_type
+    with pytest.raises(InputError, match="tracking"):
+        configure(settings, [f"tracking.kind={value}", *more], "rezero-push-ball")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
 
@@ -27,12 +28,19 @@ def _default(model: type[BaseModel], key: str) -> Any:
 
 
 def _field(model: type[BaseModel], key: str) -> Any:
-    """The field of a dotted key."""
-    *parents, last = key.split(".")
-    for parent in parents:
-        annotation = model.model_fields[parent].annotation
-        model = next(c for c in (annotation, *get_args(annotation)) if isinstance(c, type) and issubclass(c, BaseModel))
-    return model.model_fields[last]
+    """The field of a dotted key; of several models that a section may have, of one that has the key."""
+    parts = key.split(".")
+    for parent, inside in pairwise(parts):
+        models = _models(model.model_fields[parent].annotation)
+        model = next(m for m in models if inside in m.model_fields)
+    return model.model_fields[parts[-1]]
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """The models of an annotation, also in a union."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
 
 
 def settings(rng: random.Random, folder: Path) -> Case:

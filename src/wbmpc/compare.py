@@ -79,7 +79,7 @@ def _recorded(path: Path) -> Run:
     where = f"{recording.path}: what it says of its run"
     settings, values = (parse_json(text, where) for text in (about.get("settings", "{}"), result.get("metrics", "{}")))
     seed = about.get("seed", "")
-    if not isinstance(settings, dict) or not isinstance(values, dict) or not re.fullmatch(r"-?\d{0,18}", seed):
+    if not isinstance(settings, dict) or not isinstance(values, dict) or not re.fullmatch(r"-?[0-9]{0,18}", seed):
         raise InputError(f"{where} cannot be read: settings and metrics must be objects, the seed a whole number")
     metrics = {name: {"value": value, "unit": ""} for name, value in values.items()}
     for name, metric in metrics.items():

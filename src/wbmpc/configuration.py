@@ -242,7 +242,7 @@ def _check_kind(model: type[BaseModel], key: str, settings: Mapping[str, Any], w
         section, name = ".".join(parts[:depth]), parts[depth]
         kinds = _kinds(model, section)
         kind = reduce(lambda tree, part: tree[part], parts[:depth], settings).get(KIND) if kinds else None
-        if kind in kinds and name not in kinds[kind].model_fields:
+        if isinstance(kind, str) and kind in kinds and name not in kinds[kind].model_fields:
             owners = [(f"{section}.{KIND}", k) for k, m in kinds.items() if name in m.model_fields]
             raise InputError(f"{where}: --set {unread_text(key, owners)}")
 

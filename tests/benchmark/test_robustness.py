@@ -1,4 +1,4 @@
-"""The study over payload. Truth: files of runs written by hand, their order statistics."""
+"""The study over loads and delays. Truth: files of runs written by hand, their order statistics."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def study(tmp_path: Path) -> dict[robustness.Job, str]:
     return found
 
 
-def test_figures_are_command_statistics_of_what_is_finished(study: dict[robustness.Job, str]) -> None:
+def test_figures_are_order_statistics_of_what_is_finished(study: dict[robustness.Job, str]) -> None:
     protocol, slope = robustness.cells(study)
     s = protocol.statistics()[METRIC]
     assert len(protocol.runs) == 20 and protocol.completed == 20

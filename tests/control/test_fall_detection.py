@@ -16,7 +16,7 @@ ROBOT = robot("rezero")
 ARM = ROBOT.home[ROBOT.state["arm"]]
 
 
-def lean_control(pitch: float) -> np.ndarray:
+def tilted(pitch: float) -> np.ndarray:
     x = ROBOT.home.copy()
     x[3] += pitch
     return x
@@ -25,8 +25,8 @@ def lean_control(pitch: float) -> np.ndarray:
 def plan(pitch: float, at: float = 0.1) -> Policy:
     """Two intervals; it leans in the middle, ``at`` seconds from the start."""
     times = 2.0 + at * np.arange(3)
-    x = np.tile(lean_control(0.0), (3, 1))
-    x[1] = lean_control(pitch)
+    x = np.tile(tilted(0.0), (3, 1))
+    x[1] = tilted(pitch)
     return Policy(times, x, np.zeros((2, 6)), np.zeros((2, 6, 16)))
 
 
@@ -44,7 +44,7 @@ def test_plans_in_a_row_that_lean_too_far() -> None:
 def test_what_a_plan_says_later_is_not_looked_at() -> None:
     forecast = FallPredictor(ROBOT, ARM, plans=4, ahead=0.1)
     for _ in range(20):
-        stop_for(forecast.update_plan(plan(0.6, at=0.2)))
+        assert forecast.update_plan(plan(0.6, at=0.2)) == []
 
 
 def test_a_state_beyond_reach_is_a_fall_whatever_is_planned() -> None:
@@ -52,17 +52,17 @@ def test_a_state_beyond_reach_is_a_fall_whatever_is_planned() -> None:
     for pitch, seconds in ((0.2, 1.0), (0.6, 0.045), (0.2, 0.1), (-0.6, 0.045)):
         for _ in range(round(seconds / 0.0025)):
             t += 0.0025
-            stop_for(forecast.update(t, lean_control(pitch)))
+            stop_for(forecast.update(t, tilted(pitch)))
     with pytest.raises(FallPredicted, match=r"for 50 ms it has leant by \d+ mm .* can stop \d+ mm; motors off"):
         for _ in range(4):
             t += 0.0025
-            stop_for(forecast.update(t, lean_control(-0.6)))
+            stop_for(forecast.update(t, tilted(-0.6)))
 
 
 def test_a_rate_that_leads_there_counts_like_the_lean() -> None:
     """The pole is 4.7 /s: turning by 2 rad/s counts as a lean of 0.42 rad more."""
     still, turning = FallPredictor(ROBOT, ARM), FallPredictor(ROBOT, ARM)
-    x = lean_control(0.15)
+    x = tilted(0.15)
     for k in range(30):
         stop_for(still.update(0.0025 * k, x))
     x[ROBOT.base.nq + 3] = 2.0
@@ -77,14 +77,14 @@ def test_a_learnt_force_moves_the_lean_from_which_falls_count() -> None:
     lean = next(
         p
         for p in np.arange(0.2, 0.8, 0.005)
-        if forecast._component_of(lean_control(p), 0.0, np.zeros(2), 0.0, 0.0) > 1.3 * 0.1256
+        if forecast._component_of(tilted(p), 0.0, np.zeros(2), 0.0, 0.0) > 1.3 * 0.1256
     )
-    away = forecast._component(lean_control(lean), 0.0, np.zeros(2))[0].ravel()
+    away = forecast._component(tilted(lean), 0.0, np.zeros(2))[0].ravel()
     for k in range(20):
-        stop_for(answered.update(0.0025 * k, lean_control(lean), shift=-0.06 * away / np.linalg.norm(away)))
+        stop_for(answered.update(0.0025 * k, tilted(lean), shift=-0.06 * away / np.linalg.norm(away)))
     with pytest.raises(FallPredicted):
         for k in range(20):
-            stop_for(forecast.update(0.0025 * k, lean_control(lean)))
+            stop_for(forecast.update(0.0025 * k, tilted(lean)))
 
 
 def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
@@ -94,13 +94,13 @@ def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
     lean = next(
         p
         for p in np.arange(0.2, 0.6, 0.005)
-        if forecast._component_of(lean_control(p), 0.0, np.zeros(2), 0.0, 0.0) > 1.1 * forecast.reach
+        if forecast._component_of(tilted(p), 0.0, np.zeros(2), 0.0, 0.0) > 1.1 * forecast.reach
     )
     for k in range(40):
-        stop_for(forecast.update(0.0025 * k, lean_control(lean), force=(against, 0.0)))
+        stop_for(forecast.update(0.0025 * k, tilted(lean), force=(against, 0.0)))
     with pytest.raises(FallPredicted):
         for k in range(40, 80):
-            stop_for(forecast.update(0.0025 * k, lean_control(lean)))
+            stop_for(forecast.update(0.0025 * k, tilted(lean)))
     planned, still = FallPredictor(pushed, ARM), plan(lean, at=0.05)
     u = np.zeros((2, 9))
     u[0, pushed.input["force"]] = [against, 0.0, 0.0]  # the last state of the plan leans no more

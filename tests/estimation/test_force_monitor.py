@@ -161,7 +161,7 @@ def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> N
 
 
 @pytest.mark.parametrize("phase", ["approach", "push", "release"])
-def test_an_controller_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
+def test_a_controller_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
     """An end effector at rest with a level forearm; its sensor stands at 8 N. One report; neither force nor contact then, in any phase."""
     controller = controller_with_stalled_sensor(0.0)
     controller.phase = phase

@@ -81,7 +81,7 @@ LEVELS = {
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_covariance_fits_the_errors(level: str) -> None:
-    """Slip is found from the wheels' contradiction alone: the filter is reported nothing of its size."""
+    """Slip is found from the wheels' contradiction alone: the filter knows nothing of its size."""
     pose, bias = [], []
     for seed in range(draws(10, 40)):
         base = Drawn(FOUR, seed, length=8.0, **LEVELS[level])

@@ -58,7 +58,7 @@ def test_a_scene_larger_than_the_limit_leaves_room_for_messages(tmp_path: Path) 
 
 def test_a_limit_is_a_size() -> None:
     assert size_of("--record-limit", "1.5GB") == 1_500_000_000
-    for text in ("much", "5", "10B", "-1MB", "nanGB"):
+    for text in ("much", "5", "10B", "-1MB", "nanGB", "\u0663MB", "1e3MB", "0.999MB"):
         with pytest.raises(InputError, match=rf"--record-limit: '{text}'"):
             size_of("--record-limit", text)
 

@@ -296,7 +296,7 @@ def test_a_topic_of_two_types_is_heard_in_both_whoever_comes_first(
         publisher.publish({})
         assert wait_until(lambda k=k: k in got)
     time.sleep(0.3)
-    assert (one.faults, other.faults, third.faults) == ([], [], [])  # who sends either type is reported of no mismatch
+    assert (one.faults, other.faults, third.faults) == ([], [], [])  # a node that sends either type has no mismatch
     assert not any("another type" in r.getMessage() for r in caplog.records)
     third.close()
     assert wait_until(lambda: topic.update() or list(topic._ends) == [kinds[0]])

@@ -16,6 +16,7 @@ from needs import MISSING, needs_dds, wait_until
 from wbmpc.errors import InputError
 from wbmpc.ros2.bus import LATCHED, SENSOR
 from wbmpc.ros2.opening import open_node
+from wbmpc.ros2.sources import AMBIGUOUS
 
 if not MISSING:
     from fake_ros import FakeNode, install, message_class
@@ -104,6 +105,24 @@ def test_topics_services_graph_and_mismatches(made: list[Any]) -> None:
 
 
 @needs_dds
+def test_whose_a_message_is_is_known_while_there_is_one_publisher(made: list[Any]) -> None:
+    """Of one type: who publishes another one is not heard. Truth: the stand-in's identities, names as bytes."""
+    node, other = open_node("wbmpc"), open_node("robot")
+    got: list[Any] = []
+    node.subscribe("/x", "std_msgs/msg/String", lambda m, source: got.append(source), sourced=True)
+    publisher = other.publisher("/x", "std_msgs/msg/String")
+    made[0].topics += made[1].topics  # the graph
+    publisher.publish({})
+    made[0].topics.append(("publisher", "/x", "somebody", made[1].profiles[0]))
+    publisher.publish({})
+    made[0].topics.pop()
+    publisher.publish({})
+    assert got == [b"robot", AMBIGUOUS, b"robot"]
+    node.close()
+    other.close()
+
+
+@needs_dds
 def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
     """Every message that it takes and sends, with the types of fields that rosidl checks: it moves, and says so. In lockstep: a
     busy machine changes nothing."""
@@ -134,6 +153,7 @@ def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
     goal = other.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
 
     clock = other.publisher("/clock", "rosgraph_msgs/msg/Clock")
+    made[0].topics += [t for t in made[1].topics if t[1] == "/clock"]  # the graph: however slow, somebody has the time
     sent, ticks = got["/wheel_controller/commands"], [50]
 
     def tick() -> None:

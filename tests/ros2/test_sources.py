@@ -122,6 +122,24 @@ def test_a_second_time_and_second_states_do_not_count(pair: Callable[..., Any], 
     assert not joints.fault and np.all(p.control.adapter.snapshot()[1][ROBOT.state["leg"]] != 0.5)
 
 
+def test_a_second_localization_does_not_drag_the_robot_away(pair: Callable[..., Any]) -> None:
+    """Each of its poses is 5 cm from the one before, nearer than a jump. Truth: the first one's."""
+    control = pair(topics={"pose": "/pose"}, use_sim_time=False).control
+    pose = SimpleNamespace(
+        position=SimpleNamespace(x=0.0, y=0.0, z=0.0), orientation=SimpleNamespace(x=0, y=0, z=0, w=1)
+    )
+    head = SimpleNamespace(frame_id="odom", stamp=SimpleNamespace(sec=0, nanosec=0))
+    for k in range(20):
+        for source, x in (("first", 0.0), ("second", 0.05 * k)):
+            pose.position.x = x
+            control.source._take(
+                SimpleNamespace(header=head, pose=SimpleNamespace(pose=pose, covariance=[0.0] * 36)), source
+            )
+            fix = control.source.newest()
+            assert (fix is not None and fix[1][0] == 0.0) if source == "first" else fix is None
+    assert "2 publishers on /pose, which has one source" in control.waiting_reason()
+
+
 def test_the_joints_of_a_gripper_may_have_a_publisher_of_their_own(pair: Callable[..., Any]) -> None:
     """It is heard first, and goes on for ever. Truth: the positions of our joints."""
     body = pair(use_sim_time=False).control.robot_io

@@ -19,10 +19,10 @@ from wbmpc.studies.minniti2019.push_map import (
     Point,
     bracket,
     measure,
+    next_impulse,
     points,
     push_map,
     read,
-    target,
 )
 from wbmpc.studies.minniti2019.push_once import push_once
 from wbmpc.studies.minniti2019.recovery import LAST, NEAR, rest
@@ -62,8 +62,8 @@ def test_only_recovering_is_looked_for_when_only_that_is_asked() -> None:
     found = measure(AHEAD, criteria=("recovers",), run=known.push)
     low, high = bracket(found, "recovers") or (0.0, 0.0)
     assert low < 77.0 <= high <= low + FINE and len(known.tried) == 7  # 320, 160, 80, 40, 60, 70, 75
-    assert target(found, criteria=("recovers",)) is None
-    assert target(found, criteria=("stands",)) == 240.0  # stood at 160 N s and fell at 320 on the way
+    assert next_impulse(found, criteria=("recovers",)) is None
+    assert next_impulse(found, criteria=("stands",)) == 240.0  # stood at 160 N s and fell at 320 on the way
 
 
 def test_a_run_counts_for_both_criteria() -> None:

@@ -223,7 +223,7 @@ class Base(Protocol):
 class System:
     """A simulated robot with its controller and MPC, ready to run: ``plant``, ``controller``, ``mpc`` and their ``timing``.
 
-    The plant is a :class:`wbmpc.types.Plant`, the controller a :class:`wbmpc.mpc.policy_queue.Controller`. Views ask more of them:
+    The plant is a :class:`wbmpc.types.Plant`, the controller a :class:`wbmpc.control.protocols.Controller`. Views ask more of them:
     the plant's ``description``, MuJoCo's ``model`` and ``data``, ``world.frames(height)`` (see :class:`wbmpc.simulation.world.World`),
     ``push(force)`` (3) [N] on the base and ``arrange(x)``, which puts the bodies where a state (nx) has them; the controller's
     ``robot``, ``state()`` (nx) and ``stop()``, and ``base_pose()`` (7) where it has an estimate of the base. Of references a view

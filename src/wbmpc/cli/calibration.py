@@ -44,27 +44,27 @@ def _calibrator(name: str) -> Calibrator:
 
 
 def _calibrator_of(file: Path, robot: str | None) -> Calibrator:
-    """Of the robot of a log: as given, or from the metrics.json beside it. Raises :class:`InputError` where these have other
+    """Of the robot of a log: ``robot``, or else from the metrics.json beside it. Raises :class:`InputError` where these have other
     bases."""
     from wbmpc.run_files import read_metrics
 
     metrics = file.with_name("metrics.json")
     try:
-        message = str(read_metrics(metrics)["settings"]["robot"])
+        recorded = str(read_metrics(metrics)["settings"]["robot"])
     except (InputError, KeyError) as error:
         if robot is None:
             raise InputError(f"--robot: is needed, {metrics} does not say which robot this was") from error
         return _calibrator(robot)
-    if robot is None or robot == message:
-        return _calibrator(message)
+    if robot is None or robot == recorded:
+        return _calibrator(recorded)
     found = _calibrator(robot)
     try:
-        there = _calibrator(message)
+        recorded_base = _calibrator(recorded)
     except InputError:  # a file that is not there any more
         return found
-    if not _same_base(found.geometry, there.geometry):
+    if not _same_base(found.geometry, recorded_base.geometry):
         raise InputError(
-            f"--robot: {metrics} says that this was '{message}', whose base is another than that of '{robot}'; leave --robot out, or "
+            f"--robot: {metrics} says that this was '{recorded}', whose base is another than that of '{robot}'; leave --robot out, or "
             "give the log.npz without the metrics.json beside it"
         )
     return found

@@ -36,7 +36,7 @@ MIN_RECORD = 1_000_000
 
 def size_of(option: str, text: str) -> int:
     """Bytes of a size such as ``500MB``. Raises :class:`InputError` naming the option."""
-    found = re.fullmatch(r"(\d{1,9}(?:\.\d{1,9})?)\s*([kKMGT]?B)", text.strip())
+    found = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,9})?)\s*([kKMGT]?B)", text.strip())
     size = float(found[1]) * _UNITS[found[2].upper()] if found else 0.0
     if size < MIN_RECORD:
         raise InputError(

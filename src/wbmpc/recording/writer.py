@@ -65,7 +65,7 @@ class McapFile:
         """Make this file the one before, in place of another, and go on in a new one that stands by itself."""
         self._writer.add_metadata("rotated", {"until": f"{t:.9f}"})
         self.close()
-        self.path.replace(previous(self.path))
+        self.path.replace(older_part(self.path))
         self._open()
         for name, table in self._about.items():
             self._writer.add_metadata(name, table)
@@ -135,7 +135,7 @@ class McapFile:
             self._file.close()
 
 
-def previous(path: Path) -> Path:
+def older_part(path: Path) -> Path:
     """The part of a recording before the newest one: ``run-1.mcap`` of ``run.mcap``."""
     return path.with_name(f"{path.stem}-1{path.suffix}")
 

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _MESHES = (".stl", ".obj", ".msh")
 #: Larger files [bytes] are too much for a page in a browser.
 _LARGEST_MESH = 5_000_000
+#: Elements of a URDF that MuJoCo reads.
+_READ = ("link", "joint", "material", "mujoco")
 _ROOT = re.compile(rb"<\s*(robot|mujoco|mujocoinclude)[\s/>]")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
@@ -117,7 +119,7 @@ def _urdf(file: ModelFile, meshes: bool) -> mujoco.MjSpec:
     assert file.root is not None
     root = deepcopy(file.root) if meshes else ElementTree.Element("robot", file.root.attrib)
     if not meshes:  # what is changed is copied, and no more
-        root.extend(copy(e) if e.tag in ("link", "joint", "mujoco") else e for e in file.root)
+        root.extend(copy(e) for e in file.root if e.tag in _READ)
     for link in root.findall("link"):
         for kind in ("visual", "collision"):
             for element in link.findall(kind):

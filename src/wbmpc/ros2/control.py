@@ -366,7 +366,7 @@ class ControlNode:
     def _other_publisher(self) -> str:
         """Who else commands the drives, or sends what has one source; empty if nobody does."""
         clock = self.clock.source.conflict if isinstance(self.clock, BusClock) else ""
-        return self._other_commander or clock or self.robot_io.conflict
+        return self._other_commander or clock or self.robot_io.conflict or self.source.source.conflict
 
     def _check_other_publishers(self) -> None:
         """Nobody moves beside another publisher. And a robot that cannot stop because it has lost its localisation at least goes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import error_message, nearest_angle, planar, read_pose, seconds
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
+from wbmpc.ros2.sources import OneSource
 from wbmpc.runtime.safety import SafeStop
 
 _LOG = logging.getLogger("wbmpc")
@@ -38,7 +39,7 @@ class PoseSource:
     """Odometry or PoseWithCovarianceStamped, in the world frame.
 
     ``at``: when the last one came [s of ``now()``]; ``stamp()``: the bus's time [s]; a pose is as old as its stamp says.
-    ``fault``: what is wrong with those that come, ``jumped`` included; empty when they are right again.
+    ``source``: whose poses count. ``fault``: what is wrong with those that come, ``jumped`` included; empty when they are right again.
     """
 
     def __init__(self, node: Node, settings: RosSettings, now: Time, stamp: Time) -> None:
@@ -47,7 +48,10 @@ class PoseSource:
         self._limit = RateLimit()
         self._good = -np.inf  # when the last one that counted came
         self._fix: tuple[float, Array, Array] | None = None
-        self._messages = MultiTypeSubscriber(node, settings.topics.pose, dict.fromkeys(_POSES, self._take))
+        self.source = OneSource(settings.topics.pose)
+        self._messages = MultiTypeSubscriber(
+            node, settings.topics.pose, dict.fromkeys(_POSES, self._take), sourced=True
+        )
 
     @property
     def fault(self) -> str:
@@ -86,7 +90,9 @@ class PoseSource:
         if not jumped:
             self._good = self.now()
 
-    def _take(self, message: Any) -> None:
+    def _take(self, message: Any, source: Hashable = None) -> None:
+        if not self.source.takes(source):
+            return
         try:
             self._read(message)
         except InputError as error:

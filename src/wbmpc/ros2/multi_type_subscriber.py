@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.convert import error_message
@@ -13,11 +12,12 @@ _LOG = logging.getLogger("wbmpc")
 
 
 class MultiTypeSubscriber:
-    """A topic whose messages come in one of several types, also in another one later; ``takes``: what is called, by type;
+    """A topic whose messages come in one of several types, also in another one later; ``takes``: what is called, by type, with
+    ``sourced`` as :meth:`wbmpc.ros2.bus.Node.subscribe` has it;
     ``fault``: which type is not heard, and why; empty when all are."""
 
-    def __init__(self, node: Node, topic: str, takes: Mapping[str, Callable[[Any], None]]) -> None:
-        self._node, self._topic, self._takes = node, topic, takes
+    def __init__(self, node: Node, topic: str, takes: Mapping[str, Callable[..., None]], sourced: bool = False) -> None:
+        self._node, self._topic, self._takes, self._sourced = node, topic, takes, sourced
         self._ends: dict[str, Callable[[], None]] = {}
         self.fault = ""
         if topic:  # who publishes in the first type finds a subscription at once
@@ -36,7 +36,13 @@ class MultiTypeSubscriber:
         for kind in kinds:
             try:
                 self._ends[kind] = self._node.subscribe(
-                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes), largest=SMALL
+                    self._topic,
+                    kind,
+                    self._takes[kind],
+                    SENSOR,
+                    others=tuple(self._takes),
+                    largest=SMALL,
+                    sourced=self._sourced,
                 )
             except Exception as error:
                 fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {error_message(error)}"

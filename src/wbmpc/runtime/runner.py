@@ -1,6 +1,6 @@
 """The real-time runner: a control thread at a fixed rate beside an MPC in a thread or a process of its own.
 
-A tick: read the robot, update the estimator, put the policies that are due into force, end effector the predicted observation to the
+A tick: read the robot, update the estimator, put the policies that are due into force, hand the predicted observation to the
 MPC, command the robot. The observation is predicted over the latency that was measured, so that its policy comes into force
 at the state that it was computed for. Whatever goes wrong ends in a safe stop: ``stop()`` of the robot at every tick until the
 runner is shut down, and a message that says why.
@@ -341,7 +341,7 @@ class RealTimeRunner:
             self.state, self.kept = "running", ""
 
     def _observe(self, due: float) -> None:
-        """End effector over the state predicted for when the policy can be there; that time never goes back."""
+        """Hand over the state predicted for when the policy can be there; that time never goes back."""
         self._until = max(self._until, due + self.latency.ticks * self.settings.period)
         seen = self.controller.predict(due, self._until, self.plans)
         parameters = self._no_parameters if self.parameters is None else self.parameters()

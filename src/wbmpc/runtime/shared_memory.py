@@ -92,7 +92,7 @@ class Mailbox:
         return self._views[slot]
 
     def commit(self) -> int:
-        """End effector the slot over; returns the message's number."""
+        """Hand the slot over; returns the message's number."""
         number = self._written + 1
         slot = number % self.slots
         if self.checked:

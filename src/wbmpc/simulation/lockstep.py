@@ -93,7 +93,7 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class Watch:
-    """A progress function that brings watchers along: what experiments end effector on to the loop unseen. ``name``: of the loop."""
+    """A progress function that brings watchers along: what experiments hand on to the loop unseen. ``name``: of the loop."""
 
     progress: Progress | None
     watchers: tuple[Watcher, ...] = ()

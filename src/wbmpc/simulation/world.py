@@ -146,7 +146,8 @@ class World:
         self._steps += 1
         if self._lost:
             return
-        self.refresh()
+        if not self._fresh:
+            mujoco.mj_step1(self.model, self.data)
         if control is not None:
             control()
         if self._pushes:
@@ -158,7 +159,7 @@ class World:
 
     def check(self) -> None:
         """After a command's steps: note whether numbers are still finite, count the turns of the base."""
-        self._lost = self._lost or not bool(np.isfinite(self.data.qpos).all())
+        self._lost = self.diverged
         if not self._lost:
             self._yaw = unwrap(self._wrapped_yaw(), self._yaw)
 
@@ -211,7 +212,7 @@ class World:
     @property
     def diverged(self) -> bool:
         """Whether positions are not finite: the physics cannot go on."""
-        return self._lost or not bool(np.isfinite(self.data.qpos).all())
+        return self._lost or not all(map(math.isfinite, self.data.qpos.tolist()))
 
     @property
     def fell(self) -> bool:

@@ -73,7 +73,7 @@ class RealtimeView(LiveView):
 
     # ------------------------------------------------------------------ the control thread
     def watch(self, t: float, late: float, plans: PolicyQueue) -> None:
-        """End effector out the estimated state, at most :data:`~wbmpc.view.process.RATE` times a second."""
+        """Hand out the estimated state, at most :data:`~wbmpc.view.process.RATE` times a second."""
         self._late = max(self._late, late)
         if t < self._shown_at + 1.0 / RATE:
             return

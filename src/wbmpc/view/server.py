@@ -104,7 +104,7 @@ class Guard:
 
     # ------------------------------------------------------------------ installation
     @contextmanager
-    def previous(self) -> Iterator[None]:
+    def guard_new_server(self) -> Iterator[None]:
         """While this holds, a server that is started gets the guard: viser has no way to hand it over."""
         serve = websockets_server.serve
         guard = self
@@ -138,7 +138,7 @@ class Guard:
 def open_server(access: Access, port: int, label: str = "wbmpc") -> tuple[viser.ViserServer, Guard]:
     """A server at the address of ``access``, and its guard. A busy ``port`` is passed over."""
     guard = Guard(access)
-    with guard.previous():
+    with guard.guard_new_server():
         server = viser.ViserServer(host=access.host, port=port, label=label, verbose=False)
     if not guard.installed:  # another version of viser starts its server in another way: nobody would be rejected
         server.stop()

@@ -73,7 +73,8 @@ class BallEstimator:
         self._time = time
         if interval > 0.0:
             self.arm.update(interval, angles)
-            self._detect_balance(interval)
+            if not self._balanced:
+                self._detect_balance(interval)
         state = self.state
         self._places.append((time, state[:3].copy()))
         while self._places[0][0] < time - HISTORY:
@@ -103,16 +104,17 @@ class BallEstimator:
 
     def _detect_balance(self, interval: float) -> None:
         """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles."""
-        f = self.filter
-        if self._balanced:
-            return
-        if np.abs(f.ball_velocity[:2]).max() > SLOW or np.abs(self.arm.rate).max(initial=0.0) > SLOW:
+        state, m = self.state, self.arm.size
+        if (
+            max(map(abs, state[5 + m : 7 + m].tolist())) > SLOW
+            or max(map(abs, state[10 + m :].tolist()), default=0.0) > SLOW
+        ):
             self._stood = 0.0
             return
         self._stood += interval
         if self._stood >= STANDS:
             pitch, roll = self._robot.base.numeric.equilibrium(self.arm.angle)[0][3:5]
-            f.correct_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
+            self.filter.correct_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
             self._balanced = True
 
     @property

@@ -23,7 +23,7 @@ SMOOTH = 0.010
 
 
 class PushEstimator:
-    """The drift (2) [m/s] of the lean's divergent component (:class:`wbmpc.model.Balance`) that the model does not explain.
+    """The drift (2) [m/s] of the lean's divergent component (:class:`wbmpc.bases.ball.balance.Balance`) that the model does not explain.
 
     A plan knows nothing of a push that goes on. Robots that are pushed lean against their motion, to brake, as far as they
     are allowed to; the push goes on to tilt them the same way, and the wheels come too late. ``room``: by how much a push that

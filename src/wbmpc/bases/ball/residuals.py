@@ -32,12 +32,12 @@ class BallSpin:
 class CapturePoint:
     """Divergent component [m] of a ball robot's lean along ``directions`` that divide half a turn evenly, the first along x:
     horizontal offset of the load's centre of mass from the ball plus its rate over ``pole`` [1/s]
-    (:class:`wbmpc.model.Balance`). What it has beyond the wheels' reach cannot be stopped.
+    (:class:`wbmpc.bases.ball.balance.Balance`). What it has beyond the wheels' reach cannot be stopped.
 
     In a box this is a polygon around a circle. Four directions: by at most 8 % too wide; two (a square) would be by 41 %, and
     pushes along its diagonals then fell the robot at less than half the impulse.
 
-    ``answer`` [m/N] (:class:`wbmpc.model.Balance`), if not zero: the reference is the horizontal force (2) [N] of the world on
+    ``answer`` [m/N] (:class:`wbmpc.bases.ball.balance.Balance`), if not zero: the reference is the horizontal force (2) [N] of the world on
     the end effector that is expected, and the component is counted from the lean that answers it. ``pushed``: the parameters ``push``
     are added, so that a limit leaves room for what a push will do that the plan does not know.
     """

@@ -56,7 +56,7 @@ def brake_monitor(robot: RobotModel) -> BrakeMonitor | None:
 
 class BrakeSupervision:
     """``brakes``: of the legs over time, or a function of time; None: closed. ``monitor`` is None for fixed legs; it looks every
-    :data:`LOOK`, and before a stop.
+    :data:`POLL_PERIOD`, and before a stop.
 
     ``commanded`` may be replaced, as by a view; then the guard, which could not informs the planner, rests.
     """

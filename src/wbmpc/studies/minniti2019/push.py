@@ -1,4 +1,4 @@
-"""`rezero-push-ball` and `rezero-push-end_effector`: pushes while ball or end effector are held (Minniti et al. 2019, Fig. 5)."""
+"""`rezero-push-ball` and `rezero-push-hand`: pushes while ball or end effector are held (Minniti et al. 2019, Fig. 5)."""
 
 from __future__ import annotations
 

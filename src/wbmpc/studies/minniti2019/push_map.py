@@ -1,7 +1,7 @@
 """The push map: the impulses from which the ball robot recovers, and after which it still stands, over directions and lengths.
 
 To stand is no recovery: a robot that rolls away for ever, or swings its arm between the stops, stands. It recovers if it is back in
-its place, and rests there, when the push experiments would push it again (:data:`wbmpc.studies.minniti2019.push.NEAR`). A bisection
+its place, and rests there, when the push experiments would push it again (:data:`wbmpc.studies.minniti2019.recovery.NEAR`). A bisection
 for each direction, length and criterion; what came of a push is written at once, so that a map that was interrupted goes on, and
 one that was coarse is made finer.
 """
@@ -85,7 +85,7 @@ def bracket(found: Mapping[float, Outcome], criterion: str) -> Bracket | None:
     return max((i for i in found if i < fails), default=0.0), fails
 
 
-def target(found: Outcomes, fine: float = FINE, criteria: Sequence[str] = CRITERIA) -> float | None:
+def next_impulse(found: Outcomes, fine: float = FINE, criteria: Sequence[str] = CRITERIA) -> float | None:
     """The impulse [N s] that a bisection tries next; None if outcomes answer for every criterion to ``fine`` [N s].
 
     A robot that always passes is tried at ``MAXIMUM``. One that fails less and passes more is not looked for.
@@ -107,7 +107,7 @@ def measure(
 ) -> Outcomes:
     """A push's outcomes, to ``fine`` [N s] for each criterion. A run counts for all of them."""
     found: Outcomes = {}
-    while (impulse := target(found, fine, criteria)) is not None:
+    while (impulse := next_impulse(found, fine, criteria)) is not None:
         found[impulse] = run(point, impulse)
     return found
 
@@ -147,7 +147,7 @@ def push_map(
     while True:
         while waiting and len(running) < at_once:
             point = waiting.pop()
-            if (impulse := target(done.get(point.key, {}), fine, criteria)) is not None:
+            if (impulse := next_impulse(done.get(point.key, {}), fine, criteria)) is not None:
                 running[push(point, impulse)] = point, impulse
         if not running:
             return

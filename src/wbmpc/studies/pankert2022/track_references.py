@@ -70,14 +70,18 @@ class TrackReferences:
         """From when on errors count [s]: 2 s after the approach."""
         return self.approach.duration + 2.0
 
+    def pose(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) [m] and quaternions (n, 4) of the end effector's reference at times t (n,) [s]."""
+        offset, turns = self.approach.offset(t)
+        return self._place(*self.path.point(t)) + offset, turns
+
     def end_effector(self, t: np.ndarray) -> np.ndarray:
         """Positions (n, 3) [m] of the end effector's reference at times t (n,) [s]."""
-        along, across = self.path.point(t)
-        return self._place(along, across) + self.approach.offset(t)[0]
+        return self.pose(t)[0]
 
     def orientation(self, t: np.ndarray) -> np.ndarray:
         """Quaternions (n, 4) of the end effector's reference at times t (n,) [s]."""
-        return self.approach.offset(t)[1]
+        return self.pose(t)[1]
 
     def _place(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
         side, up = (0.0 * across, across) if self.vertical else (across, 0.0 * across)
