@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import builtins
 import logging
-import sys
-import types
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ import yaml
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
-from wbmpc.robots import load_spec
+from wbmpc.robots import load_spec, xacro_file
 
 INERTIA = '<inertial><origin xyz="0 0 0.1"/><mass value="{}"/><inertia ixx="{}" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
 GOOD = INERTIA.format(2, 0.01)
@@ -129,17 +127,30 @@ MACROS = urdf(
 
 
 def test_macros_need_a_package_which_the_message_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *rest: Any) -> types.ModuleType:
-        if name == "xacrodoc":
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    monkeypatch.delitem(sys.modules, "xacrodoc", raising=False)
+    monkeypatch.setattr(xacro_file, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"a\.urdf\.xacro: .*pip install 'wbmpc\[xacro\]'"):
         load_robot(robot_file(tmp_path, "a.urdf.xacro", MACROS))
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("while True: pass", "a.xacro: its macros are not expanded within 0.5 s"),
+        ("return [0] * 10**9", "a.xacro: its macros cannot be expanded: MemoryError"),
+        ("import os; os._exit(3)", "a.xacro: its macros cannot be expanded: exit status 3"),
+        ("raise KeyError('x')", "a.xacro: its macros cannot be expanded: KeyError: 'x'"),
+    ],
+)
+def test_macros_that_do_not_end_well(body: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Expressions of a file are a program's: whatever it does, it ends. (The package is a stand-in that does it.)"""
+    (tmp_path / "xacro.py").write_text(f"def process_file(path, mappings):\n    {body}\n")
+    packages = "reset = walk_up_from = update_package_cache = staticmethod(lambda *a: None)"
+    (tmp_path / "xacrodoc.py").write_text(f"class packages:\n    {packages}\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(xacro_file, "find_spec", lambda name: name)
+    monkeypatch.setattr(xacro_file, "SECONDS", 0.5 if "while" in body else 60.0)
+    with pytest.raises(InputError, match=re.escape(message)):
+        load_robot(robot_file(tmp_path, "a.xacro", MACROS))
 
 
 def test_macros_are_expanded(tmp_path: Path) -> None:

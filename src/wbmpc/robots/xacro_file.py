@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import io
+import json
 import re
+import subprocess
+import sys
 from collections.abc import Mapping
-from contextlib import redirect_stderr, redirect_stdout
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,6 +17,8 @@ from wbmpc.errors import InputError
 NAMESPACES = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
 NEEDED = "its macros (xacro) have to be expanded: pip install 'wbmpc[xacro]', or expand the file with ROS' own xacro"
 _MISSING = re.compile(r"Package not found: ([\w-]+)")
+#: How long macros may take [s].
+SECONDS = 30.0
 #: Expanded texts that are kept: a robot is read several times.
 _KEPT = 8
 
@@ -27,7 +31,8 @@ def has_macros(root: ElementTree.Element) -> bool:
 def expand(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> str:
     """The URDF of a file with macros. Raises :class:`InputError` naming the file, and the package or argument that is missing.
 
-    A file with macros is a program: Python expressions of it are evaluated. It is expanded once for each state of the file itself.
+    A file with macros is a program: Python expressions of it are evaluated, in a process of its own with limits of time and memory. It
+    is expanded once for each state of the file itself.
     """
     key = tuple(sorted((name, str(folder)) for name, folder in packages.items()))
     return _expanded(path.resolve(), path.stat().st_mtime_ns, key, tuple(sorted(arguments.items())), str(path))
@@ -37,23 +42,24 @@ def expand(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str
 def _expanded(
     path: Path, changed: int, packages: tuple[tuple[str, str], ...], arguments: tuple[tuple[str, str], ...], name: str
 ) -> str:
+    if find_spec("xacrodoc") is None:
+        raise InputError(f"{name}: {NEEDED}")
+    order = json.dumps({"path": str(path), "packages": dict(packages), "arguments": dict(arguments)})
+    program = [sys.executable, "-P", str(Path(__file__).with_name("expand_macros.py"))]
     try:
-        import xacrodoc  # it also replaces the search for ROS packages of the module below
-        import xacro  # isort: skip
-    except ImportError:
-        raise InputError(f"{name}: {NEEDED}") from None
-    xacrodoc.packages.reset()
-    xacrodoc.packages.walk_up_from(path)
-    xacrodoc.packages.update_package_cache(dict(packages))
-    said = io.StringIO()
+        run = subprocess.run(program, input=order, capture_output=True, text=True, timeout=SECONDS)
+    except subprocess.TimeoutExpired:
+        raise InputError(f"{name}: its macros are not expanded within {SECONDS:g} s") from None
     try:
-        with redirect_stdout(said), redirect_stderr(said):
-            return str(xacro.process_file(str(path), mappings=dict(arguments)).toxml())
-    except (Exception, SystemExit) as error:  # whatever its expressions raise
-        text = " ".join(f"{error} {said.getvalue()}".split())
-        if missing := _MISSING.search(text):
-            raise InputError(
-                f"{name}: ROS package '{missing[1]}' is not found; give its folder with 'packages: {{{missing[1]}: FOLDER}}' in the "
-                f"robot's YAML, or --package {missing[1]}=FOLDER"
-            ) from error
-        raise InputError(f"{name}: its macros cannot be expanded: {text[:300] or type(error).__name__}") from error
+        answer = json.loads(run.stdout)
+    except ValueError:  # it has been ended, or memory was not enough
+        answer = {"error": (run.stderr.strip().splitlines() or [f"exit status {run.returncode}"])[-1]}
+    if "text" in answer:
+        return str(answer["text"])
+    text = " ".join(str(answer["error"]).split())
+    if missing := _MISSING.search(text):
+        raise InputError(
+            f"{name}: ROS package '{missing[1]}' is not found; give its folder with 'packages: {{{missing[1]}: FOLDER}}' in the "
+            f"robot's YAML, or --package {missing[1]}=FOLDER"
+        )
+    raise InputError(f"{name}: its macros cannot be expanded: {text[:300]}")
