@@ -55,5 +55,5 @@ def test_gaps_alone_are_not_infeasible() -> None:
 def test_short_steps_where_the_merit_drowns_in_rounding() -> None:
     """Seed 95 needs steps below 0.1 there: it did not end within 1000 iterations."""
     drawn = random_problems.draw(95)
-    _, ours = random_problems.attempt(drawn, replace(drawn.settings, iterations=150))
+    _, ours = random_problems.attempt(drawn, replace(drawn.settings, iterations=250))
     assert ours.status is Status.RELAXED

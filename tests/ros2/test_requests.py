@@ -55,10 +55,10 @@ def test_whatever_a_goal_does_what_runs_goes_on(
     drive(p)
     task = p.control.active_task
     for _ in range(2):
-        p.go(1e9)
-        assert p.until(lambda: "the base's goal is 1e+09 m away" in p.control.request_queue.rejected)
+        p.go(1e6)
+        assert p.until(lambda: "the base's goal is 1e+06 m away" in p.control.request_queue.rejected)
     assert p.control.active_task is task
-    assert sum("1e+09 m away" in r.getMessage() for r in caplog.records) == 1
+    assert sum("1e+06 m away" in r.getMessage() for r in caplog.records) == 1
 
     def fails(*_: Any) -> None:
         raise MemoryError("no room")
@@ -220,7 +220,7 @@ def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_rejected(pair
     task = p.control.active_task
     pose = lambda i, frame="": {
         "header": {"stamp": {"sec": i}, "frame_id": frame},
-        "pose": {"position": {"x": 0.2 * i}},
+        "pose": {"position": {"x": 0.2 * (i % 10)}},
     }
     for poses, says in (
         ([pose(1_700_000_000), pose(1_700_000_001)], "s from now; valid: at most 60 s (are its stamps of this clock?)"),

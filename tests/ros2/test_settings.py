@@ -173,7 +173,7 @@ def test_commands_reject_other_robots_and_missing_files(tmp_path: Path, capsys: 
         '<mujoco><worldbody><body name="base"><geom size="0.1"/><body name="tip" pos="0 0 1"><joint name="turn" range="-1 1"/>'
         '<geom size="0.1"/></body></body></worldbody><compiler autolimits="true"/></mujoco>'
     )
-    text = "name: r\nmodel: r.xml\nbase: {type: fixed, body: base}\narm: {joints: [turn], tool: tip}\n"
+    text = "name: r\nmodel: r.xml\nbase: {type: fixed, body: base}\narm: {joints: [turn], tool: tip}\nlimits: {velocity: {turn: 1.0}}\n"
     (tmp_path / "r.yaml").write_text(text)
     assert main(["ros2", "control", str(tmp_path / "r.yaml")]) == 2
     assert capsys.readouterr().err == (

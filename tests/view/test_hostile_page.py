@@ -42,7 +42,7 @@ WRONG: dict[str, tuple[Any, ...]] = {
     "Speed": (0.0, float("nan"), -1.0, 1e9, "fast", True, [1.0]),
     "Force [N]": (1e9, float("inf"), -5.0),
     "Time [s]": (float("nan"), 1e6),
-    "hand": (400.0, float("nan"), "heavy"),
+    "end_effector": (400.0, float("nan"), "heavy"),
     "Configuration": ("Z", 7, "__class__"),
     "Brakes open": (2, "yes", 0.5),
     "Pause": ("no", 7.0),

@@ -229,8 +229,11 @@ class BallController:
         known, measured, sent = self._known, self.measured, self.sent
         if known is None or known[0] is not measured or known[1] != sent.count:
             assert measured is not None
-            late = self._late()
-            self._known = known = measured, sent.count, self._through(measured.state, sent.since(late + sent.dead, 0))
+            if self._steps_alike:
+                x = self._through(measured.state, sent.since(self._late() + sent.dead, 0))
+            else:  # what a subclass adds to the state now goes along
+                x = self._through(self.state(), sent.since(sent.dead, 0))
+            self._known = known = measured, sent.count, x
         return known[2].copy()
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
