@@ -166,3 +166,10 @@ def test_a_joint_with_an_empty_range_cannot_be_used(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"joint 'rise': its range is empty.*fixed_joints: \{rise: 0\}"):
         load_robot(robot_file(tmp_path, "a.urdf", urdf(height="0")))
     load_robot(robot_file(tmp_path, "a.urdf", urdf(height="0"), limits={"position": {"rise": [0.0, 0.5]}}))
+
+
+@pytest.mark.parametrize("encoding", ["zlib", "idna", "nowhere"])
+def test_an_encoding_that_is_none_of_a_text_is_an_error(tmp_path: Path, encoding: str) -> None:
+    text = f'<?xml version="1.0" encoding="{encoding}"?>{urdf()}'
+    with pytest.raises(InputError, match=r"a\.urdf: cannot be read"):
+        load_robot(robot_file(tmp_path, "a.urdf", text))
