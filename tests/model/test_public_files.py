@@ -168,7 +168,7 @@ def test_a_joint_with_an_empty_range_cannot_be_used(tmp_path: Path) -> None:
     load_robot(robot_file(tmp_path, "a.urdf", urdf(height="0"), limits={"position": {"rise": [0.0, 0.5]}}))
 
 
-@pytest.mark.parametrize("encoding", ["zlib", "idna", "nowhere"])
+@pytest.mark.parametrize("encoding", ["zlib", "idna", "nowhere", "utf-7"])
 def test_an_encoding_that_is_none_of_a_text_is_an_error(tmp_path: Path, encoding: str) -> None:
     text = f'<?xml version="1.0" encoding="{encoding}"?>{urdf()}'
     with pytest.raises(InputError, match=r"a\.urdf: cannot be read"):

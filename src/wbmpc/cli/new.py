@@ -132,20 +132,15 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
 def _write(path: Path, data: dict[str, Any], draft: Draft, home: Home) -> RobotModel:
     """Write the YAML if the robot loads with it; then its weights are known too."""
     from wbmpc.model.robot import load_robot
+    from wbmpc.output_file import whole_file
     from wbmpc.robots.robot_yaml import write_yaml
 
-    comments, previous = _comments(draft, home), path.read_bytes() if path.exists() else None
-    path.write_text(write_yaml(data, comments), encoding="utf-8")
-    try:
-        robot = load_robot(path)
-    except BaseException:  # what was there before stays
-        if previous is None:
-            path.unlink()
-        else:
-            path.write_bytes(previous)
-        raise
-    comments["limits"] += "\n" + _weights(robot)
-    path.write_text(write_yaml(data, comments), encoding="utf-8")
+    comments = _comments(draft, home)
+    with whole_file(path) as partial:  # what was there before stays until the robot loads
+        partial.write_text(write_yaml(data, comments), encoding="utf-8")
+        robot = load_robot(partial)
+        comments["limits"] += "\n" + _weights(robot)
+        partial.write_text(write_yaml(data, comments), encoding="utf-8")
     return robot
 
 

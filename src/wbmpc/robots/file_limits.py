@@ -94,7 +94,9 @@ class _Walk:
         self._parser.StartDoctypeDeclHandler = self._doctype
         try:
             self._parser.Parse(text, True)
-        except (expat.ExpatError, LookupError, UnicodeError) as error:  # the file names its encoding
+        except InputError:
+            raise
+        except (expat.ExpatError, LookupError, ValueError) as error:  # the file names its encoding
             raise InputError(f"{self._path}: cannot be read: {error}") from error
         return self._count
 
