@@ -46,16 +46,17 @@ def _of_urdf(file: ModelFile) -> dict[str, Drive]:
     for joint in file.root.findall("joint"):
         name, limit, mimic = joint.get("name", ""), joint.find("limit"), joint.find("mimic")
         attributes = {} if limit is None else limit.attrib
-        low, high = (_number(attributes.get(k, "0")) for k in ("lower", "upper"))
+        low, high = (number(attributes.get(k, "0")) for k in ("lower", "upper"))
         found[name] = Drive(
-            _bound(_number(attributes.get("velocity"))), _bound(_number(attributes.get("effort"))),
+            _bound(number(attributes.get("velocity"))), _bound(number(attributes.get("effort"))),
             None if mimic is None else mimic.get("joint", ""), name in driven,
             joint.get("type") in ("revolute", "prismatic") and not (low is not None and high is not None and low < high),
         )  # fmt: skip
     return found
 
 
-def _number(text: str | None) -> float | None:
+def number(text: str | None) -> float | None:
+    """A finite number of an attribute; None where there is none."""
     try:
         value = float(text or "")
     except ValueError:

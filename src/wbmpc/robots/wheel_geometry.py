@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.errors import InputError
+from wbmpc.robots.actuation import number
 from wbmpc.robots.model_file import ModelFile, file_of
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def _of_urdf(root: ElementTree.Element, joint: str) -> float | None:
         beside = np.linalg.norm(np.cross(_vector(origin, "xyz", (0.0, 0.0, 0.0)), axis))
         along = lie.euler_zyx_to_rotation(yaw, pitch, roll)[:, 2]
         for kind in kinds:
-            radius = _number(kind.get("radius"))
+            radius = number(kind.get("radius"))
             if kind.tag == "cylinder" and not _along(along, axis):
                 continue
             if kind.tag in ("cylinder", "sphere") and radius is not None and beside <= BESIDE * radius:
@@ -128,14 +129,6 @@ def _of_urdf(root: ElementTree.Element, joint: str) -> float | None:
 
 def _vector(element: ElementTree.Element | None, name: str, default: tuple[float, float, float]) -> np.ndarray:
     words = "" if element is None else element.get(name, "")
-    values = [_number(word) for word in words.split()]
+    values = [number(word) for word in words.split()]
     ok = len(values) == 3 and all(v is not None for v in values)
     return np.array(values if ok else default, float)
-
-
-def _number(text: str | None) -> float | None:
-    try:
-        value = float(text or "")
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
