@@ -168,7 +168,7 @@ def _print_differences(figures: list[dict[str, Any]], changed: dict[str, list[An
 
 def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
     from wbmpc.cli.terminal import console, table
-    from wbmpc.report import number
+    from wbmpc.units import scale
 
     shown = table()
     for column in ("metric", "unit"):
@@ -177,6 +177,6 @@ def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
         shown.add_column(column, justify="right", no_wrap=True)
     for row in rows:
         change = "" if row["change"] is None else f"{100 * row['change']:+.1f} %"
-        values = ["" if v is None else number(v) for v in row["values"]]
-        shown.add_row(printable(row["metric"]), printable(row["unit"]), *values, change)
+        unit = scale(row["unit"], *row["values"])
+        shown.add_row(printable(row["metric"]), printable(unit.unit), *map(unit.text, row["values"]), change)
     console().print(shown)
