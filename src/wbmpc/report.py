@@ -327,7 +327,8 @@ def goal_notes(result: RunResult) -> list[str]:
 def _summary(result: RunResult) -> str:
     judged = {name: met for name in result.metrics if (met := result.reached(name)) is not None}
     missed = [html.escape(name) for name, met in judged.items() if not met]
-    text = f"Outcome: {result.outcome}" + ("" if result.completed else f" ({html.escape(result.reason)})")
+    ended = f"The run did not complete: {html.escape(result.reason)} (outcome: {result.outcome})"
+    text = "The run completed" if result.completed else ended
     if judged:
         text += f"; {len(judged) - len(missed)} of {len(judged)} goals reached"
     if missed:

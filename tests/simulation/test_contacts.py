@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from wbmpc.bases import base_type
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.messages import SwerveCommand
@@ -31,7 +32,7 @@ def post(at: np.ndarray) -> object:
     return edit
 
 
-def test_a_post_pushes_the_arm_away_and_is_counted_once() -> None:
+def test_a_post_is_in_the_way_and_every_touch_is_counted_once() -> None:
     free = SwervePlant(SWERVE.description, perturbation=IDEAL)
     wrist = free.data.body("wrist_3_link").xpos[:2].copy()
     free.step(STOP, 200)
@@ -40,8 +41,10 @@ def test_a_post_pushes_the_arm_away_and_is_counted_once() -> None:
     for _ in range(20):
         hit.step(STOP, 5)
     touches = hit.world.contacts.touches
-    assert [(t.first, t.second) for t in touches] == [("world", "wrist_3_link")]
-    assert hit.world.contacts.clearance < 0.0 and hit.data.ncon > 4
+    pairs = [(t.first, t.second) for t in touches]
+    assert ("world", "wrist_3_link") in pairs and {second.partition("_")[0] for _, second in pairs} == {"wrist"}
+    assert len(set(pairs)) == len(pairs)  # each is one event as long as it lasts
+    assert hit.world.contacts.clearance < 0.0
     ending = Ending.of(hit)
     assert ending.contacts[0].touches == touches and not ending.fell
 
@@ -66,8 +69,6 @@ def test_a_ball_robot_without_torques_lies_on_the_floor_in_the_end() -> None:
 @pytest.mark.parametrize("name", ["swerve-ur10", "swerve-mabi", "differential-ur10", "mecanum-ur10", "rezero"])
 def test_every_body_of_a_built_in_robot_collides_but_for_neighbours(name: str) -> None:
     """Each body has a shape that collides, or rollers that stand for it; what is excluded is drawn in each other at home."""
-    from wbmpc.bases import base_type
-
     robot = load_robot(name)
     plant = base_type(robot.description.base.type).plant(robot, IDEAL, 0)
     m = plant.model
