@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
@@ -14,6 +14,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.checks import compiled
 from wbmpc.simulation.contacts import GROUND, Contacts, enable
+from wbmpc.simulation.speed_torque import SpeedTorque
 
 _LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
@@ -104,9 +105,12 @@ class World:
     ``refresh`` does the first half when it has not been done, so that what is read never belongs to the step before.
     """
 
-    def __init__(self, spec: mujoco.MjSpec, description: RobotDescription, joints: list[str]) -> None:
-        """The robot of a ``description`` with the scene of a ``spec``; ``joints``: those that are read. Raises :class:`InputError`
-        naming the robot's file where it cannot be simulated: a base without mass."""
+    def __init__(
+        self, spec: mujoco.MjSpec, description: RobotDescription, joints: list[str], rated: Mapping[str, float]
+    ) -> None:
+        """The robot of a ``description`` with the scene of a ``spec``; ``joints``: those that are read; ``rated`` [rad/s]: speeds up to
+        which drives give their whole torque, by actuator. Raises :class:`InputError` naming the robot's file where it cannot be
+        simulated: a base without mass."""
         # MuJoCo's warnings go to the log, not into a file in the working directory
         mujoco.set_mju_user_warning(lambda text: _LOG.warning("MuJoCo: %s", text))
         enable(spec, description.home, description.model)
@@ -115,7 +119,7 @@ class World:
         self.timestep = float(self.model.opt.timestep)
         self.external: Hook | None = None
         m = self.model
-        self.contacts = Contacts(m)
+        self.contacts, self._drives = Contacts(m), SpeedTorque(m, rated)
         self.body, self.site = m.body(description.base.body).id, self._tool(description.arm.tool)
         self._joints = {name: (int(m.joint(name).qposadr[0]), int(m.joint(name).dofadr[0])) for name in joints}
         self._pushes: dict[int, tuple[Array, Array, Array | None]] = {}
@@ -155,6 +159,7 @@ class World:
             mujoco.mj_step1(self.model, self.data)
         if control is not None:
             control()
+        self._drives.apply(self.model, self.data)
         if self._pushes:
             self._apply_pushes()
         if self.external is not None:

@@ -111,7 +111,7 @@ class BallPlant(WorldAccess):
         self.draw = p.draw(draw_rng, bodies, len(self.base.wheels.azimuths), len(arm))
         with named(description.model):
             self._build(spec, payload, edit)
-        self.world = World(spec, description, arm)
+        self.world = World(spec, description, arm, self._rated())
         self.model, self.data = self.world.model, self.world.data
         self._arm_q = np.array([self.model.joint(n).qposadr[0] for n in arm])
         self._arm_v = np.array([self.model.joint(n).dofadr[0] for n in arm])
@@ -185,6 +185,12 @@ class BallPlant(WorldAccess):
         actuator.gear = gear
         if np.isfinite(limit):
             actuator.ctrlrange, actuator.ctrllimited = [-limit, limit], mujoco.mjtLimited.mjLIMITED_TRUE
+
+    def _rated(self) -> dict[str, float]:
+        """Speeds [rad/s] up to which the drives give their whole torque."""
+        limits, wheels = self.description.limits, range(len(self.base.wheels.azimuths))
+        arm = {name: limits.velocity.get(name, np.inf) for name in self.description.arm.joints}
+        return {**{f"wheel_{i}": limits.wheel_velocity for i in wheels}, **arm}
 
     def _drives(self) -> ElasticDrives:
         p, limits, wheels = self.perturbation, self.description.limits, len(self.base.wheels.azimuths)

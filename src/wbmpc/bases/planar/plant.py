@@ -53,7 +53,7 @@ class PlanarPlant(WheeledPlant):
         with named(description.model):
             self._build(spec, edit)
         names = [n for group in self._names.values() for n in group]
-        self.world = World(spec, description, names)
+        self.world = World(spec, description, names, {n: description.limits.velocity.get(n, np.inf) for n in names})
         self.model, self.data = self.world.model, self.world.data
         self.index()
         self.start_sensors({"wheel": np.zeros(len(self._names["wheel"])), "arm": self.draw.arm_offset})

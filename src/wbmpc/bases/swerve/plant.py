@@ -91,7 +91,7 @@ class SwervePlant(WheeledPlant):
         self.draw = self.perturbation.draw(draw_rng, bodies, len(modules), len(arm))
         with named(description.model):
             self._build(spec, edit)
-        self.world = World(spec, description, [n for g in self._names.values() for n in g])
+        self.world = World(spec, description, [n for g in self._names.values() for n in g], self._rated())
         self.model, self.data = self.world.model, self.world.data
         self.index()
         self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
@@ -151,6 +151,12 @@ class SwervePlant(WheeledPlant):
         self._wheel_bodies = [int(m.geom_bodyid[geom]) for geom in self._wheel_geoms]
         for dof in self._v["leg"]:
             m.dof_solref[dof], m.dof_solimp[dof] = _BRAKE_SOLREF, _BRAKE_SOLIMP
+
+    def _rated(self) -> dict[str, float]:
+        """Speeds [rad/s] up to which the drives give their whole torque."""
+        speed = self.description.limits.velocity
+        base = {"wheel": WHEEL_SPEED, "steer": STEER_SPEED}
+        return {n: base.get(g, speed.get(n, np.inf)) for g in ("wheel", "steer", "arm") for n in self._names[g]}
 
     def _zero_errors(self) -> dict[str, Array]:
         draw, n = self.draw, len(self._names["leg"])
