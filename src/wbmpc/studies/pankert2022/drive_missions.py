@@ -15,6 +15,8 @@ from wbmpc.settings import ExperimentSettings
 from wbmpc.stability import leg_angles
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
 
+#: Along the way [m]: where the turn by 180° begins, where it has been made, the end. Speed [rad/s] at which the arm folds.
+WAY, FOLDING = (9.0, 11.0, 15.0), 0.3
 #: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s].
 KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
@@ -49,13 +51,14 @@ class SwerveDriveSettings(ExperimentSettings):
 def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
     """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
     h, x, a = (leg_angles(robot, name) for name in "HXA")
-    quarter, end = 0.5 * np.pi, 18.0
-    # The base never stops while its brakes are open (at rest the wheels would have to turn before anything can move), and
-    # is so fast that no wheel comes to a stop while it turns: then none has to turn about in place.
+    quarter, (begin, after, end) = 0.5 * np.pi, WAY
+    # The base never stops while its brakes are open: at rest the wheels would have to turn before anything can move.
     way = (
-        Leg(1.0, 61.5, (end, 0.0, 0.0)),
-        Leg(20.0, 10.0, (end, 0.0, -quarter)),
-        Leg(30.0, 18.0, (end, 0.0, quarter)),
+        Leg(1.0, 30.5, (begin, 0.0, 0.0)),
+        Leg(20.0, 10.0, (begin, 0.0, -quarter)),
+        Leg(30.0, 19.5, (after, 0.0, -quarter)),
+        Leg(30.0, 18.0, (after, 0.0, quarter)),
+        Leg(48.0, 14.5, (end, 0.0, quarter)),
         Leg(48.0, 10.0, (end, 0.0, 0.0)),
     )
     turns = (
@@ -64,7 +67,16 @@ def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
         Reconfiguration(40.0, x),
         Reconfiguration(54.0, h),
     )
-    return Mission(way, h, turns, ((15.0, 1.0), (58.5, 0.0))), 65.0
+    home = robot.home[robot.state["arm"]]
+    return Mission(way, h, turns, ((15.0, 1.0), (58.5, 0.0)), folding(robot, home)), 65.0
+
+
+def folding(robot: RobotModel, home: np.ndarray) -> tuple[Reconfiguration, ...]:
+    """The arm's first joint turns the end effector to before the base, and back behind the door."""
+    place = robot.pose(robot.home)[0]
+    folded = home.copy()
+    folded[0] -= float(np.arctan2(place[1], place[0]))
+    return Reconfiguration(1.0, folded, FOLDING), Reconfiguration(16.0, home, FOLDING)
 
 
 def straight(robot: RobotModel, name: str, is_open: bool) -> tuple[Mission, float]:

@@ -138,8 +138,9 @@ def drive(
     seed: int,
     log: Log,
     progress: Progress | None = None,
-) -> tuple[SwerveController, str]:
-    """The reference drive, recorded in ``log``: the controller with its odometry, and why it ended early (empty: it did not)."""
+) -> tuple[SwerveController, SwervePlant, str]:
+    """The reference drive, recorded in ``log``: the controller with its odometry, the simulated robot, and why it ended early (empty: it
+    did not)."""
     plant = SwervePlant(
         robot.description, robot.state.split(robot.home), settings.plant, seed,
         localisation=settings.localisation.source(seed),
@@ -171,8 +172,8 @@ def drive(
                 tick(plant.time, command)
                 plant.step(command, steps)
                 if plant.fell:
-                    return controller, f"the robot fell at {plant.time:.2f} s"
-    return controller, ""
+                    return controller, plant, f"the robot fell at {plant.time:.2f} s"
+    return controller, plant, ""
 
 
 def calibrated(
@@ -185,7 +186,7 @@ def calibrated(
     if how == "drive":
         sound = plant.model_copy(update={"brake_fault": "none"})  # a brake fails in the run, not before it
         log = Log()
-        _, reason = drive(robot, SwerveCalibrateSettings(plant=sound, localisation=localisation), seed, log)
+        *_, reason = drive(robot, SwerveCalibrateSettings(plant=sound, localisation=localisation), seed, log)
         if reason:
             raise RunAborted(f"the reference drive for the calibration: {reason}")
         return calibrate(geometry, record_of(log))
