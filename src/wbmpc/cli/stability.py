@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from wbmpc.checks import parse_number
 from wbmpc.cli.directories import Force, new_file
 from wbmpc.errors import InputError
 from wbmpc.output_file import write_text
@@ -64,7 +65,7 @@ def _numbers(option: str, text: str, sizes: tuple[int, ...]) -> list[float]:
     """Finite numbers of an option, separated by commas or blanks."""
     valid = " or ".join(map(str, sizes))
     try:
-        values = [float(v) for v in text.replace(",", " ").split()]
+        values = [parse_number(v) for v in text.replace(",", " ").split()]
     except ValueError:
         raise InputError(f"{option}: {valid} numbers are needed, got '{text}'") from None
     if len(values) not in sizes or not all(map(math.isfinite, values)):
