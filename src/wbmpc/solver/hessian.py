@@ -67,16 +67,17 @@ class HessianSwitch:
 
     def run(self, x0: np.ndarray, t0: float) -> tuple[int, int]:
         """As :meth:`Solver.run`; where Gauss-Newton stalls, the exact Hessian is compiled and the solve goes on with it."""
-        from wbmpc.solver.driver import STALLED
+        from wbmpc.solver.driver import STALLED, iterate
 
-        status, count = self._solver.run(x0, t0)
+        solver = self._solver
+        status, count = solver.run(x0, t0)
         if status != STALLED:
             return status, count
         exact = self._compile()
         if exact is not None:
             self._use(exact.addresses, True)
-        self._solver.numbers[Setting.DETECT_STALL] = 0.0
-        return self._solver.resume(count)
+        solver.numbers[Setting.DETECT_STALL] = 0.0
+        return iterate(solver.ws.memory, solver.ws.table, solver.x0, solver.numbers, solver.log, count)
 
     def _use(self, addresses: Sequence[int], exact: bool) -> None:
         table = self._solver.ws.table

@@ -259,13 +259,6 @@ class Solver:
             )  # fmt: skip
             return out[0], out[1]
 
-    def resume(self, done: int) -> tuple[int, int]:
-        """Iterate on in place from the present iterate, slacks and multipliers, after ``done`` iterations: as :meth:`run`."""
-        with self.exclusive:
-            out = self._out
-            self._resume(self._memory, self._table, self._start, self._numbers, self._log, done, ctypes.addressof(out))
-            return out[0], out[1]
-
     def _check_terms(self) -> None:
         """Raise :class:`InputError` if the problem's terms are no longer those that the solver was made of."""
         built, now = self._terms, self.ocp.terms.values()
@@ -280,10 +273,8 @@ class Solver:
 
     def _bind(self) -> None:
         """Addresses of what every solve passes on: a call then costs microseconds."""
-        from wbmpc.solver.driver import iterate
         from wbmpc.solver.receding import receding_solve, simulate
 
-        self._resume = iterate.pointer
         self._entry, self._out = receding_solve.pointer, (ctypes.c_int64 * 2)()
         self._simulate, self._nothing = simulate.pointer, ctypes.addressof(self._out)
         self._x, self._u = np.zeros(self.problem.nx), np.zeros(SIMULATED * self.problem.nu)
