@@ -187,7 +187,7 @@ def test_observations_are_checked() -> None:
         MPC(mpc.ocp, REAL_TIME, 0.0)
     with pytest.raises(InputError, match=r"mpc\.rate"):
         MPC(mpc.ocp, REAL_TIME, np.inf)
-    with pytest.raises(InputError, match="a time and a vector of numbers"):
+    with pytest.raises(InputError, match=r"observation: .*numbers? (is|are) needed"):
         Observation(0.0, "abc")  # type: ignore[arg-type]
     for x, u, message in (
         (np.array([0, np.nan, 0, 0]), None, "reset: 'x.1' is not finite"),
