@@ -27,6 +27,7 @@ from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.results import show_results
 from wbmpc.cli.ros2 import ros2
+from wbmpc.cli.runs import runs
 from wbmpc.cli.stability import stability
 from wbmpc.cli.terminal import (
     ABORTED,
@@ -65,7 +66,7 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(log)
 app.add_typer(ros2)
-for _command in (new, doctor, stability, calibrate, view, replay, render, compare, reproduce):
+for _command in (new, doctor, stability, calibrate, view, replay, render, runs, compare, reproduce):
     app.command()(_command)
 
 
