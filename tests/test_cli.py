@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -16,7 +14,7 @@ import numpy as np
 import pytest
 
 import wbmpc
-from command_line import FAKE_MAIN, HERE, call, shell
+from command_line import FAKE_MAIN, call, shell
 from fake_experiment import REGISTRY
 from wbmpc.cli import app, main
 from wbmpc.cli.results import _table
