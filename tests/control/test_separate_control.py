@@ -107,7 +107,7 @@ def test_integral_removes_what_a_constant_torque_leaves(integral: float, left: b
 
 @pytest.mark.parametrize("name", [pytest.param("separate", marks=thorough), "separate-aware"])
 def test_separate_control_stands_a_small_push(name: str) -> None:
-    settings = RezeroPushHandSettings(forces=(30.0,), settle_time=0.5, pause=1.0, controller=name)
+    settings = RezeroPushHandSettings(forces=(30.0,), settle_time=0.5, pause=2.0, controller=name)
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
     assert result.completed, result.reason
     torque = result.log.array("torque")

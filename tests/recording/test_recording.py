@@ -43,7 +43,7 @@ from wbmpc.view.replay import Film
 from wbmpc.view.session import system_of
 
 FAST = ["--set", "periods=1", "--set", "speed=0.8", "--set", "settle_time=1", "--set", "calibration=none"]
-BALL = ["--set", "forces=[20]", "--set", "settle_time=0.5", "--set", "pause=1"]
+BALL = ["--set", "forces=[20]", "--set", "settle_time=0.5", "--set", "pause=2"]
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 

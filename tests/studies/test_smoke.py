@@ -14,7 +14,7 @@ from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
-TRACK = SwerveTrackSettings(periods=1, speed=0.8, settle_time=1.0, calibration="none")
+TRACK = SwerveTrackSettings(periods=1, settle_time=1.0, calibration="none")
 STEPS = RezeroStepsSettings(hold_time=3.5, settle_time=1.5, final_hold_time=0.0)
 SHORT = RezeroStepsSettings(hold_time=1.5, settle_time=0.5, final_hold_time=0.0, preview=False)
 

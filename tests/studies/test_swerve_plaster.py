@@ -69,13 +69,13 @@ def test_a_stop_is_counted() -> None:
 def test_a_short_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wall, "LENGTH", 0.6)
     monkeypatch.setattr(wall, "ENDS", 0.2)
-    monkeypatch.setattr(wall, "LINES", 2)
+    monkeypatch.setattr(wall, "LINES", 3)
     settings = SwervePlasterSettings(passes=2, settle_time=0.5, calibration="none", terrain=False)
     result = EXPERIMENT.run(settings, 0)
     assert result.completed, result.reason
     m = {k: v.value for k, v in result.metrics.items()}
     assert 1e-4 < m["hand_error_rms"] < 0.01 and 1e-4 < m["hand_error_rms_world_normal"] < 0.01
-    assert m["path_length"] == pytest.approx(2 * (2 * 0.6 + np.pi * 0.075), rel=0.02)
+    assert m["path_length"] == pytest.approx(2 * (3 * 0.6 + 2 * np.pi * 0.075), rel=0.02)
     assert 0.08 < m["wall_distance_min"] < 0.1 and m["stops"] == 0.0 and 0 < m["pass_spread_rms"] < 0.003
 
 
