@@ -48,7 +48,11 @@ class LeanControl:
 
     def reset(self) -> None:
         """Before another run."""
-        self.push_fault, self._pushed_since, self._driven_since = "", np.inf, np.inf  # of a force that pushes the robot away
+        self.push_fault, self._pushed_since, self._driven_since = (
+            "",
+            np.inf,
+            np.inf,
+        )  # of a force that pushes the robot away
         self._largest = 0.0
 
     def shift(self, force: Array, yaw: float) -> Array:
