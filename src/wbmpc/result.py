@@ -120,7 +120,8 @@ class Drawing:
 class RunResult:
     """Everything a run leaves behind; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
     experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages; ``failure``: the
-    ``outcome`` of a run that neither completed nor was interrupted."""
+    ``outcome`` of a run that neither completed nor was interrupted; ``command`` repeats the run, and ``wall_time`` [s] is how long it
+    took, both of runs of the command line."""
 
     experiment: str
     seed: int
@@ -135,6 +136,8 @@ class RunResult:
     interrupted: bool = False
     faults: list[str] = field(default_factory=list)
     failure: OutcomeName = "gave_up"
+    command: str = ""
+    wall_time: float | None = None
 
     @property
     def outcome(self) -> OutcomeName:
