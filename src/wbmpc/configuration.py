@@ -11,6 +11,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
 
+from wbmpc.checks import parse_number
 from wbmpc.errors import InputError, did_you_mean
 from wbmpc.yaml_file import parse_yaml
 
@@ -170,7 +171,7 @@ def _largest(value: Any) -> float:
     if isinstance(value, str):
         # YAML reads nan, inf and 1e3 as text; pydantic would make numbers of them
         try:
-            value = float(value)
+            value = parse_number(value)
         except ValueError:
             return 0.0
     if not isinstance(value, int | float):
@@ -200,7 +201,7 @@ def _numbers(value: Any) -> Any:
         return [_numbers(v) for v in value]
     if isinstance(value, str):
         with suppress(ValueError):
-            return float(value)
+            return parse_number(value)
     return value
 
 
