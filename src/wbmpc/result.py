@@ -39,7 +39,7 @@ class Metric:
         return bool((self.goal is None or self.value <= self.goal) and (self.least is None or self.value >= self.least))
 
 
-def no_comparison(goal: float) -> Metric:
+def no_comparison(goal: float | None = None) -> Metric:
     """The ratio to a baseline that fell or ended early: no number, so that its ``goal`` does not count as reached."""
     return Metric(
         float("nan"), "1", goal=goal, goal_note="the baseline did not get to the end, there is nothing to compare with"

@@ -11,8 +11,8 @@ from pydantic import Field
 from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, SwerveCost
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import RobotModel
-from wbmpc.settings import ExperimentSettings
 from wbmpc.stability import leg_angles
+from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
 
 #: Along the way [m]: where the turn by 180° begins, where it has been made, the end. Speed [rad/s] at which the arm folds.
@@ -23,12 +23,11 @@ BRAKES = ((15.0, 1.0), (19.5, 0.0), (33.0, 1.0), (44.5, 0.0), (54.0, 1.0), (58.5
 KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
 
-class SwerveDriveSettings(ExperimentSettings):
-    """``use_gyro``, ``settle_time``, ``actuator_time_constant``: as in swerve-track; ``leg_guard`` (MPC), ``reject_lifted_wheels``
-    (MPC and baseline): see :class:`wbmpc.bases.swerve.controller.SwerveController`.
+class SwerveDriveSettings(DrivingSettings):
+    """``leg_guard`` (MPC): see :class:`wbmpc.bases.swerve.controller.SwerveController`.
     ``baseline_…``: gains [1/s] for base, legs and steering; by how much
     [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
-    :class:`wbmpc.studies.pankert2022.rolling.RollingController`)."""
+    :class:`wbmpc.studies.pankert2022.rolling.RollingController`). The other settings are those of all experiments that drive."""
 
     # by runs on seed 0, looked at on seed 5
     cost: SwerveCost = SwerveCost(
@@ -37,10 +36,6 @@ class SwerveDriveSettings(ExperimentSettings):
         input=InputCost(base=5.0, steer=0.002),
     )
     robot: str = "swerve-ur10"
-    use_gyro: bool = True
-    reject_lifted_wheels: bool = False
-    settle_time: float = Field(20.0, ge=0, le=120)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     leg_guard: bool = True
     # of a search that benchmarks/swerve_baselines.py does, of which only a part was run
     baseline_base_gain: float = Field(8.0, ge=0, le=50)
