@@ -70,7 +70,7 @@ class MPC:
         self._input_rows = InputRows(self.solver)
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = self._input_rows.limits
-        self._first = first_iterations
+        self.first_iterations = int(first_iterations)
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
@@ -221,7 +221,7 @@ class MPC:
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
-        passes = self._first if self._t is None else 1
+        passes = self.first_iterations if self._t is None else 1
         if self._follow_last:
             self._continue_from(observation.t, delta)
         status, count, elapsed, self._iterations = 0, 0, 0.0, 0

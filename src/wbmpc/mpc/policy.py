@@ -33,6 +33,12 @@ class InputLimits:
         self._coupled = _groups(self.matrix != 0.0)  # (r, nu)
         single = np.flatnonzero((self.matrix != 0.0).sum(axis=1) == 1)
         self._single = [(int(r), int(np.argmax(self.matrix[r] != 0.0))) for r in single]
+        alone = np.full(len(self.matrix), -1.0)
+        for r, i in self._single:
+            alone[r] = i
+        parts = (self.lower, self.upper, self.matrix.ravel(), self.offset, self._coupled.ravel(), alone)
+        #: all of it in one array, as :mod:`wbmpc.solver.feedback` reads it
+        self.table = np.concatenate([np.asarray(part, float) for part in parts])
 
     def hold(
         self,

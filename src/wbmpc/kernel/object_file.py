@@ -1,0 +1,94 @@
+"""Several LLVM modules as one object file of which only chosen functions can be seen."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import llvmlite.binding as llvm
+
+from wbmpc.errors import KernelError
+from wbmpc.kernel.codegen_target import Target
+
+
+class Module(NamedTuple):
+    """LLVM IR, and the level of the passes that run on it alone, before it is linked with others."""
+
+    ir: str
+    optimise: int = 0
+
+
+class Symbols(NamedTuple):
+    """Of an object file: what others can link with, and what it needs from elsewhere."""
+
+    defined: list[str]
+    undefined: list[str]
+
+
+@cache
+def _initialise() -> None:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    llvm.initialize_native_asmparser()
+
+
+def link(modules: Sequence[Module], target: Target, prefix: str) -> bytes:
+    """Position-independent object code; what does not begin with ``prefix`` is internal, and dropped if nothing uses it."""
+    _initialise()
+    found = llvm.Target.from_triple(target.triple)
+    machines = [
+        found.create_target_machine(cpu=target.cpu, features=target.features, opt=opt, reloc="pic", codemodel="small")
+        for opt in (1, 2)
+    ]
+    parsed = [_parsed(module, target, machines[1]) for module in modules]
+    whole = parsed[0]
+    for module in parsed[1:]:
+        whole.link_in(module)
+    for thing in (*whole.functions, *whole.global_variables):
+        if not thing.is_declaration and not thing.name.startswith(prefix):
+            thing.linkage = "internal"
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.run(whole, llvm.create_pass_builder(machines[1], llvm.create_pipeline_tuning_options(speed_level=0)))
+    return bytes(machines[0].emit_object(whole))
+
+
+def _parsed(module: Module, target: Target, machine: Any) -> Any:
+    try:
+        parsed = llvm.parse_assembly(module.ir)
+    except RuntimeError as error:
+        raise KernelError(f"the generated code was rejected: {str(error)[:400]}") from error
+    parsed.triple, parsed.data_layout = target.triple, str(machine.target_data)
+    if module.optimise:
+        options = llvm.create_pipeline_tuning_options(speed_level=module.optimise)
+        options.loop_vectorization = True
+        builder = llvm.create_pass_builder(machine, options)
+        builder.getModulePassManager().run(parsed, builder)
+    return parsed
+
+
+def symbols(code: bytes) -> Symbols:
+    """What a 64-bit little-endian ELF object defines for others and needs, each sorted."""
+    if code[:6] != b"\x7fELF\x02\x01":
+        raise KernelError("the object code is not in the ELF format of 64-bit little-endian systems")
+    defined, undefined = set(), set()
+    for name, info, section in _symbol_table(code):
+        if name and info >> 4 in (1, 2):  # global or weak
+            (defined if section else undefined).add(name)
+    return Symbols(sorted(defined), sorted(undefined))
+
+
+def _symbol_table(code: bytes) -> Iterator[tuple[str, int, int]]:
+    """(name, info, section) of every symbol, by the layout that the ELF specification gives."""
+    (start,) = struct.unpack_from("<Q", code, 0x28)
+    size, count, _ = struct.unpack_from("<HHH", code, 0x3A)
+    sections = [struct.unpack_from("<IIQQQQIIQQ", code, start + i * size) for i in range(count)]
+    for kind, offset, length, strings in ((s[1], s[4], s[5], s[6]) for s in sections):
+        if kind != 2:  # SHT_SYMTAB
+            continue
+        names = sections[strings][4]
+        for at in range(offset, offset + length, 24):
+            name, info, _, section = struct.unpack_from("<IBBH", code, at)
+            yield code[names + name : code.index(b"\0", names + name)].decode(), info, section
