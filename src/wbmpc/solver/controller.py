@@ -14,7 +14,7 @@ from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
 from wbmpc.solver import compilation, feedback
 from wbmpc.solver.driver import DIVERGED, EQUALITY_INFEASIBLE, INPUT_INFEASIBLE, NOT_FINITE
-from wbmpc.solver.feedback import hold, interval, law, plan_rows, planned_state
+from wbmpc.solver.feedback import CUT, evaluate, hold, interval, plan_rows, planned_state
 from wbmpc.solver.memory_layout import (
     GRID,
     LIMIT_TOLERANCE,
@@ -300,11 +300,10 @@ def policy(
         return Result.NO_PLAN
     if not (np.isfinite(t) and finite(x, 0, nx)):
         return Result.NOT_A_NUMBER
-    if not law(times, states, inputs, gains, n, nx, nu, t, x, u):
-        return Result.NOT_A_NUMBER
-    if hold(times, inputs, limits, active, moving, n, nu, r, moves, True, t, room, u):
+    found = evaluate(times, states, inputs, gains, limits, active, moving, n, nx, nu, r, moves, True, t, x, room, u)
+    if found == CUT:
         count[Count.CUT] += 1
-    return Result.OK
+    return Result.NOT_A_NUMBER if found < 0 else Result.OK
 
 
 @compiled

@@ -18,6 +18,8 @@ LIBRARY = Library("policy", rooms=("solver", "kernel", "ocp"))
 compiled = LIBRARY.step
 #: Share of a bound (or of 1, where that is more) beyond which an input counts as cut: the rest is rounding.
 ROUNDING = 1e-9
+#: What became of an input.
+FINE, CUT, NOT_FINITE = 0, 1, -1
 
 
 @compiled
@@ -123,27 +125,52 @@ def scale_back(
 
 
 @compiled
-def hold(
-    times: Floats, inputs: Floats, limits: Floats, active: Floats, moving: Floats, n: int, nu: int, r: int, moves: int,
-    feedback: bool, t: float, room: Floats, u: Floats,
+def within(
+    u: Floats, inputs: Floats, k: int, limits: Floats, active: Floats, r: int, nu: int, moved: bool, feedback: bool,
+    room: Floats,
 ) -> bool:  # fmt: skip
-    """``u`` within the limits at time t; whether it was cut. ``feedback``: rows of several inputs scale back what it adds."""
-    k = interval(times, n, t)
+    """``u`` within the limits in interval k; whether it was cut. ``moved``: the rows' offsets are those in ``room``; ``feedback``:
+    rows of several inputs scale back what it adds to the planned ``inputs``."""
     for i in range(2 * nu):
         room[i] = limits[i]
-    for row in range(r):
-        room[3 * nu + row] = limits[2 * nu + r * nu + row]
-    if moves > 0:
-        a = share(times, k, t)
-        for row in range(r):
-            room[3 * nu + row] = (1.0 - a) * moving[2 * k * r + row] + a * moving[(2 * k + 1) * r + row]
+    if moved:
         moved_bounds(limits, r, nu, active, k, room)
+    else:
+        for row in range(r):
+            room[3 * nu + row] = limits[2 * nu + r * nu + row]
     far = clip(u, nu, room)
     if feedback and r > 0:
         if scale_back(u, inputs, limits, r, nu, active, k, room):
             far = True
             clip(u, nu, room)  # a plan that is outside itself
     return far
+
+
+@compiled
+def hold(
+    times: Floats, inputs: Floats, limits: Floats, active: Floats, moving: Floats, n: int, nu: int, r: int, moves: int,
+    feedback: bool, t: float, room: Floats, u: Floats,
+) -> bool:  # fmt: skip
+    """As :func:`within` at time t, with offsets that are linear in time over an interval where they move."""
+    k = interval(times, n, t)
+    if moves > 0:
+        a = share(times, k, t)
+        for row in range(r):
+            room[3 * nu + row] = (1.0 - a) * moving[2 * k * r + row] + a * moving[(2 * k + 1) * r + row]
+    return within(u, inputs, k, limits, active, r, nu, moves > 0, feedback, room)
+
+
+@compiled
+def evaluate(
+    times: Floats, states: Floats, inputs: Floats, gains: Floats, limits: Floats, active: Floats, moving: Floats, n: int, nx: int,
+    nu: int, r: int, moves: int, limited: bool, t: float, x: Floats, room: Floats, u: Floats,
+) -> int:  # fmt: skip
+    """The input at time t in the state x: FINE, CUT to the limits where it is ``limited``, or NOT_FINITE."""
+    if not law(times, states, inputs, gains, n, nx, nu, t, x, u):
+        return NOT_FINITE
+    if limited and hold(times, inputs, limits, active, moving, n, nu, r, moves, True, t, room, u):
+        return CUT
+    return FINE
 
 
 @compiled
