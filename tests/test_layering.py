@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "logs", "lie", "output_file", "log", "trajectory", "types", "checks", "json_file", "yaml_file", "configuration", "result",
-    "report", "run_files", "bases", "robots", "model", "stability", "ocp", "kernel", "solver", "mpc", "control", "runtime", "estimation",
+    "report", "run_files", "bases", "robots", "model", "stability", "ocp", "kernel", "solver", "mpc", "embedded", "control", "runtime", "estimation",
     "simulation", "settings", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "bases/TYPE",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip

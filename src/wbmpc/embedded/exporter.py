@@ -21,8 +21,26 @@ from wbmpc.solver import compilation, controller, feedback
 
 #: All that the object file may need from elsewhere: the C library's mathematics, and copies and zeros of memory.
 ALLOWED = frozenset(
-    "sin cos tan sincos asin acos atan atan2 sinh cosh tanh exp log log1p expm1 pow fmax fmin floor ceil fabs sqrt round trunc fmod"
-    " memcpy memset memmove _GLOBAL_OFFSET_TABLE_".split()
+    {
+        "sin",
+        "cos",
+        "tan",
+        "sincos",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "asinh",
+        "acosh",
+        "atanh",
+        "exp",
+        "log",
+    }
+    | {"log1p", "expm1", "pow", "fmax", "fmin", "floor", "ceil", "round", "trunc", "fmod", "hypot", "copysign", "erf"}
+    | {"memcpy", "memset", "memmove"}
 )
 
 
@@ -58,7 +76,9 @@ def export(
     """
     check_exportable(mpc)
     if not re.fullmatch("[a-z][a-z0-9_]*", prefix):
-        raise InputError(f"export: prefix '{prefix}': valid: a lower-case letter, then lower-case letters, digits and '_'")
+        raise InputError(
+            f"export: prefix '{prefix}': valid: a lower-case letter, then lower-case letters, digits and '_'"
+        )
     if samples < 1:
         raise InputError(f"export: samples: a whole number from 1 on is needed, got {samples}")
     chosen, folder = find_target(target), Path(directory)
@@ -81,7 +101,9 @@ def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
         problem, _ = emit_problem(mpc.solver.problem)
         features = _features(target, register_width())
     libraries = (compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY)
-    magic = int.from_bytes(hashlib.sha256(problem.encode() + image.words().tobytes()).digest()[:8], "little", signed=True)
+    magic = int.from_bytes(
+        hashlib.sha256(problem.encode() + image.words().tobytes()).digest()[:8], "little", signed=True
+    )
     modules = [Module(interface(image, prefix, magic, features))]
     modules += [Module(problem), *(Module(library.source(), 2) for library in libraries)]
     return link(modules, target, f"{prefix}_")

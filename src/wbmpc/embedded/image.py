@@ -64,6 +64,7 @@ def make_image(mpc: MPC, samples: int) -> Image:
     """The controller of an MPC as it is now: weights, references, schedule, and trajectories to start from. ``samples``: how many of
     a reference, and how many events, there is room for; more where there are more now."""
     solver, problem = mpc.solver, mpc.solver.problem
+    assert solver.kernel is not None  # see check_exportable
     workspace = make_workspace(solver.kernel, problem)
     workspace.w[:], workspace.x[:], workspace.u[:] = solver.ws.w, solver.ws.x, solver.ws.u
     workspace.table[BASE], workspace.table[ADDRESSES:POINTERS] = 0, 0
@@ -95,7 +96,6 @@ def make_image(mpc: MPC, samples: int) -> Image:
         "by_constant": planes.by_constant.shape[1], "first": mpc.first_iterations, "period": mpc.period,
         "slots": len(slots), "known_modes": len(modes), "known_groups": len(groups),
         "max_events": max(samples, len(solver.schedule.events)),
-        "constants": (workspace.w.ctypes.data - workspace.memory.ctypes.data) // 8,
     }  # fmt: skip
     own = [Group(name, i, width) for i, (name, width) in enumerate(zip(slots, widths, strict=True))]
     last = _followed(mpc)
@@ -146,10 +146,13 @@ def _tables(mpc: MPC, samples: int, modes: list[Mode]) -> Tables:
     tables.numbers[: head.size], tables.integers[1] = head, len(own.events)
     for slot, name in enumerate(room):
         known: Any = solver.references.get(name, Reference.constant(np.zeros(room[name].values.shape[1])))
-        times, _, values, width = tables.integers[4 + 6 * slot : 8 + 6 * slot]
+        times, _, values, _ = tables.integers[4 + 6 * slot : 8 + 6 * slot]
         tables.numbers[times : times + known.times.size] = known.times
         tables.numbers[values : values + known.values.size] = known.values.ravel()
-        tables.integers[5 + 6 * slot], tables.integers[8 + 6 * slot] = known.times.size, Reference.KINDS.index(known.kind)
+        tables.integers[5 + 6 * slot], tables.integers[8 + 6 * slot] = (
+            known.times.size,
+            Reference.KINDS.index(known.kind),
+        )
     return tables
 
 

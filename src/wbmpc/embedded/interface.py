@@ -12,7 +12,7 @@ from wbmpc.embedded.image import Image
 from wbmpc.kernel.compiled import SYMBOLS
 from wbmpc.kernel.ir import INTS, NUM, NUMS
 from wbmpc.kernel.scalar import literal
-from wbmpc.solver import controller
+from wbmpc.solver import controller, controller_data
 from wbmpc.solver.controller import Result
 from wbmpc.solver.memory_layout import BASE
 from wbmpc.solver.workspace import ADDRESSES
@@ -53,20 +53,20 @@ CALLS = (
         "The planned state and input at time t [s], without feedback.",
     ),
     Call(
-        "set_reference", controller.set_reference,
+        "set_reference", controller_data.set_reference,
         (("int", "reference", "slot"), ("int", "kind"), ("int", "samples"), ("const double *", "t"), ("const double *", "values", "v")),
         "What a term compares with from the next update on: samples at times t [s, absolute, not decreasing], values row by row.\n"
         "Before the first and after the last sample the end values hold.",
     ),
     Call(
-        "set_schedule", controller.set_schedule, (("int", "events"), ("const double *", "t"), ("const int64_t *", "mode")),
+        "set_schedule", controller_data.set_schedule, (("int", "events"), ("const double *", "t"), ("const int64_t *", "mode")),
         "Modes over absolute time: mode[0] up to t[0] [s], mode[i] from t[i - 1] on; events + 1 of them.",
     ),
     Call(
-        "set_constants", controller.set_constants, (("int", "group"), ("const double *", "values", "v")),
+        "set_constants", controller_data.set_constants, (("int", "group"), ("const double *", "values", "v")),
         "The model's parameters, or the weights of a cost, from the next update on.",
     ),
-    Call("figures", controller.figures, (("double", "out[FIGURES]"),), "What the controller reports: see the FIGURE enumeration."),
+    Call("figures", controller_data.figures, (("double", "out[FIGURES]"),), "What the controller reports: see the FIGURE enumeration."),
 )  # fmt: skip
 
 
@@ -108,7 +108,7 @@ def _data(name: str, content: np.ndarray) -> str:
 
 
 def _declarations(prefix: str) -> list[str]:
-    functions = [call.function for call in CALLS] + [controller.fill]
+    functions = [call.function for call in CALLS] + [controller_data.fill]
     lines = []
     for f in functions:
         kinds = ["double" if k == NUM else "ptr" if k in (NUMS, INTS) else "i64" for k in f.signature.arguments]
@@ -159,7 +159,7 @@ def _create(image: Image, prefix: str, magic: int, size: int, features: Sequence
     base = ' "target-cpu"="x86-64" "target-features"="+sse2"' if features is not None else ""
     lines += [
         f"define internal void @{prefix}.fill(ptr %b) nounwind noinline {{", "%out = alloca i64",
-        f"call void @{controller.fill.signature.symbol}.entry(ptr %b, i64 {size}, ptr @{prefix}.runs, ptr @{prefix}.words,"
+        f"call void @{controller_data.fill.signature.symbol}.entry(ptr %b, i64 {size}, ptr @{prefix}.runs, ptr @{prefix}.words,"
         f" i64 {runs.size // 2}, ptr %out)", "ret void", "}",
         f"define i32 @{prefix}_create(ptr %b, i64 %size) nounwind{base} {{",
         f"%whole = icmp eq i64 %size, {8 * size}", "br i1 %whole, label %align, label %small",
@@ -183,7 +183,10 @@ def _runs(words: np.ndarray, gap: int = 4) -> tuple[np.ndarray, np.ndarray]:
 
 
 #: Of the x86 family: register of leaf 7 (or of leaf 1) and bit, by Intel's manual, volume 2A, CPUID.
-_LEAF1, _LEAF7 = {"fma": 12, "avx": 28}, {"bmi1": 3, "avx2": 5, "bmi2": 8, "avx512f": 16, "avx512dq": 17, "avx512bw": 30, "avx512vl": 31}
+_LEAF1, _LEAF7 = (
+    {"fma": 12, "avx": 28},
+    {"bmi1": 3, "avx2": 5, "bmi2": 8, "avx512f": 16, "avx512dq": 17, "avx512bw": 30, "avx512vl": 31},
+)
 
 
 def _x86_check(features: Sequence[str]) -> list[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wbmpc import __version__
-from wbmpc.embedded.image import PLAN, Group
+from wbmpc.embedded.image import Group
 from wbmpc.embedded.interface import CALLS, declaration
 from wbmpc.kernel.codegen_target import Target
 from wbmpc.model.layout import Layout
@@ -18,7 +18,8 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.output_file import write_text
 from wbmpc.solver import Solver
-from wbmpc.solver.controller import Figure, Result
+from wbmpc.solver.controller import Result
+from wbmpc.solver.controller_data import Figure
 
 if TYPE_CHECKING:
     from wbmpc.embedded.exporter import Export
@@ -63,14 +64,13 @@ def _groups(prefix: str, kind: str, groups: Sequence[Group]) -> str:
 def header(done: Export, mpc: MPC, target: Target) -> str:
     """The C header, which C++ reads too."""
     p, upper, image = done.prefix, done.prefix.upper(), done.image
-    d, numbers, offsets = mpc.ocp.dynamics, image.numbers, image.offsets()
+    numbers, offsets = image.numbers, image.offsets()
     front = 8 * (offsets["start"])
     define = {
         "NX": numbers["nx"], "NU": numbers["nu"], "INTERVALS": numbers["n"], "FIGURES": len(Figure), "ALIGNMENT": 64,
         "SIZE": 8 * offsets["end"], "PLAN_SIZE": front, "SAMPLES": min(image.constants["capacities"].tolist(), default=0),
         "EVENTS": numbers["max_events"], "PERIOD": repr(mpc.period),
     }  # fmt: skip
-    statuses = [Solver.status(i).name for i in range(_status_count())]
     calls = [f"/* {call.text.replace(chr(10), chr(10) + '   ')} */\n{declaration(call, p)};\n" for call in CALLS]
     return f"""/* A receding-horizon controller, written by wbmpc {__version__} for {target.cpu} ({target.triple}).
  * One thread at a time may be in a block. No function allocates memory or blocks; {STACK // 1024} KiB of stack are enough. */
@@ -82,13 +82,7 @@ def header(done: Export, mpc: MPC, target: Target) -> str:
 {chr(10).join(f"#define {upper}_{name} {value}" for name, value in define.items())}
 /* SIZE, PLAN_SIZE [bytes], PERIOD [s]; SAMPLES: of every reference, EVENTS: of the schedule, there is room for. */
 
-/* Results of all functions: below zero nothing was done. */
-{_members(upper, "", Result)}/* Status of a solve, in FIGURE_STATUS. */
-{_names(upper, "STATUS_", statuses)}{_members(upper, "FIGURE_", Figure)}/* How a reference runs between its samples; POSE: position, unit quaternion w x y z. */
-{_names(upper, "KIND_", Reference.KINDS)}{_layout("State", d.state)}{_layout("Input", d.input)}/* References and their numbers per sample. */
-{_groups(upper, "REFERENCE", image.references)}/* Constants: the model's parameters, weights. */
-{_groups(upper, "CONSTANTS", image.weights)}/* Modes. */
-{_names(upper, "MODE_", image.modes)}
+{_enumerations(done, mpc)}
 #ifdef __cplusplus
 extern "C" {{
 #define {upper}_ALIGNED alignas({upper}_ALIGNMENT)
@@ -112,10 +106,25 @@ int {p}_create({p} *controller, size_t size);
 """
 
 
-def _status_count() -> int:
+def _enumerations(done: Export, mpc: MPC) -> str:
     from wbmpc.solver.driver import EQUALITY_INFEASIBLE
 
-    return EQUALITY_INFEASIBLE + 1
+    upper, image, d = done.prefix.upper(), done.image, mpc.ocp.dynamics
+    parts = {
+        "Results of all functions: below zero nothing was done.": _members(upper, "", Result),
+        "Status of a solve, in FIGURE_STATUS.": _names(
+            upper, "STATUS_", [Solver.status(i).name for i in range(EQUALITY_INFEASIBLE + 1)]
+        ),
+        "What figures reports.": _members(upper, "FIGURE_", Figure),
+        "How a reference runs between its samples; POSE: position, unit quaternion w x y z.": _names(
+            upper, "KIND_", Reference.KINDS
+        ),
+        "References, and their numbers per sample.": _groups(upper, "REFERENCE", image.references),
+        "Constants (the model's parameters, weights), and their numbers.": _groups(upper, "CONSTANTS", image.weights),
+        "Modes.": _names(upper, "MODE_", image.modes),
+    }
+    lists = "".join(f"/* {title} */\n{text}" for title, text in parts.items() if text)
+    return lists + _layout("State", d.state) + _layout("Input", d.input)
 
 
 def _example(done: Export) -> str:

@@ -143,7 +143,10 @@ def _thunk(s: Signature) -> str:
     types = ["i64" if k == BOOL else llvm_type(k) for k in s.arguments]
     lines = [f"declare void @{s.symbol}.entry({', '.join([*types, 'ptr'])}) nounwind"]
     parameters = ", ".join(f"{llvm_type(k)} %a{i}" for i, k in enumerate(s.arguments))
-    lines += [f"define {llvm_type(s.result)} @{s.symbol}({parameters}) nounwind {{", f"%out = alloca [{len(kinds)} x i64]"]
+    lines += [
+        f"define {llvm_type(s.result)} @{s.symbol}({parameters}) nounwind {{",
+        f"%out = alloca [{len(kinds)} x i64]",
+    ]
     lines += [f"%b{i} = zext i1 %a{i} to i64" for i, k in enumerate(s.arguments) if k == BOOL]
     passed = [f"{t} %{'b' if k == BOOL else 'a'}{i}" for i, (t, k) in enumerate(zip(types, s.arguments, strict=True))]
     lines.append(f"call void @{s.symbol}.entry({', '.join([*passed, 'ptr %out'])})")
@@ -258,7 +261,12 @@ class Library:
 
     def _symbols(self) -> dict[str, int]:
         """Addresses of all functions of the libraries that this one uses, by the names of their wrappers."""
-        names = [(library, f"{f.signature.symbol}.entry") for library in self.uses for f in library.functions if _callable(f.signature)]
+        names = [
+            (library, f"{f.signature.symbol}.entry")
+            for library in self.uses
+            for f in library.functions
+            if _callable(f.signature)
+        ]
         return {name: library.address(name) for library, name in names}
 
     def address(self, symbol: str) -> int:

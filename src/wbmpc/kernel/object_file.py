@@ -73,9 +73,12 @@ def symbols(code: bytes) -> Symbols:
     """What a 64-bit little-endian ELF object defines for others and needs, each sorted."""
     if code[:6] != b"\x7fELF\x02\x01":
         raise KernelError("the object code is not in the ELF format of 64-bit little-endian systems")
-    defined, undefined = set(), set()
+    defined: set[str] = set()
+    undefined: set[str] = set()
     for name, info, section in _symbol_table(code):
-        if name and info >> 4 in (1, 2):  # global or weak
+        if (
+            name and info >> 4 in (1, 2) and name != "_GLOBAL_OFFSET_TABLE_"
+        ):  # global or weak; the linker makes that one
             (defined if section else undefined).add(name)
     return Symbols(sorted(defined), sorted(undefined))
 

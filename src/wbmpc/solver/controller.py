@@ -19,22 +19,26 @@ from wbmpc.solver.memory_layout import (
     GRID,
     LIMIT_TOLERANCE,
     LX,
+    NP,
     NU,
     NX,
-    ROW_L,
-    ROW_T,
-    ROWS,
     STATE,
     K,
     N,
+    P,
     StateField,
     U,
     W,
     X,
 )
-from wbmpc.solver.receding import POSE, POSE_HOLD, count_until, receding_solve
+from wbmpc.solver.receding import count_until, forget, receding_solve
 
-LIBRARY = Library("controller", rooms=("solver", "kernel", "ocp"), uses=(compilation.LIBRARY, feedback.LIBRARY))
+LIBRARY = Library(
+    "controller",
+    rooms=("solver", "kernel", "ocp"),
+    modules=("wbmpc.solver.controller_data",),
+    uses=(compilation.LIBRARY, feedback.LIBRARY),
+)
 compiled = LIBRARY.step
 
 #: Rejected plans in a row from which on the next solve goes on from the rejected one. Rows that move fast reject up to three, and
@@ -86,57 +90,6 @@ class Value(IntEnum):
     INITIAL_STATE_MISMATCH = 4
 
 
-class Figure(IntEnum):
-    """What a controller reports."""
-
-    STATUS = 0  # of the last solve
-    ITERATIONS = 1  # of the last update
-    UPDATES = 2
-    FAILURES = 3  # updates without a plan
-    CUT = 4  # how often feedback was cut to the limits of the inputs
-    COST = 5  # of the plan in force, here and below
-    VIOLATION = 6  # of its constraints
-    LIMIT_VIOLATION = 7  # of planned states' limits [their ranges]
-    INITIAL_STATE_MISMATCH = 8  # how far it starts from the measured state
-    BEGINNING = 9  # [s]
-    END = 10  # [s]
-
-
-@compiled
-def figures(count: Integers, value: Floats, times: Floats, n: int, out: Floats) -> int:
-    """Everything of :class:`Figure`."""
-    out[Figure.STATUS], out[Figure.ITERATIONS] = count[Count.STATUS], count[Count.ITERATIONS]
-    out[Figure.UPDATES], out[Figure.FAILURES] = count[Count.UPDATES], count[Count.FAILURES]
-    out[Figure.CUT], out[Figure.COST] = count[Count.CUT], value[Value.COST]
-    out[Figure.VIOLATION], out[Figure.LIMIT_VIOLATION] = value[Value.VIOLATION], value[Value.LIMIT_VIOLATION]
-    out[Figure.INITIAL_STATE_MISMATCH] = value[Value.INITIAL_STATE_MISMATCH]
-    out[Figure.BEGINNING], out[Figure.END] = times[0], times[n]
-    return Result.OK
-
-
-@compiled
-def fill(block: Integers, size: int, runs: Integers, words: Integers, count: int) -> int:
-    """A block of ``size`` words as it is in the beginning: zeros, and ``count`` runs (first, length) of ``words``."""
-    for i in range(size):
-        block[i] = 0
-    at = 0
-    for k in range(count):
-        for i in range(runs[2 * k + 1]):
-            block[runs[2 * k] + i] = words[at + i]
-        at += runs[2 * k + 1]
-    return Result.OK
-
-
-@compiled
-def forget(m: Floats, o: Integers) -> None:
-    """Discard slacks and multipliers: the next solve initializes them."""
-    state = o[STATE]
-    m[state + StateField.MAX_STEP], m[state + StateField.INFEASIBLE_SOLVES] = 0.0, 0.0
-    m[state + StateField.BLOCKED_RESIDUAL], m[state + StateField.BLOCKED_TIME] = 0.0, 0.0
-    for i in range((o[N] + 1) * o[ROWS]):
-        m[o[ROW_T] + i], m[o[ROW_L] + i] = 0.0, 0.0
-
-
 @compiled
 def recovery(status: int, broken: int, faults: int) -> int:
     """Where the next solve starts after an update without a plan: see :meth:`wbmpc.mpc.mpc.MPC.recover`. ``broken``, ``faults``:
@@ -151,10 +104,10 @@ def recovery(status: int, broken: int, faults: int) -> int:
 @compiled
 def finite(m: Floats, first: int, count: int) -> bool:
     """Whether ``count`` numbers from ``first`` on are finite."""
+    found = True
     for i in range(count):
-        if not np.isfinite(m[first + i]):
-            return False
-    return True
+        found = found and np.isfinite(m[first + i])
+    return found
 
 
 @compiled
@@ -267,7 +220,7 @@ def update(
     m: Floats, o: Integers, numbers: Floats, integers: Integers, settings: Floats, log: Floats, follow: Integers,
     count: Integers, value: Floats, start: Floats, times: Floats, states: Floats, inputs: Floats, gains: Floats,
     limits: Floats, rows: Floats, switches: Integers, active: Floats, moving: Floats, room: Floats, r: int, moves: int,
-    by_node: int, by_constant: int, first: int, period: float, constants: int, t: float, x: Floats,
+    by_node: int, by_constant: int, first: int, period: float, t: float, x: Floats,
 ) -> int:  # fmt: skip
     """A new plan from the state ``x`` at time ``t``."""
     if not (np.isfinite(t) and finite(x, 0, o[NX])):
@@ -285,7 +238,9 @@ def update(
     if not usable:
         return fall_back(m, o, count, value, start, times, states, inputs, room)
     take_plan(m, o, value, start, t, times, states, inputs, gains)
-    plan_rows(m, o, integers, limits, rows, switches, r, moves, by_node, by_constant, constants, room, active, moving)
+    plan_rows(
+        m, o[P], o[N], o[NP], m, o[W], integers, o[NU], limits, rows, switches, r, moves, by_node, by_constant, room, active, moving
+    )  # fmt: skip
     count[Count.PLANNED] = 1
     return Result.OK
 
@@ -321,99 +276,4 @@ def planned(
     for j in range(nu):
         u[j] = inputs[k * nu + j]
     hold(times, inputs, limits, active, moving, n, nu, r, moves, False, t, room, u)
-    return Result.OK
-
-
-@compiled
-def set_reference(
-    numbers: Floats, integers: Integers, capacities: Integers, slots: int, slot: int, kind: int, samples: int, t: Floats,
-    v: Floats,
-) -> int:  # fmt: skip
-    """``samples`` of the reference in a slot. Quaternions get unit length, neighbours in the same half sphere."""
-    if slot < 0 or slot >= slots or kind < 0 or kind > POSE_HOLD:
-        return Result.NO_SUCH_INDEX
-    s = 4 + 6 * slot
-    times, values, width = integers[s], integers[s + 2], integers[s + 3]
-    pose = kind == POSE or kind == POSE_HOLD
-    if pose and width != 7:
-        return Result.NO_SUCH_INDEX
-    if samples < 1 or samples > capacities[slot]:
-        return Result.TOO_MANY
-    if not (finite(t, 0, samples) and finite(v, 0, samples * width)):
-        return Result.NOT_A_NUMBER
-    for i in range(samples - 1):
-        if t[i + 1] < t[i]:
-            return Result.NOT_SORTED
-    if pose and not rotations(v, samples):
-        return Result.NOT_A_ROTATION
-    integers[s + 1], integers[s + 4] = samples, kind
-    for i in range(samples):
-        numbers[times + i] = t[i]
-        for j in range(width):
-            numbers[values + i * width + j] = v[i * width + j]
-    if pose:
-        align_quaternions(numbers, values, samples)
-    return Result.OK
-
-
-@compiled
-def rotations(v: Floats, samples: int) -> bool:
-    """Whether no quaternion of the poses has the length zero."""
-    for i in range(samples):
-        if v[7 * i + 3] ** 2 + v[7 * i + 4] ** 2 + v[7 * i + 5] ** 2 + v[7 * i + 6] ** 2 < 1e-12:
-            return False
-    return True
-
-
-@compiled
-def align_quaternions(numbers: Floats, values: int, samples: int) -> None:
-    """Unit length, and neighbours in the same half sphere (q and −q are the same rotation)."""
-    for i in range(samples):
-        q, product = values + 7 * i + 3, 0.0
-        norm = np.sqrt(numbers[q] ** 2 + numbers[q + 1] ** 2 + numbers[q + 2] ** 2 + numbers[q + 3] ** 2)
-        for j in range(4):
-            numbers[q + j] /= norm
-            if i > 0:
-                product += numbers[q + j] * numbers[q - 7 + j]
-        if product < 0.0:
-            for j in range(4):
-                numbers[q + j] = -numbers[q + j]
-
-
-@compiled
-def set_schedule(
-    numbers: Floats, integers: Integers, modes: Floats, known_modes: int, max_events: int, events: int, t: Floats, mode: Integers
-) -> int:  # fmt: skip
-    """``events`` times, and the modes before, between and after them, by their places in the table ``modes``."""
-    width = integers[2]
-    if events < 0 or events > max_events:
-        return Result.TOO_MANY
-    if not finite(t, 0, events):
-        return Result.NOT_A_NUMBER
-    for i in range(events - 1):
-        if t[i + 1] <= t[i]:
-            return Result.NOT_SORTED
-    for i in range(events + 1):
-        if mode[i] < 0 or mode[i] >= known_modes:
-            return Result.NO_SUCH_INDEX
-    integers[1] = events
-    for i in range(events):
-        numbers[i] = t[i]
-    for i in range(events + 1):
-        for j in range(width):
-            numbers[events + i * width + j] = modes[mode[i] * width + j]
-    return Result.OK
-
-
-@compiled
-def set_constants(m: Floats, o: Integers, groups: Integers, known_groups: int, group: int, v: Floats) -> int:
-    """One group of the numbers that are constant over the horizon: the model's parameters, or the weights of a cost.
-    ``groups``: first and length of each."""
-    if group < 0 or group >= known_groups:
-        return Result.NO_SUCH_INDEX
-    first, length = o[W] + groups[2 * group], groups[2 * group + 1]
-    if not finite(v, 0, length):
-        return Result.NOT_A_NUMBER
-    for i in range(length):
-        m[first + i] = v[i]
     return Result.OK

@@ -11,7 +11,6 @@ import numpy as np
 
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
-from wbmpc.solver.memory_layout import NP, NU, N, P
 from wbmpc.solver.receding import LINEAR
 
 LIBRARY = Library("policy", rooms=("solver", "kernel", "ocp"))
@@ -139,10 +138,9 @@ def within(
         for row in range(r):
             room[3 * nu + row] = limits[2 * nu + r * nu + row]
     far = clip(u, nu, room)
-    if feedback and r > 0:
-        if scale_back(u, inputs, limits, r, nu, active, k, room):
-            far = True
-            clip(u, nu, room)  # a plan that is outside itself
+    if feedback and scale_back(u, inputs, limits, r, nu, active, k, room):
+        far = True
+        clip(u, nu, room)  # a plan that is outside itself
     return far
 
 
@@ -175,17 +173,18 @@ def evaluate(
 
 @compiled
 def plan_rows(
-    m: Floats, o: Integers, integers: Integers, limits: Floats, rows: Floats, switches: Integers, r: int, moves: int,
-    by_node: int, by_constant: int, constants: int, room: Floats, active: Floats, moving: Floats,
+    p: Floats, p_at: int, n: int, size: int, w: Floats, w_at: int, integers: Integers, nu: int, limits: Floats, rows: Floats,
+    switches: Integers, r: int, moves: int, by_node: int, by_constant: int, room: Floats, active: Floats, moving: Floats,
 ) -> None:  # fmt: skip
-    """Of the rows of ``limits`` in each interval of the last solve: which count, ``active`` (n, r), and where ``moves`` their offsets
-    at its beginning and end, ``moving`` (n, 2, r). ``switches`` (r,): the node's parameter that turns each on, or −1; ``rows``: what
-    the node's parameters (r, by_node) and those of the whole horizon (r, by_constant), from ``constants`` on, add to the offsets.
+    """Of the rows of ``limits`` in each of n intervals: which count, ``active`` (n, r), and where ``moves`` their offsets at its
+    beginning and end, ``moving`` (n, 2, r). ``p`` from ``p_at`` on: the nodes' parameters (n + 1, size); ``w``: those of the whole
+    horizon; ``switches`` (r,): the node's parameter that turns each on, or −1; ``rows``: what p (r, by_node) and w (r, by_constant)
+    add to the offsets; ``integers``: of the references. ``room``: by_node numbers.
 
-    What is linear in time at the nodes goes on to the next one, all else holds over an interval; ``room``: by_node numbers."""
-    for k in range(o[N]):
+    What is linear in time at the nodes goes on to the next one, all else holds over an interval."""
+    for k in range(n):
         for row in range(r):
-            active[k * r + row] = 1.0 if switches[row] < 0 else m[o[P] + k * o[NP] + switches[row]]
+            active[k * r + row] = 1.0 if switches[row] < 0 else p[p_at + k * size + switches[row]]
     if moves == 0:
         return
     for j in range(by_node):
@@ -196,13 +195,13 @@ def plan_rows(
             for j in range(integers[s + 3]):
                 room[integers[s + 5] + j] = 1.0
     for row in range(r):
-        fixed = limits[(2 + r) * o[NU] + row]
+        fixed = limits[(2 + r) * nu + row]
         for j in range(by_constant):
-            fixed += rows[r * by_node + row * by_constant + j] * m[constants + j]
-        for k in range(o[N]):
-            start, end, p = fixed, fixed, o[P] + k * o[NP]
+            fixed += rows[r * by_node + row * by_constant + j] * w[w_at + j]
+        for k in range(n):
+            start, end, at = fixed, fixed, p_at + k * size
             for j in range(by_node):
                 slope = rows[row * by_node + j]
-                start += slope * m[p + j]
-                end += slope * (m[p + o[NP] + j] if room[j] > 0.0 else m[p + j])
+                start += slope * p[at + j]
+                end += slope * (p[at + size + j] if room[j] > 0.0 else p[at + j])
             moving[2 * k * r + row], moving[(2 * k + 1) * r + row] = start, end
