@@ -14,7 +14,7 @@ from wbmpc.embedded.texts import write_texts
 from wbmpc.errors import InputError, KernelError
 from wbmpc.kernel.codegen_target import Target, find_target, generating_for, register_width
 from wbmpc.kernel.compiled import emit_problem
-from wbmpc.kernel.object_file import Module, Symbols, link, symbols
+from wbmpc.kernel.object_file import Symbols, link, symbols
 from wbmpc.mpc.mpc import MPC
 from wbmpc.output_file import whole_file
 from wbmpc.solver import compilation, controller, feedback
@@ -100,13 +100,11 @@ def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
     with generating_for(target):
         problem, _ = emit_problem(mpc.solver.problem)
         features = _features(target, register_width())
-    libraries = (compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY)
+        libraries = [library.optimised() for library in (compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY)]
     magic = int.from_bytes(
         hashlib.sha256(problem.encode() + image.words().tobytes()).digest()[:8], "little", signed=True
     )
-    modules = [Module(interface(image, prefix, magic, features))]
-    modules += [Module(problem), *(Module(library.source(), 2) for library in libraries)]
-    return link(modules, target, f"{prefix}_")
+    return link([interface(image, prefix, magic, features), problem, *libraries], target, f"{prefix}_")
 
 
 def _features(target: Target, width: int) -> tuple[str, ...] | None:

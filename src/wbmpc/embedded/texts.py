@@ -58,7 +58,7 @@ def _layout(title: str, layout: Layout) -> str:
 
 def _groups(prefix: str, kind: str, groups: Sequence[Group]) -> str:
     numbers = _names(prefix, f"{kind}_", [g.name for g in groups], [g.index for g in groups])
-    return numbers + _names(prefix, f"{kind}_WIDTH_", [g.name for g in groups], [g.width for g in groups])
+    return numbers + _names(prefix, f"WIDTH_OF_{kind}_", [g.name for g in groups], [g.width for g in groups])
 
 
 def header(done: Export, mpc: MPC, target: Target) -> str:

@@ -137,7 +137,26 @@ def _check(name: str, features: str) -> None:
         )
 
 
+def machine_for(chosen: Target, opt: int) -> Any:
+    """LLVM's machine for position-independent code of a target, on this machine or another one."""
+    _initialise_all()
+    found = llvm.Target.from_triple(chosen.triple)
+    return found.create_target_machine(
+        cpu=chosen.cpu, features=chosen.features, opt=opt, reloc="pic", codemodel="small"
+    )
+
+
+@cache
+def _initialise_all() -> None:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    llvm.initialize_native_asmparser()
+
+
 def _machine(opt: int) -> Any:
+    chosen = _CHOSEN.get()
+    if chosen is not None:
+        return machine_for(chosen, opt)
     _initialise()
     cpu, flags = target()
     if os.environ.get("WBMPC_TARGET"):
@@ -147,17 +166,30 @@ def _machine(opt: int) -> Any:
 
 def compile_module(ir: str, optimise: int = 0) -> bytes:
     """Object code of an LLVM module; ``optimise``: level of the passes on the IR (the kernels need none)."""
-    machine = _machine(1 if optimise == 0 else 2)
+    return emit(optimised(ir, optimise) if optimise else ir)
+
+
+def optimised(ir: str, level: int) -> bytes:
+    """An LLVM module after the passes of a level, as bitcode."""
+    machine, module = _machine(2), parsed(ir)
+    options = llvm.create_pipeline_tuning_options(speed_level=level)
+    options.loop_vectorization = True
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    return bytes(module.as_bitcode())
+
+
+def emit(code: str | bytes) -> bytes:
+    """Object code of an LLVM module: as text, or as bitcode that the passes have gone through."""
+    return bytes(_machine(2 if isinstance(code, bytes) else 1).emit_object(parsed(code)))
+
+
+def parsed(code: str | bytes) -> Any:
+    """An LLVM module of text or bitcode. Raises :class:`KernelError` for what LLVM does not take."""
     try:
-        module = llvm.parse_assembly(ir)
+        return llvm.parse_bitcode(code) if isinstance(code, bytes) else llvm.parse_assembly(code)
     except RuntimeError as error:
         raise KernelError(f"the generated code was rejected: {str(error)[:400]}") from error
-    if optimise:
-        options = llvm.create_pipeline_tuning_options(speed_level=optimise)
-        options.loop_vectorization = True
-        builder = llvm.create_pass_builder(machine, options)
-        builder.getModulePassManager().run(module, builder)
-    return bytes(machine.emit_object(module))
 
 
 def load_object(code: bytes, symbols: Mapping[str, int] | None = None) -> Any:

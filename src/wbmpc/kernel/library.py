@@ -240,9 +240,24 @@ class Library:
         text = f"{self.name} {cache.source_fingerprint(self.rooms)} {target_text()} {functions}"
         return hashlib.sha256(text.encode()).hexdigest()
 
+    def optimised(self) -> bytes:
+        """LLVM bitcode of the library after the passes on it, for this machine or the target that code is generated for; cached."""
+        from wbmpc.kernel.codegen_target import optimised, target_text
+
+        for module in self.modules:
+            import_module(module)
+        key = hashlib.sha256(f"{self._key()} bitcode".encode()).hexdigest() if self.rooms else ""
+        found = cache.load(key) if key else None
+        if found is not None and found[1].get("target") == target_text():
+            return found[0]
+        code = optimised(self.source(), 2)
+        if key:
+            cache.save(key, code, {"library": self.name, "target": target_text()})
+        return code
+
     def build(self) -> None:
         """Compile, or load from the cache."""
-        from wbmpc.kernel.codegen_target import compile_module, load_object, target_text
+        from wbmpc.kernel.codegen_target import emit, load_object, target_text
 
         for module in self.modules:
             import_module(module)
@@ -252,7 +267,7 @@ class Library:
             key = self._key() if self.rooms else ""
             found = cache.load(key) if key else None
             if found is None or found[1].get("target") != target_text():
-                code = compile_module(self.source(), optimise=2)
+                code = emit(self.optimised())
                 if key:
                     cache.save(key, code, {"library": self.name, "target": target_text()})
             else:

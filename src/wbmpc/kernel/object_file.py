@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import llvmlite.binding as llvm
 
 from wbmpc.errors import KernelError
-from wbmpc.kernel.codegen_target import Target
-
-
-class Module(NamedTuple):
-    """LLVM IR, and the level of the passes that run on it alone, before it is linked with others."""
-
-    ir: str
-    optimise: int = 0
+from wbmpc.kernel.codegen_target import Target, machine_for, parsed
 
 
 class Symbols(NamedTuple):
@@ -27,46 +19,23 @@ class Symbols(NamedTuple):
     undefined: list[str]
 
 
-@cache
-def _initialise() -> None:
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    llvm.initialize_native_asmparser()
-
-
-def link(modules: Sequence[Module], target: Target, prefix: str) -> bytes:
-    """Position-independent object code; what does not begin with ``prefix`` is internal, and dropped if nothing uses it."""
-    _initialise()
-    found = llvm.Target.from_triple(target.triple)
-    machines = [
-        found.create_target_machine(cpu=target.cpu, features=target.features, opt=opt, reloc="pic", codemodel="small")
-        for opt in (1, 2)
-    ]
-    parsed = [_parsed(module, target, machines[1]) for module in modules]
-    whole = parsed[0]
-    for module in parsed[1:]:
-        whole.link_in(module)
+def link(modules: Sequence[str | bytes], target: Target, prefix: str) -> bytes:
+    """Position-independent object code of LLVM modules (text, or bitcode that passes have gone through); what does not begin with
+    ``prefix`` is internal, and dropped if nothing uses it."""
+    machine = machine_for(target, 1)
+    parts = [parsed(module) for module in modules]
+    for part in parts:
+        part.triple, part.data_layout = target.triple, str(machine.target_data)
+    whole = parts[0]
+    for part in parts[1:]:
+        whole.link_in(part)
     for thing in (*whole.functions, *whole.global_variables):
         if not thing.is_declaration and not thing.name.startswith(prefix):
             thing.linkage = "internal"
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
-    passes.run(whole, llvm.create_pass_builder(machines[1], llvm.create_pipeline_tuning_options(speed_level=0)))
-    return bytes(machines[0].emit_object(whole))
-
-
-def _parsed(module: Module, target: Target, machine: Any) -> Any:
-    try:
-        parsed = llvm.parse_assembly(module.ir)
-    except RuntimeError as error:
-        raise KernelError(f"the generated code was rejected: {str(error)[:400]}") from error
-    parsed.triple, parsed.data_layout = target.triple, str(machine.target_data)
-    if module.optimise:
-        options = llvm.create_pipeline_tuning_options(speed_level=module.optimise)
-        options.loop_vectorization = True
-        builder = llvm.create_pass_builder(machine, options)
-        builder.getModulePassManager().run(parsed, builder)
-    return parsed
+    passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))
+    return bytes(machine.emit_object(whole))
 
 
 def symbols(code: bytes) -> Symbols:
