@@ -206,6 +206,7 @@ def test_errors_name_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     for options, text in (
         ({"target": "riscv64"}, r"unknown target 'riscv64'; valid: native, x86-64-v3, aarch64"),
         ({"prefix": "My-Robot"}, r"prefix 'My-Robot': valid: a lower-case letter"),
+        ({"prefix": "double"}, r"prefix 'double': valid: .* no word of C or C..$"),
         ({"samples": 0}, r"samples: a whole number from 1 on is needed, got 0"),
     ):
         with pytest.raises(InputError, match=text):

@@ -134,12 +134,12 @@ def _example(done: Export) -> str:
 #include "{p}.h"
 #include <stdio.h>
 
-static {p} controller;
+static {p} the_{p};
 
 int main(void)
 {{
     double t, x[{upper}_NX], u[{upper}_NU];
-    int i, updated, given, result = {p}_create(&controller, sizeof controller);
+    int i, updated, given, result = {p}_create(&the_{p}, sizeof the_{p});
     if (result != {upper}_OK) {{
         fprintf(stderr, "create: %d\\n", result);
         return 1;
@@ -148,8 +148,8 @@ int main(void)
         for (i = 0; i < {upper}_NX; i++)
             if (scanf("%lf", &x[i]) != 1)
                 return 1;
-        updated = {p}_update(&controller, t, x);
-        given = {p}_policy(&controller, t + 0.5 * {upper}_PERIOD, x, u);
+        updated = {p}_update(&the_{p}, t, x);
+        given = {p}_policy(&the_{p}, t + 0.5 * {upper}_PERIOD, x, u);
         if (given != {upper}_OK) {{
             fprintf(stderr, "at %g s: update %d, policy %d\\n", t, updated, given);
             return 1;
