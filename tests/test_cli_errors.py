@@ -233,6 +233,15 @@ def test_a_reader_who_leaves_changes_nothing(
     assert len(list(tmp_path.glob("runs/fake-seed200/*"))) == (0 if "list" in arguments else 3)
 
 
+@pytest.mark.parametrize("stream", [(0, "stdin"), (1, "stdout"), (2, "stderr")])
+def test_closed_streams_change_nothing(stream: tuple[int, str], tmp_path: Path) -> None:
+    """As ``>&-`` does, for which Python has None: the status is the command's own, and its files are there."""
+    code = f"import os, sys; os.close({stream[0]}); sys.{stream[1]} = None; " + FAKE_MAIN
+    out = shell("run", "fake", code=code)
+    assert out.returncode == 0 and "Traceback" not in out.stderr
+    assert len(list(tmp_path.glob("runs/fake-seed200/*"))) == 3
+
+
 def test_ctrl_c_within_compiled_code_is_no_error(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

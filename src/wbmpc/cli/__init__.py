@@ -39,6 +39,7 @@ from wbmpc.cli.terminal import (
     experiment_names,
     interrupted,
     logged,
+    open_streams,
     printable,
     progress_bar,
     silent,
@@ -368,6 +369,7 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     words = sys.argv[1:] if arguments is None else arguments
     debug, quiet, verbose = ("--debug" in words, "--quiet" in words, "--verbose" in words)
     words = _rearranged(words)
+    open_streams()
     with unread_allowed(), terminable() as termination:
         status = _run(words, debug, quiet, verbose, registry)
     return TERMINATED if termination.came and status == INTERRUPTED else status

@@ -166,6 +166,14 @@ class _Tolerant:
             os.close(nowhere)
 
 
+def open_streams() -> None:
+    """Standard streams that were closed (``wbmpc list >&-``) lead nowhere: Python has None for them, and the next file that is opened
+    would take their number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+
+
 @contextmanager
 def unread_allowed() -> Iterator[None]:
     """Standard output and error may be pipes that nobody reads to their end: no command stops or fails for that."""
