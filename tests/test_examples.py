@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from effort import thorough
 
 ROOT = Path(__file__).parents[1]
 
@@ -26,9 +29,10 @@ def figure(text: str, pattern: str) -> float:
     return float(found.group(1))
 
 
-@pytest.mark.parametrize("name", sorted(p.name for p in (ROOT / "examples").glob("*.py")))
+@pytest.mark.parametrize("name", sorted(p.name for p in (ROOT / "examples").rglob("*.py")))
 def test_examples_are_short(name: str) -> None:
-    assert len((ROOT / "examples" / name).read_text().splitlines()) <= 80
+    (path,) = (ROOT / "examples").rglob(name)
+    assert len(path.read_text().splitlines()) <= 80
 
 
 def test_first_example_tracks() -> None:
@@ -47,6 +51,14 @@ def test_third_example_runs_in_real_time_and_arrives() -> None:
     assert "shut down after 4." in text
     assert figure(text, r"load at ([\d.]+) m") == pytest.approx(2.0, abs=0.15)
     assert figure(text, r"(\d+) failed") == 0
+
+
+@thorough
+@pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler (c++)")
+def test_a_loop_in_cpp_is_the_loop_in_python() -> None:
+    text = run_python(["examples/cpp_loop/compare.py"])
+    assert figure(text, r"difference to Python: (\S+)") == 0.0
+    assert figure(text, r"at ([\d.]+) m") == pytest.approx(2.0, abs=0.05)
 
 
 def test_program_of_the_readme() -> None:

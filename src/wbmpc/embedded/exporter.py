@@ -86,9 +86,9 @@ def export(
     Raises :class:`InputError` for another target or prefix, and for an MPC of which a part runs in Python alone.
     """
     check_exportable(mpc)
-    if not re.fullmatch("[a-z][a-z0-9_]*", prefix):
+    if not re.fullmatch("[a-z][a-z0-9_]*", prefix) or prefix in KEYWORDS:
         raise InputError(
-            f"export: prefix '{prefix}': valid: a lower-case letter, then lower-case letters, digits and '_'"
+            f"export: prefix '{prefix}': valid: a lower-case letter, then lower-case letters, digits and '_', no word of C or C++"
         )
     if samples < 1:
         raise InputError(f"export: samples: a whole number from 1 on is needed, got {samples}")
