@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 ROOMS = (
     "errors", "logs", "lie", "output_file", "log", "trajectory", "types", "checks", "json_file", "yaml_file", "configuration", "result",
     "report", "run_files", "bases", "robots", "model", "stability", "ocp", "kernel", "solver", "mpc", "control", "runtime", "estimation",
-    "simulation", "settings", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "bases/TYPE",
+    "simulation", "settings", "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.

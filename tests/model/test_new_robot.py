@@ -281,7 +281,6 @@ def test_a_sound_model_has_none_of_them(tmp_path: Path) -> None:
         (("  head_pan: 0\n", ""), "description", ("'head_pan'", "fixed_joints: {head_pan: 0}")),
         (("  type: differential", "  type: differential\n  wheel_radius: 0.12"), "description", ("0.12 m", "0.1 m", "5 %")),
         (("  type: differential\n", "  type: omnidirectional\n  rollers: [1, -1]\n"), "base", ("rank 2", "3 is needed")),
-        (("base_footprint", "hull"), "base-body", ("'hull' hangs on 'base_footprint'", "base.body: base_footprint")),
     ],
 )  # fmt: skip
 def test_a_robots_yaml_is_examined(keys: tuple[str, str], check: str, words: tuple[str, ...], tmp_path: Path) -> None:

@@ -101,10 +101,12 @@ class PlanarPlant(WheeledPlant):
     def arrange(self, state: Array) -> None:
         """Put the bodies where a planner's state (nx) has them, for pictures: no physics, no offsets."""
         d, radius = self.data, self.model_base.geometry.radius
-        d.qpos[0:3], d.qpos[3:7] = [*state[:2], 0.0], lie.quaternion_about([0.0, 0.0, 1.0], state[2])
+        pose = np.array([*state[:2], 0.0, *lie.quaternion_about([0.0, 0.0, 1.0], state[2])])
+        self.world.place(pose)
         d.qpos[self._q["arm"]] = state[3:]
         mujoco.mj_kinematics(self.model, d)
-        d.qpos[2] = radius - float(np.mean(d.xpos[self._hubs, 2]))
+        pose[2] = radius - float(np.mean(d.xpos[self._hubs, 2]))
+        self.world.place(pose)
         mujoco.mj_kinematics(self.model, d)
 
     # ------------------------------------------------------------------ running

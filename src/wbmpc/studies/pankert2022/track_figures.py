@@ -12,7 +12,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.studies.pankert2022.metrics import rms, travelled
 from wbmpc.studies.pankert2022.track_references import TrackReferences
-from wbmpc.studies.paths import nearest_distance
+from wbmpc.tasks.paths import nearest_distance
 
 #: Groups of joints whose speeds are logged and drawn against their limits.
 SPEEDS = ("leg", "steer", "wheel", "arm")

@@ -14,7 +14,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
-from wbmpc.studies.paths import SinePath
+from wbmpc.tasks.paths import SinePath
 from wbmpc.studies.race import MAKERS
 
 Limits = Literal["hard", "soft"]
