@@ -25,6 +25,7 @@ from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.results import show_results
 from wbmpc.cli.ros2 import ros2
+from wbmpc.cli.settings import show_settings, write_weights
 from wbmpc.cli.stability import stability
 from wbmpc.cli.terminal import (
     ABORTED,
@@ -146,6 +147,7 @@ def _execute(
     show: bool,
     view: View | None = None,
     record_limit: str = RECORD_LIMIT,
+    config: Path | None = None,
 ) -> tuple[RunResult, dict[str, str]]:
     """A run and its files. Begun anew in the view, it is another run with files of its own; the last one is returned."""
     from wbmpc.configuration import configure
@@ -154,7 +156,10 @@ def _execute(
         raise InputError(f"--seed: must not be negative, got {seed}")
     experiment = session.open(name)
     name = experiment.name if name.endswith(".py") else name  # a file is known by the name of its experiment
-    settings, limit = configure(experiment.config_type, assignments, name), size_of("--record-limit", record_limit)
+    limit, settings = (
+        size_of("--record-limit", record_limit),
+        configure(experiment.config_type, assignments, name, config),
+    )
     try:
         while True:
             result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view, limit)
@@ -202,6 +207,8 @@ def _attempt(
                     result.idealisations = [*result.idealisations, STEERED]
                 recorder.close(outcome(result))
                 files = write_run(result, directory)
+                if view is not None and "weights" in type(settings).model_fields:
+                    files |= write_weights(view.factors, plain["weights"], directory)
                 if recorder.failure:
                     raise NotWritten(f"{recorder.failure}; the run's other files are in {directory}")
             if pressed():
@@ -255,6 +262,10 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change a setting, e.g. mpc.rate=100; may be repeated."),
     ] = None,
+    config: Annotated[Path | None, typer.Option(help="A YAML file of settings; --set comes after it.")] = None,
+    list_settings: Annotated[
+        bool, typer.Option("--settings", help="List the settings, with defaults, units and ranges; run nothing.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option(help="Directory for the files (default: a fresh runs/NAME-seedN).")
     ] = None,
@@ -266,8 +277,13 @@ def run(
     record_limit: RecordLimit = RECORD_LIMIT,
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
+    if list_settings:
+        show_settings(context.obj.open(name).config_type, name, as_json)
+        return
     shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
-    show_results([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit)], as_json)
+    show_results(
+        [_execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit, config)], as_json
+    )
 
 
 @app.command()

@@ -43,7 +43,14 @@ class DirectController:
     """
 
     def __init__(
-        self, robot: RobotModel, mpc: MPC, period: float, lag: float = 0.0, *, rate: Array | None = None, feedback: bool = False
+        self,
+        robot: RobotModel,
+        mpc: MPC,
+        period: float,
+        lag: float = 0.0,
+        *,
+        rate: Array | None = None,
+        feedback: bool = False,
     ) -> None:
         positive("controller", period=period)
         not_negative("controller", lag=lag)

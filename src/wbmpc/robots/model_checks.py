@@ -116,7 +116,9 @@ def check_body(subject: Subject) -> Iterator[Finding]:
     loose = [n for n in joints if n not in description.fixed_joints]
     if loose:
         text = f"'{body}' hangs on '{above[-1]}' by joint '{loose[0]}': it cannot be simulated, only planned for"
-        yield Finding("warning", "", "key 'base.body'", text, f"give 'base.body: {above[0]}', or hold the joint (fixed_joints)")
+        yield Finding(
+            "warning", "", "key 'base.body'", text, f"give 'base.body: {above[0]}', or hold the joint (fixed_joints)"
+        )
 
 
 # ---------------------------------------------------------------------- joints

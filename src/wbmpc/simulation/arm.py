@@ -108,4 +108,3 @@ class ArmPlant(WorldAccess):
         """Angles of all joints [rad] as their encoders report them."""
         read: Array = np.rint(angles / self._count) * self._count
         return np.where(self._exact, angles, read) if self._exact.any() else read
-

@@ -83,7 +83,11 @@ class ModelPlant:
         inside = lie.pose_compose(lie.pose_inverse(base), np.concatenate([tool, turn]))
         rotation = lie.quaternion_to_rotation(base[3:])
         yaw = x[self.robot.state["base"]][2] if "base" in self.robot.state else lie.rotation_to_euler_zyx(rotation)[0]
-        joints = {n: float(v) for g, names in self.robot.state.groups.items() for n, v in zip(names, x[self.robot.state[g]], strict=True)}
+        joints = {
+            n: float(v)
+            for g, names in self.robot.state.groups.items()
+            for n, v in zip(names, x[self.robot.state[g]], strict=True)
+        }
         return Truth(
             time=self.time, pose=np.array([*base[:2], yaw]), tool=tool, tool_rotation=lie.quaternion_to_rotation(turn),
             tool_in_base=inside[:3], tool_rotation_in_base=lie.quaternion_to_rotation(inside[3:]),

@@ -40,7 +40,9 @@ def _tracking(log: Log, since: float) -> dict[str, Metric]:
     if not use.any():
         use[-1] = True
     reference = log.array("end_effector_reference")
-    estimated, world = (np.linalg.norm(log.array(n) - reference, axis=1)[use] for n in ("end_effector_estimated", "end_effector"))
+    estimated, world = (
+        np.linalg.norm(log.array(n) - reference, axis=1)[use] for n in ("end_effector_estimated", "end_effector")
+    )
     return {
         "end_effector_error_mean": Metric(float(estimated.mean()), "m"),
         "end_effector_error_max": Metric(float(estimated.max()), "m"),

@@ -11,7 +11,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
 from wbmpc.settings import Positive
-from wbmpc.tasks.closed_loop import closed_loop
+from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import follow
 from wbmpc.tasks.settings import TaskSettings
 
@@ -41,7 +41,7 @@ def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Arra
         share = settings.posture * rng.uniform(-1.0, 1.0, home.size)
         row[arm] = home + np.where(share > 0.0, share * (high - home), share * (home - low))
         if "base" in robot.state:
-            heading, way = rng.uniform(-np.pi, np.pi), rng.uniform(*sorted(settings.distance))
+            heading, way = rng.uniform(-np.pi, np.pi), rng.uniform(min(settings.distance), max(settings.distance))
             at = at + way * np.array([np.cos(heading), np.sin(heading)])
             start = robot.state["base"].start
             row[start : start + 2] += at
@@ -53,10 +53,15 @@ def build(settings: GoalsSettings, seed: int) -> Scenario:
     """One run: a goal is reached if the error, by the estimate, is within the tolerance for the last half second of its time."""
     robot, mpc = settings.prepare()
     goals = robot.poses(random_states(robot, settings, seed))
-    start = mpc.reference["end_effector"].at(0.0)
     times = settings.settle_time + settings.time_per_goal * np.arange(settings.count)
-    poses = np.vstack([start, goals])
-    follow(robot, mpc, Reference.poses(np.concatenate([[0.0], times]), poses[:, :3], poses[:, 3:], hold=True))
+    waiting = list(zip(times, goals, strict=True))
+
+    def tick(t: float) -> None:
+        """A goal that comes now: plans do not see it before."""
+        if waiting and t >= waiting[0][0] - 1e-9:
+            pose = waiting.pop(0)[1]
+            follow(robot, mpc, Reference.poses([t], pose[:3], pose[3:], hold=True))
+
     end = settings.settle_time + settings.count * settings.time_per_goal
 
     def metrics(log: Log) -> dict[str, Metric]:
@@ -67,7 +72,7 @@ def build(settings: GoalsSettings, seed: int) -> Scenario:
             "goal_error_max": Metric(float(errors.max()), "m", goal=settings.tolerance),
         }
 
-    return closed_loop(robot, mpc, end, seed, settings, since=settings.settle_time, metrics=metrics)
+    return closed_loop(robot, mpc, end, seed, settings, since=settings.settle_time, tick=tick, metrics=metrics)
 
 
 def final_errors(log: Log, times: Array, length: float) -> Array:
@@ -78,4 +83,6 @@ def final_errors(log: Log, times: Array, length: float) -> Array:
     return np.array([part.max() if part.size else np.inf for part in parts])
 
 
-EXPERIMENT = Experiment.of("goals", "the end effector of any robot goes to random goals that it can reach", GoalsSettings, build)
+EXPERIMENT = Experiment.of(
+    "goals", "the end effector of any robot goes to random goals that it can reach", GoalsSettings, build
+)

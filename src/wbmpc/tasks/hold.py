@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from wbmpc.experiment import Experiment, Scenario
-from wbmpc.tasks.closed_loop import closed_loop
+from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.settings import TaskSettings
 
 

@@ -58,7 +58,9 @@ class PathSettings(Settings):
         c, s = np.cos(self.direction), np.sin(self.direction)
         points = position + offsets @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         up = (0.0, 0.0, 1.0)
-        return Curve(points, np.array([lie.quaternion_multiply(lie.quaternion_about(up, float(a)), quaternion) for a in turns]))
+        return Curve(
+            points, np.array([lie.quaternion_multiply(lie.quaternion_about(up, float(a)), quaternion) for a in turns])
+        )
 
 
 class Line(PathSettings):
@@ -138,7 +140,9 @@ def read_table(path: Path) -> Array:
         raise InputError(f"{path}: not a text file in UTF-8") from error
     names = [n.strip() for n in lines[0].split(",")] if lines else []
     if names not in (["x", "y", "z"], ["x", "y", "z", "qw", "qx", "qy", "qz"]):
-        raise InputError(f"{path}, line 1: columns 'x,y,z' or 'x,y,z,qw,qx,qy,qz' are needed, got '{','.join(names):.60}'")
+        raise InputError(
+            f"{path}, line 1: columns 'x,y,z' or 'x,y,z,qw,qx,qy,qz' are needed, got '{','.join(names):.60}'"
+        )
     rows = []
     for number, line in enumerate(lines[1:], start=2):
         if line:
@@ -212,16 +216,22 @@ def carried_base(robot: RobotModel, poses: Array) -> Array:
     yaw = home[2] + np.unwrap(np.array(turned))
     beside = position[:2] - home[:2]
     c, s = np.cos(yaw - home[2]), np.sin(yaw - home[2])
-    return np.stack([poses[:, 0] - c * beside[0] + s * beside[1], poses[:, 1] - s * beside[0] - c * beside[1], yaw], axis=1)
+    return np.stack(
+        [poses[:, 0] - c * beside[0] + s * beside[1], poses[:, 1] - s * beside[0] - c * beside[1], yaw], axis=1
+    )
 
 
 def follow(robot: RobotModel, mpc: Any, reference: Reference) -> None:
     """The end effector follows ``reference``; where the problem has a reference of the base too, the base goes along."""
     mpc.reference["end_effector"] = reference
-    if "state" in mpc.reference and "base" in robot.state and mpc.reference["state"].values.shape[1] == robot.state.size:
+    if (
+        "state" in mpc.reference
+        and "base" in robot.state
+        and mpc.reference["state"].values.shape[1] == robot.state.size
+    ):
         values = np.tile(mpc.reference["state"].values[:1], (len(reference.times), 1))
         part = robot.state["base"].start
         values[:, part : part + 3] = carried_base(robot, reference.values)
-        mpc.reference["state"] = Reference(reference.times, values, "hold" if reference.kind == "pose_hold" else "linear")
-
-
+        mpc.reference["state"] = Reference(
+            reference.times, values, "hold" if reference.kind == "pose_hold" else "linear"
+        )

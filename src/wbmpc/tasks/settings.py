@@ -62,7 +62,8 @@ def scale_weights(mpc: MPC, factors: dict[str, float]) -> None:
             raise unknown_name("cost (setting 'weights')", name, costs)
         cost = costs[name]
         end = cost.weight if cost.terminal_weight is None else cost.terminal_weight
-        for place, weight in (("path", cost.weight), ("terminal", end)):
+        places: tuple[tuple[Literal["path", "terminal"], Any], ...] = (("path", cost.weight), ("terminal", end))
+        for place, weight in places:
             if cost.at in (place, "path+terminal"):
                 mpc.solver.set_weight(name, list(factor * cost.expand(weight)), place)
 
@@ -70,6 +71,8 @@ def scale_weights(mpc: MPC, factors: dict[str, float]) -> None:
 def moving_base(robot: RobotModel, task: str) -> slice:
     """Where (x, y, yaw) of the base begin in the robot's state. Raises :class:`InputError` where the base does not move."""
     if "base" not in robot.state:
-        raise InputError(f"{task}: the base of '{robot.description.name}' does not move; valid: a robot with a base that does")
+        raise InputError(
+            f"{task}: the base of '{robot.description.name}' does not move; valid: a robot with a base that does"
+        )
     start = robot.state["base"].start
     return slice(start, start + 3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wbmpc.experiment import Experiment, Scenario
-from wbmpc.tasks.closed_loop import closed_loop
+from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, follow, timed
 from wbmpc.tasks.settings import TaskSettings
 

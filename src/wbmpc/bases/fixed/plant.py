@@ -19,7 +19,7 @@ from wbmpc.types import Truth
 READS = frozenset(
     {
         "mass", "inertia", "com_offset", "joint_offset", "actuator_time_constant", "actuator_time_constant_spread",
-        "encoder_jitter", "arm_counts", "payload",
+        "encoder_jitter", "arm_counts", "payload", "friction",
     }
 )  # fmt: skip
 

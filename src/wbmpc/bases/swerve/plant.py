@@ -21,8 +21,8 @@ from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
-from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.arm import span
+from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation, clipped
 from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
 from wbmpc.simulation.world import ROBOT, TIMESTEP, Array, Edit, World, add_drive

@@ -39,7 +39,9 @@ def make_system(robot: RobotModel, mpc: MPC, settings: SimulationSettings, seed:
         timing = Timing.of(plant.timestep, MODEL_RATE, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
     if mpc.ocp.dynamics.state.names != robot.state.names:
-        raise InputError("physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic")
+        raise InputError(
+            "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
+        )
     made = base_type(robot.description.base.type).system(robot, seed, settings.plant, mpc)
     steps = made.timing
     timing = Timing.of(made.plant.timestep, 1.0 / steps.period, mpc.rate, settings.computation_delay)
@@ -54,13 +56,15 @@ def closed_loop(
     settings: SimulationSettings | None = None,
     *,
     since: float = 0.0,
+    tick: Callable[[float], None] | None = None,
     metrics: Callable[[Log], dict[str, Metric]] | None = None,
     plots: Callable[[Log], Sequence[Plot]] | None = None,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on.
 
     Recorded every 10 ms: the end effector, its reference (of the cost "end_effector", where there is one) and its error, the base and its
-    estimate, joints, inputs. ``since`` [s]: from then on errors count. ``metrics`` and ``plots`` of the log come beside the general
+    estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
+    period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
     ones. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = settings or SimulationSettings()
@@ -69,6 +73,8 @@ def closed_loop(
     every = max(1, round(RECORDED / system.timing.period))
 
     def record(t: float, command: Any, plans: Any) -> None:
+        if tick is not None:
+            tick(t)
         if round(t / system.timing.period) % every == 0:
             _record(log, t, system, robot, plans)
 
