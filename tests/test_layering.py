@@ -17,7 +17,8 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
-    "errors", "logs", "lie", "output_file", "log", "trajectory", "types", "checks", "json_file", "yaml_file", "configuration", "settings_table", "result",
+    "errors", "logs", "lie", "output_file", "log", "trajectory", "types", "checks", "json_file", "yaml_file", "configuration", "settings_table",
+    "result",
     "report", "run_files", "bases", "robots", "model", "stability", "ocp", "kernel", "solver", "mpc", "control", "runtime", "estimation",
     "simulation", "settings", "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",

@@ -39,6 +39,9 @@ class OnlyWith:
             {name: value if isinstance(value, tuple) else (value,) for name, value in rules.items()},
         )
 
+    def __repr__(self) -> str:
+        return f"OnlyWith({' or '.join(map(str, self.clauses))})"
+
     def __and__(self, other: OnlyWith) -> OnlyWith:
         both = OnlyWith()
         both.clauses = self.clauses + other.clauses

@@ -251,7 +251,7 @@ EMPTY = link("tray") + WEAK.replace('"-1" upper="1"', '"0" upper="0"')
         (ARM + SLIDES, "telescope", ("'extend_1', 'extend_2'", "arm.joints")),
         (SWERVE.replace("0 0 1", "0 0 -1", 1) + ARM, "steering", ("warning: joint 'front_steer'", "about -z")),
         (BESIDE + ARM, "steering", ("wheel 'front_joint'", "40 mm beside")),
-        (BESIDE + ARM, "base", ("warning", "no base type", "'front_joint'")),
+        (BESIDE + ARM, "base", ("info", "base type wheels", "2 steered")),
         (DIFFERENTIAL + CASTER + ARM, "casters", ("caster_turn: 0",)),
         (LEVEL + ARM, "casters", ("level with the driven wheels",)),
         (WORLD + ARM, "world", ("info: link 'world'",)),

@@ -37,7 +37,10 @@ class WheelsOdometry(PlanarOdometry):
 
     def turn(self, time: float, wheel: ArrayLike, steer: ArrayLike, yaw_rate: float | None) -> Array:
         """The pose after angles [rad] of driven wheels and of steering joints at ``time`` [s]; ``yaw_rate`` [rad/s] of a gyro."""
-        w, s = numbers("odometry", "wheel", wheel, self._driven), numbers("odometry", "steer", steer, self._base.steering)
+        w, s = (
+            numbers("odometry", "wheel", wheel, self._driven),
+            numbers("odometry", "steer", steer, self._base.steering),
+        )
         w0, s0 = self._before or (w, s)
         self._before = (w.copy(), s.copy())
         roll, side = self._base.matrices(0.5 * (s + s0))
@@ -59,13 +62,16 @@ class WheelsController(PlanarController):
     """The MPC's state has the **planned** steering angles, so that its rows agree with each other; a loop closes the difference to the
     measured ones."""
 
-    def __init__(self, robot: RobotModel, pose: Array, period: float, lag: float = 0.0, *, use_gyro: bool = True) -> None:
+    def __init__(
+        self, robot: RobotModel, pose: Array, period: float, lag: float = 0.0, *, use_gyro: bool = True
+    ) -> None:
         super().__init__(robot, pose, period, lag, use_gyro=use_gyro)
         self.odometry: WheelsOdometry = WheelsOdometry(robot.base, pose)
         self._size = robot.base.twist.shape[1] + robot.base.steering
         self._moving = slice(0, self._size)
         self._steer = robot.input["steer"] if robot.base.steering else slice(0, 0)
-        self.planned: Array | None = None
+        self.planned: Array = np.zeros(robot.base.steering)
+        self._placed = False  # whether planned angles have begun from measured ones
 
     def measure(self, measurement: PlanarMeasurement) -> None:
         """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
@@ -73,13 +79,14 @@ class WheelsController(PlanarController):
         previous, self.measured = self.measured or measurement, measurement
         turning = 0.5 * float(previous.gyro[2] + measurement.gyro[2]) if self.use_gyro else None
         self.odometry.turn(measurement.time, measurement.wheel, measurement.steer, turning)
-        if self.planned is None:
-            self.planned = np.array(measurement.steer, float)
+        if not self._placed:
+            self.planned, self._placed = np.array(measurement.steer, float), True
 
     def state(self) -> Array:
         """Estimated base, planned steering, measured arm (nx)."""
-        assert self.planned is not None
-        return self.robot.state.vector({"base": self.pose, **({"steer": self.planned} if self.planned.size else {}), "arm": self.arm})
+        return self.robot.state.vector(
+            {"base": self.pose, **({"steer": self.planned} if self.planned.size else {}), "arm": self.arm}
+        )
 
     def _move(self, x: Array, u: Array, h: float) -> None:
         state, inputs = self.robot.state, self.robot.input
@@ -88,7 +95,6 @@ class WheelsController(PlanarController):
 
     def wheel_matrix(self) -> Array:
         """(n, m + s): rates of driven wheels by the base's input and the steering rates, at the planned steering angles."""
-        assert self.planned is not None
         return np.asarray(self.robot.base.by_input(self.robot.base.matrices(self.planned)[0]))
 
     def stop(self) -> PlanarCommand:
@@ -110,6 +116,5 @@ class WheelsController(PlanarController):
 
     def _note(self, sent: Array) -> None:
         super()._note(sent)
-        if self.planned is not None:
-            self.planned = self.planned + sent[self._steer] * self.period
+        self.planned = self.planned + sent[self._steer] * self.period
         self._rates[self._steer] = 0.0  # planned angles do not lag

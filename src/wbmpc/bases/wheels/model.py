@@ -75,7 +75,9 @@ def read_contacts(description: RobotDescription, tree: Tree) -> list[Contact]:
             link = tree.joint(wheel.steer)
             up = (poses[link][1] @ tree.links[link].axis)[2]
             if abs(up) < 1.0 - 1e-6:
-                raise InputError(f"{description.source}: key 'base.wheels': joint '{wheel.steer}' must turn about a vertical axis")
+                raise InputError(
+                    f"{description.source}: key 'base.wheels': joint '{wheel.steer}' must turn about a vertical axis"
+                )
             axis, sign, place = poses[link][0][:2], float(np.sign(up)), steering.index(wheel.steer)
         beside, c, s = center[:2] - axis, np.cos(heading), np.sin(heading)
         offset = np.array([c * beside[0] + s * beside[1], c * beside[1] - s * beside[0]])
@@ -132,7 +134,7 @@ class WheelsBase(PlanarBase):
 
     def by_input(self, rows: Any) -> Any:
         """The same rows by the base's input and the steering rates."""
-        if isinstance(rows, ca.SX):
+        if not isinstance(rows, np.ndarray):
             return ca.horzcat(rows[:, :3] @ constant(self.twist), rows[:, 3:])
         return np.hstack([rows[:, :3] @ self.twist, rows[:, 3:]])
 
@@ -151,5 +153,7 @@ class WheelsBase(PlanarBase):
         if limited:
             upper = constant(1.0 / self.wheel_upper[limited])
             rates = lambda s: upper * (self.by_input(self.matrices(s.x[part])[0])[limited, :] @ s.u[:size])
-            found.append(Constraint("wheels", residuals.Expression(len(limited), rates), sets.Box(-1.0, 1.0), hard=hard))
+            found.append(
+                Constraint("wheels", residuals.Expression(len(limited), rates), sets.Box(-1.0, 1.0), hard=hard)
+            )
         return found

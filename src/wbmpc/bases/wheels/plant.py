@@ -23,7 +23,9 @@ class WheelsPlant(PlanarPlant):
         driven = [w for w in base.wheels if w.driven]
         self._touch(spec, driven[index].joint, driven[index].rollers, radius, friction)
 
-    def _touch(self, spec: mujoco.MjSpec, name: str, rollers: float | None, radius: float, friction: list[float]) -> None:
+    def _touch(
+        self, spec: mujoco.MjSpec, name: str, rollers: float | None, radius: float, friction: list[float]
+    ) -> None:
         if rollers is None:
             add_tyre(spec.joint(name), radius, friction)
         else:

@@ -41,7 +41,11 @@ class WheelsBaseType(PlanarBaseType):
         radius = float(np.median(known)) if known else RADIUS
         section = {
             "wheels": [{"joint": w.joint, **({"steer": w.steer} if w.steer else {})} for w in wheels],
-            **({} if len(known) == len(wheels) and not any(w.assumed for w in wheels) else {"wheel_radius": round(radius, 4)}),
+            **(
+                {}
+                if len(known) == len(wheels) and not any(w.assumed for w in wheels)
+                else {"wheel_radius": round(radius, 4)}
+            ),
         }
         names = {w.joint: (RIM_SPEED / radius, RIM_ACCELERATION / radius) for w in wheels}
         names |= {str(w.steer): (STEER_RATE, STEER_ACCELERATION) for w in steered}
