@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "logs", "lie", "output_file", "log", "trajectory", "types", "checks", "json_file", "yaml_file", "configuration", "settings_table",
-    "result",
-    "report", "run_files", "bases", "robots", "model", "stability", "ocp", "kernel", "solver", "mpc", "control", "runtime", "estimation",
+    "result", "units",
+    "report", "run_files", "run_index", "bases", "robots", "model", "stability", "ocp", "kernel", "solver", "mpc", "control", "runtime", "estimation",
     "simulation", "settings", "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip

@@ -18,14 +18,16 @@ import typer
 
 from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
-from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory, size_of
+from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory
 from wbmpc.cli.doctor import doctor
 from wbmpc.cli.new import new
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.results import show_results
 from wbmpc.cli.ros2 import ros2
-from wbmpc.cli.settings import show_settings, write_weights
+from wbmpc.cli.running import execute
+from wbmpc.cli.runs import runs
+from wbmpc.cli.settings import show_settings
 from wbmpc.cli.stability import stability
 from wbmpc.cli.terminal import (
     ABORTED,
@@ -43,20 +45,12 @@ from wbmpc.cli.terminal import (
     unread_allowed,
 )
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
-from wbmpc.errors import EndedByUser, InputError, NotWritten, RunAborted, WbmpcError, unknown_name
+from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
     from wbmpc.experiment import Experiment
-    from wbmpc.result import RunResult
-    from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
-#: What is said of a run that somebody has steered.
-STEERED = (
-    "goals, weights, legs or forces were changed by hand in the view: the figures are of that, not of the experiment"
-)
 
 app = typer.Typer(
     name="wbmpc", pretty_exceptions_enable=False,
@@ -64,7 +58,7 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(log)
 app.add_typer(ros2)
-for _command in (new, doctor, stability, calibrate, view, replay, render, compare, reproduce):
+for _command in (new, doctor, stability, calibrate, view, replay, render, runs, compare, reproduce):
     app.command()(_command)
 
 
@@ -138,88 +132,6 @@ def _rearranged(arguments: list[str]) -> list[str]:
     return [*front, *behind]
 
 
-def _execute(
-    session: _Session,
-    name: str,
-    seed: int,
-    assignments: list[str],
-    out: Path | None,
-    show: bool,
-    view: View | None = None,
-    record_limit: str = RECORD_LIMIT,
-    config: Path | None = None,
-) -> tuple[RunResult, dict[str, str]]:
-    """A run and its files. Begun anew in the view, it is another run with files of its own; the last one is returned."""
-    from wbmpc.configuration import configure
-
-    if seed < 0:
-        raise InputError(f"--seed: must not be negative, got {seed}")
-    experiment = session.open(name)
-    name = experiment.name if name.endswith(".py") else name  # a file is known by the name of its experiment
-    limit, settings = (
-        size_of("--record-limit", record_limit),
-        configure(experiment.config_type, assignments, name, config),
-    )
-    try:
-        while True:
-            result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view, limit)
-            if view is None or not view.wants_reset:
-                return result, files
-            view.restart()
-            typer.echo(f"begun anew; the run until then is in {Path(files['report']).parent}", err=True)
-    finally:
-        if view is not None:
-            view.close()
-
-
-def _attempt(
-    name: str,
-    experiment: Experiment,
-    settings: BaseModel,
-    seed: int,
-    out: Path | None,
-    show: bool,
-    view: View | None,
-    limit: int,
-) -> tuple[RunResult, dict[str, str]]:
-    from wbmpc.recording.recorder import Recorder
-    from wbmpc.report import RECORDING, about_run, outcome, write_run
-    from wbmpc.result import RunResult
-    from wbmpc.simulation.lockstep import Watch, interrupt_noted
-
-    plain = settings.model_dump(mode="json")
-    with run_directory(out, name, seed) as directory:
-        _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
-        _LOG.info("settings: %s", json.dumps(plain))
-        recorder = Recorder(directory / RECORDING, about_run(name, seed, plain), limit)
-        # the view first: if it cannot open, nothing has been written
-        watchers = (recorder,) if view is None else (view, recorder)
-        try:
-            try:
-                with progress_bar(name, show) as progress:
-                    result = experiment.run(settings, seed, Watch(progress, watchers))
-            except (EndedByUser, KeyboardInterrupt) as error:
-                result = RunResult.aborted(name, seed, str(error) or "interrupted", plain, interrupted=True)
-            except RunAborted as error:
-                result = RunResult.aborted(name, seed, str(error), plain)
-            with interrupt_noted() as pressed:  # now it waits for the files; once more, and it acts at once
-                if view is not None and view.steered:
-                    result.idealisations = [*result.idealisations, STEERED]
-                recorder.close(outcome(result))
-                files = write_run(result, directory)
-                if view is not None and "weights" in type(settings).model_fields:
-                    files |= write_weights(view.factors, plain["weights"], directory)
-                if recorder.failure:
-                    raise NotWritten(f"{recorder.failure}; the run's other files are in {directory}")
-            if pressed():
-                raise KeyboardInterrupt
-        finally:
-            recorder.close({"completed": "false", "reason": "an error of the program"})
-    for kind, path in files.items():
-        _LOG.info("%s: %s, %d kB", kind, path, Path(path).stat().st_size // 1000)
-    return result, files
-
-
 @app.command("list")
 def list_experiments(
     context: typer.Context,
@@ -282,7 +194,7 @@ def run(
         return
     shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
     show_results(
-        [_execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit, config)], as_json
+        [execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit, config)], as_json
     )
 
 
@@ -299,7 +211,7 @@ def demo(
     for name in demonstrated():
         if not (as_json or context.obj.quiet):
             typer.echo(f"running {name} …", err=True)
-        results.append(_execute(context.obj, name, seed, [], None, not as_json))
+        results.append(execute(context.obj, name, seed, [], None, not as_json))
         if results[-1][0].interrupted:
             break
     show_results(results, as_json)
