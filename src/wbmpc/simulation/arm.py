@@ -17,8 +17,8 @@ from wbmpc.simulation.payloads import PAYLOAD, add_payload
 from wbmpc.simulation.perturbation import Perturbation, PlantSample
 from wbmpc.simulation.world import Array, Edit, WorldAccess, add_drive
 
-#: Gain [N m s/rad] of the servos per N m of effort limit, but not below its floor.
-_ARM_GAIN, _ARM_GAIN_LEAST = 12.0, 800.0
+#: Gain [N m s/rad] of the servos per N m of effort limit, but not below its floor; floor of those that slide [N s/m].
+_ARM_GAIN, _ARM_GAIN_LEAST, _SLIDE_GAIN = 12.0, 800.0, 2e4
 
 
 def span(index: Array) -> slice | Array:
@@ -48,7 +48,9 @@ class ArmPlant(WorldAccess):
         for name, lag in zip(self._names["arm"], self.draw.arm_lag, strict=True):
             spec.joint(name).armature, spec.joint(name).damping = 0.1, [1.0, 0, 0]
             effort = self.description.limits.effort.get(name, np.inf)
-            gain = max(_ARM_GAIN_LEAST, _ARM_GAIN * effort) if np.isfinite(effort) else _ARM_GAIN_LEAST
+            slides = spec.joint(name).type == mujoco.mjtJoint.mjJNT_SLIDE
+            least = _SLIDE_GAIN if slides else _ARM_GAIN_LEAST
+            gain = max(least, _ARM_GAIN * effort) if np.isfinite(effort) else least
             add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, lag, gain)
         p = self.perturbation
         if p.payload > 0.0:
