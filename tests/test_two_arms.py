@@ -97,7 +97,7 @@ def test_two_tips_hold_one_thing(twins: Path) -> None:
     mpc.reference["grasp"] = wb.Reference.constant(start)
     position, turn = robot.pose(robot.home)
     times = np.linspace(0.0, 1.0, 51)
-    way = position + np.outer(0.03 * (1.0 - np.cos(2.0 * np.pi * times)), [1.0, 0.5, 0.5])
+    way = position + np.outer(0.03 * (1.0 - np.cos(np.pi * times)), [1.0, 0.5, 0.5])
     mpc.reference["end_effector"] = wb.Reference.poses(times, way, turn)
     result = wb.simulate(robot, mpc, 1.0, physics="kinematic", settle_time=0)
     assert result.completed and result.metrics["end_effector_error_max"].value < 2e-3

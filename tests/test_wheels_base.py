@@ -171,3 +171,45 @@ def test_it_drives_ahead_in_mujoco(kind: str, base: dict[str, Any], tmp_path: Pa
 def test_faults_name_the_wheel(wheels: list[Wheel], options: dict[str, Any], words: str, tmp_path: Path) -> None:
     with pytest.raises(wb.InputError, match=words):
         wb.load_robot(write(tmp_path, wheels, **options))
+
+
+# ---------------------------------------------------------------------- a base whose wheels are not described
+def planar(folder: Path, drive: str, center: float = 0.2) -> Path:
+    """A tricycle of which nobody knows how it steers."""
+    path = write(folder, [FRONT, *REAR])
+    data = yaml.safe_load(path.read_text())
+    data["base"] = {"type": "planar", "body": "chassis", "drive": drive, "center": center, "height": HEIGHT}
+    data["fixed_joints"] = dict.fromkeys(["s0", "w0", "w1", "w2"], 0.0)
+    data["limits"]["velocity"] = {"pan": 2.0, "lift": 2.0}
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def test_a_base_that_takes_speeds_turns_about_its_center(tmp_path: Path) -> None:
+    """What is at the center stays there in a turn. Truth: the velocity of a frame in the middle of the body, by hand."""
+    robot = wb.load_robot(planar(tmp_path, "skid"))
+    assert robot.input.groups["base"] == ("v", "wz") and robot.base.body_height == HEIGHT
+    np.testing.assert_allclose(robot.base.twist @ [0.0, 1.0], [0.0, -0.2, 1.0])
+    assert wb.load_robot(planar(tmp_path, "omni")).input.groups["base"] == ("vx", "vy", "wz")
+    with pytest.raises(wb.InputError, match=r"key 'base\.drive'"):
+        wb.load_robot(planar(tmp_path, "hover"))
+
+
+def test_skid_steering_is_warned_of_and_has_no_physics(tmp_path: Path) -> None:
+    robot, plugin = wb.load_robot(planar(tmp_path, "tracks")), wb.base_type("planar")
+    (finding,) = plugin.diagnose(robot.description, robot.base)
+    assert finding.severity == "warning" and "slip sideways" in finding.text
+    assert not plugin.diagnose(wb.load_robot(planar(tmp_path, "omni")).description, robot.base)
+    with pytest.raises(
+        wb.InputError, match=r"'mixed' has a base of type 'planar', whose plug-in offers no simulated robot"
+    ):
+        plugin.system(robot, 0)
+    settings = TrackSettings.model_validate(
+        {
+            "robot": str(planar(tmp_path, "tracks")),
+            "physics": "kinematic",
+            "settle_time": 0,
+            "path": {"kind": "line", "length": 0.2, "ramp": 0.3},
+        }
+    )
+    assert EXPERIMENT.run(settings, 0, None).metrics["end_effector_error_mean"].value < 1e-3
