@@ -79,7 +79,7 @@ def test_rows_are_velocities_of_the_wheels(kind: str, tmp_path: Path) -> None:
         for name, angle, rate in zip(steering, angles, rates, strict=True):
             data.joint(name).qpos[0], data.joint(name).qvel[0] = angle, rate
         mujoco.mj_forward(model, data)
-        for contact, wheel in zip(robot.base.contacts, robot.description.base.wheels, strict=True):
+        for contact, wheel in zip(robot.base.wheel_contacts, robot.description.base.wheels, strict=True):
             joint, velocity = model.joint(wheel.joint), np.zeros(6)
             mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, int(joint.bodyid[0]), velocity, 0)
             along = np.cross(data.xaxis[joint.id], [0.0, 0.0, 1.0])
@@ -107,7 +107,7 @@ def test_odometry_finds_the_way_that_wheels_rolled(kind: str, tmp_path: Path) ->
     """Wheels on paper: steering and wheel angles integrated in steps of 1 ms along a motion without slip."""
     base = wb.load_robot(write(tmp_path, KINDS[kind])).base
     odometry, h = WheelsOdometry(base, np.zeros(3)), 1e-3
-    steer, wheel, pose = np.full(base.steering, 0.3), np.zeros(sum(c.driven for c in base.contacts)), np.zeros(3)
+    steer, wheel, pose = np.full(base.steering, 0.3), np.zeros(sum(c.driven for c in base.wheel_contacts)), np.zeros(3)
     for k in range(1000):
         _roll, side = base.matrices(steer)
         if kind == "casters":  # any twist; casters follow

@@ -97,7 +97,7 @@ def test_the_file_improves_the_odometry_of_a_run(calibration: Path) -> None:
 
 @thorough
 def test_a_run_with_global_poses_stays_where_it_should(calibration: Path) -> None:
-    settings = SwerveTrackSettings(periods=1, settle_time=2.0, calibration=str(calibration), global_poses=True)
+    settings = SwerveTrackSettings(periods=1, settle_time=2.0, calibration=str(calibration), localization="lidar")
     result = REGISTRY["swerve-track"].run(settings, SEED, None)
     assert result.metrics["base_error_rms_world"].value < 0.005
     assert result.metrics["hand_error_mean_world"].value < 0.010

@@ -125,6 +125,7 @@ def tracking(
         log.add("hand_odometry", t, reference + factor * estimated)
         log.add("hand_reference", t, reference)
         log.add("hand_rotation", t, factor * 0.01)
+        log.add("hand_rotation_world", t, factor * 0.02)
         log.add("base", t, pose)
         for k, name in enumerate(("base_odometry", "base_wheels", "base_release"), start=1):
             log.add(name, t, pose + share * k * drift * np.array([0.6, 0.8, 7.0]))
@@ -162,6 +163,8 @@ def test_metrics_of_a_track_with_known_errors() -> None:
     assert m["hand_error_mean_nearest"] == pytest.approx(0.003, rel=1e-3)  # across the plane of the path
     assert m["hand_error_mean_world"] == pytest.approx(0.013)
     assert m["hand_orientation_error_max"] == pytest.approx(0.01)
+    assert m["hand_orientation_error_max_world"] == pytest.approx(0.02)
+    assert m["hand_error_max_world"] == pytest.approx(0.013)
     assert m["path_length"] == pytest.approx(20.53 / 6, rel=1e-3)
     assert m["base_path_length"] == pytest.approx(15.96 / 6, rel=1e-6)
     assert m["wheel_slip_max"] == pytest.approx(0.03)

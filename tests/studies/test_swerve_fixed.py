@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.errors import InputError
 from wbmpc.log import Log
@@ -17,7 +18,9 @@ from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings
 
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
-    return fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("sideways",), random_time=0.0, settle_time=1.0), 3)
+    return fixed.EXPERIMENT.run(
+        SwerveFixedSettings(motions=("sideways",), random_time=0.0, settle_time=1.0, calibration="none"), 3
+    )
 
 
 def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
@@ -58,7 +61,7 @@ def test_hinged_legs_stay_where_they_are(name: str) -> None:
     """Of a robot whose legs could swing: the baselines leave them closed. Truth: rolling straight ahead, legs at home."""
     settings = SwerveFixedSettings(motions=("forward",), random_time=0.0)
     motion, robot = Motion.of(settings, 0), load_robot("swerve-ur10")
-    controller = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
+    controller = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion, EstimatorSettings())
     home = robot.state.split(robot.home)
     controller.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
     command = controller.command(3.0, PolicyQueue())  # in the midst of the motion

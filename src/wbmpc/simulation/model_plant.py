@@ -71,6 +71,14 @@ class ModelPlant:
     def push(self, force: Array) -> None:
         """Nothing: a model of speeds has no forces."""
 
+    def end_pushes(self) -> None:
+        """Nothing: there are none."""
+
+    @property
+    def rests(self) -> bool:
+        """A stop is a standstill."""
+        return True
+
     # ------------------------------------------------------------------ truth
     def _base(self, x: Array) -> Array:
         position, quaternion = self._root(x)
@@ -128,7 +136,7 @@ class ModelPlant:
                 free_body(spec, base.body, description.source).add_freejoint(name="root")
         joints = {j.name for j in spec.joints}
         names = list(dict.fromkeys(n for group in self.robot.state.groups.values() for n in group if n in joints))
-        world = World(spec, description.model, base.body, description.arm.tool, names)
+        world = World(spec, description, names, {})
         flat = [n for group in self.robot.state.groups.values() for n in group]
         self._shown = [(flat.index(n), int(world.model.joint(n).qposadr[0])) for n in names]
         return world

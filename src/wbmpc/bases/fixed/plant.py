@@ -52,7 +52,7 @@ class FixedPlant(ArmPlant):
         self.draw = self.perturbation.draw(draw_rng, bodies, 0, len(names))
         with named(description.model):
             self._build(spec, edit)
-        self.world = World(spec, description.model, description.base.body, description.arm.tool, names)
+        self.world = World(spec, description, names, {n: description.limits.velocity.get(n, np.inf) for n in names})
         self.model, self.data = self.world.model, self.world.data
         self.index()
         self._control = np.array([self.model.actuator(n).id for n in names], dtype=int)

@@ -94,10 +94,10 @@ class MobileBaseType(PlanarBaseType):
         base = description.base
         assert isinstance(base, MobileBaseDescription)
         wheels = FixedWheels(np.zeros((0, 2)), np.zeros(0), 1.0, base.height)
-        twist, names = np.eye(3), ("vx", "vy", "wz")
-        if base.drive != "omni":
-            # a point ahead of the center goes aside in turns
-            twist, names = np.array([[1.0, 0.0], [0.0, -base.center], [0.0, 1.0]]), ("v", "wz")
+        names: tuple[str, ...] = ("vx", "vy", "wz") if base.drive == "omni" else ("v", "wz")
+        # a point ahead of the center goes aside in turns
+        one = np.array([[1.0, 0.0], [0.0, -base.center], [0.0, 1.0]])
+        twist = np.eye(3) if base.drive == "omni" else one
         return MobileBase(description, read_tree(spec, base.body), wheels, np.zeros((0, 3)), names, twist)
 
     # no physics is known

@@ -27,8 +27,8 @@ class WheelsOdometry(PlanarOdometry):
 
     def __init__(self, base: WheelsBase, pose0: ArrayLike) -> None:
         rows = base.twist.shape[1]
-        driven = sum(c.driven for c in base.contacts)
-        tyres = sum(c.roller is None for c in base.contacts)
+        driven = sum(c.driven for c in base.wheel_contacts)
+        tyres = sum(c.roller is None for c in base.wheel_contacts)
         super().__init__(base.twist, np.zeros((driven + tyres, rows)), pose0)
         self._base, self._driven = base, driven
         self._shown = np.zeros(driven + tyres)
@@ -102,7 +102,7 @@ class WheelsController(PlanarController):
         super().stop()
         if self.measured is not None:
             self.planned = np.array(self.measured.steer, float)
-        driven = sum(c.driven for c in self.robot.base.contacts)
+        driven = sum(c.driven for c in self.robot.base.wheel_contacts)
         return PlanarCommand.stop(driven, len(self.robot.input.groups["arm"]), self.robot.base.steering)
 
     def command(self, t: float, plans: PolicyQueue) -> PlanarCommand:

@@ -110,8 +110,8 @@ class WheelsBase(PlanarBase):
     """State: (x, y, yaw) of the body's frame, steering, arm; input: the base's speeds, steering and arm rates."""
 
     def __init__(self, description: RobotDescription, tree: Tree, wheels: FixedWheels) -> None:
-        self.contacts = read_contacts(description, tree)
-        twist, names = allowed_twist(description, self.contacts)
+        self.wheel_contacts = read_contacts(description, tree)
+        twist, names = allowed_twist(description, self.wheel_contacts)
         self.steering = len(description.base.joint_groups().get("steer", []))
         self.radius = wheels.radius
         home = np.array([description.home.get(n, 0.0) for n in description.base.joint_groups().get("steer", [])])
@@ -122,7 +122,7 @@ class WheelsBase(PlanarBase):
         """Rows (k, 3 + s) of the body's twist and s steering rates: rates [rad/s] of driven wheels, and how fast tyres slip sideways over
         their radius [rad/s]."""
         roll, side = [], []
-        for contact in self.contacts:
+        for contact in self.wheel_contacts:
             along, aside = contact.rows(steer, self.steering)
             if contact.driven:
                 roll.append((along if contact.roller is None else along + np.tan(contact.roller) * aside) / self.radius)
@@ -144,7 +144,7 @@ class WheelsBase(PlanarBase):
 
         part = slice(3, 3 + self.steering)
         size, found = self.twist.shape[1] + self.steering, []
-        tyres = [c for c in self.contacts if c.roller is None]
+        tyres = [c for c in self.wheel_contacts if c.roller is None]
         steered = [i for i, c in enumerate(tyres) if c.sign]
         if steered:
             slip = lambda s: self.radius * (self.by_input(self.matrices(s.x[part])[1])[steered, :] @ s.u[:size])
