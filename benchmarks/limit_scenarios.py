@@ -28,7 +28,7 @@ from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.solver import SQP
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
-from wbmpc.studies.paths import SinePath
+from wbmpc.tasks.paths import SinePath
 
 Array = np.ndarray
 Event = tuple[float, Callable[[], None]]

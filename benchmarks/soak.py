@@ -22,7 +22,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
-from wbmpc.studies.paths import SinePath
+from wbmpc.tasks.paths import SinePath
 from wbmpc.types import Observation
 
 #: Between two solves [s]; the spread of what the state is off its plan.

@@ -12,9 +12,9 @@ from planar_driving import HEIGHT, RADIUS, drive, follow_line, ideal_plant, kine
 from wbmpc import Observation, Reference
 from wbmpc.bases import base_type
 from wbmpc.bases.planar.controller import PlanarController
-from wbmpc.bases.planar.defaults import planar_mpc
 from wbmpc.bases.planar.messages import PlanarMeasurement
 from wbmpc.bases.planar.odometry import PlanarOdometry
+from wbmpc.default_problem import default_mpc
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -82,7 +82,7 @@ def test_limits_of_wheels_hold_over_the_whole_plan(tmp_path: Path):
         text.replace("model: differential-ur10.xml", f"model: {ROBOT.description.model}")
     )
     robot = load_robot(tmp_path / "slow.yaml")
-    mpc = planar_mpc(robot)
+    mpc = default_mpc(robot)
     position, orientation = robot.pose(robot.home)
     mpc.reference["end_effector"] = Reference.poses([0.0], [position + [4.0, 2.0, 0.0]], orientation)
     fastest = 0.0

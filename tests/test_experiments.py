@@ -15,8 +15,10 @@ from wbmpc import registry
 from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
-from wbmpc.studies import EXPERIMENTS
+from wbmpc.studies import EXPERIMENTS as OF_STUDIES
+from wbmpc.tasks import EXPERIMENTS as GENERAL
 
+EXPERIMENTS = {**GENERAL, **OF_STUDIES}
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 OWN = """

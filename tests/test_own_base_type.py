@@ -387,7 +387,9 @@ def test_parts_that_it_does_not_offer_are_named(gantry: Path, plugin: str) -> No
         with pytest.raises(
             InputError,
             match=lacking.format(
-                "simulated robot with a controller", "system", "ball, differential, omnidirectional, swerve"
+                "simulated robot with a controller",
+                "system",
+                "ball, differential, fixed, omnidirectional, swerve, wheels",
             ),
         ):
             rail.system(robot, 1)

@@ -11,16 +11,16 @@ import pkgutil
 import re
 from collections.abc import Container, Iterator
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Any
 
 from pydantic import BaseModel
-from pydantic_core import PydanticUndefined
 from sphinx.application import Sphinx
+
+from wbmpc import settings_table as table
 
 #: Sub-packages with an API page; of ``solver`` what users hold, the other files are the compiled driver.
 PACKAGES = (
-    "model", "bases", "ocp", "solver", "mpc", "runtime", "estimation", "control", "simulation", "robots", "recording",
+    "model", "bases", "ocp", "solver", "mpc", "runtime", "estimation", "control", "simulation", "tasks", "robots", "recording",
     "stability", "ros2",
 )  # fmt: skip
 ONLY = {"solver": ("settings", "solution", "solver"), "ros2": ("bus", "settings", "network")}
@@ -137,60 +137,9 @@ def _section(title: str, model: type[BaseModel], usual: Container[tuple[str, str
     return f"## {title}\n\n{prose}\n\n| key | type and range | default |\n| --- | --- | --- |\n{rows}\n"
 
 
-def _rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = None) -> Iterator[tuple[str, str, str]]:
-    """Key, type and default of every field; ``values``: an instance whose values are the defaults."""
-    for name, info in model.model_fields.items():
-        value = info.get_default(call_default_factory=True) if values is None else getattr(values, name)
-        kinds = _kinds(info.annotation)
-        if kinds:
-            own = [row for m in kinds for row in _rows(m, f"{prefix}{name}.", value if type(value) is m else None)]
-            yield f"{prefix}{name}.kind", ", ".join(f"`{k}`" for m in kinds for k in _kind_names(m)), f"`{value.kind}`"
-            yield from (row for row in own if row[0] != f"{prefix}{name}.kind")
-        elif isinstance(value, BaseModel):
-            yield from _rows(type(value), f"{prefix}{name}.", value)
-        else:
-            bounds = ", ".join(_bound(m) for m in info.metadata if _bound(m))
-            yield prefix + name, _kind(info.annotation) + (f", {bounds}" if bounds else ""), _default(value)
-
-
-def _kinds(annotation: Any) -> list[type[BaseModel]]:
-    """The models of a setting that is one of several, told apart by their ``kind``."""
-    models = [m for m in get_args(annotation) if isinstance(m, type) and issubclass(m, BaseModel)]
-    return models if len(models) > 1 else []
-
-
-def _kind_names(model: type[BaseModel]) -> tuple[str, ...]:
-    return get_args(model.model_fields["kind"].annotation)
-
-
-def _kind(annotation: Any) -> str:
-    origin, inner = get_origin(annotation), get_args(annotation)
-    if origin is Annotated:
-        bounds = ", ".join(filter(None, (_bound(m) for m in inner[1:])))
-        return _kind(inner[0]) + (f", {bounds}" if bounds else "")
-    if origin is Literal:
-        return ", ".join(f"`{v}`" for v in inner)
-    if origin in (Union, UnionType):
-        return " or ".join(dict.fromkeys(_kind(a) for a in inner))
-    if origin is not None:
-        return f"{origin.__name__} of " + ", ".join(dict.fromkeys(_kind(a) for a in inner if a is not Ellipsis))
-    return {"NoneType": "none", "str": "text", "float": "number", "int": "integer", "bool": "true, false"}.get(
-        getattr(annotation, "__name__", ""), getattr(annotation, "__name__", "any")
-    )
-
-
-def _bound(meta: Any) -> str:
-    signs = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
-    found = [f"{sign} {getattr(meta, key):g}" for key, sign in signs.items() if getattr(meta, key, None) is not None]
-    inner = [_bound(m) for m in getattr(meta, "metadata", ())]
-    return ", ".join(filter(None, found + inner))
-
-
-def _default(value: Any) -> str:
-    if value is PydanticUndefined:
-        return "required"
-    shown = str(value)
-    return f"`{shown}`" if len(shown) <= 60 and shown else "empty" if not shown else "see the model"
+def _rows(model: type[BaseModel], prefix: str = "") -> list[tuple[str, str, str]]:
+    """Key, type and default of every field."""
+    return [(r.key, r.kind, r.default) for r in table.rows(model, prefix)]
 
 
 def changelog(path: Path) -> str:

@@ -62,6 +62,10 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.solver import Solver as Solver
     from wbmpc.solver import Status as Status
     from wbmpc.solver import Trajectory as Trajectory
+    from wbmpc.tasks.loop import closed_loop as closed_loop
+    from wbmpc.tasks.settings import SimulationSettings as SimulationSettings
+    from wbmpc.tasks.settings import TaskSettings as TaskSettings
+    from wbmpc.tasks.simulation import simulate as simulate
     from wbmpc.types import Observation as Observation
 
 __version__ = "0.2.0"
@@ -124,6 +128,10 @@ _MODULES = {
     "Recorder": "wbmpc.recording.recorder",
     "Recording": "wbmpc.recording.reader",
     "read_recording": "wbmpc.recording.reader",
+    "SimulationSettings": "wbmpc.tasks.settings",
+    "TaskSettings": "wbmpc.tasks.settings",
+    "closed_loop": "wbmpc.tasks.loop",
+    "simulate": "wbmpc.tasks.simulation",
 }
 __all__ = ["__version__", *_MODULES]
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import reduce
+from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -13,7 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError, did_you_mean
-from wbmpc.yaml_file import parse_yaml
+from wbmpc.yaml_file import load_yaml, parse_yaml
 
 #: The choice of an :class:`OnlyWith` that is made by any number above 0.
 POSITIVE = "> 0"
@@ -38,6 +39,9 @@ class OnlyWith:
         self.clauses: tuple[dict[str, tuple[Any, ...]], ...] = (
             {name: value if isinstance(value, tuple) else (value,) for name, value in rules.items()},
         )
+
+    def __repr__(self) -> str:
+        return f"OnlyWith({' or '.join(map(str, self.clauses))})"
 
     def __and__(self, other: OnlyWith) -> OnlyWith:
         both = OnlyWith()
@@ -319,14 +323,47 @@ def describe(error: ValidationError, model: type[BaseModel] | None = None) -> st
     return "; ".join(faults)
 
 
-def configure(model: type[BaseModel], assignments: Iterable[str], where: str) -> Any:
-    """An instance of ``model`` with its defaults and the given ``key=value`` assignments (a later one wins).
+def _of_file(model: type[BaseModel], path: Path, where: str) -> list[tuple[str, Any]]:
+    """Keys and values of a settings file: sections as mappings, or dotted keys. Raises :class:`InputError` naming file and key."""
+    data = load_yaml(path)
+    if data is not None and not isinstance(data, dict):
+        raise InputError(f"{path}: a mapping of settings is needed")
+    valid, found = keys(model), list[tuple[str, Any]]()
+
+    def walk(section: Mapping[Any, Any], prefix: str) -> None:
+        for name, value in section.items():
+            key = f"{prefix}{name}"
+            if isinstance(value, dict) and key not in valid and any(k.startswith(f"{key}.") for k in valid):
+                walk(value, f"{key}.")
+                continue
+            if key not in valid and isinstance(value, str) and _kinds(model, key):
+                key = f"{key}.{KIND}"
+            if key not in valid:
+                raise InputError(str(_unknown(key, valid, where)).replace(f"{where}: --set", str(path), 1))
+            if math.isinf(_largest(value)):
+                raise InputError(f"{path}: key '{key}': numbers must be finite, at most {LARGEST:.3g}")
+            if _truths(value) and bool not in _types(model, key):
+                raise InputError(f"{path}: key '{key}': a number or text is needed, not true or false")
+            found.append((key, _numbers(value)))
+
+    walk(data or {}, "")
+    return found
+
+
+def configure(model: type[BaseModel], assignments: Iterable[str], where: str, file: Path | None = None) -> Any:
+    """An instance of ``model`` with its defaults, the settings of a YAML ``file``, and the given ``key=value`` assignments (a later one
+    wins).
 
     Values are written as in YAML: ``100``, ``true``, ``[0.6, 0.9]``.
-    Raises :class:`InputError` naming ``where`` (the experiment), the key and the valid choices.
+    Raises :class:`InputError` naming ``where`` (the experiment) or the file, the key and the valid choices.
     """
     settings = model().model_dump()
-    pairs = _pairs(model, assignments, where)
+    of_file = (
+        []
+        if file is None
+        else sorted(_of_file(model, file, where), key=lambda pair: pair[0].rpartition(".")[2] != KIND)
+    )
+    pairs = [*of_file, *_pairs(model, assignments, where)]
     for key, value in pairs:
         _insert(settings, key, value)
     for key, _ in pairs:
@@ -334,7 +371,8 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str) ->
     try:
         return model.model_validate(settings)
     except ValidationError as error:
-        raise InputError(f"{where}: --set {describe(error, model)}") from error
+        source = "--set" if file is None else f"settings of {file} and --set:"
+        raise InputError(f"{where}: {source} {describe(error, model)}") from error
 
 
 def reject_booleans(model: type[BaseModel], data: Any) -> Any:

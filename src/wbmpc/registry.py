@@ -1,7 +1,8 @@
 """Experiments by name: those of this package, those of other installed packages, and files that a user wrote.
 
 An experiment is a :class:`wbmpc.experiment.Experiment` somewhere in a module. A package offers its own through the entry-point group
-``wbmpc.experiments``; the built-in ones are listed by :data:`wbmpc.studies.EXPERIMENTS`, so that a source checkout that is not
+``wbmpc.experiments``; the built-in ones are listed by :data:`wbmpc.tasks.EXPERIMENTS` and
+:data:`wbmpc.studies.EXPERIMENTS`, so that a source checkout that is not
 installed has them too::
 
     [project.entry-points."wbmpc.experiments"]
@@ -28,8 +29,8 @@ from wbmpc.experiment import Experiment
 from wbmpc.mpc.mpc import MPC
 
 GROUP = "wbmpc.experiments"
-#: The module whose ``EXPERIMENTS`` lists the built-in ones: imported by its name when it is asked for, and nowhere else.
-BUILT_IN = "wbmpc.studies"
+#: The modules whose ``EXPERIMENTS`` list the built-in ones: imported by their names when they are asked for, and nowhere else.
+GENERAL, BUILT_IN = "wbmpc.tasks", "wbmpc.studies"
 
 
 @cache
@@ -38,7 +39,7 @@ def locations() -> dict[str, str]:
 
     The name of a built-in experiment cannot be taken.
     """
-    built_in: dict[str, str] = import_module(BUILT_IN).EXPERIMENTS
+    built_in: dict[str, str] = {**import_module(GENERAL).EXPERIMENTS, **import_module(BUILT_IN).EXPERIMENTS}
     others = sorted((point.name, point.value) for point in entry_points(group=GROUP))
     return {**built_in, **{name: value for name, value in others if name not in built_in}}
 

@@ -251,7 +251,7 @@ EMPTY = link("tray") + WEAK.replace('"-1" upper="1"', '"0" upper="0"')
         (ARM + SLIDES, "telescope", ("'extend_1', 'extend_2'", "arm.joints")),
         (SWERVE.replace("0 0 1", "0 0 -1", 1) + ARM, "steering", ("warning: joint 'front_steer'", "about -z")),
         (BESIDE + ARM, "steering", ("wheel 'front_joint'", "40 mm beside")),
-        (BESIDE + ARM, "base", ("warning", "no base type", "'front_joint'")),
+        (BESIDE + ARM, "base", ("info", "base type wheels", "2 steered")),
         (DIFFERENTIAL + CASTER + ARM, "casters", ("caster_turn: 0",)),
         (LEVEL + ARM, "casters", ("level with the driven wheels",)),
         (WORLD + ARM, "world", ("info: link 'world'",)),
@@ -281,7 +281,6 @@ def test_a_sound_model_has_none_of_them(tmp_path: Path) -> None:
         (("  head_pan: 0\n", ""), "description", ("'head_pan'", "fixed_joints: {head_pan: 0}")),
         (("  type: differential", "  type: differential\n  wheel_radius: 0.12"), "description", ("0.12 m", "0.1 m", "5 %")),
         (("  type: differential\n", "  type: omnidirectional\n  rollers: [1, -1]\n"), "base", ("rank 2", "3 is needed")),
-        (("base_footprint", "hull"), "base-body", ("'hull' hangs on 'base_footprint'", "base.body: base_footprint")),
     ],
 )  # fmt: skip
 def test_a_robots_yaml_is_examined(keys: tuple[str, str], check: str, words: tuple[str, ...], tmp_path: Path) -> None:

@@ -20,7 +20,8 @@ import pytest
 from effort import thorough
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
-from wbmpc.cli import STEERED, main
+from wbmpc.cli import main
+from wbmpc.cli.running import STEERED
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue

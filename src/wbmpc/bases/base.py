@@ -210,7 +210,7 @@ class Base(Protocol):
         """Rolling (wheels) and side-slip (wheels) velocities [m/s] of the contacts, zero where wheels roll."""
 
     def constraints(self, robot: RobotModel) -> list[Constraint]:
-        """What every problem on this base needs: rolling wheels, closed brakes."""
+        """What every problem on this base needs: rolling wheels, closed brakes. With limits of its own it takes ``hard`` too."""
 
     def limits(self, description: RobotDescription) -> Limits:
         """Bounds of state and input."""
@@ -293,8 +293,16 @@ class BaseType(Protocol):
         """The simulated robot at home, perturbed against the model; see :class:`System`."""
         reject_missing_part(robot.description, "plant")
 
-    def system(self, robot: RobotModel, seed: int) -> System:
-        """Plant, controller and MPC with default settings: what views and first runs start from."""
+    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
+        """The MPC with default weights, whose goal is the robot's home; ``changes``: of its :class:`wbmpc.settings.MpcSettings`, by name.
+        Its references "end_effector" (poses) and, where a view may move the base, "state" (nx) follow the robot's task."""
+        reject_missing_part(robot.description, "mpc")
+
+    def system(
+        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+    ) -> System:
+        """Plant, controller and MPC: what views and general experiments start from. ``perturbation`` of the plant and ``mpc``: the default
+        ones where they are left out; another MPC has the robot's own dynamics."""
         reject_missing_part(robot.description, "system")
 
     def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
@@ -318,7 +326,7 @@ class BaseType(Protocol):
 #: What the parts of a plug-in are called in errors; one that it does not define is inherited from :class:`BaseType`.
 PARTS = {
     "check": "check of its mechanics", "propose": "proposal for a new robot", "diagnose": "diagnosis",
-    "model": "model", "plant": "simulated robot", "system": "simulated robot with a controller",
+    "model": "model", "plant": "simulated robot", "mpc": "problem with default weights", "system": "simulated robot with a controller",
     "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
     "calibrator": "calibration of steered wheels",
 }  # fmt: skip

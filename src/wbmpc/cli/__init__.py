@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
-import shlex
 import sys
-import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
@@ -20,7 +18,7 @@ import typer
 
 from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
-from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory, size_of
+from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory
 from wbmpc.cli.doctor import doctor
 from wbmpc.cli.exporting import export
 from wbmpc.cli.new import new
@@ -28,7 +26,9 @@ from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.results import show_results
 from wbmpc.cli.ros2 import ros2
+from wbmpc.cli.running import execute
 from wbmpc.cli.runs import runs
+from wbmpc.cli.settings import show_settings
 from wbmpc.cli.stability import stability
 from wbmpc.cli.terminal import (
     ABORTED,
@@ -47,20 +47,12 @@ from wbmpc.cli.terminal import (
     unread_allowed,
 )
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
-from wbmpc.errors import EndedByUser, InputError, NotWritten, RunAborted, WbmpcError, unknown_name
+from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
     from wbmpc.experiment import Experiment
-    from wbmpc.result import RunResult
-    from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
-#: What is said of a run that somebody has steered.
-STEERED = (
-    "goals, weights, legs or forces were changed by hand in the view: the figures are of that, not of the experiment"
-)
 
 app = typer.Typer(
     name="wbmpc", pretty_exceptions_enable=False,
@@ -142,90 +134,6 @@ def _rearranged(arguments: list[str]) -> list[str]:
     return [*front, *behind]
 
 
-def _execute(
-    session: _Session,
-    name: str,
-    seed: int,
-    assignments: list[str],
-    out: Path | None,
-    show: bool,
-    view: View | None = None,
-    record_limit: str = RECORD_LIMIT,
-) -> tuple[RunResult, dict[str, str]]:
-    """A run and its files. Begun anew in the view, it is another run with files of its own; the last one is returned."""
-    from wbmpc.configuration import configure
-
-    if seed < 0:
-        raise InputError(f"--seed: must not be negative, got {seed}")
-    experiment = session.open(name)
-    changes = [word for assignment in assignments for word in ("--set", assignment)]
-    command = shlex.join(["wbmpc", "run", name, "--seed", str(seed), *changes])
-    name = experiment.name if name.endswith(".py") else name  # a file is known by the name of its experiment
-    settings, limit = configure(experiment.config_type, assignments, name), size_of("--record-limit", record_limit)
-    try:
-        while True:
-            result, files = _attempt(
-                name, experiment, settings, seed, out, show and not session.quiet, view, limit, command
-            )
-            if view is None or not view.wants_reset:
-                return result, files
-            view.restart()
-            typer.echo(f"begun anew; the run until then is in {Path(files['report']).parent}", err=True)
-    finally:
-        if view is not None:
-            view.close()
-
-
-def _attempt(
-    name: str,
-    experiment: Experiment,
-    settings: BaseModel,
-    seed: int,
-    out: Path | None,
-    show: bool,
-    view: View | None,
-    limit: int,
-    command: str,
-) -> tuple[RunResult, dict[str, str]]:
-    from wbmpc.recording.recorder import Recorder
-    from wbmpc.report import RECORDING, about_run, outcome, write_run
-    from wbmpc.result import RunResult
-    from wbmpc.simulation.lockstep import Watch, interrupt_noted
-
-    plain = settings.model_dump(mode="json")
-    with run_directory(out, name, seed) as directory:
-        _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
-        _LOG.info("settings: %s", json.dumps(plain))
-        recorder = Recorder(directory / RECORDING, about_run(name, seed, plain), limit)
-        # the view first: if it cannot open, nothing has been written
-        watchers = (recorder,) if view is None else (view, recorder)
-        try:
-            try:
-                began = time.perf_counter()
-                with progress_bar(name, show) as progress:
-                    result = experiment.run(settings, seed, Watch(progress, watchers))
-                result.wall_time = time.perf_counter() - began
-            except (EndedByUser, KeyboardInterrupt) as error:
-                result = RunResult.aborted(name, seed, str(error) or "interrupted", plain, interrupted=True)
-            except RunAborted as error:
-                result = RunResult.aborted(name, seed, str(error), plain)
-            with interrupt_noted() as pressed:  # now it waits for the files; once more, and it acts at once
-                if view is not None and view.steered:
-                    result.idealisations = [*result.idealisations, STEERED]
-                result.command = command
-                recorder.close(outcome(result))
-                files = write_run(result, directory)
-                if recorder.failure:
-                    raise NotWritten(f"{recorder.failure}; the run's other files are in {directory}")
-            if pressed():
-                raise KeyboardInterrupt
-        finally:
-            recorder.close({"completed": "false", "reason": "an error of the program"})
-    for kind, path in files.items():
-        _LOG.info("%s: %s, %d kB", kind, path, Path(path).stat().st_size // 1000)
-    return result, files
-
-
 @app.command("list")
 def list_experiments(
     context: typer.Context,
@@ -268,6 +176,10 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change a setting, e.g. mpc.rate=100; may be repeated."),
     ] = None,
+    config: Annotated[Path | None, typer.Option(help="A YAML file of settings; --set comes after it.")] = None,
+    list_settings: Annotated[
+        bool, typer.Option("--settings", help="List the settings, with defaults, units and ranges; run nothing.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option(help="Directory for the files (default: a fresh runs/NAME-seedN).")
     ] = None,
@@ -279,8 +191,13 @@ def run(
     record_limit: RecordLimit = RECORD_LIMIT,
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
+    if list_settings:
+        show_settings(context.obj.open(name).config_type, name, as_json)
+        return
     shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
-    show_results([_execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit)], as_json)
+    show_results(
+        [execute(context.obj, name, seed, assignments or [], out, not as_json, shown, record_limit, config)], as_json
+    )
 
 
 @app.command()
@@ -296,7 +213,7 @@ def demo(
     for name in demonstrated():
         if not (as_json or context.obj.quiet):
             typer.echo(f"running {name} …", err=True)
-        results.append(_execute(context.obj, name, seed, [], None, not as_json))
+        results.append(execute(context.obj, name, seed, [], None, not as_json))
         if results[-1][0].interrupted:
             break
     show_results(results, as_json)

@@ -80,6 +80,11 @@ class RobotModel:
         """Name of the end effector's frame."""
         return self.description.arm.tool
 
+    @property
+    def tools(self) -> dict[str, str]:
+        """Frames of all end effectors by arm; :attr:`tool` is the first."""
+        return self.description.tools()
+
     @cached_property
     def home(self) -> Array:
         """State (nx) with the joints of the description's home."""

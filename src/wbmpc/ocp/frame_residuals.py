@@ -72,6 +72,57 @@ class FrameTwist:
 
 
 @dataclass(frozen=True)
+class RelativePose:
+    """Pose of the frame ``other`` in the axes of ``frame``, against its reference: position (3) [m], orientation (3) [rad].
+
+    Reference: position (3) and quaternion (4). As a cost: two end effectors hold one thing. Raises :class:`InputError` for frames that are
+    one, or not there.
+    """
+
+    robot: RobotModel
+    frame: str
+    other: str
+
+    size = 6
+    reference = 7
+    #: a pose has to be set: numbers of zero are none
+    reference_required = True
+    groups = {"position": slice(0, 3), "orientation": slice(3, 6)}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        for name in (self.frame, self.other):
+            if name not in self.robot.frames:
+                raise unknown_name("frame", name, self.robot.frames, where=self.robot.description.name)
+        if self.frame == self.other:
+            raise InputError(f"relative pose: two frames are needed, got '{self.frame}' twice")
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        one, other = (self.robot.frame_pose(s.x, name) for name in (self.frame, self.other))
+        position = one.rotation.T @ (other.position - one.position)
+        turned = lie.quaternion_multiply(lie.quaternion_conjugate(one.quaternion), other.quaternion)
+        error = lie.quaternion_multiply(turned, lie.quaternion_conjugate(s.reference[3:7]))
+        return ca.vertcat(position - s.reference[:3], lie.quaternion_log(error))
+
+
+@dataclass(frozen=True)
+class RelativeMotion(RelativePose):
+    """How fast that pose changes, plus ``rate`` [1/s] times its error: linear (3) [m/s], angular (3) [rad/s].
+
+    As an equality constraint the two frames stay as the reference has them, and an error decays by ``rate``. Its rows are of inputs,
+    unlike those of :class:`RelativePose`, which no input changes at once.
+    """
+
+    rate: float = 5.0
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        one, other = (self.robot.frame_pose(s.x, name) for name in (self.frame, self.other))
+        (v, w), (v_other, w_other) = (self.robot.frame_velocity(s.x, s.u, name) for name in (self.frame, self.other))
+        linear = v_other - v - ca.cross(w, other.position - one.position)
+        change = ca.vertcat(one.rotation.T @ linear, one.rotation.T @ (w_other - w))
+        return change + self.rate * super().__call__(s)
+
+
+@dataclass(frozen=True)
 class FrameWrench:
     """What the world does to the robot at a frame, world axes, minus its reference: force (3) [N] and, for a robot loaded
     with ``contact="wrench"``, moment (3) [N m] about the frame's origin.

@@ -18,7 +18,7 @@ from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin
 from wbmpc.ocp.contact_residuals import FrictionCone, PushForce, push_on_surface
-from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench
+from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench, RelativeMotion, RelativePose
 from wbmpc.ocp.symbols import Residual, Symbols
 
 __all__ = [
@@ -33,6 +33,8 @@ __all__ = [
     "LockedJoints",
     "ProblemInput",
     "PushForce",
+    "RelativeMotion",
+    "RelativePose",
     "Residual",
     "Rolling",
     "State",

@@ -119,6 +119,8 @@ def _base_section(value: Any) -> Any:
 class RobotDescription(Section):
     """A robot: where its file is, what moves it, its arm, home and limits. Units SI and radians.
 
+    ``arms``: several of them by name, in place of ``arm``: the first one's tool is the robot's end effector, and all their joints are its
+    ``arm``. ``torso``: joints that carry the arms, before theirs.
     ``fixed_joints``: joints that are held, and where [rad or m]. Every joint of the file below the base's body is either named by
     ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters. ``packages``: folders of
     the ROS packages that the model names (``package://``), ``xacro_arguments``: of its macros. What ``limits`` does not say of a
@@ -129,12 +131,30 @@ class RobotDescription(Section):
     model: Path
     base: Annotated[SerializeAsAny[BaseDescription], BeforeValidator(_base_section)]
     arm: ArmDescription
+    arms: dict[str, ArmDescription] = Field(default={})
+    torso: tuple[str, ...] = ()
     packages: dict[str, Path] = Field(default={})
     xacro_arguments: dict[str, str] = Field(default={})
     fixed_joints: dict[str, float] = Field(default={})
     home: dict[str, float] = Field(default={})
     limits: LimitsDescription = LimitsDescription()
     source: str = Field(default="", exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_arm_of_all(cls, data: Any) -> Any:
+        """``arm`` as everything that moves end effectors: the torso, and the joints of all arms."""
+        if not isinstance(data, dict) or not (data.get("arms") or data.get("torso")):
+            return data
+        arms = data.get("arms") or {"arm": data.get("arm")}
+        if data.get("arms") and data.get("arm") is not None:
+            raise ValueError("arms: with several arms there is no key 'arm'")
+        if not isinstance(arms, dict) or not all(
+            isinstance(a, dict) and isinstance(a.get("joints"), list) for a in arms.values()
+        ):
+            return data  # the fields say what is wrong
+        joints = [*(data.get("torso") or ()), *(n for a in arms.values() for n in a["joints"])]
+        return {**data, "arm": {"joints": joints, "tool": next(iter(arms.values())).get("tool")}}
 
     @model_validator(mode="after")
     def _every_joint_once(self) -> Self:
@@ -158,6 +178,10 @@ class RobotDescription(Section):
     def joints(self) -> list[str]:
         """Names of all joints that the description uses."""
         return [*self.arm.joints, *self.base.joints()]
+
+    def tools(self) -> dict[str, str]:
+        """Frames of the end effectors by arm; of one arm under "arm"."""
+        return {name: arm.tool for name, arm in self.arms.items()} or {"arm": self.arm.tool}
 
     def joint_keys(self, between: str) -> str:
         """The keys of the file that name joints."""
@@ -319,7 +343,8 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
                 raise unknown_name(f"joint (key '{key}')", name, joints, where=description.source)
     frames = [s.name for s in spec.sites] + [b.name for b in spec.bodies]
     of_base = {n: f"base.{key}" for key, names in description.base.frames().items() for n in names}
-    for name, key in {**of_base, description.arm.tool: "arm.tool"}.items():
+    of_arms = {arm.tool: f"arms.{name}.tool" for name, arm in description.arms.items()}
+    for name, key in {**of_base, description.arm.tool: "arm.tool", **of_arms}.items():
         if name not in frames:
             raise unknown_name(f"frame (key '{key}')", name, frames, where=description.source)
     steering = description.base.joint_groups().get("steer", [])

@@ -106,12 +106,19 @@ def check_world(subject: Subject) -> Iterator[Finding]:
 
 
 def check_body(subject: Subject) -> Iterator[Finding]:
-    """A base that hangs on another body, as base_link on base_footprint, cannot float in the simulator."""
-    base = None if subject.description is None else subject.description.base
-    above = subject.mechanism.path(base.body)[1:-1] if base is not None and base.moves else []
-    if base is not None and above:
-        text = f"'{base.body}' hangs on '{above[-1]}': it cannot be simulated, only planned for"
-        yield Finding("warning", "", "key 'base.body'", text, f"give 'base.body: {above[0]}'")
+    """A base that hangs on another body by a joint cannot float in the simulator; fixed to it, as base_link to base_footprint, it can."""
+    description, mechanism = subject.description, subject.mechanism
+    if description is None or not description.base.moves:
+        return
+    body = description.base.body
+    above = mechanism.path(body)[1:-1]
+    joints = [j.name for j in mechanism.joints.values() if j.body in (*above[1:], body)] if above else []
+    loose = [n for n in joints if n not in description.fixed_joints]
+    if loose:
+        text = f"'{body}' hangs on '{above[-1]}' by joint '{loose[0]}': it cannot be simulated, only planned for"
+        yield Finding(
+            "warning", "", "key 'base.body'", text, f"give 'base.body: {above[0]}', or hold the joint (fixed_joints)"
+        )
 
 
 # ---------------------------------------------------------------------- joints

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.checks import compiled
@@ -64,6 +65,20 @@ def add_floor(spec: mujoco.MjSpec, condim: int, friction: list[float], solref: l
         name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], condim=condim, friction=friction,
         solref=solref, material="grid", **GROUND,
     )  # fmt: skip
+
+
+def free_body(spec: mujoco.MjSpec, base: str, source: object) -> mujoco.MjsBody:
+    """The body that gets the free joint of a moving base: the outermost that the body ``base`` is fixed to (as ``base_footprint`` of
+    many robots). Raises :class:`InputError` where a joint is between them."""
+    body = spec.body(base)
+    while body.parent.name != "world":
+        if list(body.joints):
+            raise InputError(
+                f"{source}: key 'base.body': body '{base}' hangs on '{body.parent.name}' by joint '{body.joints[0].name}'; a base that "
+                "moves is simulated if nothing but fixed bodies carries it: name the outermost body, or hold the joint (fixed_joints)"
+            )
+        body = body.parent
+    return body
 
 
 def add_light(body: mujoco.MjsBody) -> None:
@@ -121,6 +136,7 @@ class World:
         m = self.model
         self.contacts, self._drives = Contacts(m), SpeedTorque(m, rated)
         self.body, self.site = m.body(description.base.body).id, self._tool(description.arm.tool)
+        self._root, self._mount = self._free_root()
         self._joints = {name: (int(m.joint(name).qposadr[0]), int(m.joint(name).dofadr[0])) for name in joints}
         self._pushes: dict[int, tuple[Array, Array, Array | None]] = {}
         self._steps, self._fresh, self._lost, self._yaw = 0, False, False, 0.0
@@ -131,6 +147,32 @@ class World:
             return True, self.model.site(name).id
         except KeyError:
             return False, self.model.body(name).id
+
+    def _free_root(self) -> tuple[int | None, Array | None]:
+        """Where the position of the free joint that carries the base is in qpos (None: nothing does, the base stands), and the pose (7)
+        of the base's frame in that joint's body (None: it is that frame)."""
+        m, body = self.model, self.body
+        mount = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        while body and not m.body_jntnum[body]:
+            mount = lie.pose_compose(np.concatenate([m.body_pos[body], m.body_quat[body]]), mount)
+            body = int(m.body_parentid[body])
+        if not body or m.jnt_type[m.body_jntadr[body]] != mujoco.mjtJoint.mjJNT_FREE:
+            mujoco.mj_kinematics(m, self.data)
+            return None, None
+        return int(m.jnt_qposadr[m.body_jntadr[body]]), None if body == self.body else mount
+
+    def base_pose(self) -> Array:
+        """Pose (7) of the base's frame at the present positions."""
+        if self._root is None:
+            return np.concatenate([self.data.xpos[self.body], self.data.xquat[self.body]])
+        pose: Array = self.data.qpos[self._root : self._root + 7]
+        return pose if self._mount is None else lie.pose_compose(pose, self._mount)
+
+    def place(self, pose: Array) -> None:
+        """Put the frame of a base that is free at a pose (7) above the floor: position [m] and quaternion; the rest of the positions stays."""
+        assert self._root is not None
+        at = pose if self._mount is None else lie.pose_compose(pose, lie.pose_inverse(self._mount))
+        self.data.qpos[self._root : self._root + 7] = at
 
     # ------------------------------------------------------------------ time
     @property
@@ -211,7 +253,7 @@ class World:
 
     # ------------------------------------------------------------------ what is true
     def _wrapped_yaw(self) -> float:
-        w, x, y, z = self.data.qpos[3:7].tolist()
+        w, x, y, z = self.base_pose()[3:].tolist()
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     @property
@@ -222,7 +264,7 @@ class World:
     @property
     def tilt(self) -> float:
         """Angle [rad] between the base's z axis and the vertical."""
-        w, x, y, z = self.data.qpos[3:7].tolist()
+        w, x, y, z = self.base_pose()[3:].tolist()
         cosine = 1.0 - 2.0 * (x * x + y * y) / (w * w + x * x + y * y + z * z)
         return math.acos(min(max(cosine, -1.0), 1.0))
 
@@ -262,7 +304,7 @@ class World:
         tool = (d.site_xpos if is_site else d.xpos)[index].copy()
         tool_rotation = (d.site_xmat if is_site else d.xmat)[index].reshape(3, 3).copy()
         return {
-            "pose": np.array([d.qpos[0], d.qpos[1], self.yaw]),
+            "pose": np.array([*self.base_pose()[:2], self.yaw]),
             "tool": tool - [0.0, 0.0, height],
             "tool_rotation": tool_rotation,
             "tool_in_base": rotation.T @ (tool - base),

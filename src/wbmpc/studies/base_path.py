@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
-from wbmpc.studies.paths import rise
+from wbmpc.tasks.paths import rise
 
 #: Step [s] of the table that a path is kept in.
 STEP = 0.01

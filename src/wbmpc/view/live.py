@@ -70,6 +70,12 @@ class View(LiveView):
         """What comes is another run."""
         self.wants_reset = self.steered = False
 
+    @property
+    def factors(self) -> dict[str, float]:
+        """By which the sliders multiply the weights of costs, by cost: those of this run that are not 1."""
+        steering = getattr(self, "_steering", None)
+        return {} if steering is None else steering.factors
+
     # ------------------------------------------------------------------ the loop
     def begin(self, running: Running) -> None:
         """Show this loop from now on; of one without MPC there are no goals and weights."""

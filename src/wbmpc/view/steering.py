@@ -243,6 +243,12 @@ class Steering:
         self.running.controller.brakes = lambda t: values
 
     # ------------------------------------------------------------------ weights
+    @property
+    def factors(self) -> dict[str, float]:
+        """Of weights that are not as the problem has them, by cost."""
+        pairs = zip(self.costs, self._weights, strict=False)
+        return {cost.name: float(factor) for cost, factor in pairs if factor != 1.0}
+
     def _weigh(self, factors: Array) -> None:
         for cost, factor, old in zip(self.costs, factors, self._weights, strict=False):
             if factor == old:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from wbmpc.bases.ball.plant import BallPlant
     from wbmpc.bases.ball.ros_plant import BallRosPlant
     from wbmpc.bases.ball.ros_settings import BallRosSettings
+    from wbmpc.mpc.mpc import MPC
     from wbmpc.simulation.perturbation import Perturbation
 
 
@@ -44,11 +45,19 @@ class BallBaseType(BaseType):
         state, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
         return BallPlant(robot.description, state, torque, perturbation, seed)
 
-    def system(self, robot: RobotModel, seed: int) -> System:
+    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
+        """Weights for steps of the end effector and for pushes."""
+        from wbmpc.bases.ball.system import make_mpc
+
+        return make_mpc(robot, **changes)
+
+    def system(
+        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+    ) -> System:
         """A perturbed plant in its equilibrium, whose controller brings the end effector to goals that come by and by."""
         from wbmpc.bases.ball.system import make_system
 
-        return make_system(robot, self.plant(robot, None, seed))
+        return make_system(robot, self.plant(robot, perturbation, seed), mpc or self.mpc(robot))
 
     def ros_settings(self, description: RobotDescription) -> type[BallRosSettings]:
         """Weights of the ball robot's problem, and what is learnt of forces."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
@@ -12,7 +14,9 @@ from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
 from wbmpc.bases.base import System
 from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing
 
 #: Rate of the controller [Hz], drive lag that it assumes [s].
@@ -21,17 +25,28 @@ CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
 PUSHED_SPEED = 2.0
 
 
-def make_system(robot: RobotModel, plant: BallPlant) -> System:
-    """Controller and MPC of a plant that rests in its equilibrium, with that as their goal."""
-    settings, arm = mpc_settings(barrier_mu=3e-2), robot.home[robot.state["arm"]]
-    home, torque = robot.base.numeric.equilibrium(arm)
+#: Time that a solve is modelled to take [s].
+COMPUTATION_DELAY = 0.010
+
+
+def make_mpc(robot: RobotModel, **changes: Any) -> MPC:
+    """The MPC whose goal is the equilibrium at home; ``changes`` of its settings."""
+    settings = MpcSettings(**{**mpc_settings(barrier_mu=3e-2).model_dump(), **changes})
+    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
     mpc.reference["body"] = Reference.constant(robot.home)
     mpc.reference["twist"] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
     mpc.reference["end_effector"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
-    timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.computation_delay)
+    mpc.reset(home, torque)
+    return mpc
+
+
+def make_system(robot: RobotModel, plant: BallPlant, mpc: MPC) -> System:
+    """Controller of a plant that rests in its equilibrium."""
+    arm = robot.home[robot.state["arm"]]
+    _, torque = robot.base.numeric.equilibrium(arm)
+    timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
     controller = BallController(robot, mpc, torque, timing.period, DriveSettings(DRIVE_LAG))
     controller.lean_control = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)
-    mpc.reset(home, torque)
     return System(plant, controller, mpc, timing)

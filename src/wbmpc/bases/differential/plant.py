@@ -25,35 +25,12 @@ class DifferentialPlant(PlanarPlant):
     """Physics, drives and sensors of a robot with a differential drive."""
 
     def add_wheel(self, spec: mujoco.MjSpec, index: int, radius: float, friction: list[float]) -> None:
-        """An ellipsoid about the wheel's axis: cylinders take the load off wheels in combined motion."""
-        joint = spec.joint(self.base.wheels[index])
-        turned = np.zeros(4)
-        mujoco.mju_quatZ2Vec(turned, np.asarray(joint.axis, float))
-        joint.parent.add_geom(
-            name=f"tyre_{joint.name}", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=[radius, radius, HALF_WIDTH], quat=turned, mass=0,
-            **contact_settings(friction),
-        )  # fmt: skip
+        """A tyre."""
+        add_tyre(spec.joint(self.base.wheels[index]), radius, friction)
 
     def add_supports(self, spec: mujoco.MjSpec, weight: float) -> None:
         """The casters."""
-        at, geometry = self._casters(), self.model_base.geometry
-        load, radius = SHARE * weight / len(at), _SIZE * geometry.radius
-        stiffness = load / TRAVEL
-        damping = 2.0 * DAMPING * np.sqrt(stiffness * load / 9.81)
-        for i, (x, y) in enumerate(at):
-            body = spec.body(self.base.body).add_body(name=f"wbmpc_caster_{i}", pos=[x, y, radius - geometry.height])
-            body.add_joint(
-                name=f"wbmpc_caster_{i}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], stiffness=[stiffness, 0, 0],
-                damping=[damping, 0, 0], springref=-TRAVEL,
-            )  # fmt: skip
-            settings = {
-                **contact_settings([0.0, 0.0, 0.0]),
-                "condim": 1,
-                "priority": 1,
-                "rgba": [0.2, 0.2, 0.2, 1.0],
-                "group": 1,
-            }
-            body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=_MASS, **settings)
+        add_casters(self, spec, weight, self._casters())
 
     def _casters(self) -> Array:
         """(n, 2) [m] in the axes of the body."""
@@ -64,3 +41,36 @@ class DifferentialPlant(PlanarPlant):
         track = float(np.linalg.norm(np.ptp(wheels.position, axis=0)))
         middle = wheels.position.mean(axis=0)
         return np.array([middle + track * wheels.forward[0], middle - track * wheels.forward[0]])
+
+
+def add_tyre(joint: mujoco.MjsJoint, radius: float, friction: list[float]) -> None:
+    """An ellipsoid about a wheel's axis: cylinders take the load off wheels in combined motion."""
+    turned = np.zeros(4)
+    mujoco.mju_quatZ2Vec(turned, np.asarray(joint.axis, float))
+    joint.parent.add_geom(
+        name=f"tyre_{joint.name}", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=[radius, radius, HALF_WIDTH], quat=turned, mass=0,
+        **contact_settings(friction),
+    )  # fmt: skip
+
+
+def add_casters(plant: PlanarPlant, spec: mujoco.MjSpec, weight: float, at: Array) -> None:
+    """Ball casters on springs at (n, 2) [m] in the axes of the body, of a robot of ``weight`` [N]."""
+    load, radius = SHARE * weight / len(at), _SIZE * plant.model_base.geometry.radius
+    stiffness = load / TRAVEL
+    damping = 2.0 * DAMPING * np.sqrt(stiffness * load / 9.81)
+    for i, (x, y) in enumerate(at):
+        body = spec.body(plant.base.body).add_body(
+            name=f"wbmpc_caster_{i}", pos=[x, y, radius - plant.model_base.geometry.height]
+        )
+        body.add_joint(
+            name=f"wbmpc_caster_{i}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], stiffness=[stiffness, 0, 0],
+            damping=[damping, 0, 0], springref=-TRAVEL,
+        )  # fmt: skip
+        settings = {
+            **contact_settings([0.0, 0.0, 0.0]),
+            "condim": 1,
+            "priority": 1,
+            "rgba": [0.2, 0.2, 0.2, 1.0],
+            "group": 1,
+        }
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=_MASS, **settings)

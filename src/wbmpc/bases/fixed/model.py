@@ -58,7 +58,7 @@ class FixedBase:
         """No rows: nothing rolls."""
         return ca.SX(0, 1)
 
-    def constraints(self, robot: RobotModel) -> list[Constraint]:
+    def constraints(self, robot: RobotModel, *, hard: bool = True) -> list[Constraint]:
         """None: every joint rate is possible."""
         return []
 

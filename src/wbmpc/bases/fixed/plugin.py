@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from wbmpc.bases.base import BaseType, Proposal
+from wbmpc.bases.base import BaseType, Proposal, System
 from wbmpc.bases.fixed.description import FixedBaseDescription
 from wbmpc.bases.fixed.model import FixedBase
+from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
+    from wbmpc.bases.fixed.plant import FixedPlant
+    from wbmpc.mpc.mpc import MPC
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
+    from wbmpc.simulation.perturbation import Perturbation
+
+#: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modelled to take [s].
+CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
 
 
 class FixedBaseType(BaseType):
-    """Planning only: there is no simulated robot of this base type."""
+    """What generic code may ask of robots whose base does not move."""
 
     Description = FixedBaseDescription
 
@@ -33,5 +40,32 @@ class FixedBaseType(BaseType):
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> FixedBase:
         """The arm's tree on the body's pose in the file."""
-        body = spec.compile().body(description.base.body)
-        return FixedBase(description, read_tree(spec, description.base.body), body.pos.copy(), body.quat.copy())
+        model = spec.compile()
+        data, body = mujoco.MjData(model), model.body(description.base.body).id
+        mujoco.mj_kinematics(model, data)
+        tree = read_tree(spec, description.base.body)
+        return FixedBase(description, tree, data.xpos[body].copy(), data.xquat[body].copy())
+
+    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> FixedPlant:
+        """The simulated robot at home."""
+        from wbmpc.bases.fixed.plant import FixedPlant
+
+        return FixedPlant(robot, perturbation, seed)
+
+    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
+        """Weights that follow from the robot's size and limits."""
+        from wbmpc.default_problem import default_mpc, default_settings
+
+        return default_mpc(robot, default_settings(**changes))
+
+    def system(
+        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+    ) -> System:
+        """A perturbed plant at home with its controller and MPC, whose goal is home."""
+        from wbmpc.control.direct import DirectController
+        from wbmpc.simulation.lockstep import Timing
+
+        plant, mpc = self.plant(robot, perturbation, seed), mpc or self.mpc(robot)
+        timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
+        rate = robot.limits.input_rate
+        return System(plant, DirectController(robot, mpc, timing.period, DRIVE_LAG, rate=rate), mpc, timing)

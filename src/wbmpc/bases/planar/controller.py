@@ -31,6 +31,7 @@ class PlanarController:
         not_negative("controller", lag=lag)
         self.robot, self.period, self.lag, self.use_gyro = robot, period, lag, use_gyro
         self.odometry = PlanarOdometry(robot.base.twist, robot.base.rates, pose)
+        self._moving = robot.input["base"]  # the inputs that turn wheels
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)  # what lagging drives make of the commands
         self.measured: PlanarMeasurement | None = None
@@ -107,7 +108,11 @@ class PlanarController:
         self.target = policy.feedforward(t + self.lag)
         sent, self.clamped = self._limited(self.sent, self.target)
         self._note(sent)
-        return PlanarCommand(self.robot.base.rates @ sent[inputs["base"]], sent[inputs["arm"]].copy())
+        return PlanarCommand(self.wheel_matrix() @ sent[self._moving], sent[inputs["arm"]].copy())
+
+    def wheel_matrix(self) -> Array:
+        """(n, m): wheel rates by the inputs that turn wheels."""
+        return np.asarray(self.robot.base.rates)
 
     def _note(self, sent: Array) -> None:
         self.sent = sent
@@ -117,11 +122,11 @@ class PlanarController:
         """The way from the last command ``sent`` (nu) towards u (nu) as far as accelerations allow within a period, all drives by
         the same share; then the base's speeds scaled so that every wheel keeps its limit. Wheels that are limited one by one drag
         each other. Also whether they were scaled."""
-        base, part, arm = self.robot.base, self.robot.input["base"], self.robot.input["arm"]
+        base, part, rates = self.robot.base, self._moving, self.wheel_matrix()
         step = u - sent
-        steps = np.abs(np.concatenate([base.rates @ step[part], step[arm]]))
-        maximum = np.concatenate([base.wheel_acceleration, self.robot.limits.input_rate[arm]]) * self.period
+        steps = np.abs(np.concatenate([rates @ step[part], step]))
+        maximum = np.concatenate([base.wheel_acceleration, self.robot.limits.input_rate]) * self.period
         reached = sent + step / max(1.0, float(np.max(steps / maximum)))
-        excess = float(np.max(np.abs(base.rates @ reached[part]) / base.wheel_upper))
+        excess = float(np.max(np.abs(rates @ reached[part]) / base.wheel_upper))
         reached[part] /= max(1.0, excess)
         return reached, excess > 1.0

@@ -22,18 +22,27 @@ class PlanarBaseDescription(BaseDescription):
     wheels: tuple[str, ...] = Field(min_length=2)
     wheel_radius: float | None = Field(None, gt=0)
 
+    def wheel_joints(self) -> list[str]:
+        """Names of the wheels' joints."""
+        return list(self.wheels)
+
     def joints(self) -> list[str]:
         """The wheels: no part of the model's state, but no joint of the arm either."""
-        return list(self.wheels)
+        return self.wheel_joints()
 
     def radii(self) -> list[Radius]:
         """Of every wheel, where the section gives it."""
         radius = self.wheel_radius
-        return [] if radius is None else [Radius("base.wheel_radius", radius, "wheel", name) for name in self.wheels]
+        return (
+            []
+            if radius is None
+            else [Radius("base.wheel_radius", radius, "wheel", name) for name in self.wheel_joints()]
+        )
 
     @model_validator(mode="after")
     def _every_wheel_once(self) -> Self:
-        twice = sorted({n for n in self.wheels if self.wheels.count(n) > 1})
+        names = self.joints()
+        twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
             raise ValueError(f"wheels: every wheel once, got '{twice[0]}' twice")
         return self

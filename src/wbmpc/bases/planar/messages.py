@@ -12,20 +12,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PlanarCommand:
-    """Speeds of wheels (n) and arm joints [rad/s]."""
+    """Speeds of wheels (n), arm joints and steering joints [rad/s]."""
 
     wheel: Array
     arm: Array
+    steer: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def stop(cls, wheels: int, arm: int) -> PlanarCommand:
+    def stop(cls, wheels: int, arm: int, steer: int = 0) -> PlanarCommand:
         """Everything at rest."""
-        return cls(np.zeros(wheels), np.zeros(arm))
+        return cls(np.zeros(wheels), np.zeros(arm), np.zeros(steer))
 
 
 @dataclass(frozen=True)
 class PlanarMeasurement:
-    """Positions [rad] of wheels (n) and arm as the encoders report them at ``time`` [s]; ``gyro`` (3) [rad/s] and ``accel`` (3)
+    """Positions [rad] of wheels (n), arm and steering joints as the encoders report them at ``time`` [s]; ``gyro`` (3) [rad/s] and ``accel`` (3)
     [m/s²] of the inertial unit in the axes of the base: at rest ``accel`` points up."""
 
     time: float
@@ -33,3 +34,4 @@ class PlanarMeasurement:
     arm: Array
     gyro: Array = field(default_factory=lambda: np.zeros(3))
     accel: Array = field(default_factory=lambda: np.zeros(3))
+    steer: Array = field(default_factory=lambda: np.zeros(0))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
-from wbmpc.bases.planar.wheels import FixedWheels
+from wbmpc.bases.planar.wheels import FixedWheels, section
 from wbmpc.errors import InputError
 from wbmpc.model.joints import Limits, joint_home, joint_limits
 from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about
@@ -48,10 +48,11 @@ class PlanarBase:
     ) -> None:
         """``matrix`` (n, 3): wheel rates by the twist."""
         self.tree, self.geometry, self.twist, self.rates = tree, wheels, twist, matrix @ twist
-        arm = list(description.arm.joints)
-        self._joints = [tree.joint(n) for n in arm]
-        self.state: dict[str, list[str]] = {"base": ["x", "y", "yaw"], "arm": arm}
-        self.input: dict[str, list[str]] = {"base": list(names), "arm": arm}
+        joints = {**description.base.joint_groups(), "arm": list(description.arm.joints)}
+        self._joints = [tree.joint(n) for group in joints.values() for n in group]
+        self._groups = tuple(joints)
+        self.state: dict[str, list[str]] = {"base": ["x", "y", "yaw"], **joints}
+        self.input: dict[str, list[str]] = {"base": list(names), **joints}
         self.parameters: dict[str, list[str]] = {}
         self.mode: dict[str, list[str]] = {}
         self.mode_bounds: dict[str, tuple[float, float]] = {}
@@ -60,9 +61,9 @@ class PlanarBase:
         self.footprint: Footprint | None = None
         self.wheels, self.balances = 0, False  # no constraint makes the wheels roll: their rates follow from the input
         self.ground, self.body_height = 0.0, wheels.height
-        limits, joints = description.limits, description.base.joints()
-        self.wheel_upper = np.array([limits.velocity.get(n, np.inf) for n in joints])
-        self.wheel_acceleration = np.array([limits.acceleration.get(n, np.inf) for n in joints])
+        limits, driven = description.limits, section(description).wheel_joints()
+        self.wheel_upper = np.array([limits.velocity.get(n, np.inf) for n in driven])
+        self.wheel_acceleration = np.array([limits.acceleration.get(n, np.inf) for n in driven])
         self._check_rank(description)
 
     def _singular_values(self) -> Array:
@@ -128,8 +129,8 @@ class PlanarBase:
         """Ranges of the arm's joints (state); the base's speeds, speeds and accelerations of the arm's joints (input)."""
         limits = description.limits
         speeds = [limits.base_angular if n == "wz" else limits.base_linear for n in self.input["base"]]
-        return joint_limits(self, description, ("arm",), limits.velocity, limits.acceleration, {"base": speeds})
+        return joint_limits(self, description, self._groups, limits.velocity, limits.acceleration, {"base": speeds})
 
     def home(self, robot: RobotModel) -> Array:
         """The arm at the description's home, the body at the origin."""
-        return joint_home(self, robot.description, ("arm",))
+        return joint_home(self, robot.description, self._groups)

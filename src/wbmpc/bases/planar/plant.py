@@ -40,13 +40,17 @@ class PlanarPlant(WheeledPlant):
         edit: Edit | None = None,
         settle: float = 0.5,
     ) -> None:
-        description = self.description = robot.description
+        self.robot, description = robot, robot.description
+        self.description = description
         assert isinstance(description.base, PlanarBaseDescription) and isinstance(robot.base, PlanarBase)
         self.base, self.model_base, self.timestep = description.base, robot.base, timestep
         self.perturbation = perturbation or Perturbation()
         check_perturbation(self.perturbation)
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-        self._names = {"wheel": list(self.base.wheels), "arm": list(description.arm.joints)}
+        self._names = {
+            "wheel": self.base.wheel_joints(),
+            **{g: robot.base.state[g] for g in robot.base.state if g != "base"},
+        }
         spec = load_spec(description, meshes=True)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = self.perturbation.draw(draw_rng, bodies, len(self._names["wheel"]), len(self._names["arm"]))
@@ -56,7 +60,7 @@ class PlanarPlant(WheeledPlant):
         self.world = World(spec, description, names, {n: description.limits.velocity.get(n, np.inf) for n in names})
         self.model, self.data = self.world.model, self.world.data
         self.index()
-        self.start_sensors({"wheel": np.zeros(len(self._names["wheel"])), "arm": self.draw.arm_offset})
+        self.start_sensors({**{g: np.zeros(len(n)) for g, n in self._names.items()}, "arm": self.draw.arm_offset})
         start = robot.home if state is None else numbers("start", "state", state, robot.state.size)
         self.arrange(start)
         self.data.qpos[self._q["arm"]] -= self.offsets["arm"]
@@ -75,12 +79,13 @@ class PlanarPlant(WheeledPlant):
         friction = self.stand_on_floor(spec)
         weight = float(spec.compile().body_mass.sum()) * 9.81
         for i in range(len(self._names["wheel"])):
-            self._drive_wheel(spec, i)
+            self.drive_wheel(spec, i)
             self.add_wheel(spec, i, self.model_base.geometry.radius * float(self.draw.radius[i]), friction)
         self.add_supports(spec, weight)
         self.finish(spec, edit)
 
-    def _drive_wheel(self, spec: mujoco.MjSpec, i: int) -> None:
+    def drive_wheel(self, spec: mujoco.MjSpec, i: int) -> None:
+        """The servo of wheel ``i``, and the sensor of what it carries."""
         name, body = self._names["wheel"][i], spec.joint(self._names["wheel"][i]).parent
         spec.joint(name).armature, spec.joint(name).frictionloss = 0.03, self.perturbation.dry_friction
         effort = self.description.limits.effort.get(name, np.inf)
@@ -102,10 +107,14 @@ class PlanarPlant(WheeledPlant):
     def arrange(self, state: Array) -> None:
         """Put the bodies where a planner's state (nx) has them, for pictures: no physics, no offsets."""
         d, radius = self.data, self.model_base.geometry.radius
-        d.qpos[0:3], d.qpos[3:7] = [*state[:2], 0.0], lie.quaternion_about([0.0, 0.0, 1.0], state[2])
-        d.qpos[self._q["arm"]] = state[3:]
+        pose = np.array([*state[:2], 0.0, *lie.quaternion_about([0.0, 0.0, 1.0], state[2])])
+        self.world.place(pose)
+        for group in self._names:
+            if group in self.robot.state:
+                d.qpos[self._q[group]] = state[self.robot.state[group]]
         mujoco.mj_kinematics(self.model, d)
-        d.qpos[2] = radius - float(np.mean(d.xpos[self._hubs, 2]))
+        pose[2] = radius - float(np.mean(d.xpos[self._hubs, 2]))
+        self.world.place(pose)
         mujoco.mj_kinematics(self.model, d)
 
     # ------------------------------------------------------------------ running
@@ -139,7 +148,7 @@ class PlanarPlant(WheeledPlant):
             time=self.time,
             **frames,
             tilt=self.world.tilt,
-            state=np.concatenate([frames["pose"], self.data.qpos[self._q["arm"]]]),
+            state=np.concatenate([frames["pose"], *(self.data.qpos[q] for g, q in self._q.items() if g != "wheel")]),
             joints=self.world.joints(),
             joint_speeds=self.world.joint_speeds(),
             wheel_force=np.abs(self.data.sensordata[self._forces]),

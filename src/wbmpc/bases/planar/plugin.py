@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import mujoco
 
 from wbmpc.bases.base import Base, BaseType, System
@@ -12,8 +14,12 @@ from wbmpc.model.tree import Tree, read_tree
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.findings import Finding
 
-#: Rate of the controller [Hz], drive lag that it assumes [s].
-CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
+if TYPE_CHECKING:
+    from wbmpc.mpc.mpc import MPC
+    from wbmpc.simulation.perturbation import Perturbation
+
+#: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modelled to take [s].
+CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
 #: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
 ILL = 20.0
 
@@ -41,13 +47,20 @@ class PlanarBaseType(BaseType):
         tree = read_tree(spec, description.base.body)
         return tree, read_wheels(description, tree, wheel_radius(description, spec.compile()))
 
-    def system(self, robot: RobotModel, seed: int) -> System:
+    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
+        """Weights that follow from the robot's size and limits."""
+        from wbmpc.default_problem import default_mpc, default_settings
+
+        return default_mpc(robot, default_settings(**changes))
+
+    def system(
+        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+    ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.bases.planar.controller import PlanarController
-        from wbmpc.bases.planar.defaults import planar_mpc, planar_settings
         from wbmpc.simulation.lockstep import Timing
 
-        plant, settings = self.plant(robot, None, seed), planar_settings()
-        timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.computation_delay)
+        plant, mpc = self.plant(robot, perturbation, seed), mpc or self.mpc(robot)
+        timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
         controller = PlanarController(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
-        return System(plant, controller, planar_mpc(robot, settings), timing)
+        return System(plant, controller, mpc, timing)

@@ -64,14 +64,14 @@ class FixedWheels:
 
 def wheel_radius(description: RobotDescription, model: mujoco.MjModel) -> float:
     """Radius [m] of the wheels: the description's, or that of the shapes. Raises :class:`InputError` where there is none."""
-    base = _section(description)
+    base = section(description)
     if base.wheel_radius is not None:
         return base.wheel_radius
-    radii = [drawn_radius(description, model, wheel) for wheel in base.wheels]
+    radii = [drawn_radius(description, model, wheel) for wheel in base.wheel_joints()]
     known = [r for r in radii if r is not None]
     if len(known) < len(radii) or max(known) - min(known) > _LEVEL:
         seen = ", ".join(
-            f"'{w}' {'unknown' if r is None else f'{r:.4g} m'}" for w, r in zip(base.wheels, radii, strict=True)
+            f"'{w}' {'unknown' if r is None else f'{r:.4g} m'}" for w, r in zip(base.wheel_joints(), radii, strict=True)
         )
         raise InputError(
             f"{description.source}: key 'base.wheel_radius' is needed: the shapes in {description.model} do not show one radius ({seen})"
@@ -81,8 +81,8 @@ def wheel_radius(description: RobotDescription, model: mujoco.MjModel) -> float:
 
 def check_wheels(description: RobotDescription, model: mujoco.MjModel) -> None:
     """Raise :class:`InputError` for joints that are no wheels."""
-    base, limits = _section(description), description.limits
-    for wheel in base.wheels:
+    base, limits = section(description), description.limits
+    for wheel in base.wheel_joints():
         joint = model.joint(wheel)
         if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE:
             raise InputError(
@@ -98,9 +98,9 @@ def check_wheels(description: RobotDescription, model: mujoco.MjModel) -> None:
 def read_wheels(description: RobotDescription, tree: Tree, radius: float) -> FixedWheels:
     """Geometry from the tree at zero joint angles. Raises :class:`InputError` for axes that are not horizontal and for wheels
     that do not stand on one level."""
-    base, poses = _section(description), tree.zero_poses()
+    base, poses = section(description), tree.zero_poses()
     position, heading, height = [], [], []
-    for name in base.wheels:
+    for name in base.wheel_joints():
         link = tree.joint(name)
         center, rotation = poses[link]
         axle = rotation @ tree.links[link].axis
@@ -112,7 +112,7 @@ def read_wheels(description: RobotDescription, tree: Tree, radius: float) -> Fix
         position.append(center[:2])
         heading.append(float(np.arctan2(-axle[0], axle[1])))  # rolling direction = axle × up
         height.append(radius - float(center[2]))
-    _check_level(description, base.wheels, np.array(height))
+    _check_level(description, base.wheel_joints(), np.array(height))
     return FixedWheels(np.array(position), np.array(heading), radius, float(np.mean(height)))
 
 
@@ -128,6 +128,7 @@ def _check_level(description: RobotDescription, wheels: Sequence[str], height: A
     )
 
 
-def _section(description: RobotDescription) -> PlanarBaseDescription:
+def section(description: RobotDescription) -> PlanarBaseDescription:
+    """The description of the base."""
     assert isinstance(description.base, PlanarBaseDescription)
     return description.base

@@ -21,10 +21,11 @@ from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
+from wbmpc.simulation.arm import span
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation, clipped
-from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant, span
+from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
@@ -186,21 +187,25 @@ class SwervePlant(WheeledPlant):
 
     def _place(self, state: dict[str, Array], lift: float, settle: float) -> None:
         d, (x, y, yaw) = self.data, state["base"]
-        d.qpos[0:3] = [x, y, 0.0]
-        d.qpos[3:7] = lie.quaternion_about([0.0, 0.0, 1.0], yaw)
+        pose = np.array([x, y, 0.0, *lie.quaternion_about([0.0, 0.0, 1.0], yaw)])
+        self.world.place(pose)
         for group, index in self._q.items():
             d.qpos[index] = state[group] - self.offsets[group]
-        d.qpos[2] = self._standing_height() + lift
+        pose[2] = self._standing_height() + lift
+        self.world.place(pose)
         self._advance_brakes()
         self.settle(settle)
 
     def arrange(self, state: Array) -> None:
         """Put the bodies where a planner's state (nx) has them, for pictures: no physics, no offsets."""
         d, groups = self.data, self._groups(state)
-        d.qpos[0:2], d.qpos[3:7] = groups["base"][:2], lie.quaternion_about([0.0, 0.0, 1.0], groups["base"][2])
+        x, y, yaw = groups["base"]
+        pose = np.array([x, y, self.world.base_pose()[2], *lie.quaternion_about([0.0, 0.0, 1.0], yaw)])
+        self.world.place(pose)
         for group, index in self._q.items():
             d.qpos[index] = groups[group]
-        d.qpos[2] = self._standing_height()
+        pose[2] = self._standing_height()
+        self.world.place(pose)
         mujoco.mj_kinematics(self.model, d)
 
     def _standing_height(self) -> float:
@@ -208,7 +213,7 @@ class SwervePlant(WheeledPlant):
         mujoco.mj_kinematics(self.model, self.data)
         wheels = [self.model.geom(f"contact_{m.wheel}").id for m in self.base.modules]
         below = self.data.geom_xpos[wheels, 2] - self.model.geom_size[wheels, 0]
-        return float(self.data.qpos[2] - below.mean())
+        return float(self.world.base_pose()[2] - below.mean())
 
     # ------------------------------------------------------------------ running
     def _advance_brakes(self) -> None:
@@ -256,7 +261,7 @@ class SwervePlant(WheeledPlant):
         imu = self.inertial()
         place = None
         if self.localisation is not None:
-            place = self.localisation.observe(self.time, np.array([*self.data.qpos[:2], self.world.yaw]))
+            place = self.localisation.observe(self.time, np.array([*self.world.base_pose()[:2], self.world.yaw]))
         self._last = SwerveMeasurement(self.time, **values, **imu, place=place)
         return self._last
 
@@ -265,7 +270,7 @@ class SwervePlant(WheeledPlant):
         """Poses, joints, wheel slip and load."""
         frames = self.world.frames(height=0.0)
         d = self.data
-        pose = frames["pose"] if self.base.orientation == "yaw" else d.qpos[0:7].copy()
+        pose = frames["pose"] if self.base.orientation == "yaw" else self.world.base_pose().copy()
         along = self._slip()
         return Truth(
             time=self.time,

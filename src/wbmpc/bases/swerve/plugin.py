@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from wbmpc.bases.swerve.plant import SwervePlant
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
+    from wbmpc.mpc.mpc import MPC
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
@@ -50,11 +51,19 @@ class SwerveBaseType(BaseType):
 
         return SwervePlant(robot.description, perturbation=perturbation, seed=seed)
 
-    def system(self, robot: RobotModel, seed: int) -> System:
+    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
+        """Weights for goals of end effector, base and legs."""
+        from wbmpc.bases.swerve.system import make_mpc
+
+        return make_mpc(robot, **changes)
+
+    def system(
+        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+    ) -> System:
         """A perturbed plant at home, whose controller brings end effector, base and legs to goals that come by and by."""
         from wbmpc.bases.swerve.system import make_system
 
-        return make_system(robot, self.plant(robot, None, seed))
+        return make_system(robot, self.plant(robot, perturbation, seed), mpc or self.mpc(robot))
 
     def ros_settings(self, description: RobotDescription) -> type[SwerveRosSettings]:
         """Weights of the swerve problem, gyro and legs."""

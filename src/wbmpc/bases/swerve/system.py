@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from wbmpc.bases.base import System
@@ -11,6 +13,7 @@ from wbmpc.bases.swerve.goal_guess import GoalGuess
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing
@@ -21,15 +24,24 @@ CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
 LEG_WEIGHT = 20.0
 
 
-def make_system(robot: RobotModel, plant: SwervePlant) -> System:
-    """Controller and MPC of a plant that stands at home, with home as their goal."""
-    settings = MpcSettings(horizon=4.0, intervals=40)
+#: Time that a solve is modelled to take [s].
+COMPUTATION_DELAY = 0.010
+
+
+def make_mpc(robot: RobotModel, **changes: Any) -> MPC:
+    """The MPC whose goal is home; ``changes`` of its settings."""
+    settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})
     mpc = swerve_mpc(robot, settings, SwerveCost(state=StateCost(leg=LEG_WEIGHT)), GoalGuess(robot))
     position, orientation = robot.pose(robot.home)
     mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
-    timing = Timing.of(plant.timestep, CONTROL_RATE, settings.rate, settings.computation_delay)
-    controller = SwerveController(robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=DRIVE_LAG))
     mpc.reset(robot.home)
+    return mpc
+
+
+def make_system(robot: RobotModel, plant: SwervePlant, mpc: MPC) -> System:
+    """Controller of a plant that stands at home."""
+    timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
+    controller = SwerveController(robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=DRIVE_LAG))
     return System(plant, controller, mpc, timing)

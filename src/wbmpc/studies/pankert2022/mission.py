@@ -16,7 +16,7 @@ from wbmpc.model.wheels import ModuleGeometry, wheel_velocities
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.studies.pankert2022.directions import reject_directions
-from wbmpc.studies.paths import rise, risen
+from wbmpc.tasks.paths import rise, risen
 
 #: Speed [m/s] below which a wheel stands; weight of a sample close to a limit against a turn by one radian.
 STANDS, TURN_SHARE = 0.01, 0.02

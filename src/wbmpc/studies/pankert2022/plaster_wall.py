@@ -15,7 +15,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
-from wbmpc.studies.paths import Approach
+from wbmpc.tasks.paths import Approach
 
 #: Lines [m]: length, distance, lowest; the wall's place and the end effector's distance from it [m]; the end effector ahead of the base at the
 #: start of a line [m].

@@ -11,7 +11,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.studies.pankert2022.metrics import in_both_frames, largest, mean, rms, travelled
 from wbmpc.studies.pankert2022.track_references import TrackReferences
-from wbmpc.studies.paths import nearest_distance
+from wbmpc.tasks.paths import nearest_distance
 
 #: Groups of joints whose speeds are logged and drawn against their limits.
 SPEEDS = ("leg", "steer", "wheel", "arm")

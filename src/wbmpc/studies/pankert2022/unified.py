@@ -34,7 +34,7 @@ from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.unified_figures import metrics, plots
 from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
-from wbmpc.studies.paths import Approach
+from wbmpc.tasks.paths import Approach
 
 NAME = "swerve-unified"
 SUMMARY = "the end effector holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"

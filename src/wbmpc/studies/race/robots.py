@@ -14,8 +14,8 @@ from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
-from wbmpc.studies.paths import SinePath
 from wbmpc.studies.race import MAKERS
+from wbmpc.tasks.paths import SinePath
 
 Limits = Literal["hard", "soft"]
 

@@ -1,6 +1,8 @@
-"""The whole-body problem of robots on fixed wheels: weights that follow from the robot's size and limits."""
+"""The whole-body problem of any robot whose inputs are speeds: weights that follow from the robot's size and limits, without tuning."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,7 @@ from wbmpc.settings import MpcSettings, Settings, Weight
 Array = NDArray[np.float64]
 
 
-class PlanarCost(Settings):
+class DefaultCost(Settings):
     """Weights per second, in units of the robot's size and limits.
 
     ``end_effector`` [1/m²]: position of the end effector, and of its orientation times (reach / 4)²; ``input``: of every input over its
@@ -27,16 +29,16 @@ class PlanarCost(Settings):
     terminal: Weight = 0.5
 
 
-def planar_settings() -> MpcSettings:
-    """Horizon and grid of :func:`planar_mpc`."""
-    return MpcSettings(horizon=4.0, intervals=40, first_interval=0.02)
+def default_settings(**changes: Any) -> MpcSettings:
+    """Settings of :func:`default_mpc`; ``changes`` of them by name."""
+    return MpcSettings(**{"horizon": 4.0, "intervals": 40, "first_interval": 0.02, **changes})
 
 
-def planar_problem(
-    robot: RobotModel, settings: MpcSettings | None = None, cost: PlanarCost | None = None
+def default_problem(
+    robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None
 ) -> OptimalControlProblem:
     """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds and the wheels' rates as inequalities."""
-    settings, cost = settings or planar_settings(), cost or PlanarCost()
+    settings, cost = settings or default_settings(), cost or DefaultCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     limits, hard = robot.limits, settings.limits == "hard"
@@ -46,7 +48,8 @@ def planar_problem(
     ocp.add(
         Cost("end_effector", frame, list(effector), at="path+terminal", terminal_weight=list(cost.terminal * effector))
     )
-    ocp.add(Cost("state", residuals.State(robot), {"base": 0.0, "arm": list(weights.posture)}))
+    posture = {group: list(weights.posture) if group == "arm" else 0.0 for group in robot.state.groups}
+    ocp.add(Cost("state", residuals.State(robot), posture))
     ocp.add(Cost("input", residuals.Input(robot), weights.input))
     for constraint in robot.base.constraints(robot, hard=hard):
         ocp.add(constraint)
@@ -59,10 +62,10 @@ def planar_problem(
     return ocp
 
 
-def planar_mpc(robot: RobotModel, settings: MpcSettings | None = None, cost: PlanarCost | None = None) -> MPC:
+def default_mpc(robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None) -> MPC:
     """The MPC of that problem with its real-time settings, whose goal is the robot's home."""
-    settings = settings or planar_settings()
-    mpc = MPC(planar_problem(robot, settings, cost), settings.solver(), settings.rate)
+    settings = settings or default_settings()
+    mpc = MPC(default_problem(robot, settings, cost), settings.solver(), settings.rate)
     position, orientation = robot.pose(robot.home)
     mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)
     mpc.reference["state"] = Reference.constant(robot.home)

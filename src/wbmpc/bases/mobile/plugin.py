@@ -1,0 +1,104 @@
+"""The base type ``planar``: a base that takes speeds, and whose wheels are not described."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import mujoco
+import numpy as np
+from pydantic import Field
+
+from wbmpc.bases.base import Base, BaseType, Proposal, Question
+from wbmpc.bases.planar.description import PlanarBaseDescription
+from wbmpc.bases.planar.model import PlanarBase
+from wbmpc.bases.planar.plugin import PlanarBaseType
+from wbmpc.bases.planar.wheels import FixedWheels
+from wbmpc.model.tree import read_tree
+from wbmpc.robots import RobotDescription
+from wbmpc.robots.findings import Finding
+
+if TYPE_CHECKING:
+    from wbmpc.robots.mechanism import Mechanism
+    from wbmpc.robots.wheel_search import Wheel
+
+
+class MobileBaseDescription(PlanarBaseDescription):
+    """``drive``: "omni" takes speeds ahead, aside and a turn; "differential", "skid" and "tracks" speeds ahead and a turn about ``center``
+    [m], how far ahead of the body's frame they turn; ``height`` [m] of the body's frame above the floor. Wheels are held
+    (``fixed_joints``)."""
+
+    joint_key: ClassVar[str] = ""
+
+    type: Literal["planar"]
+    wheels: tuple[str, ...] = Field((), max_length=0)
+    wheel_radius: None = None
+    drive: Literal["omni", "differential", "skid", "tracks"]
+    center: float = Field(0.0, ge=-100, le=100)
+    height: float = Field(0.0, ge=-10, le=10)
+
+    @property
+    def slips(self) -> bool:
+        """Whether wheels or tracks are dragged sideways in turns."""
+        return self.drive in ("skid", "tracks")
+
+
+class MobileBase(PlanarBase):
+    """State: (x, y, yaw) of the body's frame and the arm; input: the base's speeds and the arm's rates."""
+
+    def _check_rank(self, description: RobotDescription) -> None:
+        """Nothing: there are no wheels."""
+
+
+class MobileBaseType(PlanarBaseType):
+    """Planning, and simulation by the model itself: what is under the base is not known."""
+
+    Description = MobileBaseDescription
+
+    def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
+        """Any body can be driven."""
+
+    def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
+        """Wheels of which no other base type knows how they drive the base."""
+        if not wheels:
+            return None
+        held = tuple(n for w in wheels for n in (*((w.steer,) if w.steer else ()), w.joint, *w.held))
+        question = Question("drive", "speeds that the base takes: omni, differential, skid or tracks", "skid")
+        return Proposal(
+            {"drive": "skid"},
+            0.3,
+            f"{len(wheels)} wheels, driven by speeds of the base",
+            (),
+            held,
+            questions=(question,),
+        )
+
+    def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
+        """That turns slip."""
+        assert isinstance(description.base, MobileBaseDescription)
+        if not description.base.slips:
+            return []
+        text = "wheels or tracks slip sideways in every turn: how far the base turns depends on the floor"
+        return [
+            Finding(
+                "warning",
+                "base",
+                "key 'base.drive'",
+                text,
+                "take the base's pose from a gyro and a localization, not from its wheels",
+            )
+        ]
+
+    def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> MobileBase:
+        """The kinematic model."""
+        base = description.base
+        assert isinstance(base, MobileBaseDescription)
+        wheels = FixedWheels(np.zeros((0, 2)), np.zeros(0), 1.0, base.height)
+        names: tuple[str, ...] = ("vx", "vy", "wz") if base.drive == "omni" else ("v", "wz")
+        # a point ahead of the center goes aside in turns
+        one = np.array([[1.0, 0.0], [0.0, -base.center], [0.0, 1.0]])
+        twist = np.eye(3) if base.drive == "omni" else one
+        return MobileBase(description, read_tree(spec, base.body), wheels, np.zeros((0, 3)), names, twist)
+
+    # no physics is known
+    plant, system = BaseType.plant, BaseType.system

@@ -1,0 +1,1 @@
+"""Any mix of tyres and roller wheels, fixed or steered, with or without an offset: tricycles, cars, powered casters."""

@@ -1,0 +1,120 @@
+"""Odometry and control of a mix of wheels: as with fixed wheels, whose matrix is that of the present steering angles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc import lie
+from wbmpc.bases.planar.controller import PlanarController
+from wbmpc.bases.planar.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.planar.odometry import PlanarOdometry
+from wbmpc.bases.wheels.model import WheelsBase
+from wbmpc.checks import numbers
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.policy_queue import PolicyQueue
+
+Array = NDArray[np.float64]
+#: Gain [1/s] of the loop that brings measured steering angles to those of the plan.
+STEERING_GAIN = 10.0
+#: Standard deviation [rad] of a wheel's slip over each radian that it turns.
+SLIP = 0.01
+
+
+class WheelsOdometry(PlanarOdometry):
+    """Least squares for the motion over all wheels: driven ones show how far they rolled, tyres that they did not slip sideways.
+    ``covariance`` (3, 3) of the pose, by the wheels' slip."""
+
+    def __init__(self, base: WheelsBase, pose0: ArrayLike) -> None:
+        rows = base.twist.shape[1]
+        driven = sum(c.driven for c in base.wheel_contacts)
+        tyres = sum(c.roller is None for c in base.wheel_contacts)
+        super().__init__(base.twist, np.zeros((driven + tyres, rows)), pose0)
+        self._base, self._driven = base, driven
+        self._shown = np.zeros(driven + tyres)
+        self._before: tuple[Array, Array] | None = None
+        self.covariance: Array = np.zeros((3, 3))
+
+    def turn(self, time: float, wheel: ArrayLike, steer: ArrayLike, yaw_rate: float | None) -> Array:
+        """The pose after angles [rad] of driven wheels and of steering joints at ``time`` [s]; ``yaw_rate`` [rad/s] of a gyro."""
+        w, s = (
+            numbers("odometry", "wheel", wheel, self._driven),
+            numbers("odometry", "steer", steer, self._base.steering),
+        )
+        w0, s0 = self._before or (w, s)
+        self._before = (w.copy(), s.copy())
+        roll, side = self._base.matrices(0.5 * (s + s0))
+        rows = np.vstack([roll, side])
+        # what the wheels did without what steering alone moved them by
+        self._shown = self._shown + np.concatenate([w - w0, np.zeros(len(side))]) - rows[:, 3:] @ (s - s0)
+        self._rates = rows[:, :3] @ self._base.twist
+        self._fit, self._fit_linear = np.linalg.pinv(self._rates), np.linalg.pinv(self._rates[:, :-1])
+        rolled = float(np.abs(w - w0).max(initial=0.0))
+        if rolled > 0.0:
+            spread = self._twist @ self._fit * (SLIP * rolled)
+            c, d = np.cos(self.pose[2]), np.sin(self.pose[2])
+            turned = np.array([[c, -d, 0.0], [d, c, 0.0], [0.0, 0.0, 1.0]]) @ spread
+            self.covariance = self.covariance + turned @ turned.T
+        return self.update(time, self._shown, yaw_rate)
+
+
+class WheelsController(PlanarController):
+    """The MPC's state has the **planned** steering angles, so that its rows agree with each other; a loop closes the difference to the
+    measured ones."""
+
+    def __init__(
+        self, robot: RobotModel, pose: Array, period: float, lag: float = 0.0, *, use_gyro: bool = True
+    ) -> None:
+        super().__init__(robot, pose, period, lag, use_gyro=use_gyro)
+        self.odometry: WheelsOdometry = WheelsOdometry(robot.base, pose)
+        self._size = robot.base.twist.shape[1] + robot.base.steering
+        self._moving = slice(0, self._size)
+        self._steer = robot.input["steer"] if robot.base.steering else slice(0, 0)
+        self.planned: Array = np.zeros(robot.base.steering)
+        self._placed = False  # whether planned angles have begun from measured ones
+
+    def measure(self, measurement: PlanarMeasurement) -> None:
+        """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
+        numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
+        previous, self.measured = self.measured or measurement, measurement
+        turning = 0.5 * float(previous.gyro[2] + measurement.gyro[2]) if self.use_gyro else None
+        self.odometry.turn(measurement.time, measurement.wheel, measurement.steer, turning)
+        if not self._placed:
+            self.planned, self._placed = np.array(measurement.steer, float), True
+
+    def state(self) -> Array:
+        """Estimated base, planned steering, measured arm (nx)."""
+        return self.robot.state.vector(
+            {"base": self.pose, **({"steer": self.planned} if self.planned.size else {}), "arm": self.arm}
+        )
+
+    def _move(self, x: Array, u: Array, h: float) -> None:
+        state, inputs = self.robot.state, self.robot.input
+        x[state["base"]] = lie.se2_step(x[state["base"]], self.robot.base.twist @ u[inputs["base"]] * h)
+        x[3:] += u[inputs["base"].stop :] * h
+
+    def wheel_matrix(self) -> Array:
+        """(n, m + s): rates of driven wheels by the base's input and the steering rates, at the planned steering angles."""
+        return np.asarray(self.robot.base.by_input(self.robot.base.matrices(self.planned)[0]))
+
+    def stop(self) -> PlanarCommand:
+        """Everything at rest."""
+        super().stop()
+        if self.measured is not None:
+            self.planned = np.array(self.measured.steer, float)
+        driven = sum(c.driven for c in self.robot.base.wheel_contacts)
+        return PlanarCommand.stop(driven, len(self.robot.input.groups["arm"]), self.robot.base.steering)
+
+    def command(self, t: float, plans: PolicyQueue) -> PlanarCommand:
+        """Drive speeds for this tick; a stop once the plan has run out."""
+        command = super().command(t, plans)
+        if not self.planned.size or not self.sent.any():
+            return command
+        assert self.measured is not None
+        rates = self.sent[self._steer] + STEERING_GAIN * (self.planned - self.measured.steer)
+        return PlanarCommand(command.wheel, command.arm, rates)
+
+    def _note(self, sent: Array) -> None:
+        super()._note(sent)
+        self.planned = self.planned + sent[self._steer] * self.period
+        self._rates[self._steer] = 0.0  # planned angles do not lag

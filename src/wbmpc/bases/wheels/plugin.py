@@ -1,0 +1,76 @@
+"""The base type ``wheels``: any mix of tyres and roller wheels, fixed or steered, with or without an offset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from wbmpc.bases.base import Proposal, System
+from wbmpc.bases.planar.plugin import COMPUTATION_DELAY, CONTROL_RATE, DRIVE_LAG, PlanarBaseType
+from wbmpc.bases.planar.proposal import RADIUS, RIM_ACCELERATION, RIM_SPEED
+from wbmpc.bases.wheels.description import WheelsBaseDescription
+from wbmpc.bases.wheels.model import WheelsBase
+from wbmpc.model.robot import RobotModel
+from wbmpc.robots import RobotDescription
+
+if TYPE_CHECKING:
+    from wbmpc.bases.wheels.plant import WheelsPlant
+    from wbmpc.mpc.mpc import MPC
+    from wbmpc.robots.mechanism import Mechanism
+    from wbmpc.robots.wheel_search import Wheel
+    from wbmpc.simulation.perturbation import Perturbation
+
+#: Steering rate [rad/s] and acceleration [rad/s²] where a file has no limit.
+STEER_RATE, STEER_ACCELERATION = 5.0, 60.0
+
+
+class WheelsBaseType(PlanarBaseType):
+    """What generic code may ask of bases on a mix of wheels."""
+
+    Description = WheelsBaseDescription
+
+    def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
+        """One steered wheel at least: tricycles, cars, powered casters. Others have a base type of their own."""
+        steered = [w for w in wheels if w.steer]
+        if not steered or len({w.steer for w in steered}) < len(steered):
+            return None
+        known = [w.radius for w in wheels if w.radius is not None]
+        radius = float(np.median(known)) if known else RADIUS
+        section = {
+            "wheels": [{"joint": w.joint, **({"steer": w.steer} if w.steer else {})} for w in wheels],
+            **(
+                {}
+                if len(known) == len(wheels) and not any(w.assumed for w in wheels)
+                else {"wheel_radius": round(radius, 4)}
+            ),
+        }
+        names = {w.joint: (RIM_SPEED / radius, RIM_ACCELERATION / radius) for w in wheels}
+        names |= {str(w.steer): (STEER_RATE, STEER_ACCELERATION) for w in steered}
+        speed, acceleration = ({n: round(v[k], 2) for n, v in names.items()} for k in (0, 1))
+        held = tuple(n for w in wheels for n in w.held)
+        reason = f"{len(steered)} steered and {len(wheels) - len(steered)} other wheels"
+        return Proposal(section, 0.7, reason, tuple(names), held, speed, acceleration)
+
+    def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> WheelsBase:
+        """The kinematic model."""
+        return WheelsBase(description, *self.read(description, spec))
+
+    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> WheelsPlant:
+        """The simulated robot at home."""
+        from wbmpc.bases.wheels.plant import WheelsPlant
+
+        return WheelsPlant(robot, perturbation=perturbation, seed=seed)
+
+    def system(
+        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+    ) -> System:
+        """A perturbed plant at home with its controller and MPC, whose goal is home."""
+        from wbmpc.bases.wheels.control import WheelsController
+        from wbmpc.simulation.lockstep import Timing
+
+        plant, mpc = self.plant(robot, perturbation, seed), mpc or self.mpc(robot)
+        timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
+        return System(plant, WheelsController(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG), mpc, timing)

@@ -1,0 +1,104 @@
+"""Settings models as tables: keys, types with their ranges, defaults and what each key means."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
+
+
+@dataclass(frozen=True)
+class Row:
+    """A setting: its dotted ``key``, ``kind`` (type and range), ``default``, and the ``unit`` and ``help`` that the docstring of its model
+    has for it ("" where it has none)."""
+
+    key: str
+    kind: str
+    default: str
+    unit: str = ""
+    help: str = ""
+
+
+def rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = None) -> Iterator[Row]:
+    """Every field; ``values``: an instance whose values are the defaults."""
+    texts = _texts(model)
+    for name, info in model.model_fields.items():
+        value = info.get_default(call_default_factory=True) if values is None else getattr(values, name)
+        kinds = _kinds(info.annotation)
+        if kinds:
+            own = [r for m in kinds for r in rows(m, f"{prefix}{name}.", value if type(value) is m else None)]
+            chosen = ", ".join(f"`{k}`" for m in kinds for k in _kind_names(m))
+            yield Row(f"{prefix}{name}.kind", chosen, f"`{value.kind}`", *texts.get(name, ("", "")))
+            yield from {r.key: r for r in own if r.key != f"{prefix}{name}.kind"}.values()
+        elif isinstance(value, BaseModel):
+            yield from rows(type(value), f"{prefix}{name}.", value)
+        else:
+            bounds = ", ".join(_bound(m) for m in info.metadata if _bound(m))
+            kind = _kind(info.annotation) + (f", {bounds}" if bounds else "")
+            yield Row(prefix + name, kind, _default(value), *texts.get(name, ("", "")))
+
+
+def _texts(model: type[BaseModel]) -> dict[str, tuple[str, str]]:
+    """(unit, help) of fields by what the docstrings of the model and its bases say of ````name`` [unit]: text;``."""
+    found: dict[str, tuple[str, str]] = {}
+    for kind in model.__mro__:
+        text = " ".join((kind.__doc__ or "").split()) if kind is not BaseModel else ""
+        for name in model.model_fields:
+            place = re.search(rf"``{name}``(?:\s*\[(?P<unit>[^\]]*)\])?", text)
+            if place and name not in found:
+                found[name] = (place["unit"] or "", _clause(text, place.start()))
+    return found
+
+
+def _clause(text: str, place: int) -> str:
+    """The clause around a place: from the last end of one to the next, by semicolons and full stops."""
+    begin = max([m.end() for m in re.finditer(r"[.;]\s", text[:place])], default=0)
+    end = re.search(r"[.;](\s|$)", text[place:])
+    clause = text[begin : place + end.start()] if end else text[begin:]
+    return re.sub(r":\w+:`~?([^`]*)`", r"\1", clause).replace("``", "")
+
+
+def _kinds(annotation: Any) -> list[type[BaseModel]]:
+    """The models of a setting that is one of several, selected by their ``kind``."""
+    inner = get_args(get_args(annotation)[0]) if get_origin(annotation) is Annotated else get_args(annotation)
+    models = [m for m in inner if isinstance(m, type) and issubclass(m, BaseModel)]
+    return models if len(models) > 1 else []
+
+
+def _kind_names(model: type[BaseModel]) -> tuple[str, ...]:
+    return get_args(model.model_fields["kind"].annotation)
+
+
+def _kind(annotation: Any) -> str:
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        bounds = ", ".join(filter(None, (_bound(m) for m in inner[1:])))
+        return _kind(inner[0]) + (f", {bounds}" if bounds else "")
+    if origin is Literal:
+        return ", ".join(f"`{v}`" for v in inner)
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(_kind(a) for a in inner))
+    if origin is not None:
+        return f"{origin.__name__} of " + ", ".join(dict.fromkeys(_kind(a) for a in inner if a is not Ellipsis))
+    return {"NoneType": "none", "str": "text", "float": "number", "int": "integer", "bool": "true, false"}.get(
+        getattr(annotation, "__name__", ""), getattr(annotation, "__name__", "any")
+    )
+
+
+def _bound(meta: Any) -> str:
+    signs = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+    found = [f"{sign} {getattr(meta, key):g}" for key, sign in signs.items() if getattr(meta, key, None) is not None]
+    inner = [_bound(m) for m in getattr(meta, "metadata", ())]
+    return ", ".join(filter(None, found + inner))
+
+
+def _default(value: Any) -> str:
+    if value is PydanticUndefined:
+        return "required"
+    shown = str(value)
+    return f"`{shown}`" if len(shown) <= 60 and shown else "empty" if not shown else "see the model"

@@ -1,0 +1,112 @@
+"""What simulated robots with an arm share: its drives and encoders in MuJoCo.
+
+The arm's joints are velocity servos. Its weight is fed forward to them (as a joint torque: MuJoCo's own gravity compensation would take
+the weight off what carries the robot).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from wbmpc.robots import RobotDescription
+from wbmpc.simulation.payloads import PAYLOAD, add_payload
+from wbmpc.simulation.perturbation import Perturbation, PlantSample
+from wbmpc.simulation.world import Array, Edit, WorldAccess, add_drive
+
+#: Gain [N m s/rad] of the servos per N m of effort limit, but not below its floor; floor of those that slide [N s/m].
+_ARM_GAIN, _ARM_GAIN_LEAST, _SLIDE_GAIN = 12.0, 800.0, 2e4
+
+
+def span(index: Array) -> slice | Array:
+    """The same places as a slice, where they follow each other: several times as fast."""
+    if index.size and (np.diff(index) == 1).all():
+        return slice(int(index[0]), int(index[-1]) + 1)
+    return index
+
+
+class ArmPlant(WorldAccess):
+    """Subclasses set ``description``, ``timestep``, ``perturbation``, ``draw`` and ``_names``, the joints by group ("arm" among them), before
+    they build; ``model`` and ``data`` before :meth:`index`."""
+
+    description: RobotDescription
+    timestep: float
+    perturbation: Perturbation
+    draw: PlantSample
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    _names: dict[str, list[str]]
+    _noise: np.random.Generator
+    _last: Any
+
+    # ------------------------------------------------------------------ building
+    def finish(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
+        """The arm's servos, and what the perturbation adds."""
+        for name, lag in zip(self._names["arm"], self.draw.arm_lag, strict=True):
+            spec.joint(name).armature, spec.joint(name).damping = 0.1, [1.0, 0, 0]
+            effort = self.description.limits.effort.get(name, np.inf)
+            slides = spec.joint(name).type == mujoco.mjtJoint.mjJNT_SLIDE
+            least = _SLIDE_GAIN if slides else _ARM_GAIN_LEAST
+            gain = max(least, _ARM_GAIN * effort) if np.isfinite(effort) else least
+            add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, lag, gain)
+        p = self.perturbation
+        if p.payload > 0.0:
+            add_payload(spec, self.description.arm.tool, p.payload)
+        if edit is not None:
+            edit(spec)
+
+    def index(self) -> None:
+        """Where joints are in MuJoCo's arrays."""
+        m, names = self.model, self._names
+        self._q = {g: np.array([m.joint(n).qposadr[0] for n in part], dtype=int) for g, part in names.items()}
+        self._all = np.concatenate(list(self._q.values()))
+        self._arm_dofs = span(np.array([m.joint(n).dofadr[0] for n in names["arm"]], dtype=int))
+        self.weight = float(m.body_mass.sum() * np.linalg.norm(m.opt.gravity))
+        self._payload = m.body(PAYLOAD).id if self.perturbation.payload > 0.0 else None
+
+    def start_sensors(self, offsets: dict[str, Array]) -> None:
+        """Encoders with zero errors by group [rad]."""
+        p = self.perturbation
+        self.offsets = offsets
+        self._counts = {g: p.arm_counts if g == "arm" else p.encoder_counts for g in self._names}
+        self._offsets = np.concatenate([offsets[g] for g in self._names])
+        ends = np.cumsum([len(part) for part in self._names.values()]).tolist()
+        #: where each group is among all joints
+        self._parts = {g: slice(end - len(p), end) for (g, p), end in zip(self._names.items(), ends, strict=True)}
+        counts = np.concatenate([np.full(len(p), self._counts[g]) for g, p in self._names.items()])
+        self._exact = counts == 0
+        self._count = 2.0 * np.pi / np.where(self._exact, 1, counts)
+        self._ages = round(p.encoder_jitter / self.timestep)
+        self._history: deque[Array] = deque(maxlen=1 + self._ages)
+        self._last = None
+
+    def settle(self, seconds: float) -> None:
+        """Come to rest before time 0."""
+        for _ in range(round(seconds / self.timestep)):
+            self.world.advance(self.carry_arm)
+        self.world.restart()
+        self._history.append(self.data.qpos[self._all])
+
+    # ------------------------------------------------------------------ running
+    def carry_arm(self) -> None:
+        """Feed the arm's weight forward to its joints; that of a payload, which nobody knows of, is not."""
+        d, m, dofs = self.data, self.model, self._arm_dofs
+        weight: Array = d.qfrc_bias[dofs]
+        if self._payload is not None:
+            jacobian = np.zeros((3, m.nv))
+            mujoco.mj_jacBody(m, d, jacobian, None, self._payload)
+            weight = weight + m.body_mass[self._payload] * m.opt.gravity @ jacobian[:, dofs]
+        d.qfrc_applied[dofs] = weight
+
+    def encoders(self) -> Array:
+        """Positions of all joints by group, with their zero errors, all of one age up to the jitter, before they are quantised."""
+        age = int(self._noise.integers(0, self._ages + 1))
+        return np.asarray(self._history[max(len(self._history) - 1 - age, 0)] + self._offsets)
+
+    def quantised(self, angles: Array) -> Array:
+        """Angles of all joints [rad] as their encoders report them."""
+        read: Array = np.rint(angles / self._count) * self._count
+        return np.where(self._exact, angles, read) if self._exact.any() else read

@@ -1,0 +1,152 @@
+"""The planner's own model as a plant: a closed loop without physics, many times faster than the simulator."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.checks import numbers
+from wbmpc.control.direct import InputCommand, StateMeasurement
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.robots import load_spec
+from wbmpc.robots.checks import named
+from wbmpc.simulation.world import Array, World, add_floor, add_light, free_body
+from wbmpc.types import Truth
+
+#: Length [s] of a step: nothing moves in between.
+TIMESTEP = 0.005
+
+
+class ModelPlant:
+    """Integrates the dynamics of an MPC's problem by the solver's integrator; measurements are exact.
+
+    The bodies of ``model`` and ``data`` (MuJoCo) are pictures: they are where the state has them. A stop is a standstill. It starts at
+    ``start`` (nx of the problem).
+    """
+
+    def __init__(self, robot: RobotModel, mpc: MPC, start: Array, timestep: float = TIMESTEP) -> None:
+        self.robot, self.description, self.mpc, self.timestep = robot, robot.description, mpc, timestep
+        layout = mpc.ocp.dynamics.state
+        self.x = numbers("start", "state", start, layout.size).copy()
+        self._own = np.concatenate([np.arange(layout.size)[layout[group]] for group in robot.state.groups])
+        s = ca.SX.sym("x", robot.state.size)
+        root = robot.base.root(s)
+        self._root = ca.Function("root", [s], [root.position, root.quaternion])
+        self._steps, self._drawn = 0, False
+        self._world: World | None = None
+        self._shown: list[tuple[int, int]] = []
+
+    # ------------------------------------------------------------------ time
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self._steps * self.timestep
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the state is not finite."""
+        return not np.isfinite(self.x).all()
+
+    @property
+    def fell(self) -> bool:
+        """Only by numbers that are not finite: nothing tips over here."""
+        return self.diverged
+
+    def measure(self) -> StateMeasurement:
+        """The state."""
+        return StateMeasurement(self.time, self.x.copy())
+
+    def step(self, command: InputCommand, steps: int = 1) -> None:
+        """Hold an input for ``steps`` steps."""
+        self._steps += steps
+        self._drawn = False
+        if not command.rest[0]:
+            self.x = self.mpc.solver.simulate(self.x, command.input, steps * self.timestep)
+
+    def push(self, force: Array) -> None:
+        """Nothing: a model of speeds has no forces."""
+
+    def end_pushes(self) -> None:
+        """Nothing: there are none."""
+
+    @property
+    def rests(self) -> bool:
+        """A stop is a standstill."""
+        return True
+
+    # ------------------------------------------------------------------ truth
+    def _base(self, x: Array) -> Array:
+        position, quaternion = self._root(x)
+        return np.concatenate([np.array(position).ravel(), np.array(quaternion).ravel()])
+
+    def truth(self) -> Truth:
+        """Poses by the model's kinematics."""
+        x = self.x[self._own]
+        base, (tool, turn) = self._base(x), self.robot.pose(x)
+        inside = lie.pose_compose(lie.pose_inverse(base), np.concatenate([tool, turn]))
+        rotation = lie.quaternion_to_rotation(base[3:])
+        yaw = x[self.robot.state["base"]][2] if "base" in self.robot.state else lie.rotation_to_euler_zyx(rotation)[0]
+        joints = {
+            n: float(v)
+            for g, names in self.robot.state.groups.items()
+            for n, v in zip(names, x[self.robot.state[g]], strict=True)
+        }
+        return Truth(
+            time=self.time, pose=np.array([*base[:2], yaw]), tool=tool, tool_rotation=lie.quaternion_to_rotation(turn),
+            tool_in_base=inside[:3], tool_rotation_in_base=lie.quaternion_to_rotation(inside[3:]),
+            tilt=float(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0))), state=x.copy(), joints=joints,
+        )  # fmt: skip
+
+    # ------------------------------------------------------------------ pictures
+    @property
+    def world(self) -> World:
+        """The bodies as the state has them."""
+        if self._world is None:
+            self._world = self._build()
+        if not self._drawn:
+            self._arrange(self._world, self.x[self._own])
+        return self._world
+
+    @property
+    def model(self) -> Any:
+        """Of MuJoCo."""
+        return self.world.model
+
+    @property
+    def data(self) -> Any:
+        """Of MuJoCo."""
+        return self.world.data
+
+    def arrange(self, state: Array) -> None:
+        """Show another state (nx of the robot) until the next step."""
+        self._arrange(self.world, state)
+
+    def _build(self) -> World:
+        base, description = self.description.base, self.description
+        spec = load_spec(description, meshes=True)
+        with named(description.model):
+            add_floor(spec, 3, [0.8, 0.005, 1e-4], [0.02, 1.0])
+            add_light(spec.body(base.body) if base.moves else spec.worldbody)
+            if base.moves:
+                free_body(spec, base.body, description.source).add_freejoint(name="root")
+        joints = {j.name for j in spec.joints}
+        names = list(dict.fromkeys(n for group in self.robot.state.groups.values() for n in group if n in joints))
+        world = World(spec, description, names, {})
+        flat = [n for group in self.robot.state.groups.values() for n in group]
+        self._shown = [(flat.index(n), int(world.model.joint(n).qposadr[0])) for n in names]
+        return world
+
+    def _arrange(self, world: World, x: Array) -> None:
+        if self.description.base.moves:
+            pose = self._base(x)
+            pose[2] -= self.robot.base.ground
+            world.place(pose)
+        for place, at in self._shown:
+            world.data.qpos[at] = x[place]
+        mujoco.mj_forward(world.model, world.data)
+        self._drawn = True

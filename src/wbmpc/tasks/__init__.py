@@ -1,0 +1,15 @@
+"""General experiments: any robot follows a path, holds still, goes to goals, or drives as it is ordered. They belong to no paper.
+
+:func:`wbmpc.tasks.loop.closed_loop` makes a closed loop of a robot and an MPC of one's own, and :func:`wbmpc.tasks.simulation.simulate`
+runs it in one call.
+"""
+
+from __future__ import annotations
+
+#: Name -> "module:attribute", in the order of 'wbmpc list'. The entry points in pyproject.toml are the same table.
+EXPERIMENTS: dict[str, str] = {
+    "end-effector-track": "wbmpc.tasks.track:EXPERIMENT",
+    "hold": "wbmpc.tasks.hold:EXPERIMENT",
+    "goals": "wbmpc.tasks.goals:EXPERIMENT",
+    "cmd-vel": "wbmpc.tasks.cmd_vel:EXPERIMENT",
+}

@@ -1,0 +1,115 @@
+"""A closed loop of a robot, its simulated plant and an MPC, as a scenario: what is recorded of it, measured and drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.bases import base_type
+from wbmpc.bases.base import System
+from wbmpc.control.direct import DirectController
+from wbmpc.errors import InputError
+from wbmpc.experiment import Loop, Run, Scenario
+from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.result import Metric, Plot
+from wbmpc.simulation.lockstep import Timing
+from wbmpc.simulation.model_plant import ModelPlant
+from wbmpc.tasks.figures import general_metrics, general_plots
+from wbmpc.tasks.settings import SimulationSettings
+
+Array = np.ndarray
+#: Rate of the controller without physics [Hz]; interval of what is recorded [s].
+MODEL_RATE, RECORDED = 200.0, 0.01
+
+IDEALISATIONS = {
+    "mujoco": ["tyres are soft contacts, not a tyre model", "the computation takes a constant time"],
+    "kinematic": ["there is no physics: the planner's own model is simulated, and its state is known exactly"],
+}
+
+
+def make_system(robot: RobotModel, mpc: MPC, settings: SimulationSettings, seed: int) -> System:
+    """Plant and controller for an MPC on the robot's own dynamics. Raises :class:`InputError` for another MPC's."""
+    if settings.physics == "kinematic":
+        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0])
+        timing = Timing.of(plant.timestep, MODEL_RATE, mpc.rate, settings.computation_delay)
+        return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
+    if mpc.ocp.dynamics.state.names != robot.state.names:
+        raise InputError(
+            "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
+        )
+    made = base_type(robot.description.base.type).system(robot, seed, settings.plant, mpc)
+    steps = made.timing
+    timing = Timing.of(made.plant.timestep, 1.0 / steps.period, mpc.rate, settings.computation_delay)
+    return System(made.plant, made.controller, mpc, timing)
+
+
+def closed_loop(
+    robot: RobotModel,
+    mpc: MPC,
+    duration: float,
+    seed: int = 0,
+    settings: SimulationSettings | None = None,
+    *,
+    since: float = 0.0,
+    tick: Callable[[float], None] | None = None,
+    metrics: Callable[[Log], dict[str, Metric]] | None = None,
+    plots: Callable[[Log], Sequence[Plot]] | None = None,
+) -> Scenario:
+    """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on.
+
+    Recorded every 10 ms: the end effector, its reference (of the cost "end_effector", where there is one) and its error, the base and its
+    estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
+    period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
+    ones. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
+    """
+    settings = settings or SimulationSettings()
+    _start_at_home(robot, mpc)
+    system, log = make_system(robot, mpc, settings, seed), Log()
+    every = max(1, round(RECORDED / system.timing.period))
+
+    def record(t: float, command: Any, plans: Any) -> None:
+        if tick is not None:
+            tick(t)
+        if round(t / system.timing.period) % every == 0:
+            _record(log, t, system, robot, plans)
+
+    def measured(run: Run) -> dict[str, Metric]:
+        return {**general_metrics(log, robot, since, run.ending.fell), **(metrics(log) if metrics else {})}
+
+    def drawn(run: Run) -> list[Plot]:
+        return [*general_plots(log, mpc), *(plots(log) if plots else [])]
+
+    loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
+    return Scenario.single(log, loop.run, measured, drawn, IDEALISATIONS[settings.physics])
+
+
+def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
+    """An MPC that has never been reset starts from the robot's home."""
+    start = mpc.solver.trajectory(0.0, copy=False).x[0]
+    if not start.any() and start.size == robot.state.size:
+        mpc.reset(robot.home)
+
+
+def _record(log: Log, t: float, system: System, robot: RobotModel, plans: Any) -> None:
+    truth, controller, mpc = system.plant.truth(), system.controller, system.mpc
+    estimate, tool, rotation = truth.pose, truth.tool, truth.tool_rotation
+    if hasattr(controller, "base_pose"):
+        base = controller.base_pose()
+        turned = lie.quaternion_to_rotation(base[3:])
+        tool, rotation = base[:3] + turned @ truth.tool_in_base, turned @ truth.tool_rotation_in_base
+        estimate = np.array([*base[:2], lie.rotation_to_euler_zyx(turned)[0]])
+    log.add("base", t, truth.pose)
+    log.add("base_estimated", t, estimate)
+    log.add("end_effector", t, truth.tool)
+    log.add("end_effector_estimated", t, tool)
+    log.add("state", t, truth.state)
+    log.add("input", t, plans.current.feedforward(t))
+    if "end_effector" in mpc.reference and mpc.reference["end_effector"].values.shape[1] == 7:
+        goal = mpc.reference["end_effector"].at(t)
+        log.add("end_effector_reference", t, goal[:3])
+        log.add("rotation_error", t, lie.rotation_angle(rotation, lie.quaternion_to_rotation(goal[3:])))

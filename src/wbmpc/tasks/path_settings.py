@@ -1,0 +1,237 @@
+"""Paths of the end effector: a line, a circle, a sine, poses, a table of a file. One time law for all: ramps of speed along the arc."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from wbmpc import lie
+from wbmpc.configuration import kind_alone
+from wbmpc.errors import InputError
+from wbmpc.model.robot import RobotModel
+from wbmpc.ocp import Reference
+from wbmpc.ocp.scaling import reach
+from wbmpc.settings import Settings
+from wbmpc.tasks.paths import rise, risen
+
+Array = np.ndarray
+#: Length [m] of a path where nothing says it: of a robot whose base moves, and (times its reach) of one that stands.
+LENGTH, SHARE = 5.0, 0.5
+#: Points of a path, interval [s] of its reference.
+POINTS, SAMPLED = 2001, 0.02
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points (n, 3) [m] and quaternions (n, 4) in the world of the planner."""
+
+    points: Array
+    turns: Array
+
+
+class PathSettings(Settings):
+    """``length`` [m] of the path (left out: 5, or half the reach of a robot whose base stands); ``direction`` [rad] from straight ahead, in
+    which it begins; ``speed`` [m/s] along the arc, which rises and falls over ``ramp`` [s]."""
+
+    length: float | None = Field(None, gt=1e-3, le=1000)
+    direction: float = Field(0.0, ge=-6.3, le=6.3)
+    speed: float = Field(0.2, ge=1e-3, le=10)
+    ramp: float = Field(2.0, ge=0.01, le=60)
+
+    def size(self, robot: RobotModel) -> float:
+        """Length [m] of this robot's path."""
+        if self.length is not None:
+            return self.length
+        return LENGTH if robot.description.base.moves else SHARE * reach(robot)
+
+    def offsets(self, length: float) -> tuple[Array, Array]:
+        """Offsets (n, 3) [m] from the start, in axes with x straight ahead, and turns (n) [rad] about the vertical."""
+        raise NotImplementedError
+
+    def curve(self, robot: RobotModel, position: Array, quaternion: Array) -> Curve:
+        """The path from a pose of the end effector on."""
+        offsets, turns = self.offsets(self.size(robot))
+        c, s = np.cos(self.direction), np.sin(self.direction)
+        points = position + offsets @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        up = (0.0, 0.0, 1.0)
+        return Curve(
+            points, np.array([lie.quaternion_multiply(lie.quaternion_about(up, float(a)), quaternion) for a in turns])
+        )
+
+
+class Line(PathSettings):
+    """Straight; it rises by ``climb`` [m]."""
+
+    kind: Literal["line"] = "line"
+    climb: float = Field(0.0, ge=-100, le=100)
+
+    def offsets(self, length: float) -> tuple[Array, Array]:
+        share = np.linspace(0.0, 1.0, POINTS)
+        return np.stack([length * share, 0.0 * share, self.climb * share], axis=1), 0.0 * share
+
+
+class Circle(PathSettings):
+    """To the left, ``laps`` of it over the whole length. ``turn``: whether the end effector turns along; ``vertical``: the circle stands."""
+
+    kind: Literal["circle"] = "circle"
+    laps: float = Field(1.0, gt=0, le=1000)
+    turn: bool = False
+    vertical: bool = False
+
+    def offsets(self, length: float) -> tuple[Array, Array]:
+        angle = np.linspace(0.0, 2.0 * np.pi * self.laps, POINTS)
+        radius, zero = length / (2.0 * np.pi * self.laps), 0.0 * angle
+        along, aside = radius * np.sin(angle), radius * (1.0 - np.cos(angle))
+        columns = [zero, along, aside] if self.vertical else [along, aside, zero]
+        return np.stack(columns, axis=1), angle if self.turn else zero
+
+
+class Sine(PathSettings):
+    """Straight ahead with waves: ``amplitude`` [m] aside, ``lift`` [m] up and down with 0.7 times the frequency; ``periods`` of it. The waves
+    grow over the first fifth."""
+
+    kind: Literal["sine"] = "sine"
+    amplitude: float = Field(0.3, ge=0, le=100)
+    lift: float = Field(0.1, ge=0, le=100)
+    periods: float = Field(2.0, gt=0, le=1000)
+
+    def offsets(self, length: float) -> tuple[Array, Array]:
+        share = np.linspace(0.0, 1.0, POINTS)
+        grown, phase = rise(share, 0.2), 2.0 * np.pi * self.periods * share
+        waves = [self.amplitude * grown * np.sin(phase), self.lift * grown * np.sin(0.7 * phase)]
+        return np.stack([length * share, *waves], axis=1), 0.0 * share
+
+
+class Poses(PathSettings):
+    """Straight from one to the next: each 3 numbers (x, y, z) [m] from the start in axes with x ahead, or 7 with a quaternion (w, x, y, z)
+    that turns the first orientation."""
+
+    kind: Literal["poses"] = "poses"
+    poses: tuple[tuple[float, ...], ...] = Field(((0.3, 0.0, 0.0), (0.3, 0.3, 0.0)), min_length=1, max_length=1000)
+
+    def curve(self, robot: RobotModel, position: Array, quaternion: Array) -> Curve:
+        if any(len(p) not in (3, 7) for p in self.poses):
+            raise InputError("path.poses: each needs 3 numbers (x, y, z), or 7 with a quaternion (w, x, y, z)")
+        rows = np.array([[*p, 1.0, 0.0, 0.0, 0.0][:7] if len(p) == 3 else p for p in self.poses], float)
+        return _curve_of(rows, position, quaternion, self.direction, "path.poses")
+
+
+class Table(PathSettings):
+    """Of a CSV ``file`` whose first line names its columns: x, y, z [m], or these and qw, qx, qy, qz; as with poses."""
+
+    kind: Literal["csv"] = "csv"
+    file: Path = Path("path.csv")
+
+    def curve(self, robot: RobotModel, position: Array, quaternion: Array) -> Curve:
+        return _curve_of(read_table(self.file), position, quaternion, self.direction, str(self.file))
+
+
+def read_table(path: Path) -> Array:
+    """Poses (n, 7) of a CSV file. Raises :class:`InputError` naming the file and the line."""
+    if not path.is_file():
+        raise InputError(f"path.file: there is no file '{path}'")
+    try:
+        lines = [line.strip() for line in path.read_text("utf-8").splitlines()]
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text file in UTF-8") from error
+    names = [n.strip() for n in lines[0].split(",")] if lines else []
+    if names not in (["x", "y", "z"], ["x", "y", "z", "qw", "qx", "qy", "qz"]):
+        raise InputError(
+            f"{path}, line 1: columns 'x,y,z' or 'x,y,z,qw,qx,qy,qz' are needed, got '{','.join(names):.60}'"
+        )
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        if line:
+            rows.append(_row(line, len(names), f"{path}, line {number}"))
+    if not rows:
+        raise InputError(f"{path}: it has no poses")
+    return np.array([[*row, 1.0, 0.0, 0.0, 0.0][:7] for row in rows])
+
+
+def _row(line: str, count: int, where: str) -> list[float]:
+    try:
+        values = [float(cell) for cell in line.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not np.isfinite(values).all():
+        raise InputError(f"{where}: {count} finite numbers are needed, got '{line:.60}'")
+    return values
+
+
+def _curve_of(rows: Array, position: Array, quaternion: Array, direction: float, where: str) -> Curve:
+    lengths = np.linalg.norm(rows[:, 3:], axis=1)
+    if np.abs(lengths - 1.0).max() > 1e-2:
+        raise InputError(f"{where}: pose {int(np.argmax(np.abs(lengths - 1.0)))}: its quaternion must have length 1")
+    c, s = np.cos(direction), np.sin(direction)
+    points = position + rows[:, :3] @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    turns = np.array([lie.quaternion_multiply(q, quaternion) for q in rows[:, 3:] / lengths[:, None]])
+    return _dense(np.vstack([position, points]), np.vstack([quaternion, turns]), where)
+
+
+def _dense(points: Array, turns: Array, where: str) -> Curve:
+    """Straight pieces with many points each, so that orientations go along the arc."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    if way[-1] < 1e-6:
+        raise InputError(f"{where}: the path has no length; 'wbmpc run goals' turns in place")
+    keep = np.concatenate([[True], np.diff(way) > 1e-9])
+    points, turns, way = points[keep], turns[keep], way[keep]
+    at = np.linspace(0.0, way[-1], POINTS)
+    piece = np.clip(np.searchsorted(way, at, side="right") - 1, 0, len(way) - 2)
+    share = (at - way[piece]) / np.diff(way)[piece]
+    return Curve(
+        points[piece] + share[:, None] * (points[piece + 1] - points[piece]),
+        np.array([lie.slerp(turns[k], turns[k + 1], a) for k, a in zip(piece, share, strict=True)]),
+    )
+
+
+#: One of them, by its ``kind``.
+AnyPath = Annotated[
+    Annotated[Line | Circle | Sine | Poses | Table, Field(discriminator="kind")], BeforeValidator(kind_alone)
+]
+
+
+def timed(curve: Curve, speed: float, ramp: float, start: float) -> tuple[Reference, float]:
+    """The curve as a reference that begins at ``start`` [s], and when it ends [s]."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve.points, axis=0), axis=1))])
+    end = start + way[-1] / speed + ramp
+    times = np.arange(0.0, end + SAMPLED, SAMPLED)
+    t = times - start
+    arc = np.clip(speed * (risen(t, ramp) - risen(t - way[-1] / speed, ramp)), 0.0, way[-1])
+    points = np.stack([np.interp(arc, way, column) for column in curve.points.T], axis=1)
+    near = np.clip(np.searchsorted(way, arc), 0, len(way) - 1)
+    return Reference.poses(times, points, curve.turns[near]), end
+
+
+def carried_base(robot: RobotModel, poses: Array) -> Array:
+    """Poses (n, 3) of a base beside which the end effector, at poses (n, 7), stays as at home."""
+    part = robot.state["base"].start
+    home = robot.home[part : part + 3]
+    position, quaternion = robot.pose(robot.home)
+    back = lie.quaternion_conjugate(quaternion)
+    turned = [lie.quaternion_log(lie.quaternion_multiply(q, back))[2] for q in poses[:, 3:]]
+    yaw = home[2] + np.unwrap(np.array(turned))
+    beside = position[:2] - home[:2]
+    c, s = np.cos(yaw - home[2]), np.sin(yaw - home[2])
+    return np.stack(
+        [poses[:, 0] - c * beside[0] + s * beside[1], poses[:, 1] - s * beside[0] - c * beside[1], yaw], axis=1
+    )
+
+
+def follow(robot: RobotModel, mpc: Any, reference: Reference) -> None:
+    """The end effector follows ``reference``; where the problem has a reference of the base too, the base goes along."""
+    mpc.reference["end_effector"] = reference
+    if (
+        "state" in mpc.reference
+        and "base" in robot.state
+        and mpc.reference["state"].values.shape[1] == robot.state.size
+    ):
+        values = np.tile(mpc.reference["state"].values[:1], (len(reference.times), 1))
+        part = robot.state["base"].start
+        values[:, part : part + 3] = carried_base(robot, reference.values)
+        mpc.reference["state"] = Reference(
+            reference.times, values, "hold" if reference.kind == "pose_hold" else "linear"
+        )

@@ -1,0 +1,78 @@
+"""Settings that general experiments share."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from wbmpc.bases import base_type
+from wbmpc.configuration import OnlyWith
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.mpc.mpc import MPC
+from wbmpc.ocp import Cost
+from wbmpc.settings import Positive, Settings
+from wbmpc.simulation.perturbation import Perturbation
+
+
+class SimulationSettings(Settings):
+    """``physics``: MuJoCo with the perturbed ``plant``, noise and lag, or the planner's own model (kinematic: exact and fast);
+    ``computation_delay`` [s]: modelled time of a solve; ``settle_time`` [s]: before the task begins, at rest."""
+
+    physics: Literal["mujoco", "kinematic"] = "mujoco"
+    plant: Annotated[Perturbation, OnlyWith(physics="mujoco")] = Perturbation()
+    computation_delay: float = Field(0.010, ge=0, le=1.0)
+    settle_time: float = Field(1.0, ge=0, le=60)
+
+
+class TaskMpcSettings(Settings):
+    """Of the MPC; left out (none): as the robot's base type has them. ``rate`` [Hz], ``horizon`` [s] in ``intervals``, ``first_interval`` [s]
+    of a geometric grid (0: uniform), ``iterations`` per update, ``limits``: hard or soft."""
+
+    rate: float | None = Field(None, ge=1e-3, le=10_000)
+    horizon: float | None = Field(None, gt=0, le=1000)
+    intervals: int | None = Field(None, ge=1, le=1000)
+    first_interval: float | None = Field(None, ge=0, le=1000)
+    iterations: int | None = Field(None, ge=1, le=50)
+    limits: Literal["hard", "soft"] | None = None
+
+
+class TaskSettings(SimulationSettings):
+    """``robot``: a name (see 'wbmpc list') or a file; ``weights``: factors of costs by name, as the sliders of a view set them."""
+
+    robot: str = "differential-ur10"
+    mpc: TaskMpcSettings = TaskMpcSettings()
+    weights: dict[str, Positive] = Field(default={})
+
+    def prepare(self) -> tuple[RobotModel, MPC]:
+        """The robot with its default MPC at home. Raises :class:`InputError` for a weight of no cost."""
+        robot = load_robot(self.robot)
+        changes = {name: value for name, value in self.mpc.model_dump().items() if value is not None}
+        mpc = base_type(robot.description.base.type).mpc(robot, **changes)
+        scale_weights(mpc, self.weights)
+        return robot, mpc
+
+
+def scale_weights(mpc: MPC, factors: dict[str, float]) -> None:
+    """Multiply the weights of costs by ``factors``. Raises :class:`InputError` for a name that no cost has."""
+    costs: dict[str, Any] = {t.name: t for t in mpc.ocp.terms.values() if isinstance(t, Cost)}
+    for name, factor in factors.items():
+        if name not in costs:
+            raise unknown_name("cost (setting 'weights')", name, costs)
+        cost = costs[name]
+        end = cost.weight if cost.terminal_weight is None else cost.terminal_weight
+        places: tuple[tuple[Literal["path", "terminal"], Any], ...] = (("path", cost.weight), ("terminal", end))
+        for place, weight in places:
+            if cost.at in (place, "path+terminal"):
+                mpc.solver.set_weight(name, list(factor * cost.expand(weight)), place)
+
+
+def moving_base(robot: RobotModel, task: str) -> slice:
+    """Where (x, y, yaw) of the base begin in the robot's state. Raises :class:`InputError` where the base does not move."""
+    if "base" not in robot.state:
+        raise InputError(
+            f"{task}: the base of '{robot.description.name}' does not move; valid: a robot with a base that does"
+        )
+    start = robot.state["base"].start
+    return slice(start, start + 3)

@@ -1,0 +1,77 @@
+"""One call from an MPC of one's own to a closed loop with its report, recording and live view."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from wbmpc.configuration import describe
+from wbmpc.errors import InputError
+from wbmpc.experiment import run_scenario
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.recording.recorder import Recorder
+from wbmpc.report import RECORDING, RUN_FILES, about_run, outcome, write_run
+from wbmpc.result import RunResult
+from wbmpc.simulation.lockstep import Watch, Watcher
+from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.settings import SimulationSettings
+from wbmpc.view.live import View
+
+
+def simulate(
+    robot: RobotModel,
+    mpc: MPC,
+    duration: float,
+    seed: int = 0,
+    *,
+    name: str = "simulation",
+    out: str | Path | None = None,
+    view: bool = False,
+    since: float = 0.0,
+    **settings: Any,
+) -> RunResult:
+    """Run ``mpc``, with its costs, constraints and references, on a simulated ``robot`` for ``duration`` [s].
+
+    In MuJoCo by default: plant perturbed against the model, noisy sensors, drives with lag, delay. ``settings`` are those of
+    :class:`wbmpc.tasks.settings.SimulationSettings`: ``physics="kinematic"`` for the model itself, ``plant={"mass": 0}``,
+    ``computation_delay``. ``out``: a directory for metrics.json, log.npz, report.html and run.mcap (left out: no files); ``view``: show it
+    in a browser, in real time; ``since`` [s]: from then on errors count. Raises :class:`InputError` for bad settings, and a directory
+    that has a run already. A run that ends early is returned, with its reason.
+    """
+    try:
+        chosen = SimulationSettings(**settings)
+    except ValidationError as error:
+        raise InputError(f"simulate: {describe(error, SimulationSettings)}") from error
+    directory = None if out is None else _directory(Path(out))
+    watchers: list[Watcher] = []
+    with ExitStack() as open_things:
+        if view:
+            shown = View(name, opened=lambda url: print(f"the view is at {url}"))
+            open_things.callback(shown.close)
+            watchers.append(shown)
+        recorder = None
+        if directory is not None:
+            recorder = Recorder(directory / RECORDING, about_run(name, seed, chosen.model_dump(mode="json")))
+            watchers.append(recorder)
+        build = lambda kept, seed: closed_loop(robot, mpc, duration, seed, kept, since=since)
+        result = run_scenario(name, build, chosen, seed, Watch(None, tuple(watchers)))
+        if directory is not None and recorder is not None:
+            recorder.close(outcome(result))
+            write_run(result, directory)
+    return result
+
+
+def _directory(path: Path) -> Path:
+    """Raises :class:`InputError` where a run's files are already."""
+    present = [file for file in RUN_FILES if (path / file).exists()]
+    if present:
+        raise InputError(f"simulate: out: '{path}' has a run already ('{present[0]}'); give another directory")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"simulate: out: '{path}' cannot be made ({error.strerror})") from error
+    return path

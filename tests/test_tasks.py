@@ -1,0 +1,296 @@
+"""General experiments: any robot, with and without physics. Truth: the robot's own kinematics, a path's geometry, MuJoCo's bodies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import wbmpc as wb
+from effort import thorough
+from planar_driving import write_robot
+from wbmpc import lie
+from wbmpc.cli import main
+from wbmpc.configuration import configure
+from wbmpc.registry import load
+from wbmpc.simulation.model_plant import ModelPlant
+from wbmpc.tasks.path_settings import Circle, Line, Poses, Sine, Table, carried_base, timed
+from wbmpc.tasks.settings import TaskSettings
+
+WHEELS = [((0.0, 0.2), (0.0, 1.0, 0.0)), ((0.0, -0.2), (0.0, 1.0, 0.0))]
+
+
+@pytest.fixture(scope="module")
+def driving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A robot of two wheels and two arm joints."""
+    return write_robot(tmp_path_factory.mktemp("driving"), WHEELS, {"type": "differential"})
+
+
+@pytest.fixture(scope="module")
+def standing(driving: Path) -> Path:
+    """The same whose base stands."""
+    text = driving.read_text().replace("type: differential", "type: fixed").replace("  wheels:\n  - w0\n  - w1\n", "")
+    text = text.replace("    w0: 12.0\n    w1: 12.0\n", "") + "fixed_joints: {w0: 0, w1: 0}\n"
+    path = driving.with_name("standing.yaml")
+    path.write_text(text)
+    return path
+
+
+def run(name: str, robot: Path, *assignments: str, physics: str = "kinematic") -> wb.RunResult:
+    experiment = load(name)
+    settings = configure(experiment.config_type, [f"robot={robot}", f"physics={physics}", *assignments], name)
+    result = experiment.run(settings, 0, None)
+    assert result.completed, result.reason
+    return result
+
+
+POSITION_ONLY = "settle_time=0.2"
+
+
+def test_a_base_that_drives_carries_the_tip_along_a_line(driving: Path) -> None:
+    """Two joints of an arm and a differential base reach every position."""
+    result = run("end-effector-track", driving, POSITION_ONLY, "path.length=0.3", "path.ramp=0.5")
+    m = result.metrics
+    assert m["end_effector_error_mean"].value < 2e-4 and m["end_effector_error_max"].value < 1e-3
+    assert m["base_path_length"].value == pytest.approx(0.3, abs=0.15)
+    reference = result.log.array("end_effector_reference")
+    assert np.linalg.norm(reference[-1] - reference[0]) == pytest.approx(0.3)
+    assert m["limit_violation_max"].value < 1e-6
+
+
+def test_a_robot_whose_base_stands_holds_in_mujoco(standing: Path) -> None:
+    m = run("hold", standing, POSITION_ONLY, "duration=0.3", physics="mujoco").metrics
+    assert m["end_effector_error_max_world"].value < 0.01 and "base_path_length" not in m
+
+
+def test_the_simulated_arm_moves_as_its_model(standing: Path) -> None:
+    """Without perturbation MuJoCo's tip is where the model's kinematics have it."""
+    from wbmpc.bases import base_type
+    from wbmpc.control.direct import InputCommand
+    from wbmpc.simulation.perturbation import Perturbation
+
+    robot = wb.load_robot(standing)
+    plant = base_type("fixed").plant(robot, Perturbation.none(), 0)
+    plant.step(InputCommand(np.array([0.5, -0.3]), np.zeros(1)), 400)
+    plant.step(InputCommand(np.zeros(2), np.zeros(1)), 200)
+    truth = plant.truth()
+    # 0.2 s at these speeds: the servos' first-order lag delays, and does not lose
+    np.testing.assert_allclose(truth.state - robot.home, [0.1, -0.06], atol=2e-3)
+    np.testing.assert_allclose(truth.tool, robot.pose(truth.state)[0], atol=1e-9)
+    np.testing.assert_allclose(plant.measure().state, truth.state, atol=1e-12)
+
+
+def test_goals_that_can_be_reached_are_reached(standing: Path) -> None:
+    m = run("goals", standing, "count=1", "time_per_goal=2", POSITION_ONLY).metrics
+    assert m["goals_reached"].value == 1.0 and m["goal_error_max"].value < 0.005
+
+
+def test_a_base_drives_as_it_is_ordered(driving: Path) -> None:
+    orders = "orders=[[1.5, 0.2, 0, 0.3], [1.1, 0, 0, 0]]"
+    result = run("cmd-vel", driving, orders, POSITION_ONLY)
+    assert result.metrics["base_error_mean"].value < 2e-3
+    # an arc of radius v / w; what speeds lack while they rise, they have while they fall
+    radius, angle = 0.2 / 0.3, 0.3 * 1.5
+    arc = [radius * np.sin(angle), radius * (1.0 - np.cos(angle)), angle]
+    np.testing.assert_allclose(result.log.array("base")[-1], arc, atol=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("cmd-vel", "orders=[[2, 0, 0.1, 0]]", "no speed to the left; valid: v, wz"),
+        ("cmd-vel", "orders=[[0.5, 0.1, 0, 0]]", "must last longer than 1 s"),
+        ("hold", "weights={end_efector: 2}", "unknown cost.*end_efector.*did you mean 'end_effector'"),
+        ("hold", "plant.mass=0.1", "nothing uses it without physics=mujoco"),
+        ("end-effector-track", "path={kind: poses, poses: [[1, 2]]}", "section"),
+    ],
+)
+def test_bad_settings_name_the_key(driving: Path, name: str, change: str, words: str) -> None:
+    with pytest.raises(wb.InputError, match=words):
+        run(name, driving, change)
+
+
+def test_a_base_that_stands_does_not_drive(standing: Path) -> None:
+    with pytest.raises(wb.InputError, match=r"the base of 'own' does not move"):
+        run("cmd-vel", standing)
+
+
+# ---------------------------------------------------------------------- paths
+START, TURN = np.array([0.4, 0.1, 0.8]), np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("path", "end", "length"),
+    [
+        (Line(length=2.0, direction=np.pi / 2), [0.4, 2.1, 0.8], 2.0),
+        (Circle(length=3.0, laps=0.5), [0.4, 0.1 + 6.0 / np.pi, 0.8], 3.0),
+        (Circle(length=3.0, vertical=True), [0.4, 0.1, 0.8], 3.0),
+        (Sine(length=2.0, amplitude=0.0, lift=0.0), [2.4, 0.1, 0.8], 2.0),
+        (Poses(poses=((0.5, 0.0, 0.0), (0.5, 0.5, 0.0))), [0.9, 0.6, 0.8], 1.0),
+    ],
+)
+def test_paths_are_as_long_as_they_say(driving: Path, path: Any, end: list[float], length: float) -> None:
+    curve = path.curve(wb.load_robot(driving), START, TURN)
+    np.testing.assert_allclose(curve.points[0], START, atol=1e-12)
+    np.testing.assert_allclose(curve.points[-1], end, atol=1e-9)
+    assert np.linalg.norm(np.diff(curve.points, axis=0), axis=1).sum() == pytest.approx(length, rel=1e-3)
+    reference, stop = timed(curve, 0.25, 1.0, 0.5)
+    assert stop == pytest.approx(0.5 + length / 0.25 + 1.0, rel=1e-3)
+    speed = np.linalg.norm(np.diff(reference.values[:, :3], axis=0), axis=1) / np.diff(reference.times)
+    assert speed.max() == pytest.approx(0.25, rel=0.02) and speed[0] == 0.0 and speed[-1] < 0.01
+
+
+def test_a_table_of_poses_turns_on_its_way(driving: Path, tmp_path: Path) -> None:
+    file, half = tmp_path / "way.csv", np.sqrt(0.5)
+    file.write_text(f"x,y,z,qw,qx,qy,qz\n0.5,0,0,1,0,0,0\n1,0,0,{half},0,0,{half}\n")
+    curve = Table(file=file).curve(wb.load_robot(driving), START, TURN)
+    np.testing.assert_allclose(curve.points[-1], START + [1.0, 0.0, 0.0])
+    angles = [lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(q))[0] for q in curve.turns]
+    # level over the first half, then a quarter turn
+    assert angles[len(angles) // 2] == pytest.approx(0.0, abs=1e-3) and angles[-1] == pytest.approx(np.pi / 2)
+    for text, words in (
+        ("a,b\n", "line 1: columns"),
+        ("x,y,z\n1,2\n", "line 2: 3 finite numbers"),
+        ("x,y,z\n1,2,nan\n", "line 2"),
+    ):
+        file.write_text(text)
+        with pytest.raises(wb.InputError, match=words):
+            Table(file=file).curve(wb.load_robot(driving), START, TURN)
+
+
+def test_the_base_goes_along_beside_its_tip(driving: Path) -> None:
+    robot = wb.load_robot(driving)
+    x = robot.home.copy()
+    x[robot.state["base"]] = [0.7, -0.4, 1.1]
+    poses = np.vstack([np.concatenate(robot.pose(robot.home)), np.concatenate(robot.pose(x))])
+    np.testing.assert_allclose(carried_base(robot, poses)[1], [0.7, -0.4, 1.1], atol=1e-9)
+
+
+# ---------------------------------------------------------------------- the model as a plant
+@pytest.mark.parametrize("name", ["differential-ur10", "swerve-ur10", "rezero"])
+def test_pictures_of_the_model_are_its_kinematics(name: str) -> None:
+    """Of every kind of base: MuJoCo's tool is where the symbolic model has it."""
+    robot = wb.load_robot(name)
+
+    class Problem:  # what the plant asks of an MPC when nothing is stepped
+        class ocp:
+            dynamics = robot.dynamics()
+
+    rng = np.random.default_rng(1)
+    x = robot.home + 0.1 * rng.uniform(-1.0, 1.0, robot.state.size)
+    plant = ModelPlant(robot, Problem, x)  # type: ignore[arg-type]
+    frames, truth = plant.world.frames(height=0.0), plant.truth()
+    lift = np.array([0.0, 0.0, -robot.base.ground])
+    np.testing.assert_allclose(frames["tool"] - lift, truth.tool, atol=1e-9)
+    np.testing.assert_allclose(frames["tool_rotation"], truth.tool_rotation, atol=1e-9)
+    np.testing.assert_allclose(frames["tool_in_base"], truth.tool_in_base, atol=1e-9)
+
+
+def test_a_base_that_is_fixed_to_another_body_is_simulated(driving: Path, tmp_path: Path) -> None:
+    """As ``base_footprint`` and ``base_link`` of many robots. Truth: the tip is where the model has it."""
+    model = (driving.parent / "robot.xml").read_text()
+    inner = model.replace(
+        '<body name="chassis" pos="0 0 0.15">',
+        '<body name="foot" pos="0.3 0 0"><body name="chassis" pos="0.1 0.2 0.15" euler="0 0 0.4">',
+    )
+    (tmp_path / "robot.xml").write_text(
+        inner.replace("    </body>\n  </worldbody>", "    </body></body>\n  </worldbody>")
+    )
+    (tmp_path / "robot.yaml").write_text(driving.read_text())
+    robot = wb.load_robot(tmp_path / "robot.yaml")
+    plant = wb.base_type("differential").plant(robot, wb.SimulationSettings().plant.none(), 0)
+    truth = plant.truth()
+    np.testing.assert_allclose(truth.pose, 0.0, atol=1e-3)
+    np.testing.assert_allclose(truth.tool, robot.pose(truth.state)[0], atol=2e-3)
+
+
+def test_a_base_on_a_joint_cannot_be_simulated() -> None:
+    from wbmpc.simulation.world import free_body
+
+    bodies = "<body name='foot'><body name='hull'><joint name='lift' type='slide'/></body></body>"
+    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    with pytest.raises(
+        wb.InputError, match=r"robot\.yaml: key 'base\.body': body 'hull' hangs on 'foot' by joint 'lift'"
+    ):
+        free_body(spec, "hull", "robot.yaml")
+
+
+# ---------------------------------------------------------------------- closed loops of users
+def own_mpc(robot: wb.RobotModel) -> wb.MPC:
+    """Costs of a user."""
+    ocp = wb.OptimalControlProblem(robot.dynamics(), horizon=1.0, intervals=20, first_interval=0.02)
+    ocp.add(wb.Cost("end_effector", wb.residuals.FramePose(robot, robot.tool), [1000.0] * 3 + [0.0] * 3))
+    ocp.add(wb.Cost("speed", wb.residuals.Input(robot), 0.1))
+    mpc = wb.MPC(ocp, rate=50.0)
+    position, turn = robot.pose(robot.home)
+    mpc.reference["end_effector"] = wb.Reference.poses([0.0], [position], turn)
+    return mpc
+
+
+def test_simulate_runs_and_writes_what_a_run_has(driving: Path, tmp_path: Path) -> None:
+    robot = wb.load_robot(driving)
+    out = tmp_path / "mine"
+    result = wb.simulate(robot, own_mpc(robot), 0.2, seed=3, name="mine", out=out, settle_time=0)
+    assert result.completed and result.metrics["end_effector_error_max_world"].value < 0.01
+    assert json.loads((out / "metrics.json").read_text())["experiment"] == "mine"
+    assert wb.read_recording(out / "run.mcap").complete
+    with pytest.raises(wb.InputError, match="has a run already"):
+        wb.simulate(robot, own_mpc(robot), 0.2, out=out)
+    with pytest.raises(wb.InputError, match=r"simulate: physics='paper'"):
+        wb.simulate(robot, own_mpc(robot), 0.2, physics="paper")
+
+
+@thorough
+def test_the_same_seed_gives_the_same_run(driving: Path) -> None:
+    robot = wb.load_robot(driving)
+    one, other = (wb.simulate(robot, own_mpc(robot), 0.3, seed=5) for _ in range(2))
+    np.testing.assert_array_equal(one.log.array("base"), other.log.array("base"))
+
+
+def test_weights_are_factors_of_costs(driving: Path) -> None:
+    _, mpc = TaskSettings(robot=str(driving), weights={"input": 3.0}).prepare()
+    _, plain = TaskSettings(robot=str(driving)).prepare()
+    where = plain.solver.problem.constant.slices
+    key = next(k for k in where if "input" in k and "path" in k)
+    np.testing.assert_allclose(mpc.solver.parameters[where[key]], 3.0 * plain.solver.parameters[where[key]])
+
+
+# ---------------------------------------------------------------------- the command line
+def test_every_setting_is_listed_with_what_it_means(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "end-effector-track", "--settings", "--json"]) == 0
+    found = {row["key"]: row for row in json.loads(capsys.readouterr().out)["settings"]}
+    assert found["path.speed"]["unit"] == "m/s" and found["path.speed"]["default"] == "`0.2`"
+    assert "≥ 0.001" in found["path.speed"]["kind"] and "rises and falls" in found["path.speed"]["help"]
+    assert {"robot", "physics", "mpc.horizon", "plant.mass", "path.kind", "path.file", "weights"} <= set(found)
+
+
+def test_settings_come_from_a_file_and_the_line_after_it(driving: Path, tmp_path: Path) -> None:
+    file = tmp_path / "settings.yaml"
+    file.write_text(
+        f"robot: {driving}\nphysics: kinematic\nmpc: {{horizon: 2.0}}\npath.length: 0.7\nweights: {{input: 2}}\n"
+    )
+    kind = load("end-effector-track").config_type
+    settings = configure(kind, ["path.length=0.9"], "x", file)
+    assert settings.mpc.horizon == 2.0 and settings.path.length == 0.9 and settings.weights == {"input": 2.0}
+    assert configure(kind, [], "x", file).path.length == 0.7
+    for text, words in (
+        ("mpc: {horison: 2}\n", r"settings.yaml: unknown key 'mpc.horison'"),
+        ("[1]\n", "a mapping"),
+        ("mpc: {horizon: -1}\n", "mpc.horizon=-1"),
+    ):
+        file.write_text(text)
+        with pytest.raises(wb.InputError, match=words):
+            configure(kind, [], "x", file)
+
+
+def test_weights_of_sliders_are_a_settings_file(tmp_path: Path) -> None:
+    from wbmpc.cli.settings import write_weights
+
+    assert write_weights({}, {"input": 2.0}, tmp_path) == {}
+    files = write_weights({"end_effector": 0.1}, {"input": 2.0}, tmp_path)
+    settings = configure(TaskSettings, [], "x", Path(files["weights"]))
+    assert settings.weights == {"input": 2.0, "end_effector": 0.1}

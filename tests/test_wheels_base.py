@@ -1,0 +1,215 @@
+"""The base type ``wheels``. Truth: MuJoCo's velocities of the wheels' bodies, rolling tyres, the geometry of files written here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+import wbmpc as wb
+from wbmpc import lie
+from wbmpc.bases.planar.messages import PlanarCommand
+from wbmpc.bases.wheels.control import WheelsOdometry
+from wbmpc.robots import load_spec
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.tasks.track import EXPERIMENT, TrackSettings
+
+HEIGHT, RADIUS = 0.15, 0.08
+#: A wheel: (x, y) [m] of its axis, sign of the steering axis (0: none), offset (x, y) [m] of the wheel, further keys.
+Wheel = tuple[tuple[float, float], int, tuple[float, float], dict[str, Any]]
+FRONT: Wheel = ((0.4, 0.0), 1, (0.0, 0.0), {})
+REAR: list[Wheel] = [
+    ((-0.2, 0.25), 0, (0.0, 0.0), {"driven": False}),
+    ((-0.2, -0.25), 0, (0.0, 0.0), {"driven": False}),
+]
+CASTERS: list[Wheel] = [((x, y), 1, (-0.03, 0.0), {}) for x in (0.25, -0.25) for y in (0.2, -0.2)]
+BESIDE: list[Wheel] = [((0.0, 0.25), -1, (0.0, 0.04), {}), ((0.0, -0.25), -1, (0.0, -0.04), {})]
+CAR: list[Wheel] = [
+    ((0.4, y), 1, (0.0, 0.0), {"driven": False}) for y in (0.25, -0.25)
+] + [((-0.2, y), 0, (0.0, 0.0), {}) for y in (0.25, -0.25)]  # fmt: skip
+KINDS = {"tricycle": [FRONT, *REAR], "casters": CASTERS, "beside": BESIDE, "car": CAR}
+
+
+def write(folder: Path, wheels: list[Wheel], axis: str = "0 0", **base: Any) -> Path:
+    """A YAML and an MJCF with an arm of two joints."""
+    bodies, records, speeds = "", [], {"pan": 2.0, "lift": 2.0}
+    for i, ((x, y), sign, (ox, oy), keys) in enumerate(wheels):
+        inertial = '<inertial pos="0 0 0" mass="1" diaginertia="0.003 0.003 0.003"/>'
+        tyre = f'<joint name="w{i}" axis="0 1 0"/><geom type="cylinder" size="{RADIUS} 0.02" euler="{np.pi / 2} 0 0"/>'
+        at = f"{x} {y} {RADIUS - HEIGHT}"
+        if sign:
+            steer = f'<joint name="s{i}" axis="{axis} {sign}"/>'
+            bodies += f'<body name="fork{i}" pos="{at}">{inertial}{steer}<body name="disc{i}" pos="{ox} {oy} 0">{inertial}{tyre}</body></body>'
+        else:
+            bodies += f'<body name="disc{i}" pos="{at}">{inertial}{tyre}</body>'
+        speeds |= {f"w{i}": 12.0, **({f"s{i}": 5.0} if sign else {})}
+        records.append({"joint": f"w{i}", **({"steer": f"s{i}"} if sign else {}), **keys})
+    (folder / "robot.xml").write_text(f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+      <body name="chassis" pos="0 0 {HEIGHT}"><inertial pos="0 0 0.05" mass="25" diaginertia="0.8 0.8 1.2"/>{bodies}
+      <body name="shoulder" pos="0 0 0.1"><inertial pos="0 0 0.05" mass="2" diaginertia="0.01 0.01 0.01"/>
+      <joint name="pan" axis="0 0 1" range="-3 3"/>
+      <body name="upper" pos="0 0 0.2"><inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/><joint name="lift" axis="0 1 0" range="-2 2"/>
+      <site name="tip" pos="0.3 0 0"/></body></body></body></worldbody></mujoco>""")
+    description = {
+        "name": "mixed", "model": "robot.xml", "base": {"type": "wheels", "body": "chassis", "wheels": records, **base},
+        "arm": {"joints": ["pan", "lift"], "tool": "tip"}, "home": {"lift": 0.3},
+        "limits": {"velocity": speeds, "effort": {"pan": 100.0, "lift": 100.0}},
+    }  # fmt: skip
+    (folder / "robot.yaml").write_text(yaml.safe_dump(description))
+    return folder / "robot.yaml"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rows_are_velocities_of_the_wheels(kind: str, tmp_path: Path) -> None:
+    """At random steering angles and rates: along and across of each wheel's center, by MuJoCo."""
+    robot = wb.load_robot(write(tmp_path, KINDS[kind]))
+    spec = load_spec(robot.description)
+    spec.body("chassis").add_freejoint(name="root")
+    model = spec.compile()
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    for _ in range(5):
+        twist = rng.uniform(-1.0, 1.0, 3)
+        steering = robot.state.groups.get("steer", ())
+        angles, rates = rng.uniform(-2.0, 2.0, (2, len(steering)))
+        data.qvel[:] = [twist[0], twist[1], 0.0, 0.0, 0.0, twist[2], *np.zeros(model.nv - 6)]
+        for name, angle, rate in zip(steering, angles, rates, strict=True):
+            data.joint(name).qpos[0], data.joint(name).qvel[0] = angle, rate
+        mujoco.mj_forward(model, data)
+        for contact, wheel in zip(robot.base.wheel_contacts, robot.description.base.wheels, strict=True):
+            joint, velocity = model.joint(wheel.joint), np.zeros(6)
+            mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, int(joint.bodyid[0]), velocity, 0)
+            along = np.cross(data.xaxis[joint.id], [0.0, 0.0, 1.0])
+            aside = np.cross([0.0, 0.0, 1.0], along)
+            rows = np.array(contact.rows(angles, len(steering)))
+            np.testing.assert_allclose(
+                rows @ [*twist, *rates], [along @ velocity[3:], aside @ velocity[3:]], atol=1e-12
+            )
+
+
+def test_rates_of_rollers_are_those_of_a_mecanum_base(tmp_path: Path) -> None:
+    """Truth: the textbook's (vx ∓ vy ∓ (lx + ly) w) / r."""
+    at = [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]
+    signs = [-1.0, 1.0, 1.0, -1.0]
+    wheels: list[Wheel] = [(p, 0, (0.0, 0.0), {"rollers": 45.0 * s}) for p, s in zip(at, signs, strict=True)]
+    base = wb.load_robot(write(tmp_path, wheels)).base
+    roll, side = base.matrices(np.zeros(0))
+    expected = [[1.0, s, -np.sign(y) * 0.5] for (_, y), s in zip(at, signs, strict=True)]
+    np.testing.assert_allclose(roll * RADIUS, expected, atol=1e-12)
+    assert side.size == 0 and base.state.keys() == {"base", "arm"}
+
+
+@pytest.mark.parametrize("kind", ["casters", "tricycle"])
+def test_odometry_finds_the_way_that_wheels_rolled(kind: str, tmp_path: Path) -> None:
+    """Wheels on paper: steering and wheel angles integrated in steps of 1 ms along a motion without slip."""
+    base = wb.load_robot(write(tmp_path, KINDS[kind])).base
+    odometry, h = WheelsOdometry(base, np.zeros(3)), 1e-3
+    steer, wheel, pose = np.full(base.steering, 0.3), np.zeros(sum(c.driven for c in base.wheel_contacts)), np.zeros(3)
+    for k in range(1000):
+        _roll, side = base.matrices(steer)
+        if kind == "casters":  # any twist; casters follow
+            twist = np.array([0.3, 0.2 * np.sin(2e-3 * k), 0.4])
+            rate = -np.linalg.solve(side[:, 3:], side[:, :3] @ twist)
+        else:  # the steered wheel decides
+            rate = np.array([0.2 * np.cos(3e-3 * k)])
+            speeds = np.linalg.svd(base.by_input(side)[:1, :2])[2][-1]
+            twist = base.twist @ (0.3 * speeds / speeds[0])
+        if k % 5 == 0:
+            odometry.turn(k * h, wheel, steer, None)
+        pose = lie.se2_step(pose, twist * h)
+        middle = base.matrices(steer + 0.5 * h * rate)[0]
+        wheel, steer = wheel + h * (middle @ [*twist, *rate]), steer + h * rate
+    found = odometry.turn(1.0, wheel, steer, None)
+    np.testing.assert_allclose(found, pose, atol=2e-3)
+    assert np.linalg.norm(pose[:2]) > 0.2
+    assert np.linalg.eigvalsh(odometry.covariance).min() > 0.0
+
+
+def test_steered_tyres_roll_in_the_plan(tmp_path: Path) -> None:
+    """In the closed loop without physics: the tip follows a line aside, and no tyre slips."""
+    settings = TrackSettings.model_validate(
+        {"robot": str(write(tmp_path, CASTERS)), "physics": "kinematic", "settle_time": 0.2,
+         "path": {"kind": "line", "length": 0.3, "direction": 0.1, "ramp": 1.0}}
+    )  # fmt: skip
+    result = EXPERIMENT.run(settings, 0, None)
+    assert result.completed and result.metrics["end_effector_error_mean"].value < 1e-3
+    robot = wb.load_robot(tmp_path / "robot.yaml")
+    states, inputs = result.log.array("state"), result.log.array("input")
+    slip = [
+        robot.base.matrices(x[robot.state["steer"]])[1] @ u[:7] * RADIUS for x, u in zip(states, inputs, strict=True)
+    ]
+    assert np.abs(slip).max() < 2e-3
+
+
+@pytest.mark.parametrize(("kind", "base"), [("tricycle", {}), ("beside", {"casters": [[0.3, 0.0], [-0.3, 0.0]]})])
+def test_it_drives_ahead_in_mujoco(kind: str, base: dict[str, Any], tmp_path: Path) -> None:
+    robot = wb.load_robot(write(tmp_path, KINDS[kind], **base))
+    plant = wb.base_type("wheels").plant(robot, Perturbation.none(), 0)
+    driven = len(robot.description.base.wheel_joints())
+    command = PlanarCommand(np.full(driven, 0.3 / RADIUS), np.zeros(2), np.zeros(robot.base.steering))
+    plant.step(command, round(1.0 / plant.timestep))
+    truth = plant.truth()
+    assert truth.pose[0] == pytest.approx(0.3, rel=0.1) and np.abs(truth.pose[1:]).max() < 0.02
+    assert truth.wheel_force.min() > 10.0 and truth.tilt < 0.02
+    assert plant.measure().wheel == pytest.approx(np.full(driven, 0.3 / RADIUS), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("wheels", "options", "words"),
+    [
+        ([REAR[0], ((0.1, -0.25), 0, (0.0, 0.0), {})], {}, "share one axle"),
+        ([FRONT, ((0.4, 0.0), 1, (0.0, 0.0), {})], {}, "do not determine the motion"),
+        ([((0.1, 0.2), 0, (0.0, 0.0), {"rollers": 0.0}), ((0.1, -0.2), 0, (0.0, 0.0), {"rollers": 0.0})], {}, "rank 2, 3 is needed|do not determine"),
+        ([((0.1, 0.2), 0, (0.0, 0.0), {"rollers": 80.0}), REAR[0]], {}, r"base\.wheels\.0\.rollers"),
+        ([FRONT, *REAR], {"axis": "0.2 0"}, "'s0' must turn about a vertical axis"),
+        ([FRONT, *REAR], {"wheel_radius": 0.1}, r"0\.1 m, but the shape of the wheel 'w0'"),
+    ],
+)  # fmt: skip
+def test_faults_name_the_wheel(wheels: list[Wheel], options: dict[str, Any], words: str, tmp_path: Path) -> None:
+    with pytest.raises(wb.InputError, match=words):
+        wb.load_robot(write(tmp_path, wheels, **options))
+
+
+# ---------------------------------------------------------------------- a base whose wheels are not described
+def planar(folder: Path, drive: str, center: float = 0.2) -> Path:
+    """A tricycle of which nobody knows how it steers."""
+    path = write(folder, [FRONT, *REAR])
+    data = yaml.safe_load(path.read_text())
+    data["base"] = {"type": "planar", "body": "chassis", "drive": drive, "center": center, "height": HEIGHT}
+    data["fixed_joints"] = dict.fromkeys(["s0", "w0", "w1", "w2"], 0.0)
+    data["limits"]["velocity"] = {"pan": 2.0, "lift": 2.0}
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def test_a_base_that_takes_speeds_turns_about_its_center(tmp_path: Path) -> None:
+    """What is at the center stays there in a turn. Truth: the velocity of a frame in the middle of the body, by hand."""
+    robot = wb.load_robot(planar(tmp_path, "skid"))
+    assert robot.input.groups["base"] == ("v", "wz") and robot.base.body_height == HEIGHT
+    np.testing.assert_allclose(robot.base.twist @ [0.0, 1.0], [0.0, -0.2, 1.0])
+    assert wb.load_robot(planar(tmp_path, "omni")).input.groups["base"] == ("vx", "vy", "wz")
+    with pytest.raises(wb.InputError, match=r"key 'base\.drive'"):
+        wb.load_robot(planar(tmp_path, "hover"))
+
+
+def test_skid_steering_is_warned_of_and_has_no_physics(tmp_path: Path) -> None:
+    robot, plugin = wb.load_robot(planar(tmp_path, "tracks")), wb.base_type("planar")
+    (finding,) = plugin.diagnose(robot.description, robot.base)
+    assert finding.severity == "warning" and "slip sideways" in finding.text
+    assert not plugin.diagnose(wb.load_robot(planar(tmp_path, "omni")).description, robot.base)
+    with pytest.raises(
+        wb.InputError, match=r"'mixed' has a base of type 'planar', whose plug-in offers no simulated robot"
+    ):
+        plugin.system(robot, 0)
+    settings = TrackSettings.model_validate(
+        {
+            "robot": str(planar(tmp_path, "tracks")),
+            "physics": "kinematic",
+            "settle_time": 0,
+            "path": {"kind": "line", "length": 0.2, "ramp": 0.3},
+        }
+    )
+    assert EXPERIMENT.run(settings, 0, None).metrics["end_effector_error_mean"].value < 1e-3
