@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import typer
 
 from wbmpc.cli.terminal import console, table
-from wbmpc.settings_table import rows
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -19,6 +18,8 @@ if TYPE_CHECKING:
 
 def show_settings(model: type[BaseModel], name: str, as_json: bool) -> None:
     """Every setting of an experiment."""
+    from wbmpc.settings_table import rows
+
     found = list(rows(model))
     if as_json:
         typer.echo(json.dumps({"experiment": name, "settings": [asdict(row) for row in found]}))
