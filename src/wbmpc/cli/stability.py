@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from wbmpc.checks import parse_number
 from wbmpc.cli.directories import Force, new_file
 from wbmpc.errors import InputError
 from wbmpc.output_file import write_text
@@ -63,6 +62,8 @@ def stability(
 
 def _numbers(option: str, text: str, sizes: tuple[int, ...]) -> list[float]:
     """Finite numbers of an option, separated by commas or blanks."""
+    from wbmpc.checks import parse_number
+
     valid = " or ".join(map(str, sizes))
     try:
         values = [parse_number(v) for v in text.replace(",", " ").split()]
