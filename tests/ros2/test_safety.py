@@ -200,6 +200,26 @@ def test_an_inertial_unit_that_stops_or_says_nonsense(
     check_stopped(p, says, caplog)
 
 
+def test_an_inertial_unit_that_is_stamped_ahead_stops(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its last message would look new for as long as it is ahead: nobody would see that it stops."""
+    p = pair()
+    publisher, ahead = p.standin.node.publisher("/imu", "sensor_msgs/msg/Imu"), [0]
+
+    def change(message: dict[str, Any]) -> dict[str, Any]:
+        stamp = message["header"]["stamp"]
+        header = {**message["header"], "stamp": {**stamp, "sec": stamp["sec"] + ahead[0]}}
+        publisher.publish({"header": header, "angular_velocity": {"z": 0.0}})
+        return message
+
+    p.standin.change = change
+    drive(p)
+    ahead[0] = 5
+    p.run(0.15)
+    check_stopped(p, r"the messages on /imu are stamped", caplog)
+
+
 def test_a_command_to_the_legs_at_the_moment_of_a_stop_starts_nothing(pair: Callable[..., Any]) -> None:
     """One that waited when the robot stopped is rejected; and looking after the legs at that moment starts nobody. Later ones do."""
     p = pair()
