@@ -21,7 +21,7 @@ def shell(*arguments: str, code: str | None = None) -> subprocess.CompletedProce
     """A process of its own, as a user starts it."""
     paths = os.pathsep.join([str(HERE.parent / "src"), str(HERE)])
     command = [sys.executable, *(["-c", code] if code else ["-m", "wbmpc"]), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths}, timeout=60)
+    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths}, timeout=300)
 
 
 FAKE_MAIN = (

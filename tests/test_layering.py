@@ -155,7 +155,7 @@ def test_importing_has_no_side_effects(tmp_path: Path) -> None:
         env=environment,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
     assert (out.returncode, out.stdout, out.stderr) == (0, "", "")
     assert not (tmp_path / "cache").exists()
