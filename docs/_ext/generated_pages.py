@@ -20,10 +20,10 @@ from wbmpc import settings_table as table
 
 #: Sub-packages with an API page; of ``solver`` what users hold, the other files are the compiled driver.
 PACKAGES = (
-    "model", "bases", "ocp", "solver", "mpc", "runtime", "estimation", "control", "simulation", "tasks", "robots", "recording",
+    "model", "bases", "ocp", "solver", "mpc", "embedded", "runtime", "estimation", "control", "simulation", "tasks", "robots", "recording",
     "stability", "ros2",
 )  # fmt: skip
-ONLY = {"solver": ("settings", "solution", "solver"), "ros2": ("bus", "settings", "network")}
+ONLY = {"embedded": ("exporter",), "solver": ("settings", "solution", "solver"), "ros2": ("bus", "settings", "network")}
 #: Modules beside the packages.
 MODULES = ("types", "errors", "lie", "trajectory", "result", "log")
 
