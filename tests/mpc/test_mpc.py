@@ -187,13 +187,13 @@ def test_observations_are_checked() -> None:
         MPC(mpc.ocp, REAL_TIME, 0.0)
     with pytest.raises(InputError, match=r"mpc\.rate"):
         MPC(mpc.ocp, REAL_TIME, np.inf)
-    with pytest.raises(InputError, match="a time and a vector of numbers"):
+    with pytest.raises(InputError, match=r"observation: .*numbers? (is|are) needed"):
         Observation(0.0, "abc")  # type: ignore[arg-type]
     for x, u, message in (
         (np.array([0, np.nan, 0, 0]), None, "reset: 'x.1' is not finite"),
-        (np.zeros(3), None, "reset: 4 numbers are needed"),
+        (np.zeros(3), None, "reset: (4 )?numbers are needed"),
         (np.zeros(4), np.array([np.inf, 0.0]), "reset: 'u.0' is not finite"),
-        ("abc", None, "reset: 4 numbers are needed"),
+        ("abc", None, "reset: (4 )?numbers are needed"),
     ):
         with pytest.raises(InputError, match=message):
             mpc.reset(x, u)  # type: ignore[arg-type]

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from effort import thorough
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import STEERED, main
@@ -211,6 +212,7 @@ def test_each_click_is_a_single_step() -> None:
         assert len(held) == expected
 
 
+@thorough
 def test_a_run_begins_anew_from_its_start_on_reset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The first one ends where the button was pressed, with all its files; the next one is the run as it is without a view."""
     make, begun = live.View.begin, []

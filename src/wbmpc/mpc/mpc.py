@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.guess import Bound, Guess
@@ -48,7 +49,7 @@ class MPC:
         guess: Guess | None = None,
         plan_only_limits: bool = False,
     ) -> None:
-        if not (rate > 0.0 and np.isfinite(rate)):
+        if real_number("mpc.rate", rate) <= 0.0:
             raise InputError(f"mpc.rate: must be positive, got {rate}")
         if (
             isinstance(first_iterations, bool)
@@ -147,8 +148,8 @@ class MPC:
         """
         d = self.ocp.dynamics
         for names, value in ((d.state.names, x), (d.input.names, u)):
-            if value is not None:
-                for row in np.atleast_2d(value):
+            if value is not None or names is d.state.names:
+                for row in np.atleast_2d(real_numbers("reset", value)):
                     _check_vector("reset", names, row)
         self.solver.warm_start(x, u)
         self.solver.reset()
@@ -317,8 +318,8 @@ class MPC:
         return f"{status.value} ({self.solver.violation_message(status)})" if rejected else ""
 
     def _check(self, observation: Observation) -> None:
-        if not np.isfinite(observation.t):
-            raise NotFinite(f"observation: the time must be finite, got {observation.t}")
+        if not abs(observation.t) <= LATEST:
+            absolute_time("observation", observation.t)
         _check_vector("observation", self.ocp.dynamics.state.names, observation.x)
         if self._t is not None and observation.t < self._t:
             raise InputError(f"observation: time went back from {self._t:.4f} to {observation.t:.4f} s")
@@ -349,10 +350,7 @@ def _check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
 
 def _check_vector(where: str, names: Sequence[str], value: np.ndarray) -> None:
     """Raise :class:`InputError` unless ``value`` has one finite number for each name."""
-    try:
-        vector = np.asarray(value, float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: {len(names)} numbers are needed ({error})") from error
+    vector = real_numbers(where, value)
     if vector.shape != (len(names),):
         raise InputError(f"{where}: {len(names)} numbers are needed, got shape {vector.shape}")
     if not np.isfinite(vector).all():

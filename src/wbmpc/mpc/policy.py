@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.solver import Solution
 
@@ -80,6 +81,13 @@ class InputLimits:
         share = np.where(self._coupled[bad], shares[:, None], 1.0).min(axis=0)
         np.copyto(u, (u - planned) * share + planned, where=share < 1.0)
         return True
+
+
+def _is_finite(t: float) -> bool:
+    try:
+        return math.isfinite(t)
+    except TypeError:
+        raise InputError(f"policy: a time in seconds is needed, got {t!r}") from None
 
 
 def _groups(inside: np.ndarray) -> np.ndarray:
@@ -157,9 +165,10 @@ class Policy:
         Raises :class:`InputError` for another shape, :class:`NotFinite` for a time or a state that is not finite, or so large that the
         input is not.
         """
-        if np.shape(x) != self.x[0].shape:
-            raise InputError(f"policy: a state of {self.x.shape[1]} numbers is needed, got shape {np.shape(x)}")
-        if not (math.isfinite(t) and np.isfinite(x).all()):
+        x = real_numbers("policy", x)
+        if x.shape != self.x[0].shape:
+            raise InputError(f"policy: a state of {self.x.shape[1]} numbers is needed, got shape {x.shape}")
+        if not (_is_finite(t) and np.isfinite(x).all()):
             raise NotFinite("policy: time and state must be finite")
         k = self._interval(t)
         a = self._share(t, k)
@@ -175,7 +184,7 @@ class Policy:
 
         Raises what :meth:`law` raises.
         """
-        if x is None and not math.isfinite(t):
+        if x is None and not _is_finite(t):
             raise NotFinite("policy: time and state must be finite")
         u = self.feedforward(t) if x is None else self.law(t, x)
         if self.limits is None:
