@@ -14,9 +14,10 @@ from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import wheel_velocities
-from wbmpc.mpc.mpc import MPC, STUCK
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver, Trajectory
+from wbmpc.solver.controller import STUCK
 from wbmpc.solver.driver import DIVERGED, INPUT_INFEASIBLE
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.types import Observation

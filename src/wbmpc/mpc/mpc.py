@@ -24,9 +24,6 @@ from wbmpc.solver.solution import COLUMNS
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
-#: Rejected plans in a row from which on the next solve goes on from the rejected one. Rows that move fast reject up to three, and
-#: then the plan before is where to start from; after more it is so old that the same rejection comes back.
-STUCK = 4
 
 
 class MPC:
@@ -71,7 +68,7 @@ class MPC:
         self._input_rows = InputRows(self.solver)
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = self._input_rows.limits
-        self._first = first_iterations
+        self.first_iterations = int(first_iterations)
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
@@ -222,7 +219,7 @@ class MPC:
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
-        passes = self._first if self._t is None else 1
+        passes = self.first_iterations if self._t is None else 1
         if self._follow_last:
             self._continue_from(observation.t, delta)
         status, count, elapsed, self._iterations = 0, 0, 0.0, 0
@@ -287,21 +284,19 @@ class MPC:
         """After a pass without a plan: the next one starts from the last good plan, x (N + 1, nx), u (N, nu) from ``t`` [s] on.
 
         An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs. So does one
-        that misses a hard limit, from the :data:`STUCK`-th pass without a plan in a row on; it is not used as long as it does.
+        that misses a hard limit, from the fourth pass without a plan in a row on; it is not used as long as it does.
         A plan from which two passes in a row ended with numbers that are not finite is given up: the next one starts anew, from
         the observation.
         """
-        if self._broken > 1:
+        from wbmpc.solver.controller import RESTART, RESUME, recovery
+
+        after = recovery.python(self._outcome[0], self._broken, self._faults)
+        if after == RESTART:
             self.solver.warm_start(np.asarray(observation.x, float))
             self.solver.reset()
             self._t = None
-        elif self._broken or not self._continues_rejected():
+        elif after == RESUME:
             self.resume(x, u, t)
-
-    def _continues_rejected(self) -> bool:
-        """Whether a finite iterate that was rejected is what the next pass starts from."""
-        status = self.solver.status(self._outcome[0])
-        return status is Status.EQUALITY_INFEASIBLE or (status is Status.INPUT_INFEASIBLE and self._faults >= STUCK)
 
     def _not_finite_part(self) -> str:
         """What of the last pass is not finite or beyond all bounds; empty if nothing is."""

@@ -64,16 +64,50 @@ def check_size(path: Path, text: bytes | None = None) -> tuple[Path, ...]:
     no regular file (a pipe, a device): its reader would wait for ever. ``text``: what a file's macros became, instead of the file.
 
     Returns the file and those that it names, as far as they are there."""
-    folders, named = {path.parent}, []  # type: set[Path], list[tuple[str, Path, str]]
-    _Walk(path, {}, (), folders, named).run(text)
-    found = {path: None}
-    for where, beside, name in named:
-        for place in (folder / n for folder in (beside, *folders) for n in (name, name.rpartition("/")[2])):
+    known, found = _walked(path, text), {path: None}
+    for where, beside, name in known.named:
+        for place in (folder / n for folder in (beside, *known.folders) for n in (name, name.rpartition("/")[2])):
             if exists(place) and not (isfile(place) or isdir(place)):
                 raise InputError(f"{where}: '{place}' is no regular file")
             if isfile(place):
                 found[place] = None
     return tuple(found)
+
+
+#: What walks found, by file and text, with the states of all files that they read: a robot is read several times.
+_KNOWN: dict[tuple[Path, Path, bytes | None], _Found] = {}
+_MOST_KNOWN = 16
+
+
+@dataclass
+class _Found:
+    """``states`` of the files that were read; ``folders`` in which files may be; ``named``: files by the element that names them and
+    the folder that it is in."""
+
+    states: dict[Path, tuple[int, int]]
+    folders: set[Path]
+    named: list[tuple[str, Path, str]]
+
+
+def _walked(path: Path, text: bytes | None) -> _Found:
+    key = (path, path.absolute(), text)
+    known = _KNOWN.get(key)
+    if known is None or any(_state(file) != state for file, state in known.states.items()):
+        found, done = _Found({}, {path.parent}, []), dict[Path, _Count]()
+        _Walk(path, done, (), found.folders, found.named).run(text)
+        found.states |= {file: _state(file) for file in (path, *done)}
+        if len(_KNOWN) >= _MOST_KNOWN:
+            _KNOWN.clear()
+        known = _KNOWN[key] = found
+    return known
+
+
+def _state(file: Path) -> tuple[int, int]:
+    try:
+        about = file.stat()
+    except OSError:
+        return 0, -1
+    return about.st_mtime_ns, about.st_size
 
 
 class _Walk:

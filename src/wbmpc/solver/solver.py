@@ -192,18 +192,12 @@ class Solver:
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
         with self.exclusive:
-            self.ws.state[
-                [
-                    StateField.MAX_STEP,
-                    StateField.INFEASIBLE_SOLVES,
-                    StateField.BLOCKED_RESIDUAL,
-                    StateField.BLOCKED_TIME,
-                ]
-            ] = 0.0
             if self.settings.backend == "interpreted":
                 self.twin.reset()
             else:
-                self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
+                from wbmpc.solver.receding import forget
+
+                forget(self.ws.memory, self.ws.table)
 
     # ------------------------------------------------------------------ what the last solve left
     def trajectory(self, start: float = 0.0, copy: bool = True) -> Trajectory:
