@@ -170,7 +170,7 @@ def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt()
         ),
         ("rezero-push-hand", "controller=separate cost.end_effector.weight=10 cost.body.arm=2 cost.body.yaw=3"),
         ("rezero-push-hand", "controller=lqr control.rate=200 mpc.rate=50"),
-        ("rezero-steps", "controller=lqr mpc.horizon=1"),
+        ("rezero-steps", "controller=lqr mpc.horizon=1 preview=true"),
     ],
 )
 def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:

@@ -47,7 +47,7 @@ class RezeroDoorSettings(RezeroSettings):
     speed: float = Field(0.1, gt=0, le=1.0)
     opening_angle: float = Field(float(np.deg2rad(60.0)), gt=0, le=2.0)
     timeout: float = Field(9.0, ge=1.0, le=120.0)
-    final_hold_time: float = Field(2.0, ge=0.1, le=60.0)
+    final_hold_time: float = Field(4.0, ge=0.1, le=60.0)
     door_position_error: float = Field(0.01, ge=0, le=0.05)
     door_spread: float = Field(0.2, ge=0, le=0.3)
     lean_share: float = Field(0.6, gt=0, le=10.0)

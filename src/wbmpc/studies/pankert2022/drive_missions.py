@@ -18,7 +18,7 @@ from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
 #: Along the way [m]: where the turn by 180° begins, where it has been made, the end. Speed [rad/s] at which the arm folds.
 WAY, FOLDING = (9.0, 11.0, 15.0), 0.3
 #: When [s] the brakes open (1) and close (0).
-BRAKES = ((15.0, 1.0), (19.5, 0.0), (33.0, 1.0), (44.5, 0.0), (54.0, 1.0), (58.5, 0.0))
+BRAKES = ((15.0, 1.0), (19.5, 0.0), (32.0, 1.0), (46.8, 0.0), (54.0, 1.0), (58.5, 0.0))
 #: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s].
 KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
@@ -61,7 +61,7 @@ def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
     )
     turns = (
         Reconfiguration(15.0 + delay, x),
-        Reconfiguration(33.0 + delay, a),
+        Reconfiguration(32.0 + delay, a),
         Reconfiguration(40.0, x),
         Reconfiguration(54.0 + delay, h),
     )
