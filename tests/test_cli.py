@@ -96,8 +96,8 @@ def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
     out = shell("run", "fake", "--seed", "5", "--json", "--set", "mpc.rate=80", code=FAKE_MAIN)
     assert out.returncode == 0 and out.stderr == ""  # in a pipe: no progress bar
     data = json.loads(out.stdout)
-    assert set(data) == {"experiment", "seed", "completed", "reason", "metrics", "mpc", "files"}
-    assert (data["experiment"], data["seed"], data["completed"]) == ("fake", 5, True)
+    assert set(data) == {"experiment", "seed", "outcome", "completed", "reason", "metrics", "mpc", "files"}
+    assert (data["experiment"], data["seed"], data["completed"], data["outcome"]) == ("fake", 5, True, "completed")
     assert set(data["metrics"]["fell"]) == {"value", "unit"}
     assert data["mpc"]["rate_hz"] == 80.0
     assert all((tmp_path / f).is_file() for f in data["files"].values())

@@ -30,7 +30,7 @@ from wbmpc.stability import CONFIGURATIONS, corners
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import metrics, plots
 from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings, straight, tour
-from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses
+from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses, ramps
 from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
@@ -42,7 +42,7 @@ SUMMARY = (
 
 IDEALISATIONS = [
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
-    "bumps are smooth and of the floor's mean friction; the door is a gap that is measured, drawn but not hit",
+    "bumps are smooth and of the floor's mean friction; the door's posts are rigid",
     "the computation takes a constant 10 ms, the baseline's too",
     "the time that a brake takes to open and to close is assumed, and known to the planner",
 ]
@@ -138,6 +138,8 @@ class _Run:
             RollingGains(s.baseline_base_gain, s.baseline_leg_gain, s.baseline_steer_gain, s.baseline_lead, s.baseline_look_ahead),
             brakes.commanded, estimation=self.estimation, delay=s.mpc.computation_delay,
         )  # fmt: skip
+        part = robot.state["arm"]
+        controller.posture = lambda t: tuple(way[0] for way in ramps(robot.home[part], mission.arm, t))  # type: ignore[return-value, assignment]
         stand_still(plant, controller, timing, s.settle_time)
 
         def record(now: float, command: Any, plans: Any) -> None:

@@ -15,6 +15,10 @@ from wbmpc.stability import leg_angles
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
 
+#: Along the way [m]: where the turn by 180° begins, where it has been made, the end. Speed [rad/s] at which the arm folds.
+WAY, FOLDING = (9.0, 11.0, 15.0), 0.3
+#: When [s] the brakes open (1) and close (0).
+BRAKES = ((15.0, 1.0), (19.5, 0.0), (33.0, 1.0), (44.5, 0.0), (54.0, 1.0), (58.5, 0.0))
 #: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s].
 KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
@@ -44,22 +48,33 @@ class SwerveDriveSettings(DrivingSettings):
 def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
     """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
     h, x, a = (leg_angles(robot, name) for name in "HXA")
-    quarter, end = 0.5 * np.pi, 18.0
-    # The base never stops while its brakes are open (at rest the wheels would have to turn before anything can move), and
-    # is so fast that no wheel comes to a stop while it turns: then none has to turn about in place.
+    quarter, (begin, after, end) = 0.5 * np.pi, WAY
+    # The base never stops while its brakes are open: at rest the wheels would have to turn before anything can move. Brakes are open
+    # while legs turn, and closed where wheels have to turn round (the base turns faster than it drives): they would swing the legs.
     way = (
-        Leg(1.0, 61.5, (end, 0.0, 0.0)),
-        Leg(20.0, 10.0, (end, 0.0, -quarter)),
-        Leg(30.0, 18.0, (end, 0.0, quarter)),
+        Leg(1.0, 30.5, (begin, 0.0, 0.0)),
+        Leg(20.0, 10.0, (begin, 0.0, -quarter)),
+        Leg(30.0, 19.5, (after, 0.0, -quarter)),
+        Leg(30.0, 18.0, (after, 0.0, quarter)),
+        Leg(48.0, 14.5, (end, 0.0, quarter)),
         Leg(48.0, 10.0, (end, 0.0, 0.0)),
     )
     turns = (
         Reconfiguration(15.0 + delay, x),
-        Reconfiguration(31.0, a),
+        Reconfiguration(33.0 + delay, a),
         Reconfiguration(40.0, x),
-        Reconfiguration(54.0, h),
+        Reconfiguration(54.0 + delay, h),
     )
-    return Mission(way, h, turns, ((15.0, 1.0), (58.5, 0.0))), 65.0
+    home = robot.home[robot.state["arm"]]
+    return Mission(way, h, turns, BRAKES, folding(robot, home)), 65.0
+
+
+def folding(robot: RobotModel, home: np.ndarray) -> tuple[Reconfiguration, ...]:
+    """The arm's first joint turns the end effector to before the base, and back behind the door."""
+    place = robot.pose(robot.home)[0]
+    folded = home.copy()
+    folded[0] -= float(np.arctan2(place[1], place[0]))
+    return Reconfiguration(1.0, folded, FOLDING), Reconfiguration(16.0, home, FOLDING)
 
 
 def straight(robot: RobotModel, name: str, is_open: bool) -> tuple[Mission, float]:

@@ -17,8 +17,8 @@ from wbmpc.errors import RunAborted
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.simulation.contacts import GROUND, OBSTACLE
 from wbmpc.simulation.lockstep import Timing
-from wbmpc.simulation.world import GROUND
 from wbmpc.studies.pankert2022 import plaster_wall as wall
 from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.plaster_figures import metrics, plots
@@ -40,8 +40,18 @@ DISTANCE_NOISE, DISTANCE_RATE, UNKNOWN = 0.002, 50.0, (10.0, 10.0)
 CABLES, CABLE_RADIUS, BUMPS, BUMP_HEIGHT, BUMP_RADIUS = (0.9, 2.6), 0.005, ((0.6, 0.5), (1.9, -0.5)), 0.010, 0.30
 
 
+def room(spec: mujoco.MjSpec) -> None:
+    """The wall on a flat floor."""
+    half = [0.5 * wall.LENGTH + 2.0, 0.05, 1.0]
+    spec.worldbody.add_geom(
+        name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[half[0] - 1.0, wall.WALL + half[1], half[2]],
+        rgba=[0.85, 0.83, 0.78, 0.4], **OBSTACLE,
+    )  # fmt: skip
+
+
 def terrain(spec: mujoco.MjSpec) -> None:
-    """Cables across the way, smooth bumps."""
+    """The wall; cables across the way, smooth bumps."""
+    room(spec)
     common = {"friction": [0.75, 0.005, 1e-4], "solref": [0.01, 1.0], **GROUND}
     for x in CABLES:
         spec.worldbody.add_geom(
@@ -90,7 +100,7 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
     references.set(mpc, robot)
     plant = SwervePlant(
         robot.description, robot.state.split(robot.home), settings.plant, seed,
-        edit=terrain if settings.terrain else None, localisation=settings.global_poses(seed),
+        edit=terrain if settings.terrain else room, localisation=settings.global_poses(seed),
     )  # fmt: skip
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     estimation = settings.estimation(robot, seed)

@@ -139,8 +139,9 @@ def drive(
     seed: int,
     log: Log,
     progress: Progress | None = None,
-) -> tuple[SwerveController, str]:
-    """The reference drive, recorded in ``log``: the controller with its odometry, and why it ended early (empty: it did not)."""
+) -> tuple[SwerveController, SwervePlant, str]:
+    """The reference drive, recorded in ``log``: the controller with its odometry, the simulated robot, and why it ended early (empty: it
+    did not)."""
     plant = SwervePlant(
         robot.description, robot.state.split(robot.home), settings.plant, seed,
         localisation=settings.lidar.source(seed),
@@ -172,8 +173,8 @@ def drive(
                 tick(plant.time, command)
                 plant.step(command, steps)
                 if plant.fell:
-                    return controller, f"the robot fell at {plant.time:.2f} s"
-    return controller, ""
+                    return controller, plant, f"the robot fell at {plant.time:.2f} s"
+    return controller, plant, ""
 
 
 def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSettings, seed: int) -> WheelCalibration:
@@ -184,7 +185,7 @@ def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSet
     if how == "drive":
         sound = plant.model_copy(update={"brake_fault": "none"})  # a brake fails in the run, not before it
         log = Log()
-        _, reason = drive(robot, SwerveCalibrateSettings(plant=sound, lidar=lidar), seed, log)
+        *_, reason = drive(robot, SwerveCalibrateSettings(plant=sound, lidar=lidar), seed, log)
         if reason:
             raise RunAborted(f"the reference drive for the calibration: {reason}")
         return calibrate(geometry, record_of(log))

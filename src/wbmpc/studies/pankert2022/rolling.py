@@ -23,6 +23,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.mpc.policy_queue import PolicyQueue
 
+#: Gain [1/s] of the arm's joints.
+ARM_GAIN = 4.0
 #: Speed [m/s] of a contact below which its wheel is not turned.
 SLOW = 0.01
 #: t [s] -> (base pose (3), its rate (3) in world axes), (leg angles (n), rates (n); empty for fixed legs).
@@ -52,8 +54,10 @@ class RollingGains:
 
 
 class RollingController(SwerveController):
-    """``goals``: what base and legs shall do. The arm stands still. ``delay`` [s]: by which a command acts after the measurement that
-    it is made of. The other arguments are those of :class:`SwerveController`."""
+    """``goals``: what base and legs shall do. The arm stands still, or follows ``posture`` (t) -> (angles (m), rates (m)). ``delay`` [s]:
+    by which a command acts after the measurement that it is made of. The other arguments are those of :class:`SwerveController`."""
+
+    posture: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = None
 
     def __init__(
         self, robot: RobotModel, pose: np.ndarray, period: float, goals: Goals, gains: RollingGains | None = None,
@@ -92,7 +96,14 @@ class RollingController(SwerveController):
         steer_limit = limit[self.robot.input["steer"]]
         steer = np.clip(self.gains.steer_gain * (target - measured), -steer_limit, steer_limit)
         self.watch(t, brake, swing)
-        return SwerveCommand(wheel * self.wheel_scale, steer, np.zeros(m.arm.size), brake)
+        return SwerveCommand(wheel * self.wheel_scale, steer, self._arm(t, m.arm), brake)
+
+    def _arm(self, t: float, measured: np.ndarray) -> np.ndarray:
+        """Speeds (m) [rad/s] of the arm's joints."""
+        if self.posture is None:
+            return np.zeros(measured.size)
+        angles, rates = self.posture(t)
+        return rates + ARM_GAIN * (angles - measured)
 
     def twist(self, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Body twist (3) for the pose error (3) and the reference's rate (3), both in world axes."""
