@@ -96,7 +96,7 @@ class RollingController(SwerveController):
         steer_limit = limit[self.robot.input["steer"]]
         steer = np.clip(self.gains.steer_gain * (target - measured), -steer_limit, steer_limit)
         self.watch(t, brake, swing)
-        return SwerveCommand(wheel * self.wheel_scale, steer, self._arm(t, m.arm), brake)
+        return SwerveCommand(wheel * self.wheel_scale, steer, self._arm(t, self.estimator.arm), brake)
 
     def _arm(self, t: float, measured: np.ndarray) -> np.ndarray:
         """Speeds (m) [rad/s] of the arm's joints."""
