@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,18 @@ from wbmpc.errors import InputError, NotFinite
 _MAXIMUM = 1_000_000
 _FEW = 16
 _FLOAT = np.dtype(float)
+
+#: As MJCF, URDF, JSON and YAML write them: Python also takes 1_0 and digits of other scripts.
+_NUMBER = re.compile(
+    r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE
+)
+
+
+def parse_number(text: str) -> float:
+    """The number that a text from outside is, with nothing around it but blanks; raises ValueError for every other text."""
+    if not _NUMBER.fullmatch(text.strip(" \t\r\n")):
+        raise ValueError(f"'{text[:40]}' is no number")
+    return float(text)
 
 
 def numbers(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from wbmpc.errors import KernelError, UnsupportedOperation
 from wbmpc.kernel import blocks, cache, dense
 from wbmpc.kernel.codegen_target import compile_module, load_object, register_width, target_text, vector_budget
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
+from wbmpc.kernel.second_derivatives import SECOND, second_maps
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
 from wbmpc.ocp import Transcription
 
@@ -30,9 +31,7 @@ _SINGLE = (
     "terminal_quadratic",
     "end_rows_jacobian",
     "jump_jacobian",
-    "lagrangian",
-    "dynamics_hessian",
-    "end_lagrangian",
+    *SECOND,
 )
 #: Functions of eight nodes at a time, at addresses called "lanes.…".
 _EIGHT = (
@@ -171,11 +170,8 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
     ]
     for name in ("rows_jacobian", "end_rows_jacobian"):
         maps[name] = [maps[name][0], [[q * lz + extended(c)] for q, c in entries(name, 1)]]
-    both = lambda r, c, ld: sorted({extended(c) * ld + extended(r), extended(r) * ld + extended(c)})
-    for name, ld in (("lagrangian", lz), ("dynamics_hessian", lz), ("end_lagrangian", lx)):
-        maps[name] = [[both(r, c, ld) for r, c in entries(name, 0)]]
     maps["jump_jacobian"] = [maps["jump_jacobian"][0], [[r * lx + c] for r, c in entries("jump_jacobian", 1)]]
-    return maps
+    return {**maps, **second_maps(functions, lz, lx, nx)}
 
 
 def emit_riccati_node(s: Sizes) -> str:

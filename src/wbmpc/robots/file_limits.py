@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Never
 from xml.parsers import expat
 
+from wbmpc.checks import parse_number
 from wbmpc.errors import InputError
 from wbmpc.robots.xml_numbers import check_number
 from wbmpc.robots.xml_text import strict_parser, without_comments
@@ -159,7 +160,7 @@ class _Walk:
 
     def _numbers(self, name: str, text: str) -> list[float]:
         try:
-            return [float(word) for word in text.split()]
+            return [parse_number(word) for word in text.split()]
         except ValueError:
             self._fail(f"<{name}>: numbers are needed, got '{text[:40]}'")
 

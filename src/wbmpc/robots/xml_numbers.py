@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from wbmpc.checks import parse_number
 from wbmpc.errors import InputError
 
 #: Of any unit of a model: MuJoCo takes a larger value for the end of a simulation.
@@ -32,6 +33,6 @@ def check_number(name: str, value: str) -> None:
 
 def _magnitude(word: str) -> float:
     try:
-        return abs(float(word))
+        return abs(parse_number(word))
     except ValueError:
         return 0.0

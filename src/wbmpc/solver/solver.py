@@ -21,6 +21,7 @@ from wbmpc.solver.certificate import Checks
 from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
@@ -83,7 +84,10 @@ class Solver:
         from wbmpc.solver.reference_solver import InterpretedSolver
         from wbmpc.solver.workspace import make_workspace
 
-        self.problem, self._terms = Transcription(self.ocp, self._exact()), tuple(self.ocp.terms.values())
+        self.problem, self._terms = (
+            Transcription(self.ocp, exact_from_start(self.ocp, self.settings)),
+            tuple(self.ocp.terms.values()),
+        )
         self.kernel = self._build()
         if self.kernel is not None:
             self.ws: Any = make_workspace(self.kernel, self.problem)
@@ -95,6 +99,7 @@ class Solver:
         self._tables: Tables | None = None
         self.log = np.zeros((self.settings.max_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
+        self.hessian = HessianSwitch(self)
         if self.kernel is not None:
             self._bind()
 
@@ -114,21 +119,6 @@ class Solver:
             _warn(str(error))
             self.settings = replace(self.settings, backend="interpreted")
             return None
-
-    def _exact(self) -> bool:
-        if self.settings.hessian != "exact":
-            return False
-        jumps = getattr(self.ocp.dynamics, "jump", None) is not None
-        bad = {
-            f"integrator='{self.ocp.integrator}'": self.ocp.integrator != "rk2",
-            "a state that jumps at events": jumps,
-            "quaternions": bool(self.ocp.dynamics.unit_quaternions),
-            "backend='interpreted'": self.settings.backend != "compiled",
-        }
-        for name, entries in bad.items():
-            if entries:
-                raise InputError(f"hessian='exact' does not go with {name}; valid: hessian='gauss_newton'")
-        return True
 
     # ------------------------------------------------------------------ data
     def set_reference(self, name: str, reference: Reference) -> None:
@@ -254,7 +244,7 @@ class Solver:
 
     # ------------------------------------------------------------------ solve
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
-        """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
+        """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations). Compiles nothing."""
         with self.exclusive:
             self._check_terms()
             if self.settings.backend == "interpreted":
@@ -328,11 +318,12 @@ class Solver:
         check_events(self, t0)
         with self.exclusive, Interruptible():
             start = time.perf_counter()
-            status, count = self.run(x0, t0)
-            elapsed = time.perf_counter() - start
-            solution = self.solution(status, count, elapsed)
-            if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
-                solution = diagnose(self, solution)
+            with self.hessian:
+                status, count = self.hessian.run(x0, t0)
+                elapsed = time.perf_counter() - start
+                solution = self.solution(status, count, elapsed)
+                if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
+                    solution = diagnose(self, solution)
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution

@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import schur
-from scipy.optimize import linprog
 
 from wbmpc.bases.ball.model import BallBase, ball_base
 from wbmpc.errors import InputError
@@ -113,6 +112,8 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
 
 def _support(effect: Array, limits: Array, spin: Array, maximum: float) -> float:
     """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ most."""
+    from scipy.optimize import linprog
+
     rows, bounds = (None, None) if not np.isfinite(maximum) else (np.vstack([spin, -spin]), [maximum, maximum])
     found = linprog(-effect, A_ub=rows, b_ub=bounds, bounds=[(-v, v) for v in limits])
     return float(-found.fun)
