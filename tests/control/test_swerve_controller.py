@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -101,6 +103,16 @@ def test_two_wheels_of_four_may_slip_where_there_is_a_gyro(use_gyro: bool) -> No
         controller.measure(message(k * PERIOD, steer=-geometry.wheel_heading, wheel=k * PERIOD * speed))
     error = np.abs(controller.estimator.odometry.pose - [149 * PERIOD * 0.3, 0.0, 0.0]).max()
     assert error < 2e-3 if use_gyro else error > 5e-3
+
+
+def test_the_arms_zeros_are_taken_from_what_its_encoders_say() -> None:
+    """Truth: true angle = measured - zero."""
+    zeros, arm = 1e-3 * np.arange(6), np.linspace(-1.0, 1.0, 6)
+    for smoothing in (0.0, 0.025):
+        settings = EstimatorSettings(use_gyro=False, arm_offset=zeros, smoothing=smoothing)
+        controller = SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=settings)
+        controller.measure(replace(message(0.0), arm=arm))
+        assert controller.state()[SWERVE.state["arm"]] == pytest.approx(arm - zeros)
 
 
 def test_swerve_prediction_holds_what_lagging_drives_still_owe() -> None:

@@ -160,6 +160,25 @@ def test_the_releases_odometry_drifts_where_steering_turns_and_not_on_straight_l
     assert straight.pose == pytest.approx([10.0 * GEOMETRY.wheel_radius, 0.0, 0.0], abs=1e-12)
 
 
+def test_the_releases_odometry_reads_the_steering_every_50_ms() -> None:
+    """Truth: least squares and Euler's rule written out, with the steering of every twentieth sample."""
+    poses, samples = roll_out(GEOMETRY, 1.0, 0.0025, lambda t: CLOSED, lambda t: np.zeros(4))
+    release, pose = ReleaseOdometry(GEOMETRY, poses[0], 0.0025), np.array(poses[0], float)
+    rows = np.vstack([[[1.0, 0.0, -y], [0.0, 1.0, x]] for x, y in GEOMETRY.steer_axes(CLOSED)])
+    before, held = None, np.zeros(4)
+    for k, (leg, steer, wheel) in enumerate(samples):
+        release.update(leg, steer, wheel)
+        held = steer if k % 20 == 0 else held
+        if before is not None:
+            heading = GEOMETRY.wheel_heading + GEOMETRY.leg_angles(leg) + held
+            way = GEOMETRY.wheel_radius * (wheel - before)
+            dx, dy, turn = np.linalg.lstsq(rows, np.stack([way * np.cos(heading), way * np.sin(heading)], 1).ravel())[0]
+            c, s = np.cos(pose[2]), np.sin(pose[2])
+            pose += [c * dx - s * dy, s * dx + c * dy, turn]
+        before = wheel
+    assert np.abs(pose - poses[0]).max() > 0.1 and release.pose == pytest.approx(pose, abs=1e-9)
+
+
 @pytest.mark.parametrize("bad", [np.zeros(3), np.array([0.0, 0.0, np.nan, 0.0])])
 def test_wrong_samples_are_rejected(bad):
     odometry = WheelOdometry(replace(GEOMETRY))

@@ -15,6 +15,7 @@ from toys import robot
 from wbmpc.bases.swerve.calibrator import steer_joints
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.cli import main
+from wbmpc.estimation.arm_calibration import load_arm_offset
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.registry import REGISTRY
 from wbmpc.report import write_run
@@ -24,7 +25,9 @@ from wbmpc.studies.pankert2022.reference_drive import OPENING, SwerveCalibrateSe
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 ROBOT, SEED = robot("swerve-ur10"), 5
-SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, settle_time=2.0, control=ControlSettings(rate=200.0))
+SETTINGS = SwerveCalibrateSettings(
+    stroke=1.0, turn=1.5, settle_time=2.0, tracked_poses=20, control=ControlSettings(rate=200.0)
+)
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +70,28 @@ def test_what_the_odometry_needs_is_found(calibration: Path) -> None:
     # tyres sink in: the radius that counts is up to 0.1 % less than that of the wheel
     radius = found.wheel_radius / (0.1 * plant.draw.radius) - 1.0
     assert -2.0e-3 < radius.mean() < 1.0e-3
+
+
+def test_radii_are_found_wheel_by_wheel(calibration: Path) -> None:
+    """Beside what they have in common with the tires' sinking: nearer than a common factor would be."""
+    found = WheelCalibration.load(calibration, ROBOT.base.geometry, steer_joints(ROBOT))
+    plant = SwervePlant(ROBOT.description, ROBOT.state.split(ROBOT.home), SETTINGS.plant, SEED)
+    drawn, radius = plant.draw.radius - 1.0, found.wheel_radius / 0.1 - 1.0
+    apart = lambda r: np.sqrt(np.mean((r - r.mean()) ** 2))
+    assert apart(drawn) > 0.5e-3
+    assert apart(radius - drawn) < 0.7 * apart(drawn)
+
+
+def test_zeros_of_the_arm_are_found(calibration: Path) -> None:
+    """But for the last joint's, which turns the tool about its own axis."""
+    joints = list(ROBOT.input.groups["arm"])
+    found = load_arm_offset(calibration, joints)
+    plant = SwervePlant(ROBOT.description, ROBOT.state.split(ROBOT.home), SETTINGS.plant, SEED)
+    assert found is not None and np.abs(plant.offsets["arm"]).max() > 1e-3
+    assert np.abs(found - plant.offsets["arm"])[:5].max() < 0.4e-3
+    settings = SwerveTrackSettings(calibration=str(calibration))
+    known = settings.estimation(ROBOT, SEED)
+    assert known.arm_offset == pytest.approx(found)
 
 
 def test_brakes_take_turns_and_bases_without_them_drive_as_they_did() -> None:

@@ -10,9 +10,13 @@ import pytest
 
 from archives import check_steps, check_track
 from effort import thorough
+from toys import robot
+from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.registry import REGISTRY
+from wbmpc.robots import load_description
+from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
-from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
+from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
 
 TRACK = SwerveTrackSettings(periods=1, settle_time=1.0, calibration="none")
 STEPS = RezeroStepsSettings(hold_time=3.5, settle_time=1.5, final_hold_time=0.0)
@@ -60,6 +64,36 @@ def test_swerve_follows_its_path(track, tmp_path: Path) -> None:  # type: ignore
     assert all(s.y.min() >= 0.0 and s.y.max() < 1.1 for s in speeds.series)
     assert all(s.y.max() > 0.01 for s in speeds.series[1:])
     assert track.mpc.rate_hz == 50.0
+
+
+def test_the_figures_of_the_track_are_those_of_its_record(track) -> None:  # type: ignore[no-untyped-def]
+    """Truth: MuJoCo's kinematics of the recorded joints on the recorded and on the estimated base; sums written out."""
+    log, m = track.log, {name: metric.value for name, metric in track.metrics.items()}
+    mujoco = SwervePlant(load_description("swerve-ur10"), None, Perturbation.none(), settle=0.0)
+
+    def end_effector(state: np.ndarray, base: np.ndarray) -> np.ndarray:
+        mujoco.arrange(np.concatenate([base, state[3:]]))
+        return mujoco.truth().tool
+
+    rows = range(0, len(log.array("hand")), 20)
+    for name, base in (("hand", "base"), ("hand_odometry", "base_odometry")):
+        found = np.array([end_effector(log.array("state")[k], log.array(base)[k]) for k in rows])
+        # the base tilts and sinks into its tires
+        assert np.linalg.norm(found - log.array(name)[rows], axis=1).max() < 0.006
+    # the end effector comes to the start of the sine first; errors count from 2 s after that
+    approach = TrackReferences(TRACK, robot("swerve-ur10")).approach.duration
+    late, means = log.times("hand") >= approach + 2.0, []
+    for name, ending in (("hand", "world"), ("hand_odometry", "odometry")):
+        off = np.sqrt(((log.array(name) - log.array("hand_reference")) ** 2).sum(axis=1))[late]
+        means.append(off.mean())
+        found = m[f"hand_error_mean_{ending}"], m[f"hand_error_max_{ending}"]
+        assert found == pytest.approx((off.mean(), off.max()), rel=1e-9)
+    assert abs(means[0] - means[1]) > 1e-5  # nobody takes one for the other
+    base = log.array("base")
+    way = sum(float(np.hypot(*step)) for step in np.diff(base[:, :2], axis=0))
+    for name, ending in (("odometry", ""), ("wheels", "_wheels"), ("release", "_release")):
+        apart = float(np.hypot(*(log.array(f"base_{name}")[-1] - base[-1])[:2]))
+        assert m[f"odometry_drift_ratio{ending}"] == pytest.approx(apart / way, rel=1e-9)
 
 
 @thorough

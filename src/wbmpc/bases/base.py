@@ -268,6 +268,10 @@ class Calibrator(Protocol):
         """What the ``channels`` of a log show, beginning from a ``prior``; ``source`` is its name in errors. Raises
         :class:`InputError` for a log that does not have what is needed."""
 
+    def fit_arm(self, channels: Mapping[str, Array], source: str) -> dict[str, dict[str, float]] | None:
+        """By joint ``offset`` and ``offset_std`` [rad] of the arm's encoders, from the channel 'tracked' of a log: rows of the arm's
+        angles (m), the position (3) [m] of its end effector in axes of the base, and its standard deviation. None without it."""
+
 
 class BaseType(Protocol):
     """A plug-in. Its instances hold nothing."""

@@ -100,7 +100,8 @@ def calibrate(
     force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
-    """Find steer zeros and wheel radii of a base on steered wheels from a recorded run with global poses.
+    """Find steer zeros and wheel radii of a base on steered wheels from a recorded run with global poses; and the zeros of its arm,
+    where the run has a tracked end effector.
 
     Where the record shows errors far beyond the given standard deviations, these are widened; numbers that a record
     contradicts, or does not show at all, are not written.
@@ -114,11 +115,14 @@ def calibrate(
     prior = WheelCalibration.unknown(calibrator.geometry, zero_std, 0.5 * radius_std, radius_std)
     fit = calibrator.fit(channels, prior, str(file))
     hidden = [_words(names, kind, *ways) for kind, ways in fit.hidden().items() if len(ways[1])]
-    fit.calibration.save(target, names, notes=[f"not shown: {text}" for text in hidden])
+    arm = calibrator.fit_arm(channels, str(file))
+    fit.calibration.save(target, names, notes=[f"not shown: {text}" for text in hidden], arm=arm)
     if as_json:
-        _print_json(fit, names, hidden, target)
-    else:
-        _print(fit, names, hidden, target, prior)
+        _print_json(fit, names, hidden, target, arm)
+        return
+    for name, row in (arm or {}).items():
+        typer.echo(f"{name}: zero {1e3 * row['offset']:.2f} mrad (std {1e3 * row['offset_std']:.2f})")
+    _print(fit, names, hidden, target, prior)
 
 
 def _words(names: list[str], kind: str, weights: Array, std: Array) -> str:
@@ -130,7 +134,7 @@ def _words(names: list[str], kind: str, weights: Array, std: Array) -> str:
     return f"{what} {kind} (std {1e3 * std.max():.2f} {'mrad' if kind == 'steer zeros' else 'per mille'}, as before)"
 
 
-def _print_json(fit: WheelFit, names: list[str], hidden: list[str], target: Path) -> None:
+def _print_json(fit: WheelFit, names: list[str], hidden: list[str], target: Path, arm: Any) -> None:
     found, std = fit.calibration, fit.calibration.std
     rows = {
         name: {
@@ -142,7 +146,9 @@ def _print_json(fit: WheelFit, names: list[str], hidden: list[str], target: Path
         for i, name in enumerate(names)
     }
     poses = {"used": fit.used, "given": fit.given}
-    typer.echo(json.dumps({"modules": rows, "poses": poses, "not_shown": hidden, "file": str(target)}))
+    typer.echo(
+        json.dumps({"modules": rows, "poses": poses, "not_shown": hidden, "arm": arm or {}, "file": str(target)})
+    )
 
 
 def _print(fit: WheelFit, names: list[str], hidden: list[str], target: Path, prior: WheelCalibration) -> None:

@@ -86,8 +86,15 @@ class WheelCalibration:
         s = np.sqrt(np.diag(self.covariance))
         return s[: self.modules], s[self.modules :]
 
-    def save(self, path: Path, modules: list[str], notes: Sequence[str] = ()) -> None:
-        """Write a YAML file with one entry for each of the named modules (their steer joints), and ``notes`` as comments."""
+    def save(
+        self,
+        path: Path,
+        modules: list[str],
+        notes: Sequence[str] = (),
+        arm: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> None:
+        """Write a YAML file with one entry for each of the named modules (their steer joints), ``notes`` as comments, and what is known
+        of the ``arm`` by its joints."""
         std = self.std
         rows = {
             name: {
@@ -107,7 +114,9 @@ class WheelCalibration:
         head += "".join(f"# {note}\n" for note in notes)
         tail = "# Correlation of what is left of the zeros, then of the radii, modules as above: what is known better together.\n"
         tail += yaml.safe_dump({"correlation": correlation.tolist()}, default_flow_style=None, width=2**31)
-        write_text(path, head + yaml.safe_dump({"modules": rows}, sort_keys=False) + tail)
+        write_text(
+            path, head + yaml.safe_dump({"modules": rows, **({"arm": arm} if arm else {})}, sort_keys=False) + tail
+        )
 
     @classmethod
     def load(cls, path: Path | str, geometry: ModuleGeometry, modules: list[str]) -> WheelCalibration:
@@ -156,8 +165,8 @@ def _read(path: Path, modules: list[str]) -> tuple[dict[str, dict[str, object]],
     if not isinstance(rows, Mapping):
         raise InputError(f"{path}: one key 'modules' is needed, with an entry for each of: {', '.join(modules)}")
     for key in data:
-        if key not in ("modules", "correlation"):
-            raise InputError(f"{path}: {unknown_name('key', str(key), ('modules', 'correlation'))}")
+        if key not in ("modules", "correlation", "arm"):
+            raise InputError(f"{path}: {unknown_name('key', str(key), ('modules', 'correlation', 'arm'))}")
     for name in rows:
         if name not in modules:
             raise InputError(f"{path}: {unknown_name('module', str(name), modules)}")

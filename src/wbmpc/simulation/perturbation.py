@@ -25,8 +25,8 @@ class Perturbation(BaseModel):
     Each plant declares which of them it reads (:meth:`check_read`): asking it for another one is an error.
 
     Bodies: ``mass`` and ``inertia`` relative, ``com_offset`` [m] per axis. Encoders: ``joint_offset`` of hinges and arm [rad],
-    ``steer_offset`` [rad] (measured = true + offset). ``wheel_radius``: one common factor (relative);
-    ``wheel_radius_each``: further factors wheel by wheel. Drives: ``actuator_time_constant`` [s] and its relative spread, drive by
+    ``steer_offset`` [rad] (measured = true + offset). ``wheel_radius_each``: factors wheel by wheel
+    (relative); ``wheel_radius``: one more, common to all. Drives: ``actuator_time_constant`` [s] and its relative spread, drive by
     drive; ``dry_friction`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``brake_delay`` [s] from
     open to closed and back. ``friction`` of the floor: a range, or one number; ``torsional_friction`` [m], of what rolls on it in one
     point, about the vertical: a torque over a weight, not drawn. ``encoder_jitter`` [s]: the values of a message are up to this old.
@@ -55,8 +55,8 @@ class Perturbation(BaseModel):
     com_offset: float = Field(default=0.010, ge=0, le=1)
     joint_offset: float = Field(default=0.002, ge=0, le=3.2)
     steer_offset: float = Field(default=0.003, ge=0, le=3.2)
-    wheel_radius: float = Field(default=0.002, ge=0, lt=0.2)
-    wheel_radius_each: float = Field(default=0.0, ge=0, lt=0.2)
+    wheel_radius: float = Field(default=0.0, ge=0, lt=0.2)
+    wheel_radius_each: float = Field(default=0.002, ge=0, lt=0.2)
     actuator_time_constant: float = Field(default=0.020, ge=0, le=10)
     actuator_time_constant_spread: float = Field(default=0.30, ge=0, lt=1)
     actuator_dead_time: float = Field(default=0.0, ge=0, le=0.5)

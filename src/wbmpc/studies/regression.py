@@ -50,7 +50,7 @@ FULL: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("swerve-plaster", ()),
     ("swerve-track", ("variant=vertical",)),
     ("swerve-track", ("variant=peaks",)),
-    ("swerve-track", ("plant.wheel_radius_each=0.002",)),
+    ("swerve-track", ("plant.wheel_radius=0.002",)),
     ("swerve-track", ("plant.joint_offset=0",)),
     ("swerve-unified", ("legs=support",)),
     ("swerve-plaster", ("localization=none",)),

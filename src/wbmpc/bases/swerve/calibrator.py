@@ -7,6 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from wbmpc.bases.swerve.calibration import WheelFit, WheelRecord, fit_wheels
+from wbmpc.errors import InputError
+from wbmpc.estimation.arm_calibration import calibrate_arm
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import RobotModel
 
@@ -20,8 +22,21 @@ class SwerveCalibrator:
     """See :class:`wbmpc.bases.base.Calibrator`."""
 
     def __init__(self, robot: RobotModel) -> None:
-        self.names, self.geometry = steer_joints(robot), robot.base.geometry
+        self.names, self.geometry, self._robot = steer_joints(robot), robot.base.geometry, robot
 
     def fit(self, channels: Mapping[str, np.ndarray], prior: WheelCalibration, source: str) -> WheelFit:
         """From ``channels`` as :meth:`wbmpc.bases.swerve.calibration.WheelRecord.of` reads them."""
         return fit_wheels(self.geometry, WheelRecord.of(channels, source), prior=prior)
+
+    def fit_arm(self, channels: Mapping[str, np.ndarray], source: str) -> dict[str, dict[str, float]] | None:
+        """See :class:`wbmpc.bases.base.Calibrator`."""
+        if "tracked" not in channels:
+            return None
+        joints, rows = list(self._robot.input.groups["arm"]), np.atleast_2d(np.asarray(channels["tracked"], float))
+        m = len(joints)
+        if rows.shape[1] != m + 4 or not (rows[:, -1] > 0.0).all():
+            raise InputError(
+                f"{source}: channel 'tracked': rows of {m} angles of the arm, 3 positions of its end effector in axes of the base and "
+                f"their standard deviation, above 0, are needed, got {rows.shape}"
+            )
+        return calibrate_arm(self._robot, rows[:, :m], rows[:, m : m + 3], float(rows[0, -1])).rows(joints)

@@ -29,9 +29,11 @@ SLIP_WEIGHT = 1e-3
 class EstimatorSettings:
     """``calibration``: what is known of the wheels (None: nothing); ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry
     has one; ``reject_slipping_wheels``: whether it hardly listens to wheels whose way the others contradict (:class:`SlippingWheels`);
-    ``smoothing`` [s] of base position and arm against the jitter of the encoders' age (0: none)."""
+    ``arm_offset`` (m) [rad] of the arm's encoders (None: 0); ``smoothing`` [s] of base
+    position and arm against the jitter of the encoders' age (0: none)."""
 
     calibration: WheelCalibration | None = None
+    arm_offset: Array | None = None
     noise: OdometryNoise | None = None
     use_gyro: bool = True
     reject_slipping_wheels: bool = True
@@ -65,6 +67,7 @@ class SwerveEstimator:
             steer_offset=wheels.steer_offset,
         )
         self._odd = SlippingWheels(geometry) if settings.reject_slipping_wheels else None
+        self._arm_offset = settings.arm_offset
         self._smoothing = Smoothing(settings.smoothing) if settings.smoothing > 0.0 else None
         self._mean_age = (settings.noise or OdometryNoise()).mean_age
         self.measured: SwerveMeasurement | None = None
@@ -133,10 +136,11 @@ class SwerveEstimator:
 
     @property
     def arm(self) -> Array:
-        """Measured angles (m) of the arm, smoothed if they shall be."""
+        """Measured angles (m) of the arm less their zeros, smoothed if they shall be."""
         assert self.measured is not None
         smooth = self._smoothing.value if self._smoothing is not None else None
-        return self.measured.arm if smooth is None else smooth[2:]
+        read = self.measured.arm if smooth is None else smooth[2:]
+        return read if self._arm_offset is None else read - self._arm_offset
 
     @property
     def leg(self) -> Array:

@@ -12,7 +12,7 @@ from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending, Progress
 from wbmpc.studies.pankert2022.metrics import rms, travelled
-from wbmpc.studies.pankert2022.reference_drive import SwerveCalibrateSettings, drive
+from wbmpc.studies.pankert2022.reference_drive import SwerveCalibrateSettings, drive, track_arm
 from wbmpc.studies.pankert2022.wheel_log import record_of, swerve_robot
 
 NAME = "swerve-calibrate"
@@ -31,6 +31,8 @@ def build(settings: SwerveCalibrateSettings, seed: int) -> Scenario:
 
     def run(progress: Progress | None) -> Outcome:
         controller, plant, reason = drive(robot, settings, seed, log, progress)
+        if settings.tracked_poses:
+            track_arm(robot, settings.plant, settings.tracked_poses, seed, log)
         try:
             if not reason:
                 found.append(calibrate(robot.base.geometry, record_of(log)))

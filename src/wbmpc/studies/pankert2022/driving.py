@@ -4,26 +4,32 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
+from wbmpc.bases.swerve.calibrator import SwerveCalibrator
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.configuration import OnlyWith
+from wbmpc.estimation.arm_calibration import load_arm_offset
+from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import ExperimentSettings, LidarSettings
 from wbmpc.simulation.localization import Localisation
-from wbmpc.studies.pankert2022.reference_drive import calibrated
+from wbmpc.studies.pankert2022.reference_drive import calibrated, track_arm
 
 
 class DrivingSettings(ExperimentSettings):
     """``localization``: none (odometry alone) or lidar (poses of a simulated ``lidar`` too), for the MPC and for baselines alike;
     ``calibration`` of the wheels: drive (a reference drive with a ``lidar`` first), none, or a file that 'wbmpc calibrate' wrote;
-    ``use_gyro``, whose bias shows over ``settle_time`` [s] of standing (0: it shows under way, and the pose is corrected late);
+    ``tracked_poses``: at so many poses of the arm its end effector is tracked first, for the zeros of its encoders (0: a file's, or
+    none); ``use_gyro``, whose bias shows over ``settle_time`` [s] of standing (0: it shows under way, and the pose is corrected late);
     ``actuator_time_constant`` [s] that the controller assumes."""
 
     use_gyro: bool = True
     calibration: str = "drive"
     localization: Literal["none", "lidar"] = "none"
     lidar: Annotated[LidarSettings, OnlyWith(localization="lidar", calibration="drive")] = LidarSettings()
+    tracked_poses: int = Field(0, ge=0, le=1000)
     settle_time: float = Field(20.0, ge=0, le=120)
     actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
 
@@ -35,4 +41,14 @@ class DrivingSettings(ExperimentSettings):
         """What the estimator of a controller is made of, MPC or not; may drive for the calibration first. ``smoothing`` [s]: see
         :class:`EstimatorSettings`."""
         known = calibrated(robot, self.calibration, self.plant, self.lidar, seed)
-        return EstimatorSettings(calibration=known, use_gyro=self.use_gyro, smoothing=smoothing)
+        return EstimatorSettings(known, self._arm_offset(robot, seed), use_gyro=self.use_gyro, smoothing=smoothing)
+
+    def _arm_offset(self, robot: RobotModel, seed: int) -> np.ndarray | None:
+        """Zeros (m) [rad] of the arm's encoders as far as they are known."""
+        joints = list(robot.input.groups["arm"])
+        if self.tracked_poses:
+            log = Log()
+            track_arm(robot, self.plant, self.tracked_poses, seed, log)
+            rows = SwerveCalibrator(robot).fit_arm({"tracked": log.array("tracked")}, "tracked poses") or {}
+            return np.array([rows[joint]["offset"] for joint in joints])
+        return None if self.calibration in ("none", "drive") else load_arm_offset(self.calibration, joints)

@@ -24,7 +24,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LidarSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import Perturbation, quantise
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 
@@ -32,7 +32,8 @@ from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 class SwerveCalibrateSettings(Settings):
     """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right;
     ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``settle_time`` [s] before the first;
-    ``lidar``: the source of the poses;
+    ``lidar``: the source of the poses; ``tracked_poses`` of the arm
+    at which its end effector is tracked after the drive;
     ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base."""
 
     robot: str = "swerve-ur10"
@@ -44,10 +45,13 @@ class SwerveCalibrateSettings(Settings):
     settle_time: float = Field(5.0, ge=0, le=120)
     open_brakes: bool = True
     lidar: LidarSettings = LidarSettings()
+    tracked_poses: int = Field(0, ge=0, le=1000)
     control: ControlSettings = ControlSettings()
     plant: Perturbation = Perturbation()
 
 
+#: Noise [m] of the tracker; how far [rad] the arm's joints go from home.
+TRACKER, ARM_SPREAD = 1e-4, 0.7
 #: Directions of the straight strokes, in the body.
 STRAIGHT = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 #: Largest steering speed [rad/s], gain of its servo [1/s], mean acceleration [m/s²].
@@ -175,6 +179,19 @@ def drive(
                 if plant.fell:
                     return controller, plant, f"the robot fell at {plant.time:.2f} s"
     return controller, plant, ""
+
+
+def track_arm(robot: RobotModel, settings: Perturbation, poses: int, seed: int, log: Log) -> None:
+    """Record ``poses`` of the arm at rest: its encoders, and where a tracker sees its end effector in axes of the base."""
+    plant = SwervePlant(robot.description, robot.state.split(robot.home), settings, seed, settle=0.0)
+    rng, part = np.random.default_rng([seed, 3]), robot.state["arm"]
+    for k in range(poses):
+        x = robot.home.copy()
+        x[part] += rng.uniform(-ARM_SPREAD, ARM_SPREAD, x[part].size)
+        plant.arrange(x)
+        seen = plant.truth().tool_in_base + TRACKER * rng.normal(size=3)
+        read = quantise(x[part] + plant.offsets["arm"], settings.arm_counts)
+        log.add("tracked", float(k), np.concatenate([read, seen, [TRACKER]]))
 
 
 def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSettings, seed: int) -> WheelCalibration:

@@ -54,8 +54,8 @@ class RollingGains:
 
 
 class RollingController(SwerveController):
-    """``goals``: what base and legs shall do. The arm stands still, or follows ``posture`` (t) -> (angles (m), rates (m)). ``delay``
-    [s]: by which a command acts after the measurement that it is made of. The other arguments are those of :class:`SwerveController`."""
+    """``goals``: what base and legs shall do. The arm stands still, or follows ``posture`` (t) -> (angles (m), rates (m)). ``delay`` [s]:
+    by which a command acts after the measurement that it is made of. The other arguments are those of :class:`SwerveController`."""
 
     posture: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = None
 
@@ -96,7 +96,7 @@ class RollingController(SwerveController):
         steer_limit = limit[self.robot.input["steer"]]
         steer = np.clip(self.gains.steer_gain * (target - measured), -steer_limit, steer_limit)
         self.watch(t, brake, swing)
-        return SwerveCommand(wheel * self.wheel_scale, steer, self._arm(t, m.arm), brake)
+        return SwerveCommand(wheel * self.wheel_scale, steer, self._arm(t, self.estimator.arm), brake)
 
     def _arm(self, t: float, measured: np.ndarray) -> np.ndarray:
         """Speeds (m) [rad/s] of the arm's joints."""

@@ -69,6 +69,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         truth = plant.truth()
         pose = controller.pose
         log.add("base", t, truth.pose)
+        log.add("state", t, truth.state)
         log.add("base_odometry", t, pose)
         log.add("base_std", t, np.sqrt(np.diag(controller.estimator.odometry.covariance)))
         log.add("base_wheels", t, controller.estimator.wheels_alone.pose)
