@@ -176,7 +176,14 @@ REAL = {
     ("run", "swerve-track", "--set", "cost.state.arm=1e308"): "cost.state.arm=1e308: the value must be a finite number",
     ("run", "rezero-steps", "--set", "hold_time=1"): "hold_time=1",
     ("run", "rezero-steps", "--set", "hold_time=2"): "hold_time=2: a step needs 2.3 s",
-    ("run", "rezero-steps", "--set", "hold_time=1.5"): "a smaller mpc.horizon or preview=false needs less",
+    (
+        "run",
+        "rezero-steps",
+        "--set",
+        "hold_time=1.5",
+        "--set",
+        "preview=true",
+    ): "a smaller mpc.horizon or preview=false needs less",
     ("run", "rezero-steps", "--set", "mpc.rate=true"): "mpc.rate=true: a number or text is needed",
 }
 

@@ -19,11 +19,12 @@ from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.registry import REGISTRY
 from wbmpc.report import write_run
 from wbmpc.robots.description import DATA
+from wbmpc.settings import ControlSettings
 from wbmpc.studies.pankert2022.reference_drive import OPENING, SwerveCalibrateSettings, _phases
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 ROBOT, SEED = robot("swerve-ur10"), 5
-SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, settle_time=2.0)
+SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, settle_time=2.0, control=ControlSettings(rate=200.0))
 
 
 @pytest.fixture(scope="module")

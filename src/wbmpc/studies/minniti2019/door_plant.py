@@ -190,6 +190,13 @@ class DoorPlant(BallPlant):
         heading = self.door.closed + self.door.opening * self.angle
         return self.door.opening * np.array([-np.sin(heading), np.cos(heading), 0.0])
 
+    @property
+    def penetration(self) -> float:
+        """How far [m] the robot, its tip included, is in the panel at its deepest contact; contacts are soft."""
+        contacts = self.data.contact
+        touching = (contacts.geom == self._panel).any(axis=1) if self.data.ncon else np.zeros(0, bool)
+        return float(max(-contacts.dist[touching].min(initial=0.0), 0.0)) if touching.any() else 0.0
+
     def contact_force(self) -> Array:
         """The force (3) [N] of the end effector on the panel in the last physics step, world axes; zero without contact."""
         return self._pressed.copy()

@@ -150,14 +150,15 @@ class _Run:
 
 
 def baseline_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
-    """Pose errors (k, 3) in the estimated frame of the baseline alone on the tour, for the search of gains; infinite if it fell or
-    ended early for another reason."""
+    """Pose errors (k, 3) in the estimated frame of the baseline alone on the tour, for the search of gains; infinite if it fell,
+    collided or ended early for another reason."""
     robot = swerve_robot(settings.robot)
     mission, duration = tour(robot, settings.plant.brake_delay)
     run = _Run.of(settings, robot, seed)
     ending, log = run.baseline(mission, duration, terrain).ending, run.log
     error = log.array("baseline.base_odometry") - log.array("baseline.base_reference")
-    return np.full_like(error, np.inf) if ending.reason else error
+    collided = any(contacts.touches for contacts in ending.contacts)
+    return np.full_like(error, np.inf) if ending.reason or collided else error
 
 
 def build(settings: SwerveDriveSettings, seed: int) -> Scenario:

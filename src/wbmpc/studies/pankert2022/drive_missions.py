@@ -17,6 +17,8 @@ from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
 
 #: Along the way [m]: where the turn by 180° begins, where it has been made, the end. Speed [rad/s] at which the arm folds.
 WAY, FOLDING = (9.0, 11.0, 15.0), 0.3
+#: When [s] the brakes open (1) and close (0).
+BRAKES = ((15.0, 1.0), (19.5, 0.0), (33.0, 1.0), (44.5, 0.0), (54.0, 1.0), (58.5, 0.0))
 #: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s].
 KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
@@ -47,7 +49,8 @@ def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
     """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
     h, x, a = (leg_angles(robot, name) for name in "HXA")
     quarter, (begin, after, end) = 0.5 * np.pi, WAY
-    # The base never stops while its brakes are open: at rest the wheels would have to turn before anything can move.
+    # The base never stops while its brakes are open: at rest the wheels would have to turn before anything can move. Brakes are open
+    # while legs turn, and closed where wheels have to turn round (the base turns faster than it drives): they would swing the legs.
     way = (
         Leg(1.0, 30.5, (begin, 0.0, 0.0)),
         Leg(20.0, 10.0, (begin, 0.0, -quarter)),
@@ -58,12 +61,12 @@ def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
     )
     turns = (
         Reconfiguration(15.0 + delay, x),
-        Reconfiguration(31.0, a),
+        Reconfiguration(33.0 + delay, a),
         Reconfiguration(40.0, x),
-        Reconfiguration(54.0, h),
+        Reconfiguration(54.0 + delay, h),
     )
     home = robot.home[robot.state["arm"]]
-    return Mission(way, h, turns, ((15.0, 1.0), (58.5, 0.0)), folding(robot, home)), 65.0
+    return Mission(way, h, turns, BRAKES, folding(robot, home)), 65.0
 
 
 def folding(robot: RobotModel, home: np.ndarray) -> tuple[Reconfiguration, ...]:
