@@ -219,6 +219,15 @@ def test_a_base_on_a_joint_cannot_be_simulated() -> None:
         free_body(spec, "hull", "robot.yaml")
 
 
+def test_a_rate_that_is_no_part_of_200_hz_has_a_faster_controller(standing: Path) -> None:
+    """80 Hz: every fifth tick of 400 Hz."""
+    from wbmpc.tasks.loop import make_system
+
+    robot, mpc = TaskSettings(robot=str(standing), mpc={"rate": 80}).prepare()  # type: ignore[arg-type]
+    timing = make_system(robot, mpc, wb.SimulationSettings(physics="kinematic"), 0).timing
+    assert timing.period == pytest.approx(1 / 400) and timing.mpc_every == 5 and timing.delay == 4
+
+
 # ---------------------------------------------------------------------- closed loops of users
 def own_mpc(robot: wb.RobotModel) -> wb.MPC:
     """Costs of a user."""

@@ -23,8 +23,9 @@ from wbmpc.tasks.figures import general_metrics, general_plots
 from wbmpc.tasks.settings import SimulationSettings
 
 Array = np.ndarray
-#: Rate of the controller without physics [Hz]; interval of what is recorded [s].
-MODEL_RATE, RECORDED = 200.0, 0.01
+#: Rates of the controller without physics [Hz], of which the first counts that the MPC's rate is a whole part of; interval of what is
+#: recorded [s].
+MODEL_RATES, RECORDED = (200.0, 400.0), 0.01
 
 IDEALISATIONS = {
     "mujoco": ["tyres are soft contacts, not a tyre model", "the computation takes a constant time"],
@@ -35,8 +36,10 @@ IDEALISATIONS = {
 def make_system(robot: RobotModel, mpc: MPC, settings: SimulationSettings, seed: int) -> System:
     """Plant and controller for an MPC on the robot's own dynamics. Raises :class:`InputError` for another MPC's."""
     if settings.physics == "kinematic":
-        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0])
-        timing = Timing.of(plant.timestep, MODEL_RATE, mpc.rate, settings.computation_delay)
+        whole = [rate for rate in MODEL_RATES if (rate / mpc.rate).is_integer()]
+        rate = (whole or MODEL_RATES)[0]
+        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate)
+        timing = Timing.of(plant.timestep, rate, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
     if mpc.ocp.dynamics.state.names != robot.state.names:
         raise InputError(
