@@ -21,7 +21,18 @@ import numpy as np
 from wbmpc.solver.barriers import add_square
 from wbmpc.solver.compilation import LANES, Floats, Integers, call3, compiled
 from wbmpc.solver.inequality_algebra import log_of_product, merits, steps, weights
-from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER, eight_rows, entry, node_rows, record_violations
+from wbmpc.solver.inequality_table import (
+    EQUAL,
+    HARD,
+    MULTIPLIER,
+    counts,
+    eight_rows,
+    entry,
+    kind_of,
+    node_rows,
+    record_violations,
+    row_penalty,
+)
 from wbmpc.solver.memory_layout import (
     ADD_ROWS,
     BASE,
@@ -318,6 +329,56 @@ def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) 
 
 
 @compiled
+def values_at_iterate(m: Floats, o: Integers, k: int) -> None:
+    """h of node k's rows at the iterate into ``row_trial``; nodes are asked for one after the other."""
+    _, _, general = node_rows(o, k)
+    x, u = o[X] + k * o[NX], o[U] + min(k, o[N] - 1) * o[NU]
+    if k == o[N]:
+        end_values(m, o, x)
+    elif general > 0:
+        if k % LANES == 0:
+            load_block(m, o, k, min(LANES, o[N] - k), o[X], o[U])
+            evaluate_rows(m, o)
+        take_rows_of_lane(m, o, k % LANES)
+    collect_values(m, o, k, x, u, o[ROW_TRIAL])
+
+
+@compiled
+def row_residual_at_iterate(m: Floats, o: Integers) -> float:
+    """By how much rows are not met at the iterate, or slacks are not theirs."""
+    worst = 0.0
+    for k in range(o[N] + 1):
+        first, boxes, general = node_rows(o, k)
+        if boxes + general == 0:
+            continue
+        values_at_iterate(m, o, k)
+        for j in range(boxes + general):
+            r, q, h = first + j, k * o[ROWS] + j, m[o[ROW_TRIAL] + j]
+            if not counts(m, o, r, k):
+                continue
+            kind, residual = kind_of(m, o, r), abs(h)
+            if kind == HARD:
+                slack = m[o[ROW_S] + q] if row_penalty(m, o, r) < np.inf else 0.0
+                residual = abs(h + slack - m[o[ROW_T] + q])
+            elif kind == MULTIPLIER:
+                residual = abs(min(h, m[o[ROW_L] + q] / row_penalty(m, o, r)))
+            worst = max(worst, residual)
+    return worst
+
+
+@compiled
+def limit_products(m: Floats, o: Integers, largest: float) -> None:
+    """Smaller multipliers of hard rows, where their product with the slack is more than ``largest``."""
+    for k in range(o[N] + 1):
+        first, boxes, general = node_rows(o, k)
+        for j in range(boxes + general):
+            r, q = first + j, k * o[ROWS] + j
+            if kind_of(m, o, r) == HARD and m[o[ROW_L] + q] * m[o[ROW_T] + q] > largest:
+                m[o[ROW_L] + q] = largest / m[o[ROW_T] + q]
+                m[o[ROW_Y] + q] = row_penalty(m, o, r) - m[o[ROW_L] + q]
+
+
+@compiled
 def start_rows(m: Floats, o: Integers, min_slack: float, keep: bool, keep_slacks: bool) -> None:
     """Slacks t = max(h, ``min_slack``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept.
 
@@ -330,15 +391,8 @@ def start_rows(m: Floats, o: Integers, min_slack: float, keep: bool, keep_slacks
         first, boxes, general = node_rows(o, k)
         if boxes + general == 0:
             continue
-        x, u, values = o[X] + k * o[NX], o[U] + min(k, o[N] - 1) * o[NU], o[ROW_TRIAL]
-        if k == o[N]:
-            end_values(m, o, x)
-        elif general > 0:
-            if k % LANES == 0:
-                load_block(m, o, k, min(LANES, o[N] - k), o[X], o[U])
-                evaluate_rows(m, o)
-            take_rows_of_lane(m, o, k % LANES)
-        collect_values(m, o, k, x, u, values)
+        values_at_iterate(m, o, k)
+        values = o[ROW_TRIAL]
         for j in range(0, boxes + general, LANES):
             q, at = k * o[ROWS] + j, values + j
             kind, penalty, _ = eight_rows(m, o, first + j, k)

@@ -105,6 +105,7 @@ class StateField(IntEnum):
     # stall.py
     SMALLEST_ERROR = 36  # of the present iterations in a row
     LAST_SMALLEST_ERROR = 37  # of those before
+    CONVERGED = 38  # whether slacks and multipliers are those of a solution; outlives a solve
 
 
 class Setting(IntEnum):

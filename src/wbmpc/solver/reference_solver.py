@@ -133,13 +133,12 @@ class InterpretedSolver(InterpretedDirections):
         start_adaptive.python(ws.state, 0)
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
         self.hold = 1 + int(c.keep_multipliers) if self.problem.nonlinear_input_rows else int(rolled)
-        start = (self.mu, c.min_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
-        self._start_rows(*start)
+        self._start_rows_of_solve(x0, c)
         if c.single_shooting:
             if not self.policy:
                 self.iterate(x0)
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
-            self._start_rows(*start)
+            self._start_rows(self.mu, c.min_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
         self.soft_residual = self._equality_values(ws.x, ws.u)
         return self._iterate_to_the_end(x0, c, log, check)
 
@@ -148,10 +147,30 @@ class InterpretedSolver(InterpretedDirections):
         found = np.concatenate([r.products() for r in self.own])
         return (float(found.mean()), float(found.min())) if found.size else (0.0, 0.0)
 
-    def _start_rows(self, mu: float, min_slack: float, keep: bool, keep_slacks: bool) -> None:
+    def _start_rows_of_solve(self, x0: np.ndarray, c: Any) -> None:
+        """As start_rows_of_solve of the compiled solver."""
+        real_time, misfit = bool(c.keep_multipliers), np.inf
+        if self.ws.state[StateField.CONVERGED] > 0.0 and not c.single_shooting and not real_time:
+            self._row_values()
+            misfit = max([*(rows.residuals()[1] for rows in self.own), np.abs(x0 - self.ws.x[0]).max()])
+        self.ws.state[StateField.CONVERGED] = 0.0
+        if not misfit < c.min_slack:
+            self._start_rows(self.mu, c.min_slack, real_time, bool(c.keep_slacks))
+            return
+        slack = max(misfit, np.sqrt(c.barrier))
+        self._start_rows(min(c.initial_barrier, slack**2), slack, True, False)
+        for rows in self.own:
+            rows.limit_products(c.initial_barrier)
+        self.mu = min(c.initial_barrier, max(self._products()[0], c.barrier))
+
+    def _row_values(self) -> None:
         for k, rows in enumerate(self.own):
             rows.h = self._rows(k, self.ws.x[k], self.ws.u[min(k, len(self.ws.u) - 1)])
             rows.rho = 1.0
+
+    def _start_rows(self, mu: float, min_slack: float, keep: bool, keep_slacks: bool) -> None:
+        self._row_values()
+        for rows in self.own:
             rows.start(mu, min_slack, keep, keep_slacks)
 
     def reset(self) -> None:
@@ -170,7 +189,8 @@ class InterpretedSolver(InterpretedDirections):
             and bool(c.compute_kkt or (c.max_extra_iterations and c.rollout_restart))
             and not c.single_shooting
         )
-        run, self.shift = _Progress(int(c.iterations), c.barrier, c.initial_barrier, self.hold, again), 0.0
+        run, self.shift = _Progress(int(c.iterations), c.barrier, self.mu, self.hold, again), 0.0
+        run.bias = 0.0 if self.mu >= c.initial_barrier else np.inf
         while run.count < run.limit:
             check()
             self.shift = run.shift
@@ -223,6 +243,7 @@ class InterpretedSolver(InterpretedDirections):
         close = 100.0 if blocked else 10.0
         if c.compute_kkt and kkt <= c.tolerance and feasible and product <= close * self.mu and small:
             if last and (not self.has_rows or run.bias <= THRESHOLDS.bias or self.mu <= c.min_barrier):
+                self.ws.state[StateField.CONVERGED] = 1.0
                 return CONVERGED
             run.level = max(0.2 * self.mu, c.min_barrier) if last else run.level
             self.mu, run.first, run.last_kkt = next_mu.python(self.mu, run.level, 0.0, self.mu), 1.0, np.inf

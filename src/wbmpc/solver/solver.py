@@ -189,6 +189,7 @@ class Solver:
                     StateField.INFEASIBLE_SOLVES,
                     StateField.BLOCKED_RESIDUAL,
                     StateField.BLOCKED_TIME,
+                    StateField.CONVERGED,
                 ]
             ] = 0.0
             if self.settings.backend == "interpreted":
@@ -319,7 +320,7 @@ class Solver:
         with self.exclusive, Interruptible():
             start = time.perf_counter()
             with self.hessian:
-                status, count = self.hessian.run(x0, t0)
+                status, count = self._run_warm_or_cold(x0, t0)
                 elapsed = time.perf_counter() - start
                 solution = self.solution(status, count, elapsed)
                 if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
@@ -327,6 +328,17 @@ class Solver:
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution
+
+    def _run_warm_or_cold(self, x0: np.ndarray, t0: float) -> tuple[int, int]:
+        """Iterate; where slacks and multipliers of the last solution were kept and that failed, once more without them."""
+        warm = self.ws.state[StateField.CONVERGED] > 0.0
+        start = (self.ws.x.copy(), self.ws.u.copy()) if warm else None
+        status, count = self.hessian.run(x0, t0)
+        if start is not None and self.status(status) is not Status.CONVERGED:
+            self.ws.x[:], self.ws.u[:] = start
+            self.reset()
+            status, count = self.hessian.run(x0, t0)
+        return status, count
 
     def events_without_node(self, t0: float) -> int:
         """By how many the events within a horizon from ``t0`` [s] outnumber the inner nodes, where the grid follows the schedule.
