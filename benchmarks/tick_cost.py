@@ -58,7 +58,9 @@ def run(name: str, ticks: int, extra: int) -> dict[str, Any]:
         x = (1.0 - share) * plan.x[0] + share * plan.x[1] + NOISE * PERIOD * rng.normal(size=x.size)
     costs = np.array(rows)[1:]  # the first plan takes many calls
     slow = costs[:, 0] > 2.0 * np.median(costs[:, 0])
-    return {"costs": costs, "slow": slow, "said": [s for s, late in zip(said[1:], slow, strict=True) if late]}
+    tell = lambda chosen: ", ".join(f"{n} × {s or 'nothing'}" for s, n in collections.Counter(chosen).most_common())
+    late = [s for s, is_slow in zip(said[1:], slow, strict=True) if is_slow]
+    return {"costs": costs, "slow": int(slow.sum()), "slow say": tell(late), "all say": tell(said[1:])}
 
 
 def main() -> None:
@@ -74,8 +76,11 @@ def main() -> None:
             for label, column in zip(("directions", "trial points", "time [ms]"), found["costs"].T, strict=True):
                 shares = ", ".join(f"{q:g} %: {np.percentile(column, q):.3g}" for q in (50, 90, 99, 99.9, 100))
                 print(f"  {label:13} {shares}")
-            reasons = ", ".join(f"{n} × {s or 'nothing'}" for s, n in collections.Counter(found["said"]).most_common())
-            print(f"  beyond twice the median: {found['slow'].sum()} ticks; their plans say: {reasons or '–'}", flush=True)
+            print(f"  plans say: {found['all say']}")
+            print(
+                f"  {found['slow']} ticks took more than twice the median; their plans say: {found['slow say'] or '–'}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

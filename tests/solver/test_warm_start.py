@@ -68,3 +68,17 @@ def test_another_guess_starts_cold() -> None:
     for s in (solver, other):
         s.warm_start(guess)
     np.testing.assert_array_equal(solver.solve(guess).log, other.solve(guess).log)
+
+
+def test_no_solve_costs_more_than_the_settings_say() -> None:
+    """Pushes and jumps of the state, one after the other: every count is within the bound, and some need more than one iteration."""
+    settings = SQP.real_time()
+    solver, rng = Solver(swing(), settings), np.random.default_rng(5)
+    solver.warm_start(np.zeros(2))
+    costs = []
+    for _ in range(100):
+        solver.run(rng.normal(size=2) * [1.0, 2.0], delta=0.02)
+        costs.append(solver.effort)
+    worst = np.max(costs, axis=0)
+    assert np.all(worst <= settings.max_effort) and worst[0] > 1
+    assert settings.max_effort == (13, 56)

@@ -90,6 +90,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
         m[state + StateField.ROW_COST],
     ) = 0.0, 0.0, 0.0, 0.0
     m[state + StateField.PENALTY_FACTOR], m[state + StateField.SECOND_ORDER_SHARE] = 1.0, 1.0
+    m[state + StateField.DIRECTIONS], m[state + StateField.TRIAL_POINTS] = 0.0, 0.0
     start_adaptive(m, state)
     forget_errors(m, o)
     # in real time feedback would take the inputs of a roll-out anywhere, and one iteration does not bring them back
@@ -114,6 +115,7 @@ def direction(
     """One direction: (cost, violation, KKT residual, curvature, largest component, slope). Fills a row of the log, whose violation
     has the equalities that are soft too."""
     state, compute_kkt = o[STATE], s[Setting.COMPUTE_KKT] > 0.0
+    m[state + StateField.DIRECTIONS] += 1.0
     cost, gaps, equalities, violation = backward(m, o, compute_kkt)
     for i in range(o[NX]):
         gaps += abs(x0[i] - m[o[X] + i])

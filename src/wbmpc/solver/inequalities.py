@@ -59,6 +59,7 @@ from wbmpc.solver.memory_layout import (
     ROW_J,
     ROW_L,
     ROW_N,
+    ROW_PRODUCTS,
     ROW_S,
     ROW_SCALED,
     ROW_T,
@@ -216,14 +217,23 @@ def row_changes(m: Floats, o: Integers, k: int) -> None:
     for j in range(boxes):
         i = o[index + j]
         m[out + j] = m[signs + j] * (m[dx + i] if i < nx else m[du + i - nx - 1])
-    for j in range(general):
-        row, total = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz, 0.0
+    if general > 0 and k < o[N]:
+        step, base = o[PULLED], o[BASE]
         for i in range(nx):
-            total += m[row + i] * m[dx + i]
-        if k < o[N]:
-            for i in range(o[NU]):
-                total += m[row + nx + 1 + i] * m[du + i]
-        m[out + boxes + j] = total
+            m[step + i] = m[dx + i]
+        m[step + nx] = 0.0
+        for i in range(o[NU]):
+            m[step + nx + 1 + i] = m[du + i]
+        for i in range(nx + 1 + o[NU], lz):
+            m[step + i] = 0.0
+        jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz
+        call3(o[ROW_PRODUCTS], base + 8 * jacobian, base + 8 * step, base + 8 * (out + boxes))
+    elif general > 0:
+        for j in range(general):
+            row, total = o[END_J] + j * lz, 0.0
+            for i in range(nx):
+                total += m[row + i] * m[dx + i]
+            m[out + boxes + j] = total
 
 
 @compiled

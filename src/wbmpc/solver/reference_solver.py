@@ -58,6 +58,7 @@ class InterpretedSolver(InterpretedDirections):
     def _trial(self, s: dict[str, Any], alpha: float, x0: np.ndarray, single: bool) -> tuple[np.ndarray, np.ndarray]:
         """States and inputs a step further; with ``single`` the policy is rolled out."""
         ws = self.ws
+        ws.state[StateField.TRIAL_POINTS] += 1.0
         ws.state[[StateField.INPUT_VIOLATION, StateField.MIXED_VIOLATION]] = 0.0
         if not single and not self.hold:
             return ws.x + alpha * s["dx"], ws.u + alpha * s["du"]
@@ -131,6 +132,7 @@ class InterpretedSolver(InterpretedDirections):
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         self.mu, self.shift = c.initial_barrier, 0.0
         start_adaptive.python(ws.state, 0)
+        ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS]] = 0.0
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
         self.hold = 1 + int(c.keep_multipliers) if self.problem.nonlinear_input_rows else int(rolled)
         self._start_rows_of_solve(x0, c)
@@ -201,6 +203,7 @@ class InterpretedSolver(InterpretedDirections):
             row[:2] = cost - self._row_cost(self.ws.x, self.ws.u) - paid, violation + of_soft - apart
             row[4:7] = 0.0, row[1], self._equalities()
             run.count += 1
+            self.ws.state[StateField.DIRECTIONS] += 1.0
             try:
                 s = self.iterate(x0)
             except np.linalg.LinAlgError:  # a Hessian that is not convex, or not finite

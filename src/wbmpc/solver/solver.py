@@ -23,7 +23,7 @@ from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive, Interruptible
 from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
-from wbmpc.solver.settings import SLQ, SQP
+from wbmpc.solver.settings import SLQ, SQP, Effort
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.trajectory import Trajectory
 from wbmpc.solver.violations import violation_message
@@ -400,6 +400,12 @@ class Solver:
         Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (nonlinear rows).
         """
         return violation_message(self, status)
+
+    @property
+    def effort(self) -> Effort:
+        """What the last solve has cost; at most :attr:`SQP.max_effort`."""
+        state = self.ws.state
+        return Effort(int(state[StateField.DIRECTIONS]), int(state[StateField.TRIAL_POINTS]))
 
     @property
     def limit_violation(self) -> float:
