@@ -7,26 +7,27 @@ gravity), what is part of the machine and missing in the planner's equations (sp
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.robots.checks import compiled
+from wbmpc.robots.limited_program import copy_values, make_light
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
 
+#: Bit of ``conaffinity`` of shapes that stand for their body in collisions.
+SHAPE = 4
 #: What joints have in the file beside place, axis and range: friction is the plants' own, limits of effort are the YAML's.
 _OF_JOINTS = (
     "damping", "armature", "frictionloss", "actfrclimited", "actfrcrange", "actgravcomp", "margin",
     "solref_limit", "solimp_limit", "solref_friction", "solimp_friction",
 )  # fmt: skip
+_OF_CONTACTS = ("condim", "friction", "priority", "solmix", "solref", "solimp", "margin", "gap")
 _OF_COMPILER = ("settotalmass", "inertiafromgeom", "boundmass", "boundinertia", "fusestatic")
-_OF_MEMORY = ("memory", "nconmax", "njmax", "nstack")
-#: Of MuJoCo's wrappers: what is no value of the element.
-_NO_VALUE = {"alt", "classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata"}
 
 
 def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
@@ -39,8 +40,7 @@ def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
     for element in [e for elements in lists for e in elements]:
         spec.delete(element)
     _leave_the_world(spec, base)
-    for geom in spec.geoms:
-        geom.contype = geom.conaffinity = 0
+    _mark_shapes(spec, fresh)
     for body in spec.bodies:
         body.gravcomp = 0.0
     for joint in spec.joints:
@@ -49,15 +49,16 @@ def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
     _reset_defaults(spec, fresh)
 
 
-def make_light(spec: mujoco.MjSpec) -> None:
-    """Before anything is compiled: take out, in place, the memory and options that a file asks for, and its actuators."""
-    fresh = mujoco.MjSpec()
-    _copy(fresh.option, spec.option)
-    spec.stat.meaninertia = fresh.stat.meaninertia  # the constraint solver's scale
-    for name in _OF_MEMORY:  # a file may ask for more than there is
-        setattr(spec, name, getattr(fresh, name))
-    for actuator in list(spec.actuators):  # whose ranges the compiler may look for in long simulations
-        spec.delete(actuator)
+def _mark_shapes(spec: mujoco.MjSpec, fresh: mujoco.MjSpec) -> None:
+    """Shapes touch nothing until a plant says so, and then as MuJoCo's defaults do; those that stand for their body in collisions are
+    marked: of a body, those that the file lets collide, or all that it draws where it lets none."""
+    for body in spec.bodies:
+        shapes = [g for g in body.geoms if g.type != mujoco.mjtGeom.mjGEOM_PLANE]
+        solid = [g for g in shapes if g.contype or g.conaffinity] or shapes
+        for geom in body.geoms:
+            for name in _OF_CONTACTS:
+                setattr(geom, name, getattr(fresh.default.geom, name))
+            geom.contype, geom.conaffinity = 0, SHAPE if any(geom is g for g in solid) else 0
 
 
 def _fix_masses(spec: mujoco.MjSpec, fresh: mujoco.MjSpec, path: object) -> None:
@@ -96,13 +97,7 @@ def _reset_defaults(spec: mujoco.MjSpec, fresh: mujoco.MjSpec) -> None:
     """The file's elements have taken what its defaults say; what plants add (floor, tyres, drives, a door) would take it too."""
     for default in [spec.default, *(body.classname for body in spec.bodies)]:
         for kind in ("geom", "joint", "actuator", "site"):
-            _copy(getattr(fresh.default, kind), getattr(default, kind))
-
-
-def _copy(source: Any, target: Any) -> None:
-    for name in set(dir(source)) - _NO_VALUE:
-        if not name.startswith("_") and not callable(getattr(source, name)):
-            setattr(target, name, getattr(source, name))
+            copy_values(getattr(fresh.default, kind), getattr(default, kind))
 
 
 def widen(spec: mujoco.MjSpec, position: dict[str, tuple[float, float]], path: object) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
@@ -28,7 +27,7 @@ from wbmpc.result import Metric, Plot
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending, Timing
 from wbmpc.studies.minniti2019.baselines import Parts, make_controller
-from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics, solve_times
+from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.types import Truth
 
@@ -73,6 +72,8 @@ def reaching(
 ) -> Reference:
     """The body (n, nx) at rest over times (n) [s] with the ball at ``ball`` (n, 2) and the end effector as near as it can be to ``end_effector``
     (n, 3) [m], from state ``start`` (nx) on, with its heading: the task of controllers that track the body alone."""
+    from scipy.optimize import least_squares
+
     arm, velocity = start[robot.state["arm"]], robot.state["base_velocity"].start
 
     def state(place: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -179,7 +180,7 @@ def task_scenario(
     return Scenario.single(
         log, lambda progress: replace(loop.run(progress), mpc=system.planner or system.mpc),
         lambda run: {**metrics(log, run.ending), **estimator_metrics(log), **fault_metrics(controller)},
-        lambda run: [*plots(log), *solve_times(system.planner)], [*idealisations, *IDEALISATIONS],
+        lambda run: plots(log), [*idealisations, *IDEALISATIONS],
     )  # fmt: skip
 
 
