@@ -17,6 +17,7 @@ from wbmpc.kernel.codegen_target import compile_module, load_object, register_wi
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
 from wbmpc.kernel.second_derivatives import SECOND, second_maps
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
+from wbmpc.kernel.sparse_rows import emit_add_rows, emit_row_products
 from wbmpc.ocp import Transcription
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.
@@ -47,6 +48,7 @@ _EIGHT = (
 _KERNELS = (
     "riccati_node",
     "add_rows",
+    "row_products",
     "chain_lanes",
     "pack",
     "unpack_ab",
@@ -242,13 +244,12 @@ def emit_riccati_node(s: Sizes) -> str:
     return "\n".join([*parts, body.text()])
 
 
-def emit_add_rows(s: Sizes) -> str:
-    """H += Aᵀ B for ``nr`` rows of the extended node vector; arguments A, B (rows times their weights), H."""
-    if s.nr == 0:
-        return "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\nret void\n}"
-    product = dense.matrix_product("k_rows", s.lz // 8, s.nz, s.nr, s.lz, 1, s.lz, s.lz, s.lz, False, vector_budget())
-    body = "define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {\n"
-    return f"{product}\n{body}call void @k_rows(ptr %A, ptr %B, ptr %H, ptr %H)\nret void\n}}"
+def rows_pattern(functions: dict[str, ca.Function], sizes: Sizes) -> list[set[int]]:
+    """The columns of [x, 1, u] with entries, of every general row along the path."""
+    pattern: list[set[int]] = [set() for _ in range(sizes.nr)]
+    for r, c in zip(*functions["rows_jacobian"].sparsity_out(1).get_triplet(), strict=True):
+        pattern[r].add(c if c < sizes.nx else c + 1)
+    return pattern
 
 
 def _pattern(jacobian: ca.Sparsity, nx: int) -> list[list[int]]:
@@ -331,7 +332,9 @@ def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     parts = [DECLARATIONS, dense.FMA]
     parts += [emit_function(functions[n], f"w_{n}", maps[n]) for n in _SINGLE]
     parts += _emit_blocks(transcription, functions, maps, sizes)
-    parts += [emit_riccati_node(sizes), emit_add_rows(sizes)]
+    pattern = rows_pattern(functions, sizes)
+    parts += [emit_riccati_node(sizes), emit_add_rows(pattern, sizes.nx, sizes.lz, vector_budget())]
+    parts.append(emit_row_products(pattern, sizes.lz))
     return "\n".join(parts), sizes
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from wbmpc.solver.barrier_update import SHORT, adaptive_mu, next_mu, start_adaptive
 from wbmpc.solver.compilation import Floats, Integers, compiled
-from wbmpc.solver.inequalities import rows_step, start_rows, take_rows
+from wbmpc.solver.inequalities import limit_products, row_residual_at_iterate, rows_step, start_rows, take_rows
 from wbmpc.solver.inequality_table import initial_violation, reset_violations
 from wbmpc.solver.infeasibility import detect_infeasibility
 from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
@@ -48,6 +48,28 @@ GO_ON, AGAIN = -1, -2
 
 
 @compiled
+def start_rows_of_solve(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
+    """Slacks and multipliers to start from. Those of a solution stay where they nearly fit the iterate and the measured state: μ is
+    then the mean of their products, and slacks are as large as what does not fit."""
+    state, real_time, floor = o[STATE], s[Setting.KEEP_MULTIPLIERS] > 0.0, np.sqrt(s[Setting.BARRIER])
+    misfit = np.inf
+    if m[state + StateField.CONVERGED] > 0.0 and s[Setting.SINGLE_SHOOTING] == 0.0 and not real_time:
+        misfit = row_residual_at_iterate(m, o)
+        for i in range(o[NX]):
+            misfit = max(misfit, abs(x0[i] - m[o[X] + i]))
+    m[state + StateField.CONVERGED] = 0.0
+    if not misfit < s[Setting.MIN_SLACK]:
+        start_rows(m, o, s[Setting.MIN_SLACK], real_time, s[Setting.KEEP_SLACKS] > 0.0)
+        return
+    slack = max(misfit, floor)
+    m[state + StateField.BARRIER] = min(s[Setting.INITIAL_BARRIER], slack * slack)
+    start_rows(m, o, slack, True, False)
+    limit_products(m, o, s[Setting.INITIAL_BARRIER])
+    mean, _ = take_rows(m, o, 0.0, 0.0, False)
+    m[state + StateField.BARRIER] = min(s[Setting.INITIAL_BARRIER], max(mean, s[Setting.BARRIER]))
+
+
+@compiled
 def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     """What a solve starts from: its state, slacks and multipliers, for single shooting a motion."""
     state, rows = o[STATE], row_count(o) > 0
@@ -68,6 +90,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
         m[state + StateField.ROW_COST],
     ) = 0.0, 0.0, 0.0, 0.0
     m[state + StateField.PENALTY_FACTOR], m[state + StateField.SECOND_ORDER_SHARE] = 1.0, 1.0
+    m[state + StateField.DIRECTIONS], m[state + StateField.TRIAL_POINTS] = 0.0, 0.0
     start_adaptive(m, state)
     forget_errors(m, o)
     # in real time feedback would take the inputs of a roll-out anywhere, and one iteration does not bring them back
@@ -76,7 +99,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     m[state + StateField.CHECK_INPUT_ROWS], m[state + StateField.EQUALITY_RESIDUAL] = s[Setting.KEEP_MULTIPLIERS], 0.0
     reset_violations(m, o)
     if rows:
-        start_rows(m, o, s[Setting.MIN_SLACK], s[Setting.KEEP_MULTIPLIERS] > 0.0, s[Setting.KEEP_SLACKS] > 0.0)
+        start_rows_of_solve(m, o, x0, s)
     if s[Setting.SINGLE_SHOOTING] > 0.0:
         roll_out(m, o, x0)
         if rows:
@@ -92,6 +115,7 @@ def direction(
     """One direction: (cost, violation, KKT residual, curvature, largest component, slope). Fills a row of the log, whose violation
     has the equalities that are soft too."""
     state, compute_kkt = o[STATE], s[Setting.COMPUTE_KKT] > 0.0
+    m[state + StateField.DIRECTIONS] += 1.0
     cost, gaps, equalities, violation = backward(m, o, compute_kkt)
     for i in range(o[NX]):
         gaps += abs(x0[i] - m[o[X] + i])
@@ -392,7 +416,8 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
     """As :func:`solve`, from the present iterate with its slacks and multipliers, after ``done`` steps."""
     penalty, first, last_kkt, last_residual, size, it = 0.0, 1.0, np.inf, np.inf, 1.0, done
     # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
-    level, last_mu, bias = s[Setting.BARRIER], s[Setting.INITIAL_BARRIER], 0.0
+    level, last_mu = s[Setting.BARRIER], m[o[STATE] + StateField.BARRIER]
+    bias = 0.0 if last_mu >= s[Setting.INITIAL_BARRIER] else np.inf
     state, limit, hold = o[STATE], int(s[Setting.ITERATIONS]), m[o[STATE] + StateField.HOLD_INPUTS]
     again = (
         row_count(o) > 0
@@ -419,6 +444,7 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         found, level, bias = convergence_status(m, o, s, feasible, kkt, (level, last_mu, bias))
         last_mu = mu
         if found == CONVERGED:
+            m[state + StateField.CONVERGED] = 1.0
             return CONVERGED, it
         if found == AGAIN:
             first, last_kkt = 1.0, np.inf

@@ -21,7 +21,18 @@ import numpy as np
 from wbmpc.solver.barriers import add_square
 from wbmpc.solver.compilation import LANES, Floats, Integers, call3, compiled
 from wbmpc.solver.inequality_algebra import log_of_product, merits, steps, weights
-from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER, eight_rows, entry, node_rows, record_violations
+from wbmpc.solver.inequality_table import (
+    EQUAL,
+    HARD,
+    MULTIPLIER,
+    counts,
+    eight_rows,
+    entry,
+    kind_of,
+    node_rows,
+    record_violations,
+    row_penalty,
+)
 from wbmpc.solver.memory_layout import (
     ADD_ROWS,
     BASE,
@@ -48,6 +59,7 @@ from wbmpc.solver.memory_layout import (
     ROW_J,
     ROW_L,
     ROW_N,
+    ROW_PRODUCTS,
     ROW_S,
     ROW_SCALED,
     ROW_T,
@@ -205,14 +217,23 @@ def row_changes(m: Floats, o: Integers, k: int) -> None:
     for j in range(boxes):
         i = o[index + j]
         m[out + j] = m[signs + j] * (m[dx + i] if i < nx else m[du + i - nx - 1])
-    for j in range(general):
-        row, total = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz, 0.0
+    if general > 0 and k < o[N]:
+        step, base = o[PULLED], o[BASE]
         for i in range(nx):
-            total += m[row + i] * m[dx + i]
-        if k < o[N]:
-            for i in range(o[NU]):
-                total += m[row + nx + 1 + i] * m[du + i]
-        m[out + boxes + j] = total
+            m[step + i] = m[dx + i]
+        m[step + nx] = 0.0
+        for i in range(o[NU]):
+            m[step + nx + 1 + i] = m[du + i]
+        for i in range(nx + 1 + o[NU], lz):
+            m[step + i] = 0.0
+        jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz
+        call3(o[ROW_PRODUCTS], base + 8 * jacobian, base + 8 * step, base + 8 * (out + boxes))
+    elif general > 0:
+        for j in range(general):
+            row, total = o[END_J] + j * lz, 0.0
+            for i in range(nx):
+                total += m[row + i] * m[dx + i]
+            m[out + boxes + j] = total
 
 
 @compiled
@@ -318,6 +339,56 @@ def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) 
 
 
 @compiled
+def values_at_iterate(m: Floats, o: Integers, k: int) -> None:
+    """h of node k's rows at the iterate into ``row_trial``; nodes are asked for one after the other."""
+    _, _, general = node_rows(o, k)
+    x, u = o[X] + k * o[NX], o[U] + min(k, o[N] - 1) * o[NU]
+    if k == o[N]:
+        end_values(m, o, x)
+    elif general > 0:
+        if k % LANES == 0:
+            load_block(m, o, k, min(LANES, o[N] - k), o[X], o[U])
+            evaluate_rows(m, o)
+        take_rows_of_lane(m, o, k % LANES)
+    collect_values(m, o, k, x, u, o[ROW_TRIAL])
+
+
+@compiled
+def row_residual_at_iterate(m: Floats, o: Integers) -> float:
+    """By how much rows are not met at the iterate, or slacks are not theirs."""
+    worst = 0.0
+    for k in range(o[N] + 1):
+        first, boxes, general = node_rows(o, k)
+        if boxes + general == 0:
+            continue
+        values_at_iterate(m, o, k)
+        for j in range(boxes + general):
+            r, q, h = first + j, k * o[ROWS] + j, m[o[ROW_TRIAL] + j]
+            if not counts(m, o, r, k):
+                continue
+            kind, residual = kind_of(m, o, r), abs(h)
+            if kind == HARD:
+                slack = m[o[ROW_S] + q] if row_penalty(m, o, r) < np.inf else 0.0
+                residual = abs(h + slack - m[o[ROW_T] + q])
+            elif kind == MULTIPLIER:
+                residual = abs(min(h, m[o[ROW_L] + q] / row_penalty(m, o, r)))
+            worst = max(worst, residual)
+    return worst
+
+
+@compiled
+def limit_products(m: Floats, o: Integers, largest: float) -> None:
+    """Smaller multipliers of hard rows, where their product with the slack is more than ``largest``."""
+    for k in range(o[N] + 1):
+        first, boxes, general = node_rows(o, k)
+        for j in range(boxes + general):
+            r, q = first + j, k * o[ROWS] + j
+            if kind_of(m, o, r) == HARD and m[o[ROW_L] + q] * m[o[ROW_T] + q] > largest:
+                m[o[ROW_L] + q] = largest / m[o[ROW_T] + q]
+                m[o[ROW_Y] + q] = row_penalty(m, o, r) - m[o[ROW_L] + q]
+
+
+@compiled
 def start_rows(m: Floats, o: Integers, min_slack: float, keep: bool, keep_slacks: bool) -> None:
     """Slacks t = max(h, ``min_slack``) at the iterate; multipliers kept, or μ / t. Multiplier rows start at 0 when not kept.
 
@@ -330,15 +401,8 @@ def start_rows(m: Floats, o: Integers, min_slack: float, keep: bool, keep_slacks
         first, boxes, general = node_rows(o, k)
         if boxes + general == 0:
             continue
-        x, u, values = o[X] + k * o[NX], o[U] + min(k, o[N] - 1) * o[NU], o[ROW_TRIAL]
-        if k == o[N]:
-            end_values(m, o, x)
-        elif general > 0:
-            if k % LANES == 0:
-                load_block(m, o, k, min(LANES, o[N] - k), o[X], o[U])
-                evaluate_rows(m, o)
-            take_rows_of_lane(m, o, k % LANES)
-        collect_values(m, o, k, x, u, values)
+        values_at_iterate(m, o, k)
+        values = o[ROW_TRIAL]
         for j in range(0, boxes + general, LANES):
             q, at = k * o[ROWS] + j, values + j
             kind, penalty, _ = eight_rows(m, o, first + j, k)

@@ -47,27 +47,28 @@ class _Misses:
         problem = self.problem
         all_terms = problem.ocp.terms
         terms = [(t, keep) for n, keep in rows.items() if isinstance(t := all_terms[n], Constraint)]
-        pick = lambda t, keep: problem.broken(t)[np.flatnonzero(keep).tolist()]
         args = [problem.x, problem.u, problem.p, problem.w]
         path = [(t, keep) for t, keep in terms if t.at != "terminal"]
         end = [(t, keep & ~problem.with_input(t)) for t, keep in terms if t.at != "path"]
-        values = lambda chosen: ca.densify(ca.vertcat(*[pick(t, keep) for t, keep in chosen], ca.SX(0, 1)))
+        values = lambda chosen: ca.densify(ca.vertcat(*[problem.broken(t) for t, _ in chosen], ca.SX(0, 1)))
+        join = lambda parts: np.concatenate([*parts, np.zeros(0, bool)]).astype(bool)
         self._path, self._end = ca.Function("path", args, [values(path)]), ca.Function("end", args, [values(end)])
+        self._rows, self._end_rows = join(keep for _, keep in path), join(keep for _, keep in end)
         #: of the path's rows, those that count at the measured state
-        self._first = np.concatenate([problem.with_input(t)[keep] for t, keep in path] or [np.zeros(0, bool)])
+        self._first = join(problem.with_input(t)[keep] for t, keep in path)
 
     def node(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """(N, nx + rows): where each interval ends, and misses, of states (N, nx) and inputs (N, nu)."""
         n, p = len(u), self.ws.p[:, : self.problem.node.size]
         w = self.ws.w[: self.problem.constant.size]
-        misses = np.array(self._path(x.T, u.T, p[:n].T, np.tile(w[:, None], (1, n)))).reshape(-1, n).T
+        misses = np.array(self._path(x.T, u.T, p[:n].T, np.tile(w[:, None], (1, n)))).reshape(-1, n)[self._rows].T
         misses[0, ~self._first] = 0.0
         return np.hstack([step_ends(self.problem, self.ws, x, u), misses])
 
     def end(self, x: np.ndarray) -> np.ndarray:
         """Misses of the last state (nx)."""
         p, w = self.ws.p[len(self.ws.u), : self.problem.node.size], self.ws.w[: self.problem.constant.size]
-        return np.array(self._end(x, np.zeros(self.problem.nu), p, w)).ravel()
+        return np.array(self._end(x, np.zeros(self.problem.nu), p, w)).ravel()[self._end_rows]
 
     def __call__(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         along = self.node(x[:-1], u)

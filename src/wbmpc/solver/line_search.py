@@ -98,6 +98,7 @@ def trial(m: Floats, o: Integers, x0: Floats, alpha: float, single: bool) -> tup
     """
     n, nx, nu = o[N], o[NX], o[NU]
     reset_violations(m, o)
+    m[o[STATE] + StateField.TRIAL_POINTS] += 1.0
     if single:
         roll_out_policy(m, o, x0, alpha)
     else:

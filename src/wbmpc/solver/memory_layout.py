@@ -105,6 +105,10 @@ class StateField(IntEnum):
     # stall.py
     SMALLEST_ERROR = 36  # of the present iterations in a row
     LAST_SMALLEST_ERROR = 37  # of those before
+    CONVERGED = 38  # whether slacks and multipliers are those of a solution; outlives a solve
+    # what the solve has cost
+    DIRECTIONS = 39
+    TRIAL_POINTS = 40
 
 
 class Setting(IntEnum):
@@ -148,7 +152,9 @@ LANES_DYNAMICS, LANES_COST, LANES_EQUALITY, LANES_ROWS = (
 LANES_DYNAMICS_J, LANES_COST_Q, LANES_EQUALITY_J, LANES_ROWS_J = (
     _call[f"lanes.{n}"] for n in ("dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian")
 )
-RICCATI, CHAIN, ADD_ROWS, PACK = (_call[n] for n in ("riccati_node", "chain_lanes", "add_rows", "pack"))
+RICCATI, CHAIN, ADD_ROWS, ROW_PRODUCTS, PACK = (
+    _call[n] for n in ("riccati_node", "chain_lanes", "add_rows", "row_products", "pack")
+)
 UNPACK_AB, UNPACK_MATRIX, UNPACK_EQUALITIES, UNPACK_ROWS = (
     _call[f"unpack_{n}"] for n in ("ab", "matrix", "equalities", "rows")
 )

@@ -60,6 +60,10 @@ class RowState:
         self.l = np.where(self.hard, np.clip(kept, 1e-12, 0.99 * self.penalty), kept)
         self.s = np.where(self.soft, np.maximum(self.t - self.h, mu / (self.penalty - self.l)), 0.0)
 
+    def limit_products(self, largest: float) -> None:
+        """As limit_products of the compiled solver."""
+        self.l = np.where(self.hard, np.minimum(self.l, largest / self.t), self.l)
+
     def weights(self, mu: float) -> tuple[np.ndarray, np.ndarray]:
         """σ and e."""
         with np.errstate(divide="ignore", invalid="ignore"):

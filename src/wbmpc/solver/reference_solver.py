@@ -58,6 +58,7 @@ class InterpretedSolver(InterpretedDirections):
     def _trial(self, s: dict[str, Any], alpha: float, x0: np.ndarray, single: bool) -> tuple[np.ndarray, np.ndarray]:
         """States and inputs a step further; with ``single`` the policy is rolled out."""
         ws = self.ws
+        ws.state[StateField.TRIAL_POINTS] += 1.0
         ws.state[[StateField.INPUT_VIOLATION, StateField.MIXED_VIOLATION]] = 0.0
         if not single and not self.hold:
             return ws.x + alpha * s["dx"], ws.u + alpha * s["du"]
@@ -131,15 +132,15 @@ class InterpretedSolver(InterpretedDirections):
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         self.mu, self.shift = c.initial_barrier, 0.0
         start_adaptive.python(ws.state, 0)
+        ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS]] = 0.0
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
         self.hold = 1 + int(c.keep_multipliers) if self.problem.nonlinear_input_rows else int(rolled)
-        start = (self.mu, c.min_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
-        self._start_rows(*start)
+        self._start_rows_of_solve(x0, c)
         if c.single_shooting:
             if not self.policy:
                 self.iterate(x0)
             ws.x[:], ws.u[:] = self._trial({}, 0.0, x0, True)
-            self._start_rows(*start)
+            self._start_rows(self.mu, c.min_slack, bool(c.keep_multipliers), bool(c.keep_slacks))
         self.soft_residual = self._equality_values(ws.x, ws.u)
         return self._iterate_to_the_end(x0, c, log, check)
 
@@ -148,17 +149,37 @@ class InterpretedSolver(InterpretedDirections):
         found = np.concatenate([r.products() for r in self.own])
         return (float(found.mean()), float(found.min())) if found.size else (0.0, 0.0)
 
-    def _start_rows(self, mu: float, min_slack: float, keep: bool, keep_slacks: bool) -> None:
+    def _start_rows_of_solve(self, x0: np.ndarray, c: Any) -> None:
+        """As start_rows_of_solve of the compiled solver."""
+        real_time, misfit = bool(c.keep_multipliers), np.inf
+        if self.ws.state[StateField.CONVERGED] > 0.0 and not c.single_shooting and not real_time:
+            self._row_values()
+            misfit = max([*(rows.residuals()[1] for rows in self.own), np.abs(x0 - self.ws.x[0]).max()])
+        self.ws.state[StateField.CONVERGED] = 0.0
+        if not misfit < c.min_slack:
+            self._start_rows(self.mu, c.min_slack, real_time, bool(c.keep_slacks))
+            return
+        slack = max(misfit, np.sqrt(c.barrier))
+        self._start_rows(min(c.initial_barrier, slack**2), slack, True, False)
+        for rows in self.own:
+            rows.limit_products(c.initial_barrier)
+        self.mu = min(c.initial_barrier, max(self._products()[0], c.barrier))
+
+    def _row_values(self) -> None:
         for k, rows in enumerate(self.own):
             rows.h = self._rows(k, self.ws.x[k], self.ws.u[min(k, len(self.ws.u) - 1)])
             rows.rho = 1.0
+
+    def _start_rows(self, mu: float, min_slack: float, keep: bool, keep_slacks: bool) -> None:
+        self._row_values()
+        for rows in self.own:
             rows.start(mu, min_slack, keep, keep_slacks)
 
     def reset(self) -> None:
         """Slacks and multipliers start anew."""
         state = self.ws.state
         state[[StateField.MAX_STEP, StateField.INFEASIBLE_SOLVES, StateField.BLOCKED_RESIDUAL]] = 0.0
-        state[StateField.BLOCKED_TIME] = 0.0
+        state[StateField.BLOCKED_TIME], state[StateField.CONVERGED] = 0.0, 0.0
         for rows in self.own:
             rows.l, rows.started = np.zeros_like(rows.l), False
 
@@ -173,7 +194,8 @@ class InterpretedSolver(InterpretedDirections):
             and bool(c.compute_kkt or (c.max_extra_iterations and c.rollout_restart))
             and not c.single_shooting
         )
-        run, self.shift = _Progress(int(c.iterations), c.barrier, c.initial_barrier, self.hold, again), 0.0
+        run, self.shift = _Progress(int(c.iterations), c.barrier, self.mu, self.hold, again), 0.0
+        run.bias = 0.0 if self.mu >= c.initial_barrier else np.inf
         while run.count < run.limit:
             check()
             self.shift = run.shift
@@ -184,6 +206,7 @@ class InterpretedSolver(InterpretedDirections):
             row[:2] = cost - self._row_cost(self.ws.x, self.ws.u) - paid, violation + of_soft - apart
             row[4:7] = 0.0, row[1], self._equalities()
             run.count += 1
+            self.ws.state[StateField.DIRECTIONS] += 1.0
             try:
                 s = self.iterate(x0)
             except np.linalg.LinAlgError:  # a Hessian that is not convex, or not finite
@@ -226,6 +249,7 @@ class InterpretedSolver(InterpretedDirections):
         close = 100.0 if blocked else 10.0
         if c.compute_kkt and kkt <= c.tolerance and feasible and product <= close * self.mu and small:
             if last and (not self.has_rows or run.bias <= THRESHOLDS.bias or self.mu <= c.min_barrier):
+                self.ws.state[StateField.CONVERGED] = 1.0
                 return CONVERGED
             run.level = max(0.2 * self.mu, c.min_barrier) if last else run.level
             self.mu, run.first, run.last_kkt = next_mu.python(self.mu, run.level, 0.0, self.mu), 1.0, np.inf

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -99,6 +99,14 @@ class InteriorPoint:
         }
 
 
+class Effort(NamedTuple):
+    """What a solve costs, counted: ``directions`` (linearization, factorization and step) and ``trial_points`` of line searches
+    (cost and constraints without derivatives)."""
+
+    directions: int
+    trial_points: int
+
+
 @dataclass(frozen=True)
 class SQP:
     """Sequential quadratic programming by multiple shooting: states and inputs are unknowns, gaps close with the steps.
@@ -167,6 +175,15 @@ class SQP:
     def max_iterations(self) -> int:
         """Rows that the iteration log needs: a start anew, and a last time with inputs held within rows, come on top."""
         return self.iterations + max(int(self.interior_point.max_extra_iterations), 0) + 2
+
+    @property
+    def max_effort(self) -> Effort:
+        """What one :meth:`Solver.run` costs at most, whatever happens: in real time by default 13 directions and 56 trial points.
+
+        ``iterations``, extra ones while steps are cut, a restart from a roll-out, and one with inputs held within rows; each tries the
+        step halved down to ``min_step``, and once more as a whole with ``accept_min_step``; four points for roll-outs."""
+        trials = int(np.floor(np.log2(1.0 / self.min_step))) + 1 + int(self.accept_min_step)
+        return Effort(self.max_iterations, self.max_iterations * trials + 4)
 
     def numbers(self) -> np.ndarray:
         """The settings in the order of :data:`wbmpc.solver.memory_layout.SETTINGS`."""

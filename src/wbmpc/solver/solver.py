@@ -24,7 +24,7 @@ from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive, Interruptible
 from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
-from wbmpc.solver.settings import SLQ, SQP
+from wbmpc.solver.settings import SLQ, SQP, Effort
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.trajectory import Trajectory
 from wbmpc.solver.violations import violation_message
@@ -319,7 +319,7 @@ class Solver:
         with self.exclusive, Interruptible():
             start = time.perf_counter()
             with self.hessian:
-                status, count = self.hessian.run(x0, t0)
+                status, count = self._run_warm_or_cold(x0, t0)
                 elapsed = time.perf_counter() - start
                 solution = self.solution(status, count, elapsed)
                 if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
@@ -327,6 +327,17 @@ class Solver:
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution
+
+    def _run_warm_or_cold(self, x0: np.ndarray, t0: float) -> tuple[int, int]:
+        """Iterate; where slacks and multipliers of the last solution were kept and that failed, once more without them."""
+        warm = self.ws.state[StateField.CONVERGED] > 0.0
+        start = (self.ws.x.copy(), self.ws.u.copy()) if warm else None
+        status, count = self.hessian.run(x0, t0)
+        if start is not None and self.status(status) is not Status.CONVERGED:
+            self.ws.x[:], self.ws.u[:] = start
+            self.reset()
+            status, count = self.hessian.run(x0, t0)
+        return status, count
 
     def events_without_node(self, t0: float) -> int:
         """By how many the events within a horizon from ``t0`` [s] outnumber the inner nodes, where the grid follows the schedule.
@@ -385,6 +396,12 @@ class Solver:
         Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (nonlinear rows).
         """
         return violation_message(self, status)
+
+    @property
+    def effort(self) -> Effort:
+        """What the last solve has cost; at most :attr:`SQP.max_effort`."""
+        state = self.ws.state
+        return Effort(int(state[StateField.DIRECTIONS]), int(state[StateField.TRIAL_POINTS]))
 
     @property
     def limit_violation(self) -> float:

@@ -141,7 +141,7 @@ BLOCKS = (
     "lane_values",  # (equalities or general rows, 8)
 )
 #: Entries of the block ``state``.
-STATE_SIZE = 40
+STATE_SIZE = 48
 
 #: First index of the function addresses, of the pointer tables and of the rows' indices in the integer table.
 OFFSETS = len(DIMENSIONS)
