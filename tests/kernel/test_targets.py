@@ -59,13 +59,13 @@ def test_narrow_vectors_give_the_same_solution(tmp_path: Path) -> None:
 def test_registers_of_the_target(target: str, budget: int, monkeypatch: pytest.MonkeyPatch) -> None:
     from wbmpc.kernel import codegen_target as machine
 
-    machine.target.cache_clear()
+    machine.host_target.cache_clear()
     monkeypatch.setenv("WBMPC_TARGET", target)
     try:
         if platform.machine() == "x86_64":
             assert vector_budget() == budget
     finally:
-        machine.target.cache_clear()
+        machine.host_target.cache_clear()
 
 
 @pytest.mark.parametrize("target", ["nonsense:", "x86-64-v3:+nonsense"])
@@ -74,13 +74,13 @@ def test_a_target_that_llvm_does_not_know_is_rejected(target: str, monkeypatch: 
     from wbmpc.errors import InputError
     from wbmpc.kernel import codegen_target as machine
 
-    machine.target.cache_clear()
+    machine.host_target.cache_clear()
     monkeypatch.setenv("WBMPC_TARGET", target)
     try:
         with pytest.raises(InputError, match=r"WBMPC_TARGET: '.*' is no target of this machine"):
             machine.compile_module("")
     finally:
-        machine.target.cache_clear()
+        machine.host_target.cache_clear()
 
 
 def assembly(ir: str, triple: str, cpu: str) -> str:

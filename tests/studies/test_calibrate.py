@@ -20,11 +20,14 @@ from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.registry import REGISTRY
 from wbmpc.report import write_run
 from wbmpc.robots.description import DATA
+from wbmpc.settings import ControlSettings
 from wbmpc.studies.pankert2022.reference_drive import OPENING, SwerveCalibrateSettings, _phases
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 ROBOT, SEED = robot("swerve-ur10"), 5
-SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, settle_time=2.0, tracked_poses=20)
+SETTINGS = SwerveCalibrateSettings(
+    stroke=1.0, turn=1.5, settle_time=2.0, control=ControlSettings(rate=200.0), tracked_poses=20
+)
 
 
 @pytest.fixture(scope="module")

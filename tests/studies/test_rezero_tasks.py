@@ -26,7 +26,7 @@ def values(result) -> dict[str, float]:  # type: ignore[no-untyped-def]
 
 
 @pytest.mark.parametrize(
-    ("held", "settle", "pause"), [pytest.param("ball", 1.5, 6.0, marks=thorough), ("hand", 0.5, 4.5)]
+    ("held", "settle", "pause"), [pytest.param("ball", 1.5, 6.0, marks=thorough), ("hand", 0.5, 3.0)]
 )
 def test_a_push_moves_the_robot_and_it_comes_back(held: str, settle: float, pause: float) -> None:
     short = {"forces": (60.0,), "settle_time": settle, "pause": pause}

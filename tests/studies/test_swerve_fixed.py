@@ -11,16 +11,19 @@ from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.studies.pankert2022 import fixed
+from wbmpc.studies.base_path import Segment
+from wbmpc.studies.pankert2022 import fixed, fixed_motions
 from wbmpc.studies.pankert2022.fixed_figures import standstill
 from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings
 
 
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
-    return fixed.EXPERIMENT.run(
-        SwerveFixedSettings(motions=("sideways",), random_time=0.0, settle_time=1.0, calibration="none"), 3
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(fixed_motions.SEGMENTS, "sideways", Segment((0.0, 0.4, 0.0), 3.5))
+        return fixed.EXPERIMENT.run(
+            SwerveFixedSettings(motions=("sideways",), random_time=0.0, settle_time=0.5, calibration="none"), 3
+        )
 
 
 def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
@@ -28,7 +31,7 @@ def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert 1e-5 < m["tracking_error_rms_mpc"] < 0.006
     assert 1e-5 < m["tracking_error_rms_ik"] < 0.03
-    assert m["tracking_error_rms_four_wheel"] > 0.5  # it cannot move sideways
+    assert m["tracking_error_rms_four_wheel"] > 0.2  # it cannot move sideways
     assert m["tracking_error_rms_mpc_sideways"] == pytest.approx(
         m["tracking_error_rms_mpc"], rel=0.2
     )  # the only motion
@@ -36,21 +39,21 @@ def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_the_bases_really_move(result) -> None:  # type: ignore[no-untyped-def]
-    """2 m sideways in the world, not only in the odometry."""
+    """1 m sideways in the world, not only in the odometry."""
     for name in ("mpc", "ik"):
-        np.testing.assert_allclose(result.log.array(f"base_{name}")[-1], [0.0, 2.0, 0.0], atol=0.05)
+        np.testing.assert_allclose(result.log.array(f"base_{name}")[-1], [0.0, 1.0, 0.0], atol=0.03)
         steer = result.log.array(f"steer_{name}")
         assert np.abs(steer).max() < 3.15
         assert np.abs(np.diff(steer, axis=0)).max() < 0.2  # turned, not jumped
 
 
 def test_the_figures_are_those_of_the_record(result) -> None:  # type: ignore[no-untyped-def]
-    """Truth: the sideways motion integrated from its twist by hand, 0.4 m/s with ramps of 1 s from 1 to 7 s, against where the base
+    """Truth: the sideways motion integrated from its twist by hand, 0.4 m/s with ramps of 1 s from 1 to 4.5 s, against where the base
     was in the world, and against where the odometry had it."""
     m = {name: metric.value for name, metric in result.metrics.items()}
     grid = np.linspace(0.0, 10.0, 10_001)
     ramp = lambda t: 0.5 - 0.5 * np.cos(np.pi * np.clip(t, 0.0, 1.0))
-    speed = 0.4 * (ramp(grid - 1.0) - ramp(grid - 6.0))
+    speed = 0.4 * (ramp(grid - 1.0) - ramp(grid - 3.5))
     way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * 1e-3)])
     for name in ("mpc", "ik"):
         found = {}

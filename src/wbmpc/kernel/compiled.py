@@ -56,6 +56,8 @@ _KERNELS = (
 )
 #: Order of the addresses in :attr:`Kernel.addresses`.
 ADDRESSES = (*_SINGLE, *(f"lanes.{n}" for n in _EIGHT), *_KERNELS)
+#: The same functions as the module of a problem calls them.
+SYMBOLS = (*(f"w_{n}" for n in _SINGLE), *(f"l_{n}" for n in _EIGHT), *_KERNELS)
 #: What the nodes share among the arguments x, u, p, w, h.
 _SHARED = {3}
 
@@ -374,8 +376,7 @@ def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel
     else:
         code = found[0]
     engine = load_object(code)
-    names = [*(f"w_{n}" for n in _SINGLE), *(f"l_{n}" for n in _EIGHT), *_KERNELS]
-    addresses = np.array([engine.get_function_address(n) for n in names], dtype=np.int64)
+    addresses = np.array([engine.get_function_address(n) for n in SYMBOLS], dtype=np.int64)
     if np.any(addresses == 0):
         raise KernelError("the compiled code lacks a function")
     return Kernel(sizes, addresses, found is not None, engine)

@@ -58,7 +58,17 @@ class Balance:
 
     @classmethod
     def of(cls, robot: RobotModel, arm: ArrayLike, directions: int = 36) -> Balance:
-        """About the equilibrium for arm angles [rad]."""
+        """About the equilibrium for arm angles [rad]; the same of one robot are computed once."""
+        numeric = ball_base(robot).numeric
+        limits, maximum = robot.limits.input_upper[robot.input["wheel"]], robot.description.limits.spin_effort
+        key = (np.asarray(arm, float).tobytes(), limits.tobytes(), maximum, directions)
+        if key not in numeric.balances:
+            numeric.balances[key] = cls._about(robot, arm, directions)
+        found: Balance = numeric.balances[key]
+        return found
+
+    @classmethod
+    def _about(cls, robot: RobotModel, arm: ArrayLike, directions: int) -> Balance:
         base = ball_base(robot)
         x, u = robot.base.numeric.equilibrium(arm)
         a, b, pushed, offset, mass = _linear(robot, base, x, u)
