@@ -179,8 +179,8 @@ def test_a_guess_beyond_all_numbers_is_reported_and_the_next_one_solves() -> Non
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: solve(cart(), SQP(), "ab"), "initial state: 2 numbers are needed"),  # type: ignore[arg-type]
-        (lambda: Solver(cart(), SQP()).solve(START, np.nan), "start of the horizon: a finite time is needed, got nan"),
+        (lambda: solve(cart(), SQP(), "ab"), "initial state: (2 )?numbers are needed"),  # type: ignore[arg-type]
+        (lambda: Solver(cart(), SQP()).solve(START, np.nan), "start of the horizon: the time must be finite, got nan"),
         (lambda: SQP(iterations=2.5), "iterations must be a whole number, at least 1, got 2.5"),  # type: ignore[arg-type]
         (lambda: SQP(iterations=True), "iterations must be a whole number"),
         (lambda: SQP(min_step=2.0), "min_step must be at most 1, got 2"),
