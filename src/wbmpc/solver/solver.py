@@ -190,6 +190,12 @@ class Solver:
         with self.exclusive:
             self.ws.x[:], self.ws.u[:] = start
 
+    def use(self, x: np.ndarray, u: np.ndarray) -> None:
+        """Take states (N + 1, nx) and inputs (N, nu) as the result of the last solve, without feedback."""
+        self.warm_start(x, u)
+        with self.exclusive:
+            self.ws.k[:] = 0.0
+
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
         with self.exclusive:
@@ -212,6 +218,12 @@ class Solver:
         the next solve."""
         parts = (self.ws.grid, self.ws.x, self.ws.u)
         return Trajectory(start, *(part.copy() if copy else _read_only(part) for part in parts))
+
+    def node_times(self, t0: float) -> np.ndarray:
+        """Times (N + 1) [s] of the nodes of a solve that starts at ``t0`` [s], from its start: events move them (``align_events``)."""
+        from wbmpc.solver.receding import node_times
+
+        return node_times(self.ocp.grid, self.ocp.align_events, self.tables(), t0)
 
     @property
     def gain(self) -> np.ndarray:
