@@ -16,9 +16,9 @@ Array = NDArray[np.float64]
 SHORTEST, USUAL, LONGEST = 0.2, 0.5, 1.5
 
 
-def braking_time(robot: RobotModel, u: Array) -> float:
-    """How long [s] a stop from the inputs u (nu, of the robot) takes with all inputs in proportion."""
-    rates = robot.limits.input_rate
+def braking_time(dynamics: Any, robot: RobotModel, x0: Array, u0: Array) -> float:
+    """How long [s] a stop from the state ``x0`` (nx) under the input ``u0`` (nu) takes with all inputs in proportion."""
+    rates, u = robot.limits.input_rate, _speeds(dynamics, robot, x0, u0)
     known = np.isfinite(rates) & (rates > 0.0)
     if not known.any():
         return USUAL
@@ -26,17 +26,16 @@ def braking_time(robot: RobotModel, u: Array) -> float:
 
 
 class BrakingPlan(NamedTuple):
-    """States ``x`` (N + 1, nx), inputs ``u`` (N, nu) and ``duration`` [s] of a stop."""
+    """States ``x`` (N + 1, nx) and inputs ``u`` (N, nu) of a stop."""
 
     x: Array
     u: Array
-    duration: float
 
 
 def braking_plan(solver: Solver, robot: RobotModel, x0: Array, u0: Array, grid: Array) -> BrakingPlan:
     """A stop from the state ``x0`` (nx) under the input ``u0`` (nu), at nodes ``grid`` (N + 1) [s] from now."""
     dynamics = solver.ocp.dynamics
-    duration = braking_time(robot, _speeds(dynamics, robot, x0, u0))
+    duration = braking_time(dynamics, robot, x0, u0)
     # the mean over each interval of what is left of the speed, and how much of the interval the stop lasts
     left = _remaining(grid, duration)
     lasts = np.clip((duration - grid[:-1]) / np.diff(grid), 0.0, 1.0)
@@ -48,7 +47,7 @@ def braking_plan(solver: Solver, robot: RobotModel, x0: Array, u0: Array, grid: 
     states[0] = x0
     for k, h in enumerate(np.diff(grid)):
         states[k + 1] = solver.simulate(states[k], inputs[k], float(h))
-    return BrakingPlan(states, inputs, duration)
+    return BrakingPlan(states, inputs)
 
 
 def _remaining(grid: Array, duration: float) -> Array:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.errors import InputError
-from wbmpc.mpc.braking import BrakingPlan, braking_plan
+from wbmpc.mpc.braking import BrakingPlan, braking_plan, braking_time
 from wbmpc.obstacles.rows import Clearance as LeastClearance
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import OptimalControlProblem, Reference, residuals
@@ -84,8 +85,16 @@ class ClearanceRows:
         found += [r.rows.deepest(times, states, share * r.rows.margin, DEEPER) for r in self._within.values()]
         return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)
 
-    def braking(self, t: float, x0: Array, delta: float) -> BrakingPlan:
-        """A stop from ``x0`` (nx) at ``t`` [s] under the input that the last plan, ``delta`` [s] old, has then."""
+    def braking(self, t: float, x0: Array, delta: float) -> Callable[[], BrakingPlan]:
+        """What makes the plan of a stop from ``x0`` (nx) at ``t`` [s] under the input that the last plan, ``delta`` [s] old, has then."""
+        u0 = self._input(delta)
+        return lambda: braking_plan(self._solver, self.robot, x0, u0, self._solver.node_times(t))
+
+    def stopping_time(self, x0: Array, delta: float) -> float:
+        """How long [s] that stop takes."""
+        return braking_time(self._solver.ocp.dynamics, self.robot, x0, self._input(delta))
+
+    def _input(self, delta: float) -> Array:
         plan = self._solver.trajectory(copy=False)
         k = min(int(np.searchsorted(plan.grid, delta + 1e-9, side="right")) - 1, len(plan.u) - 1)
-        return braking_plan(self._solver, self.robot, x0, plan.u[k].copy(), self._solver.node_times(t))
+        return plan.u[k].copy()

@@ -279,18 +279,17 @@ class MPC:
     def _solve_clear(self, t: float, x0: np.ndarray, delta: float, passes: int) -> None:
         """Solve, and where the robot would come much too near to something before it can stop: from a braking plan, with more passes.
         If that does not help either, the braking plan is the result."""
-        clear, started = self._clear, self._t is not None
+        clear = self._clear
         clear.look(t)
-        stop = clear.braking(t, x0, delta) if started and not clear.robot.base.balances else None
-        if stop is None:
+        if self._t is None or clear.robot.base.balances:
             self._solve(t, x0, delta, passes)
         else:
-            until = t + stop.duration + REACTION
-            sudden = clear.unsafe(*clear.predicted(t, delta), until)
+            until = t + clear.stopping_time(x0, delta) + REACTION
+            stop, sudden = clear.braking(t, x0, delta), clear.unsafe(*clear.predicted(t, delta), until)
             if sudden is None:
                 self._solve(t, x0, delta, passes)
             if sudden is not None or self._runs_into(t, until):
-                self._brake(t, x0, stop, until)
+                self._brake(t, x0, stop(), until)
         clear.measure(t)
 
     def _runs_into(self, t: float, until: float) -> Clearance | None:

@@ -20,8 +20,8 @@ from wbmpc.obstacles.sweep import between, keep_sides
 from wbmpc.obstacles.world import Snapshot
 
 Array = NDArray[np.float64]
-#: Obstacles farther than this [m] have no rows.
-REACH = 1.0
+#: Obstacles farther than this [m] beyond the margin have no rows.
+REACH = 0.5
 #: Parts of the robot farther from each other than this [m] have none.
 SELF_REACH = 0.25
 #: Numbers of a row's parameters: normal, point, offset; of two bodies: normal, both points, offset.

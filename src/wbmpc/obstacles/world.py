@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import checks, lie
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.obstacles.scene import read_scene
 from wbmpc.obstacles.shapes import (
     Box,
     Capsule,
@@ -162,6 +164,18 @@ class Obstacles:
         )
         with self._lock:
             self._frames[name] = pose
+
+    def load(self, path: str | Path) -> None:
+        """Set the obstacles of a YAML file (:func:`wbmpc.obstacles.scene.read_scene`); nothing of a file with a mistake. Raises
+        :class:`InputError` naming file, obstacle and key."""
+        scene, trial = list(read_scene(path)), Obstacles()
+        for where, name, shape, place in scene:
+            try:
+                trial.set(name, shape, **place)
+            except InputError as error:
+                raise InputError(f"{where}: {error}") from error
+        for _, name, shape, place in scene:
+            self.set(name, shape, **place)
 
     def remove(self, name: str) -> None:
         """Take an obstacle away. Raises :class:`InputError` naming the valid choices where there is none."""
