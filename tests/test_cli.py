@@ -110,7 +110,7 @@ def test_table_shows_ours_paper_goal_and_the_page(capsys: pytest.CaptureFixture[
     assert call("run", "fake") == 0
     out = capsys.readouterr().out
     row = next(line for line in out.splitlines() if "hand_error_mean_odometry" in line)
-    assert all(part in row for part in ("fake", " m ", "0.0167", "0.003", "reached"))
+    assert all(part in row for part in ("fake", " mm ", "16.7", "≤ 3", "reached"))
     assert "the report page is runs/fake-seed200/report.html" in out
 
 
@@ -213,7 +213,7 @@ def test_demo_runs_both_and_prints_one_table(capsys: pytest.CaptureFixture[str])
     both = {"swerve-track": REGISTRY["fake"], "rezero-steps": REGISTRY["fake"]}
     assert main(["demo"], both) == 0
     captured = capsys.readouterr()
-    assert captured.out.count("paper") == 1  # the header of one table
+    assert captured.out.count("this run") == 1  # the header of one table
     assert (
         "runs/swerve-track-seed200/report.html" in captured.out
         and "runs/rezero-steps-seed200/report.html" in captured.out
@@ -263,8 +263,8 @@ def test_a_table_in_a_pipe_is_plain_columns() -> None:
     assert out == ""
     lines = shell("run", "fake", code=FAKE_MAIN).stdout.splitlines()
     row = next(line.split() for line in lines if "hand_error_mean_odometry" in line)
-    assert row[:3] == ["fake", "hand_error_mean_odometry", "m"] and row[4:] == ["0.0167", "0.003", "reached"]
-    assert not any(ord(c) > 0x2000 and c not in "≥…" for c in "".join(lines)) and "\x1b" not in "".join(lines)
+    assert row[:3] == ["fake", "hand_error_mean_odometry", "mm"] and row[4:] == ["16.7", "≤", "3", "reached"]
+    assert not any(ord(c) > 0x2000 and c not in "≥≤…" for c in "".join(lines)) and "\x1b" not in "".join(lines)
 
 
 def test_help_shows_its_words_as_they_are() -> None:

@@ -1,4 +1,4 @@
-"""`wbmpc compare`. Truth: the two runs' own files."""
+"""`wbmpc compare`. Truth: the runs' own files."""
 
 from __future__ import annotations
 
@@ -33,6 +33,30 @@ def test_metrics_and_settings(runs: list[dict], capsys: pytest.CaptureFixture[st
     assert rows["hand_error_mean_odometry"]["change"] == pytest.approx(b / a - 1.0)
     assert rows["fell"]["change"] is None  # nothing to divide by
     assert data["settings"] == {"seed": [1, 2], "mpc.rate": [50.0, 80.0]}
+
+
+def test_any_number_of_runs(runs: list[dict], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
+    assert main(["run", "fake", "--seed", "3", "--out", "c", "--json"], REGISTRY) == 0
+    runs.append(json.loads(capsys.readouterr().out))
+    assert main(["compare", "a", "b", "c", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    for row in data["metrics"]:
+        values = [r["metrics"][row["metric"]]["value"] for r in runs]
+        assert row["values"] == values and row["spread"] == max(values) - min(values)
+    assert data["settings"] == {"seed": [1, 2, 3], "mpc.rate": [50.0, 80.0, 50.0]}
+    body = Path(data["page"]).read_text().partition("<body>")[2]
+    titles = ("hand x", "hand y", "hand z", "error")  # each with a line per run
+    assert all(f"<h3>{title}</h3>" in body for title in titles) and body.count("Plotly.newPlot") == 4
+    assert body.count('"name":"a"') == body.count('"name":"c"') == 4
+    assert main(["compare", "a", "b", "c", "--quiet"]) == 0
+    for many in (["a"], ["a"] * 9):
+        assert main(["compare", *many]) == 2
+        assert "two to 8 runs are needed" in capsys.readouterr().err
+
+
+def test_the_same_run_twice_has_two_names(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
+    assert main(["compare", "a", "a"]) == 0
+    assert "a (1)" in capsys.readouterr().out
 
 
 def test_runs_of_different_experiments_are_noted(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]

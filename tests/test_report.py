@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fake_experiment import FakeSettings, run
 from wbmpc.log import Log
-from wbmpc.report import MAX_POINTS, _legend_rows, _thin, number, page, to_json, versions, write_run
-from wbmpc.result import Metric, MpcStatistics
+from wbmpc.report import MAX_POINTS, _colours, _legend_rows, _thin, goal_text, page, to_json, versions, write_run
+from wbmpc.result import Metric, MpcStatistics, Series
+from wbmpc.units import number, scale
 
 CHROMIUM = shutil.which("chromium")
 FELL = FakeSettings(fall_at=2.0)
@@ -96,8 +101,8 @@ def test_page_shows_everything(html_page: str) -> None:
     body = html_page[html_page.index("<body>") :]
     for text in (
         "hand_error_mean_odometry",
-        "0.0167",
-        "0.003",
+        "<td class=n>16.7</td>",
+        "<td class=n>≤ 3</td>",
         "reached",
         "missed",
         "27.2 ms",
@@ -163,6 +168,67 @@ NUMBERS = {0.00159712: "0.001597", 20.53: "20.53", 0.0: "0", np.inf: "inf", -np.
 @pytest.mark.parametrize(("value", "text"), NUMBERS.items())
 def test_numbers(value: float, text: str) -> None:
     assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "values", "shown"),
+    [
+        ("m", (0.001457, 0.0167, 0.002), ["mm", "1.457", "16.7", "2"]),
+        ("m", (0.05, 2.0), ["m", "0.05", "2"]),
+        ("m", (3e-5,), ["µm", "30"]),
+        ("m", (0.0, None), ["m", "0", ""]),
+        ("m", (float("inf"), 0.02), ["mm", "inf", "20"]),
+        ("rad", (math.pi / 180,), ["°", "1"]),
+        ("rad/s", (math.pi,), ["°/s", "180"]),
+        ("1", (6.645e-5, 0.01009, 0.003), ["%", "0.006645", "1.009", "0.3"]),
+        ("1", (0.56, 0.05), ["1", "0.56", "0.05"]),
+        ("1", (3.0,), ["1", "3"]),
+        ("s", (0.92, 1.0), ["s", "0.92", "1"]),
+        ("N m", (0.01,), ["N m", "0.01"]),
+    ],
+)
+def test_units_of_a_row_read_well(unit: str, values: tuple[float | None, ...], shown: list[str]) -> None:
+    """Truth: by hand."""
+    found = scale(unit, *values)
+    assert [found.unit, *map(found.text, values)] == shown
+
+
+@given(st.sampled_from(["m", "m/s", "s", "rad", "rad/s", "1", "N m", ""]), st.floats(1e-12, 1e12))
+def test_a_shown_figure_is_the_figure(unit: str, value: float) -> None:
+    """Truth: definitions of the units."""
+    per_unit = {"µm": 1e-6, "mm": 1e-3, "mm/s": 1e-3, "ms": 1e-3, "°": math.pi / 180, "°/s": math.pi / 180, "%": 0.01}
+    found = scale(unit, value)
+    assert float(found.text(value)) * per_unit.get(found.unit, 1.0) == pytest.approx(value, rel=1e-3)
+
+
+def test_goals_as_text() -> None:
+    metric = lambda **bounds: Metric(0.01, "m", **bounds)
+    shown = scale("m", 0.01)
+    texts = [
+        goal_text(m, shown) for m in (metric(), metric(goal=0.02), metric(least=0.005), metric(least=0, goal=0.02))
+    ]
+    assert texts == ["", "≤ 20", "≥ 5", "0 to 20"]
+
+
+def test_a_signal_and_its_reference_share_a_colour_and_a_meaning_keeps_its_own() -> None:
+    line = lambda name, colour=None: Series(name, np.zeros(2), np.zeros(2), colour=colour)
+    x, x_reference, y, y_planned = _colours([line("x"), line("x, reference"), line("y"), line("y, planned")])
+    assert x == x_reference != y == y_planned
+    path, error = (
+        _colours([line("reference"), line("estimated frame"), line("world")]),
+        _colours([line("world"), line("estimated frame")]),
+    )
+    assert path[1:] == error[::-1] and len(set(path)) == 3
+    assert len(set(_colours([line("world"), *(line(f"joint {i}") for i in range(5))]))) == 6
+    assert _colours([line("a", 2), line("b", 2)])[0] == _colours([line("c", 2)])[0]
+
+
+def test_the_page_names_command_and_duration(tmp_path: Path) -> None:
+    result = replace(run(FakeSettings(), 3), command="wbmpc run fake --set 'a=<b>'", wall_time=12.3456)
+    body = page(result)
+    assert "<code>wbmpc run fake --set &#x27;a=&lt;b&gt;&#x27;</code>" in body and "12.35 s" in body
+    saved = json.loads(Path(write_run(result, tmp_path)["metrics"]).read_text(), parse_constant=reject)
+    assert (saved["command"], saved["wall_time"]) == (result.command, result.wall_time)
 
 
 def test_goals_are_largest_values() -> None:

@@ -134,7 +134,7 @@ def test_the_site_stands_alone(site) -> None:  # type: ignore[no-untyped-def]
     body = index.read_text()
     assert "1 of 3 goals pass; short: fake: hand_error_max_odometry, fake: fell." in body
     row = next(r for r in body.split("<tr>") if "<td>hand_error_mean_odometry" in r)
-    assert "0.0167" in row and "0.003" in row and "pass" in row
+    assert "16.7" in row and "≤ 3" in row and "pass" in row
     row = next(r for r in body.split("<tr>") if "<td>hand_error_max_odometry" in r)
     assert "falls short" in row
     assert "3 of 4 runs completed, 2 gave no result" in body and "mujoco" in body

@@ -1,9 +1,9 @@
-"""Two runs side by side: their figures in a table, their signals over each other."""
+"""Runs side by side: their figures in a table, their signals over each other."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from wbmpc.result import Plot, Series
 from wbmpc.robots import load_description
 from wbmpc.run_files import check_metric, read_log, read_metrics
 
+#: Runs that are compared at once.
+MAX_RUNS = 8
 #: Components of a channel, at most, that are drawn.
 MAX_LINES = 6
 #: What the components of channels are called, by the first word of their names; those of wheels are the robot's.
@@ -41,13 +43,12 @@ class Run:
     labels: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-def load_both(first: Path, second: Path) -> tuple[Run, Run]:
-    """Two runs with signals that can be laid over each other: logs, or recordings where one of them left no log."""
-    runs = (load(first), load(second))
-    if all(run.log for run in runs):
-        return runs
-    a, b = (_from_recording(run) for run in runs)
-    return a, b
+def load_all(paths: Sequence[Path]) -> list[Run]:
+    """Runs with signals that can be laid over each other: logs, or recordings where one of them left no log."""
+    if not 2 <= len(paths) <= MAX_RUNS:
+        raise InputError(f"compare: two to {MAX_RUNS} runs are needed, got {len(paths)}")
+    runs = [load(path) for path in paths]
+    return runs if all(run.log for run in runs) else [_from_recording(run) for run in runs]
 
 
 def load(path: Path) -> Run:
@@ -112,36 +113,38 @@ def _from_recording(run: Run) -> Run:
 
 
 def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row for each metric of either run: ``metric``, ``unit``, ``values`` (a, b), ``change`` of b against a (1)."""
+    """A row for each metric of any run: ``metric``, ``unit``, ``values`` by run (None where there is none), ``change`` of the last run
+    against the first (1), ``spread``: largest minus smallest."""
     names = dict.fromkeys(name for run in runs for name in run["metrics"])
     rows = []
     for name in names:
         found = [run["metrics"].get(name, {}) for run in runs]
-        a, b = (m.get("value") for m in found)
-        change = (b - a) / abs(a) if a not in (None, 0) and b is not None else None
+        values = [m.get("value") for m in found]
+        known = [v for v in values if v is not None]
+        first, last = values[0], values[-1]
+        change = (last - first) / abs(first) if first not in (None, 0) and last is not None else None
+        spread = max(known) - min(known) if len(known) == len(values) else None
         unit = max(m["unit"] for m in found if m)  # a recording alone knows none
-        rows.append({"metric": name, "unit": unit, "values": [a, b], "change": change})
+        rows.append({"metric": name, "unit": unit, "values": values, "change": change, "spread": spread})
     return rows
 
 
 def experiments(runs: list[dict[str, Any]]) -> str:
-    """A message where two runs are of different experiments; else empty."""
-    a, b = (run.get("experiment") or "unknown" for run in runs)
-    return (
-        ""
-        if a == b
-        else f"the runs are of different experiments ({a} and {b}): figures and settings of one may mean nothing for the other"
-    )
+    """A message where runs are of different experiments; else empty."""
+    names = list(dict.fromkeys(run.get("experiment") or "unknown" for run in runs))
+    if len(names) == 1:
+        return ""
+    listed = f"{', '.join(names[:-1])} and {names[-1]}"
+    return f"the runs are of different experiments ({listed}): figures and settings of one may mean nothing for another"
 
 
 def differences(runs: list[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Settings that the runs do not share, by dotted key: both values."""
+    """Settings that the runs do not share, by dotted key: the values by run."""
     flat = [_flat(run.get("settings", {})) for run in runs]
     keys = dict.fromkeys(key for settings in flat for key in settings)
-    both = {key: [settings.get(key) for settings in flat] for key in keys}
-    if runs[0].get("seed") != runs[1].get("seed"):
-        both = {"seed": [run.get("seed") for run in runs], **both}
-    return {key: values for key, values in both.items() if values[0] != values[1]}
+    found = {"seed": [run.get("seed") for run in runs]}
+    found |= {key: [settings.get(key) for settings in flat] for key in keys if key != "seed"}
+    return {key: values for key, values in found.items() if any(value != values[0] for value in values)}
 
 
 def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -170,13 +173,36 @@ def _components(channel: str, count: int, modules: tuple[str, ...]) -> tuple[str
 
 
 def overlay(runs: Sequence[Run], names: list[str], modules: tuple[str, ...] = ()) -> list[Plot]:
-    """A plot for each channel that both runs have; the second run has the same colours, dashed. ``modules``: :func:`wheels`."""
+    """The channels that all runs have. ``modules``: :func:`wheels`.
+
+    Of two runs each channel is a plot, and the second run has the same colours, dashed; of more runs each component is a plot, and
+    each run has a colour.
+    """
     logs = [run.log for run in runs]
-    channels = [c for c in logs[0] if f"{c}.time" in logs[0] and f"{c}.time" in logs[1]]
-    return [Plot(channel, "time [s]", channel, _lines(channel, runs, names, modules)) for channel in channels]
+    channels = [c for c in logs[0] if all(f"{c}.time" in log for log in logs)]
+    lines = {channel: _lines(channel, runs, names, modules) for channel in channels}
+    if len(runs) == 2:
+        return [Plot(c, "time [s]", c, [s for s, _ in by_run]) for c, by_run in lines.items()]
+    return [
+        Plot(title, "time [s]", title, [replace(s, name=n, dashed=False, colour=k) for k, (s, n) in enumerate(group)])
+        for channel, by_run in lines.items()
+        for title, group in _by_component(channel, by_run, len(runs))
+    ]
 
 
-def _lines(channel: str, runs: Sequence[Run], names: list[str], modules: tuple[str, ...]) -> list[Series]:
+def _by_component(
+    channel: str, lines: list[tuple[Series, str]], runs: int
+) -> Iterator[tuple[str, list[tuple[Series, str]]]]:
+    """The lines of each component, as far as every run has it."""
+    parts = [(series.name.removeprefix(name).strip(), (series, name)) for series, name in lines]
+    for part in dict.fromkeys(part for part, _ in parts):
+        group = [line for p, line in parts if p == part]
+        if len(group) == runs:
+            yield f"{channel} {part}".strip(), group
+
+
+def _lines(channel: str, runs: Sequence[Run], names: list[str], modules: tuple[str, ...]) -> list[tuple[Series, str]]:
+    """The components of a channel by run, each with the run's name."""
     lines = []
     for k, (run, name) in enumerate(zip(runs, names, strict=True)):
         log = run.log
@@ -184,5 +210,5 @@ def _lines(channel: str, runs: Sequence[Run], names: list[str], modules: tuple[s
         parts = run.labels.get(channel) or _components(channel, len(rows), modules)
         for i, row in enumerate(rows[:MAX_LINES]):
             label = f"{name} {parts[i]}" if len(rows) > 1 else name
-            lines.append(Series(label, log[f"{channel}.time"], row, dashed=k == 1, colour=i))
+            lines.append((Series(label, log[f"{channel}.time"], row, dashed=k == 1, colour=i), name))
     return lines

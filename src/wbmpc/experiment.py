@@ -20,13 +20,14 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel
 
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
+from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult, Series
 from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -156,6 +157,8 @@ def run_scenario(
     reason = run.ending.reason or (statistics.fault if statistics else "")
     log = scenario.log
     metrics, plots = (scenario.metrics(run), list(scenario.plots(run))) if log.channels else ({}, [])
+    if plots and planners and planners[-1].statistics.solve_times:
+        plots.append(_solve_times(planners[-1]))
     return RunResult(
         name, seed, not reason, reason, metrics, statistics, log, plots, list(scenario.idealisations),
         settings.model_dump(mode="json"), run.ending.interrupted, run.faults,
@@ -165,6 +168,17 @@ def run_scenario(
 def _statistics(mpc: MPC) -> MpcStatistics:
     m = mpc.statistics
     return MpcStatistics.of(mpc.rate, m.solve_times, m.solves, m.failures, m.no_step)
+
+
+def _solve_times(mpc: MPC) -> Plot:
+    """How long each solve took on this machine beside the period: in virtual time a late plan is no later than the computation delay
+    of the settings."""
+    solve = 1e3 * np.array(mpc.statistics.solve_times)
+    t = np.arange(1, solve.size + 1) / mpc.rate  # the first update's time is not counted
+    period = np.full(2, 1e3 / mpc.rate)
+    return Plot("Solve times", "time [s]", "time [ms]", [
+        Series("solve", t, solve), Series("period", t[[0, -1]], period, dashed=True),
+    ])  # fmt: skip
 
 
 def run_parts(scenario: Scenario, progress: Progress | None = None) -> Run:

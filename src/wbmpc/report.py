@@ -20,7 +20,8 @@ import numpy as np
 from wbmpc import __version__
 from wbmpc.errors import NotWritten
 from wbmpc.output_file import write_text
-from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
+from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult, Series
+from wbmpc.units import Scale, number, scale
 
 #: Name of the recording in a run's directory.
 RECORDING = "run.mcap"
@@ -31,6 +32,9 @@ MAX_POINTS = 1500
 #: Width of a legend in the narrowest card [pixels], of an entry's mark, and of a letter, about.
 _LEGEND, _MARK, _LETTER = 360, 45, 6.3
 _COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
+#: What a line's name says in every plot, by its colour; and what may stand behind a signal's name, whose colour it then has.
+_MEANINGS = {"world": 0, "true": 0, "estimated frame": 1, "odometry": 1, "reference": 6, "period": 6}
+_KINDS = ("reference", "commanded", "planned", "estimated", "measured", "world", "estimated frame")
 _GRID = "rgba(128, 140, 152, 0.25)"
 _STYLE = """
 :root { color-scheme: light dark; --ink: #1d2733; --soft: #5c6b7a; --line: #dfe5ea; --page: #f5f7f9; --card: #fff;
@@ -61,13 +65,6 @@ dl { display: grid; grid-template-columns: max-content 1fr; gap: 2px 16px; margi
 dt { color: var(--soft); } dd { margin: 0; }
 @media print { body { background: #fff; } .plots > div { break-inside: avoid; } }
 """
-
-
-def number(value: float) -> str:
-    """A figure with four significant digits."""
-    if not math.isfinite(value):
-        return "not a number" if math.isnan(value) else f"{value:g}"
-    return f"{value:.4g}"
 
 
 def _plain(value: Any) -> Any:
@@ -106,17 +103,21 @@ def _mpc(mpc: MpcStatistics) -> dict[str, Any]:
     }
 
 
-def figure_text(result: RunResult, name: str) -> str:
-    """A run's figure as a cell of a table; one that the user ended may have had no time for it."""
-    value = result.metrics[name].value
-    return "not measured" if result.interrupted and not math.isfinite(value) else number(value)
+def metric_cells(result: RunResult, name: str) -> list[str]:
+    """A metric's unit, figure, paper's figure and goal as cells of a table, all in the unit that reads best."""
+    m = result.metrics[name]
+    shown = scale(m.unit, m.value, m.paper, m.goal, m.least)
+    # a run that the user ended may have had no time for a figure
+    missing = result.interrupted and not math.isfinite(m.value)
+    return [shown.unit, "not measured" if missing else shown.text(m.value), shown.text(m.paper), goal_text(m, shown)]
 
 
-def goal_text(metric: Metric) -> str:
+def goal_text(metric: Metric, shown: Scale) -> str:
     """The goal as a cell of a table: a largest value, a range, or a smallest value."""
-    if metric.least is None:
-        return "" if metric.goal is None else number(metric.goal)
-    return f"≥ {number(metric.least)}" if metric.goal is None else f"{number(metric.least)} to {number(metric.goal)}"
+    goal, least = shown.text(metric.goal), shown.text(metric.least)
+    if not least:
+        return f"≤ {goal}" if goal else ""
+    return f"{least} to {goal}" if goal else f"≥ {least}"
 
 
 def versions() -> dict[str, str]:
@@ -205,6 +206,8 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
         "idealisations": result.idealisations,
         "faults": result.faults,
         "versions": versions(),
+        "command": result.command,
+        "wall_time": _plain(result.wall_time),
     }
     text = json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n"
     try:
@@ -253,7 +256,26 @@ def _template() -> Any:
 
     axis = {"gridcolor": _GRID, "zerolinecolor": _GRID, "linecolor": _GRID, "automargin": True}
     layout = {"xaxis": axis, "yaxis": axis, "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)"}
+    layout["modebar"] = {"bgcolor": "rgba(0,0,0,0)", "color": "#9aa7b3", "activecolor": "#5c6b7a"}
+    layout["hovermode"] = "x unified"
     return go.layout.Template(layout={**layout, "font": {"color": "#7b8894"}})
+
+
+def _colours(lines: Sequence[Series]) -> list[str]:
+    """A colour for each line: what a name means keeps its colour in all plots, and "x, reference" has that of "x"."""
+    kinds = [line.name.rpartition(", ") for line in lines]
+    signals = [
+        signal if signal and kind in _KINDS else line.name for line, (signal, _, kind) in zip(lines, kinds, strict=True)
+    ]
+    free = (c for c in range(len(_COLOURS)) if c not in _MEANINGS.values() or not set(signals) & set(_MEANINGS))
+    chosen = {name: line.colour for name, line in zip(signals, lines, strict=True) if line.colour is not None}
+    for name in dict.fromkeys(signals):
+        if name not in chosen:
+            chosen[name] = _MEANINGS[name] if name in _MEANINGS else next(free, len(chosen))
+    return [
+        _COLOURS[(chosen[name] if line.colour is None else line.colour) % len(_COLOURS)]
+        for name, line in zip(signals, lines, strict=True)
+    ]
 
 
 def _figure(plot: Plot | Drawing) -> str:
@@ -262,9 +284,8 @@ def _figure(plot: Plot | Drawing) -> str:
     import plotly.graph_objects as go
 
     figure = go.Figure()
-    for k, line in enumerate(plot.series):
+    for line, colour in zip(plot.series, _colours(plot.series), strict=True):
         x, y = _thin(np.asarray(line.x, float), np.asarray(line.y, float), plot.equal_axes)
-        colour = _COLOURS[(k if line.colour is None else line.colour) % len(_COLOURS)]
         style = {"width": 1.6, "color": colour, "dash": "dash" if line.dashed else "solid"}
         # plain lists: browsers draw them the same, and the page stays readable
         figure.add_scatter(x=_short(x), y=_short(y), name=html.escape(line.name), mode="lines", line=style)
@@ -275,6 +296,7 @@ def _figure(plot: Plot | Drawing) -> str:
         legend={"orientation": "h", "y": -0.25, "yanchor": "top"}, font={"family": "system-ui, sans-serif", "size": 12},
     )  # fmt: skip
     if plot.equal_axes:
+        figure.update_layout(hovermode="closest")
         figure.update_yaxes(scaleanchor="x", scaleratio=1)
     options = {"displaylogo": False, "responsive": True, "displayModeBar": "hover"}
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=options))
@@ -303,15 +325,8 @@ def table(header: list[str], rows: list[list[str]], numeric: set[int]) -> str:
 def _metric_rows(result: RunResult) -> list[list[str]]:
     verdicts = {True: '<span class="met">reached</span>', False: '<span class="missed">missed</span>', None: ""}
     return [
-        [
-            html.escape(name),
-            html.escape(m.unit),
-            figure_text(result, name),
-            "" if m.paper is None else number(m.paper),
-            goal_text(m),
-            verdicts[result.reached(name)],
-        ]
-        for name, m in result.metrics.items()
+        [html.escape(name), *map(html.escape, metric_cells(result, name)), verdicts[result.reached(name)]]
+        for name in result.metrics
     ]
 
 
@@ -355,7 +370,7 @@ def page(result: RunResult) -> str:
     ideal = "".join(f"<li>{html.escape(line)}</li>" for line in result.idealisations)
     settings = html.escape(json.dumps(_plain(result.settings), indent=2))
     installed = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in versions().items())
-    metrics = table(["metric", "unit", "ours", "paper", "goal (at most)", ""], _metric_rows(result), {2, 3, 4})
+    metrics = table(["metric", "unit", "this run", "paper", "goal", ""], _metric_rows(result), {2, 3, 4})
     return document(
         f"{result.experiment}, seed {result.seed}",
         f"""<h1>{html.escape(result.experiment)}</h1>
@@ -366,10 +381,23 @@ def page(result: RunResult) -> str:
 {_solve_times(result.mpc)}
 <h2 id="plots">Plots</h2>{_plots(result.plots)}
 <h2>What is idealised</h2><ul class="card">{ideal}</ul>
-<h2>How it was made</h2>
+<h2>How it was made</h2>{_origin(result)}
 <details class="card"><summary>Settings of this run</summary><pre>{settings}</pre></details>
 <details class="card" open><summary>Versions and processor</summary><dl>{installed}</dl></details>
 <p class="sub">The figures are in metrics.json and all signals in log.npz, beside this page.</p>""",
+    )
+
+
+def _origin(result: RunResult) -> str:
+    """The command that repeats the run, its commit and how long it took, where they are known."""
+    known = {
+        "command": f"<code>{html.escape(result.command)}</code>" if result.command else "",
+        "commit": html.escape(commit()),
+        "took": "" if result.wall_time is None else f"{number(result.wall_time)} s",
+    }
+    rows = "".join(f"<dt>{name}</dt><dd>{text}</dd>" for name, text in known.items() if text)
+    return (
+        f'<div class="card" style="padding: 2px 16px 10px; margin-bottom: 12px"><dl>{rows}</dl></div>' if rows else ""
     )
 
 

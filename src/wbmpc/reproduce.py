@@ -20,9 +20,10 @@ from typing import Any
 
 from wbmpc.errors import InputError
 from wbmpc.output_file import write_text
-from wbmpc.report import RUN_FILES, document, goal_text, number, table
+from wbmpc.report import RUN_FILES, document, goal_text, table
 from wbmpc.result import Metric
 from wbmpc.run_files import read_metrics
+from wbmpc.units import scale
 
 #: Seeds of one call, at most: the ball robot's take about a minute each, in every experiment.
 MAX_SEEDS = 1000
@@ -169,21 +170,18 @@ def _spread(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 _OUTCOME = {True: '<span class="met">pass</span>', False: '<span class="missed">falls short</span>', None: ""}
-_HEADER = ["metric", "unit", "median", "largest", "paper", "goal (at most)", ""]
+_HEADER = ["metric", "unit", "median", "largest", "paper", "goal", ""]
 
 
 def _metric_rows(metrics: dict[str, Any]) -> list[list[str]]:
-    text = lambda v: "" if v is None else number(v)
-    return [
-        [
-            html.escape(n),
-            html.escape(m["unit"]),
-            *(text(m[k]) for k in ("median", "worst", "paper")),
-            goal_text(Metric(m["median"], m["unit"], goal=m["goal"], least=m["least"])),
-            _OUTCOME[m["met"]],
-        ]
-        for n, m in metrics.items()
-    ]
+    return [_metric_row(name, m) for name, m in metrics.items()]
+
+
+def _metric_row(name: str, m: dict[str, Any]) -> list[str]:
+    figures = [m[k] for k in ("median", "worst", "paper")]
+    shown = scale(m["unit"], *figures, m["goal"], m["least"])
+    goal = goal_text(Metric(m["median"], m["unit"], goal=m["goal"], least=m["least"]), shown)
+    return [html.escape(name), html.escape(shown.unit), *map(shown.text, figures), goal, _OUTCOME[m["met"]]]
 
 
 def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool = True) -> Path:

@@ -117,7 +117,8 @@ class Drawing:
 @dataclass
 class RunResult:
     """Everything a run leaves behind; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
-    experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages."""
+    experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages; ``command`` repeats
+    the run, and ``wall_time`` [s] is how long it took, both of runs of the command line."""
 
     experiment: str
     seed: int
@@ -131,6 +132,8 @@ class RunResult:
     settings: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False
     faults: list[str] = field(default_factory=list)
+    command: str = ""
+    wall_time: float | None = None
 
     def reached(self, name: str) -> bool | None:
         """Whether the goal of a metric is reached; None without a goal, and where the user ended the run: it says nothing about

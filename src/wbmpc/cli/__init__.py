@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import os
+import shlex
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
@@ -25,6 +27,7 @@ from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.results import show_results
 from wbmpc.cli.ros2 import ros2
+from wbmpc.cli.runs import runs
 from wbmpc.cli.stability import stability
 from wbmpc.cli.terminal import (
     ABORTED,
@@ -63,7 +66,7 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(log)
 app.add_typer(ros2)
-for _command in (new, doctor, stability, calibrate, view, replay, render, compare, reproduce):
+for _command in (new, doctor, stability, calibrate, view, replay, render, runs, compare, reproduce):
     app.command()(_command)
 
 
@@ -153,11 +156,15 @@ def _execute(
     if seed < 0:
         raise InputError(f"--seed: must not be negative, got {seed}")
     experiment = session.open(name)
+    changes = [word for assignment in assignments for word in ("--set", assignment)]
+    command = shlex.join(["wbmpc", "run", name, "--seed", str(seed), *changes])
     name = experiment.name if name.endswith(".py") else name  # a file is known by the name of its experiment
     settings, limit = configure(experiment.config_type, assignments, name), size_of("--record-limit", record_limit)
     try:
         while True:
-            result, files = _attempt(name, experiment, settings, seed, out, show and not session.quiet, view, limit)
+            result, files = _attempt(
+                name, experiment, settings, seed, out, show and not session.quiet, view, limit, command
+            )
             if view is None or not view.wants_reset:
                 return result, files
             view.restart()
@@ -176,6 +183,7 @@ def _attempt(
     show: bool,
     view: View | None,
     limit: int,
+    command: str,
 ) -> tuple[RunResult, dict[str, str]]:
     from wbmpc.recording.recorder import Recorder
     from wbmpc.report import RECORDING, about_run, outcome, write_run
@@ -191,8 +199,10 @@ def _attempt(
         watchers = (recorder,) if view is None else (view, recorder)
         try:
             try:
+                began = time.perf_counter()
                 with progress_bar(name, show) as progress:
                     result = experiment.run(settings, seed, Watch(progress, watchers))
+                result.wall_time = time.perf_counter() - began
             except (EndedByUser, KeyboardInterrupt) as error:
                 result = RunResult.aborted(name, seed, str(error) or "interrupted", plain, interrupted=True)
             except RunAborted as error:
@@ -200,6 +210,7 @@ def _attempt(
             with interrupt_noted() as pressed:  # now it waits for the files; once more, and it acts at once
                 if view is not None and view.steered:
                     result.idealisations = [*result.idealisations, STEERED]
+                result.command = command
                 recorder.close(outcome(result))
                 files = write_run(result, directory)
                 if recorder.failure:

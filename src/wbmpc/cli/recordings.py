@@ -118,32 +118,36 @@ def export(
 
 
 def compare(
-    first: Annotated[Path, typer.Argument(help="Directory of a run, or its recording.")],
-    second: Annotated[Path, typer.Argument(help="Directory or recording of another run.")],
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="RUN RUN...", help="Directories of runs, or their recordings.")
+    ],
     out: Annotated[
-        Path | None, typer.Option(help="The page with both runs' signals (default: a new compare.html).")
+        Path | None, typer.Option(help="The page with the runs' signals (default: a new compare.html).")
     ] = None,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compare two runs: their metrics in a table, their signals over each other in a page."""
-    from wbmpc.compare import differences, experiments, load_both, overlay, table, wheels
+    """Compare runs: their metrics in a table, their signals over each other in a page."""
+    from wbmpc.compare import differences, experiments, load_all, overlay, table, wheels
     from wbmpc.report import plots_page
 
     out = new_file("--out", out, Path("compare.html"), force)
-    runs = load_both(first, second)
+    runs = load_all(paths)
     figures = [run.figures for run in runs]
     rows, changed = table(figures), differences(figures)
-    names = [first.name or str(first), second.name or str(second)]
-    if names[0] == names[1]:
-        names = [str(first), str(second)]
+    names = [path.name or str(path) for path in paths]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in paths]
+    if len(set(names)) < len(names):
+        names = [f"{name} ({k})" for k, name in enumerate(names, 1)]
     notes = [f"{run.path} {run.note}" for run in runs if run.note]
     notes = [note for note in (experiments(figures), *notes) if note]
-    about = "; ".join([f"{first} (solid) and {second} (dashed)", *notes])
+    shown = f"{paths[0]} (solid) and {paths[1]} (dashed)" if len(paths) == 2 else ", ".join(map(str, paths))
+    about = "; ".join([shown, *notes])
     plots = overlay(runs, names, wheels(figures[0]))
-    write_text(out, plots_page(f"{names[0]} and {names[1]}", about, plots))
+    write_text(out, plots_page(" and ".join(names), about, plots))
     if as_json:
-        output = {"runs": [str(first), str(second)], "metrics": rows, "settings": changed, "notes": notes}
+        output = {"runs": [str(path) for path in paths], "metrics": rows, "settings": changed, "notes": notes}
         typer.echo(json.dumps({**output, "page": str(out)}))
         return
     if rows:
@@ -159,8 +163,8 @@ def _print_differences(figures: list[dict[str, Any]], changed: dict[str, list[An
     from wbmpc.compare import experiments
 
     shown = {} if experiments(figures) else dict(list(changed.items())[:MAX_SETTINGS])
-    for key, (a, b) in shown.items():
-        typer.echo(printable(f"{key}: {a} and {b}"))
+    for key, values in shown.items():
+        typer.echo(printable(f"{key}: {' and '.join(map(str, values))}"))
     left = len(changed) - len(shown)
     if left:
         typer.echo(f"{left} {'more ' if shown else ''}settings differ: --json names them")
@@ -168,15 +172,17 @@ def _print_differences(figures: list[dict[str, Any]], changed: dict[str, list[An
 
 def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
     from wbmpc.cli.terminal import console, table
-    from wbmpc.report import number
+    from wbmpc.units import scale
 
     shown = table()
     for column in ("metric", "unit"):
         shown.add_column(column)
-    for column in (*map(printable, names), "change"):
+    last = "change" if len(names) == 2 else "spread"
+    for column in (*map(printable, names), last):
         shown.add_column(column, justify="right", no_wrap=True)
     for row in rows:
+        unit = scale(row["unit"], *row["values"])
         change = "" if row["change"] is None else f"{100 * row['change']:+.1f} %"
-        values = ["" if v is None else number(v) for v in row["values"]]
-        shown.add_row(printable(row["metric"]), printable(row["unit"]), *values, change)
+        end = change if len(names) == 2 else unit.text(row["spread"])
+        shown.add_row(printable(row["metric"]), printable(unit.unit), *map(unit.text, row["values"]), end)
     console().print(shown)

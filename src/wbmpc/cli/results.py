@@ -15,22 +15,20 @@ if TYPE_CHECKING:
 
 
 def _table(results: list[RunResult]) -> None:
-    from wbmpc.report import figure_text, goal_notes, goal_text, number
+    from wbmpc.report import goal_notes, metric_cells
+    from wbmpc.units import number
 
-    table = plain_table(
-        "Ours: simulated in MuJoCo, plant perturbed. Paper: the real robot. Goals are largest values, or ranges."
-    )
+    table = plain_table("Simulated in MuJoCo, plant perturbed; the paper's figures are of the real robot.")
     for column in ("experiment", "metric"):
         table.add_column(column, overflow="fold")
     table.add_column("unit", no_wrap=True)
-    for column in ("ours", "paper", "goal"):
+    for column in ("this run", "paper", "goal"):
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
     for result in results:
-        for k, (name, m) in enumerate(result.metrics.items()):
-            figures = [figure_text(result, name), "" if m.paper is None else number(m.paper), goal_text(m)]
+        for k, name in enumerate(result.metrics):
             outcome = {True: "reached", False: "missed", None: ""}[result.reached(name)]
-            table.add_row(result.experiment if k == 0 else "", name, m.unit, *figures, outcome)
+            table.add_row(result.experiment if k == 0 else "", name, *metric_cells(result, name), outcome)
         mpc = result.mpc
         if mpc is not None:
             table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}", "", "", "")

@@ -42,7 +42,9 @@ def braking_plan(solver: Solver, robot: RobotModel, x0: Array, u0: Array, grid: 
     inputs = left[:, None] * u0
     if isinstance(dynamics, InputRate):
         for group in dynamics.groups:
-            inputs[:, dynamics.input[f"{group}_rate"]] = -np.outer(lasts, x0[dynamics.state[group + "_input"]]) / duration
+            inputs[:, dynamics.input[f"{group}_rate"]] = (
+                -np.outer(lasts, x0[dynamics.state[group + "_input"]]) / duration
+            )
     states = np.empty((len(grid), len(x0)))
     states[0] = x0
     for k, h in enumerate(np.diff(grid)):

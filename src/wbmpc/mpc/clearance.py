@@ -16,6 +16,7 @@ from wbmpc.ocp import OptimalControlProblem, Reference, residuals
 from wbmpc.solver import Solver
 
 Array = NDArray[np.float64]
+_TERMS = (residuals.Clearance, residuals.SelfClearance)
 #: Share of a margin that a plan may lack before it is replaced: one iteration misses rows by some of it.
 TOLERATED = 0.5
 #: Less than this [m] deeper than now is no deeper.
@@ -38,10 +39,14 @@ class ClearanceRows:
         self.last = LeastClearance()
         self._snapshot = Snapshot()
         if self._around and obstacles is None:
-            raise InputError(f"mpc: term '{next(iter(self._around))}' needs obstacles: MPC(ocp, obstacles=wb.Obstacles())")
+            raise InputError(
+                f"mpc: term '{next(iter(self._around))}' needs obstacles: MPC(ocp, obstacles=wb.Obstacles())"
+            )
         if obstacles is not None and not self._around:
-            raise InputError("mpc: obstacles are given, but no term keeps clear of them; valid: a hard residuals.Clearance")
-        self.robot: Any = next((r.robot for r in (*self._around.values(), *self._within.values())), None)
+            raise InputError(
+                "mpc: obstacles are given, but no term keeps clear of them; valid: a hard residuals.Clearance"
+            )
+        self.robot: Any = next((r.robot for r in terms.values() if isinstance(r, _TERMS)), None)
 
     # ------------------------------------------------------------------ before a solve
     def look(self, t: float) -> None:

@@ -186,7 +186,9 @@ class MPC:
         mismatch = self.solver.initial_state_mismatch
         if mismatch:
             self.statistics.count_initial_state_mismatch(mismatch)
-        self._policy = Policy.of(solution, observation.t, self.limits, self.limit_violation, *self.input_rows(), self.clearance)
+        self._policy = Policy.of(
+            solution, observation.t, self.limits, self.limit_violation, *self.input_rows(), self.clearance
+        )
         return self._policy
 
     def input_rows(self) -> tuple[np.ndarray | None, np.ndarray | None]:
@@ -308,7 +310,9 @@ class MPC:
         self.solver.use(stop.x, stop.u)
         self._outcome = (_USABLE, *self._outcome[1:])
         self.statistics.braking_plans += 1
-        self._lines.log(_LOG, logging.WARNING, "clearance", f"MPC at {t:.3f} s: the robot brakes: {found or self._clear.last}")
+        self._lines.log(
+            _LOG, logging.WARNING, "clearance", f"MPC at {t:.3f} s: the robot brakes: {found or self._clear.last}"
+        )
 
     def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
         """``start`` [s]: of the last plan."""

@@ -128,7 +128,9 @@ class Policy:
     ) -> Policy:  # fmt: skip
         """The policy of a solution whose horizon starts at ``t0`` [s]."""
         own = (t0 + solution.times, solution.x, solution.u, solution.gain)
-        return cls(*own, limits=limits, limit_violation=limit_violation, active=active, moving=moving, clearance=clearance)
+        return cls(
+            *own, limits=limits, limit_violation=limit_violation, active=active, moving=moving, clearance=clearance
+        )
 
     @property
     def end(self) -> float:

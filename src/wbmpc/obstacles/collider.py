@@ -53,7 +53,7 @@ class Collider:
         #: where the compiler puts a mesh's axes
         self._offset = self.model.geom_pos.copy()
         self._turn = np.array([lie.quaternion_to_rotation(q.copy()) for q in self.model.geom_quat])
-        self._has_offset = bool(self._own) and any(s.kind == "mesh" for s in (*self._own, *self._meshes))
+        self._has_offset = any(s.kind == "mesh" for s in (*self._own, *self._meshes))
 
     def load(self, others: Sequence[Solid]) -> None:
         """Take these solids, numbered after the robot's, in place of the last ones."""

@@ -23,8 +23,8 @@ from wbmpc.robots.checks import compiled
 from wbmpc.robots.collision import ShapeDescription
 from wbmpc.robots.description import RobotDescription
 from wbmpc.robots.inertia import mend_inertias
+from wbmpc.robots.limited_program import make_light
 from wbmpc.robots.model_file import file_of, parse
-from wbmpc.robots.model_import import make_light
 
 Array = NDArray[np.float64]
 _KINDS = {
@@ -136,7 +136,7 @@ def robot_geometry(robot: RobotModel) -> RobotGeometry:
 def _read(robot: RobotModel) -> list[RobotShape]:
     description = robot.description
     given = description.collision.shapes
-    if given != "auto":
+    if given is not None:
         missing = [s.frame for s in given if s.frame not in robot.frames]
         if missing:
             raise InputError(
@@ -146,7 +146,9 @@ def _read(robot: RobotModel) -> list[RobotShape]:
     else:
         found = _of_model(robot)
     if not found:
-        raise InputError(f"{description.source}: key 'collision.shapes': {description.model} has no shapes; give them by hand")
+        raise InputError(
+            f"{description.source}: key 'collision.shapes': {description.model} has no shapes; give them by hand"
+        )
     return found
 
 
@@ -203,13 +205,14 @@ def _solid(model: mujoco.MjModel, geom: int) -> Solid:
         return Solid("box", half, 0.5 * (low + high)).moved(position, turn)
 
 
-def _attach(
-    robot: RobotModel, model: mujoco.MjModel, body: int, parts: list[Solid]
-) -> tuple[str, list[Solid]] | None:
+def _attach(robot: RobotModel, model: mujoco.MjModel, body: int, parts: list[Solid]) -> tuple[str, list[Solid]] | None:
     """The frame that carries shapes of a body, and what they are there; None for what is no part of the robot."""
     spins = set(robot.description.base.joints())
     while body > 0 and parts:
-        name, joints = model.body(body).name, range(int(model.body_jntadr[body]), int(model.body_jntadr[body]) + int(model.body_jntnum[body]))
+        name, joints = (
+            model.body(body).name,
+            range(int(model.body_jntadr[body]), int(model.body_jntadr[body]) + int(model.body_jntnum[body])),
+        )
         turns = [j for j in joints if model.joint(j).name in spins and not model.jnt_limited[j]]
         if name in robot.tree.frames and not turns:
             return name, parts
@@ -225,7 +228,9 @@ def _attach(
 
 def _reaches(part: Solid, direction: Array, about: Array) -> Array:
     """How far (n) a part reaches along unit directions (n, 3) from a point."""
-    return np.asarray(np.sum((part.support(direction @ part.rotation) @ part.rotation.T + part.position - about) * direction, axis=1))
+    return np.asarray(
+        np.sum((part.support(direction @ part.rotation) @ part.rotation.T + part.position - about) * direction, axis=1)
+    )
 
 
 def _revolved(parts: Sequence[Solid], position: Array, axis: Array) -> Solid:

@@ -121,7 +121,9 @@ class Finder:
         out.distance[k, f, o], out.normal[k, f, o], out.level[k, f, o] = d, n, np.sum(n * q, axis=1)
         out.point[k, f, o] = np.einsum("mi,mij->mj", p - poses.position[k, f], poses.rotation[k, f])
 
-    def along(self, obstacle: Obstacle, place: Array, turn: Array, poses: Poses, k: int, f: int, n: Array) -> tuple[Array, float]:
+    def along(
+        self, obstacle: Obstacle, place: Array, turn: Array, poses: Poses, k: int, f: int, n: Array
+    ) -> tuple[Array, float]:
         """The robot's point (3, in the frame's axes) and the obstacle's level along a normal ``n`` (3) that is kept: the gap between two
         planes."""
         assert not isinstance(obstacle.shape, (HalfSpace, DistanceGrid))
@@ -163,7 +165,7 @@ class Finder:
         for f in range(len(self.geometry.frames)):
             mine = np.flatnonzero(frame == f)
             best = mine[np.argmin(distance[:, mine], axis=1)]
-            for k in np.flatnonzero(distance[np.arange(len(best)), best] < below[:, f]):
+            for k in np.flatnonzero(distance[np.arange(len(best)), best] < below[:, f]).tolist():
                 b = int(best[k])
                 n = gradient[k, b] / slope[k, b]
                 p = centers[k, b] - radius[b] * n

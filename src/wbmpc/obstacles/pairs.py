@@ -70,19 +70,23 @@ def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: 
     centers, axes = geometry.at(*geometry.kinematics(states))
     row, first, second = listed.T
     solids = [s.solid for s in geometry.shapes]
-    bound = np.linalg.norm(centers[:, first] - centers[:, second], axis=2) - geometry.radius[first] - geometry.radius[second]
+    bound = (
+        np.linalg.norm(centers[:, first] - centers[:, second], axis=2)
+        - geometry.radius[first]
+        - geometry.radius[second]
+    )
     for a, b in {(int(i), int(j)) for i, j in zip(first, second)} if len(states) > 1 else ():
         at = np.flatnonzero((first == a) & (second == b))
-        for i, j in ((a, b), (b, a)):  # a solid against the sphere around the other
-            inside = np.einsum("ni,nij->nj", centers[:, j] - centers[:, i], axes[:, i])
-            bound[:, at] = np.maximum(bound[:, at], (solids[i].distance(inside) - geometry.radius[j])[:, None])
+        for c, d in ((a, b), (b, a)):  # a solid against the sphere around the other
+            inside = np.einsum("ni,nij->nj", centers[:, d] - centers[:, c], axes[:, c])
+            bound[:, at] = np.maximum(bound[:, at], (solids[c].distance(inside) - geometry.radius[d])[:, None])
     found = np.full((len(states), len(pairs)), reach)
-    for k in np.flatnonzero((bound < reach).any(axis=1)):
+    for k in np.flatnonzero((bound < reach).any(axis=1)).tolist():
         collider.place(centers[k], axes[k])
-        for i in np.flatnonzero(bound[k] < reach):
+        for i in np.flatnonzero(bound[k] < reach).tolist():
             if bound[k, i] < found[k, row[i]]:
-                d = collider.distance(int(first[i]), int(second[i]), float(found[k, row[i]]))
-                found[k, row[i]] = min(found[k, row[i]], d)
+                near = collider.distance(int(first[i]), int(second[i]), float(found[k, row[i]]))
+                found[k, row[i]] = min(found[k, row[i]], near)
     return found
 
 
@@ -109,7 +113,7 @@ def proposal_of(robot: RobotModel) -> Proposal:
 def self_pairs(robot: RobotModel) -> tuple[Pair, ...]:
     """The pairs that the robot file names, or those that are proposed, without the ones to ignore."""
     own = robot.description.collision.self
-    found = proposal_of(robot).pairs if own.pairs == "auto" else own.pairs
+    found = proposal_of(robot).pairs if own.pairs is None else own.pairs
     ignored = {frozenset(p) for p in own.ignore}
     return tuple(p for p in found if frozenset(p) not in ignored)
 
@@ -122,8 +126,10 @@ def diagnose(robot: RobotModel) -> Iterator[Finding]:
         "info", "collision", "key 'collision.shapes'", f"{len(geometry.shapes)} shapes on {len(geometry.frames)} frames"
         + (f"; none on {', '.join(bare)}" if bare else ""), "",
     )  # fmt: skip
-    if own.pairs != "auto":
-        yield Finding("info", "collision", "key 'collision.self.pairs'", f"{len(self_pairs(robot))} pairs, confirmed", "")
+    if own.pairs is not None:
+        yield Finding(
+            "info", "collision", "key 'collision.self.pairs'", f"{len(self_pairs(robot))} pairs, confirmed", ""
+        )
         return
     found = proposal_of(robot)
     pairs = ", ".join(f"[{a}, {b}]" for a, b in self_pairs(robot))

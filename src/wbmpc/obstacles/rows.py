@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.obstacles.collider import Collider
 from wbmpc.obstacles.geometry import Kinematics, RobotGeometry, common_link, link_frames
 from wbmpc.obstacles.nearest import Finder, Nearest, Poses
-from wbmpc.obstacles.collider import Collider
 from wbmpc.obstacles.sweep import between, keep_sides
 from wbmpc.obstacles.world import Snapshot
 
@@ -127,7 +127,9 @@ class ObstacleRows:
         least = float((gap - margin).min())
         if least < EXACT:
             limit = np.where(self._asked[:, None], np.minimum(margin + least + 0.5 * EXACT, self.finder.reach), -np.inf)
-            gap = np.fmin(self.finder.find(snapshot, poses, limit).distance, np.where(gap - margin > least, np.inf, gap))
+            gap = np.fmin(
+                self.finder.find(snapshot, poses, limit).distance, np.where(gap - margin > least, np.inf, gap)
+            )
         return self._least(snapshot, times, gap, margin)
 
     def deepest(self, snapshot: Snapshot, times: Array, states: Array, limit: float, deeper: float) -> Clearance | None:
@@ -138,7 +140,9 @@ class ObstacleRows:
         asked = np.broadcast_to(np.where(self._asked, limit, -np.inf)[None, :, None], shape)
         found = self.finder.find(snapshot, poses, asked).distance
         found = np.where(found < found[:1] - deeper, found, np.inf)
-        return self._least(snapshot, times, found, self.base_margin(snapshot, poses)) if np.isfinite(found).any() else None
+        return (
+            self._least(snapshot, times, found, self.base_margin(snapshot, poses)) if np.isfinite(found).any() else None
+        )
 
     def _least(self, snapshot: Snapshot, times: Array, distance: Array, margin: Array) -> Clearance:
         k, f, o = np.unravel_index(int(np.argmin(distance - margin)), distance.shape)

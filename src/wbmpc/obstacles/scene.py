@@ -50,18 +50,19 @@ def _shape(where: str, entry: Mapping[Any, Any]) -> Shape:
             raise unknown_name("key", str(key), [*_SHAPES, *_PLACES], where=where)
     if len(kinds) != 1:
         raise InputError(f"{where}: one shape is needed, got {len(kinds)}; valid: {', '.join(_SHAPES)}")
+    where = f"{where[:-1]}.{kinds[0]}'"
     shape, needed, optional = _SHAPES[kinds[0]]
     values = entry[kinds[0]]
     if not isinstance(values, Mapping):
-        raise InputError(f"{where}.{kinds[0]}: a mapping of {', '.join((*needed, *optional))} is needed")
+        raise InputError(f"{where}: a mapping of {', '.join((*needed, *optional))} is needed")
     for key in values:
         if key not in (*needed, *optional):
-            raise unknown_name("key", str(key), (*needed, *optional), where=f"{where}.{kinds[0]}")
+            raise unknown_name("key", str(key), (*needed, *optional), where=f"{where}")
     missing = [k for k in needed if k not in values]
     if missing:
-        raise InputError(f"{where}.{kinds[0]}: '{missing[0]}' is missing")
+        raise InputError(f"{where}: '{missing[0]}' is missing")
     try:
         found: Shape = shape(**values)
     except (InputError, TypeError, ValueError) as error:
-        raise InputError(f"{where}.{kinds[0]}: {error}") from error
+        raise InputError(f"{where}: {error}") from error
     return found

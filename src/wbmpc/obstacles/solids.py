@@ -73,9 +73,7 @@ class Solid:
 
     def moved(self, position: Array, rotation: Array) -> Solid:
         """The same solid in other axes: those it is given in are at ``position`` (3) and ``rotation`` (3, 3) of them."""
-        return Solid(
-            self.kind, self.size, position + rotation @ self.position, rotation @ self.rotation, self.vertices
-        )
+        return Solid(self.kind, self.size, position + rotation @ self.position, rotation @ self.rotation, self.vertices)
 
 
 def _of_box(beyond: Array) -> Array:

@@ -34,7 +34,9 @@ def motion(geometry: RobotGeometry, snapshot: Snapshot, poses: Poses) -> Array:
     """How far (N, F, O) [m] at most a point of each frame moves relative to each obstacle in each interval."""
     shift = np.linalg.norm(np.diff(poses.position, axis=0), axis=2)
     turn = turned(poses.rotation[:-1], poses.rotation[1:]) * sizes(geometry)
-    own = np.array([np.linalg.norm(np.diff(snapshot.pose(o, poses.times)[0], axis=0), axis=1) for o in snapshot.obstacles])
+    own = np.array(
+        [np.linalg.norm(np.diff(snapshot.pose(o, poses.times)[0], axis=0), axis=1) for o in snapshot.obstacles]
+    )
     return np.asarray((shift + turn)[:, :, None] + own.T[:, None, :])
 
 

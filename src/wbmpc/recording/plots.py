@@ -93,5 +93,5 @@ def _solve_times(recording: Recording) -> Plot | None:
     lines = [Series("solve", table.times, 1e3 * table.columns["data"])]
     if "/mpc/period" in recording.topics and table.times.size:
         ends, period = table.times[[0, -1]], 1e3 * recording["/mpc/period"].last()
-        lines.append(Series("deadline", ends, np.full(2, period), dashed=True))
+        lines.append(Series("period", ends, np.full(2, period), dashed=True))
     return Plot("Solve times", "time [s]", "time [ms]", lines)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal, Self
 
 import mujoco
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from wbmpc.bases.base import Section
 from wbmpc.errors import unknown_name
@@ -17,6 +17,8 @@ _Point = tuple[_Place, _Place, _Place]
 #: Distances that are kept [m].
 _Margin = Annotated[float, Field(ge=0.0, le=10.0)]
 Pair = tuple[str, str]
+#: ``auto`` in a file is None.
+_Auto = BeforeValidator(lambda value: None if value == "auto" else value)
 #: Keys of each kind of shape.
 _NEEDED: dict[str, tuple[str, ...]] = {
     "sphere": ("radius", "center"),
@@ -60,7 +62,7 @@ class SelfCollisionDescription(Section):
     the pairs in ``ignore``."""
 
     margin: _Margin = 0.02
-    pairs: Literal["auto"] | tuple[Pair, ...] = "auto"
+    pairs: Annotated[tuple[Pair, ...] | None, _Auto] = None
     ignore: tuple[Pair, ...] = ()
 
 
@@ -68,7 +70,7 @@ class CollisionDescription(Section):
     """``shapes``: of the model's file (``auto``), or by hand; ``margin`` [m]: distance to obstacles that is kept; ``self``: see
     :class:`SelfCollisionDescription`."""
 
-    shapes: Literal["auto"] | tuple[ShapeDescription, ...] = "auto"
+    shapes: Annotated[tuple[ShapeDescription, ...] | None, _Auto] = None
     margin: _Margin = 0.03
     self: SelfCollisionDescription = SelfCollisionDescription()
 
@@ -77,12 +79,12 @@ def check_frames(collision: CollisionDescription, spec: mujoco.MjSpec, source: s
     """Raise :class:`wbmpc.errors.InputError` naming file and key for a frame or body that the model does not have."""
     bodies = [b.name for b in spec.bodies[1:]]
     frames = [*(s.name for s in spec.sites), *bodies]
-    for k, shape in enumerate(() if collision.shapes == "auto" else collision.shapes):
+    for k, shape in enumerate(collision.shapes or ()):
         if shape.frame not in frames:
             raise unknown_name(f"frame (key 'collision.shapes.{k}.frame')", shape.frame, frames, where=source)
     own = collision.self
-    known = bodies if collision.shapes == "auto" else [s.frame for s in collision.shapes]
-    for key, pairs in (("pairs", () if own.pairs == "auto" else own.pairs), ("ignore", own.ignore)):
+    known = bodies if collision.shapes is None else [s.frame for s in collision.shapes]
+    for key, pairs in (("pairs", own.pairs or ()), ("ignore", own.ignore)):
         for name in (n for pair in pairs for n in pair):
             if name not in known:
                 raise unknown_name(f"body (key 'collision.self.{key}')", name, known, where=source)

@@ -7,7 +7,6 @@ terabyte; the simulator's parser would build them all.
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, field
 from os.path import exists, isdir, isfile
 from pathlib import Path
@@ -15,9 +14,12 @@ from typing import Any, Never
 from xml.parsers import expat
 
 from wbmpc.errors import InputError
+from wbmpc.robots.xml_numbers import check_number
+from wbmpc.robots.xml_text import strict_parser, without_comments
 
-#: Bytes of one file; elements and bodies after all that is repeated; levels of nesting; pixels or points of an image or a field.
-LARGEST, MAX_ELEMENTS, MAX_BODIES, DEEPEST, MAX_PIXELS = 16 * 1024 * 1024, 5_000, 500, 128, 64_000_000
+#: Bytes of one file; elements and bodies after all that is repeated; levels of nesting; pixels of all images and points of all
+#: fields together.
+LARGEST, MAX_ELEMENTS, MAX_BODIES, DEEPEST, MAX_PIXELS = 16 * 1024 * 1024, 5_000, 500, 128, 16_000_000
 #: Elements that are beside the robot's bodies, which are taken out one by one: shapes and lights of the world, sensors, drives.
 MAX_BESIDE = 1_000
 _OF_WORLD, _LISTS = (
@@ -40,7 +42,6 @@ _COUNTS = {("mesh", "params"): 300.0, ("numeric", "size"): 10_000.0, ("texture",
 _BODIES = ("body", "link", "composite", "flexcomp")
 #: Attributes that say where files are.
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
 
 @dataclass
@@ -50,18 +51,25 @@ class _Count:
     elements: float = 0.0
     bodies: float = 0.0
     beside: float = 0.0
+    pixels: float = 0.0
     models: dict[str, Path] = field(default_factory=dict)
 
 
-def check_size(path: Path, text: bytes | None = None) -> None:
+def check_size(path: Path, text: bytes | None = None) -> tuple[Path, ...]:
     """Raise :class:`InputError` naming file and element for a robot's XML that asks for too much, is not well-formed, or names what is
-    no regular file (a pipe, a device): its reader would wait for ever. ``text``: what a file's macros became, instead of the file."""
+    no regular file (a pipe, a device): its reader would wait for ever. ``text``: what a file's macros became, instead of the file.
+
+    Returns the file and those that it names, as far as they are there."""
     folders, named = {path.parent}, []  # type: set[Path], list[tuple[str, Path, str]]
     _Walk(path, {}, (), folders, named).run(text)
+    found = {path: None}
     for where, beside, name in named:
         for place in (folder / n for folder in (beside, *folders) for n in (name, name.rpartition("/")[2])):
             if exists(place) and not (isfile(place) or isdir(place)):
                 raise InputError(f"{where}: '{place}' is no regular file")
+            if isfile(place):
+                found[place] = None
+    return tuple(found)
 
 
 class _Walk:
@@ -87,13 +95,11 @@ class _Walk:
             data = self._path.read_bytes() if given is None else given
         except OSError as error:
             raise InputError(f"{self._path}: cannot be read ({error.strerror})") from error
-        # MuJoCo's parser takes comments that XML does not (with -- inside)
-        text = _COMMENT.sub(lambda found: b"\n" * found[0].count(b"\n"), data)
-        self._parser = expat.ParserCreate()
+        self._parser = strict_parser()
         self._parser.StartElementHandler, self._parser.EndElementHandler = self._start, self._end
         self._parser.StartDoctypeDeclHandler = self._doctype
         try:
-            self._parser.Parse(text, True)
+            self._parser.Parse(without_comments(data), True)
         except InputError:
             raise
         except (expat.ExpatError, LookupError, ValueError) as error:  # the file names its encoding
@@ -115,10 +121,10 @@ class _Walk:
         beside = (name in _OF_WORLD and not self._in_body()) or (bool(self._open) and self._open[-1] in _LISTS)
         self._times.append(times)
         self._open.append(name)
-        self._add(name, _Count(times, times * (name in _BODIES), times * beside))
-        if name in _AREAS and self._product(name, " ".join(attributes.get(a, "1") for a in _AREAS[name])) > MAX_PIXELS:
-            self._fail(f"<{name}>: {' times '.join(_AREAS[name])} is more than {MAX_PIXELS}")
+        pixels = self._product(name, " ".join(attributes.get(a, "1") for a in _AREAS[name])) if name in _AREAS else 0.0
+        self._add(name, _Count(times, times * (name in _BODIES), times * beside, pixels))
         for attribute, value in attributes.items():
+            self._check_number(name, attribute, value)
             if attribute in _FOLDERS:
                 self._folders.add(self._main / value)
             elif attribute.startswith("file"):
@@ -134,6 +140,12 @@ class _Walk:
             self._count.models[attributes.get("name", "")] = self._found(attributes["file"])
         elif name == "attach" and (model := self._count.models.get(attributes.get("model", ""))) is not None:
             self._add_file(name, model, times)
+
+    def _check_number(self, name: str, attribute: str, value: str) -> None:
+        try:
+            check_number(attribute, value)
+        except InputError as error:
+            self._fail(f"<{name}>: {error}")
 
     def _end(self, name: str) -> None:
         self._open.pop()
@@ -154,11 +166,12 @@ class _Walk:
     def _add(self, name: str, more: _Count) -> None:
         count = self._count
         count.elements, count.bodies = count.elements + more.elements, count.bodies + more.bodies
-        count.beside += more.beside
+        count.beside, count.pixels = count.beside + more.beside, count.pixels + more.pixels
         for what, value, maximum in (
             ("bodies", count.bodies, MAX_BODIES),
             ("elements", count.elements, MAX_ELEMENTS),
             ("shapes, sensors and drives beside the bodies", count.beside, MAX_BESIDE),
+            ("pixels of pictures and points of fields", count.pixels, MAX_PIXELS),
         ):
             if not value <= maximum:
                 self._fail(f"<{name}>: more than {maximum} {what}; at most so many are read")
@@ -183,4 +196,4 @@ class _Walk:
         if element == "include":
             self._count.models |= inside.models
         beside = 0.0 if self._in_body() else times * inside.beside
-        self._add(element, _Count(times * inside.elements, times * inside.bodies, beside))
+        self._add(element, _Count(times * inside.elements, times * inside.bodies, beside, inside.pixels))

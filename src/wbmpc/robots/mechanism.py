@@ -14,8 +14,8 @@ from wbmpc.robots.actuation import Drive, read_drives
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.findings import Finding
 from wbmpc.robots.inertia import breaks_triangle, mend_inertias
+from wbmpc.robots.limited_program import make_light
 from wbmpc.robots.model_file import ModelFile, parse
-from wbmpc.robots.model_import import make_light
 
 Array = NDArray[np.float64]
 _KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}

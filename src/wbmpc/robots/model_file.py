@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from copy import copy, deepcopy
 from dataclasses import dataclass, field
@@ -16,8 +15,11 @@ import mujoco
 
 from wbmpc.errors import InputError
 from wbmpc.robots.file_limits import check_size
+from wbmpc.robots.limited_program import drop_missing_files
 from wbmpc.robots.packages import find_package, locate, package_of
+from wbmpc.robots.trial import try_model
 from wbmpc.robots.xacro_file import expand, has_macros
+from wbmpc.robots.xml_text import tokens
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
@@ -28,19 +30,18 @@ _MESHES = (".stl", ".obj", ".msh")
 _LARGEST_MESH = 5_000_000
 #: Elements of a URDF that MuJoCo reads.
 _READ = ("link", "joint", "material", "mujoco")
-_ROOT = re.compile(rb"<\s*(robot|mujoco|mujocoinclude)[\s/>]")
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class ModelFile:
     """``path`` of the file; ``root``: a URDF, its macros expanded, or None of an MJCF; ``packages``: folders of ROS packages by name;
-    ``macros``: whether there were any."""
+    ``macros``: whether there were any; ``files``: an MJCF's own and those that it names."""
 
     path: Path
     root: ElementTree.Element | None
     packages: Mapping[str, Path] = field(default_factory=dict)
     macros: bool = False
+    files: tuple[Path, ...] = ()
     _homes: dict[str, Path | None] = field(default_factory=dict, compare=False, repr=False)
 
     def meshes(self) -> list[str]:
@@ -68,10 +69,10 @@ def read_model(
 
     Raises :class:`InputError` naming the file.
     """
-    check_size(path)
+    files = check_size(path)
     data, given = path.read_bytes(), dict(packages or {})
     if not _is_urdf(path, data):
-        return ModelFile(path, None, given)
+        return ModelFile(path, None, given, files=files)
     try:
         root = ElementTree.fromstring(data)
         macros = path.suffix.lower() == ".xacro" or has_macros(root)
@@ -95,8 +96,10 @@ def file_of(description: RobotDescription) -> ModelFile:
 def _is_urdf(path: Path, data: bytes) -> bool:
     if path.suffix.lower() in (".urdf", ".xacro"):
         return True
-    found = _ROOT.search(_COMMENT.sub(b"", data[:65536]))
-    return found is not None and found[1] == b"robot"
+    roots = (
+        data[start:end] for start, end, comment in tokens(data) if not comment and data[start + 1 : start + 2] != b"?"
+    )
+    return next(roots, b"").lstrip(b"< \t\r\n").startswith(b"robot")
 
 
 def parse(
@@ -106,11 +109,15 @@ def parse(
     ``missing``; so are the meshes of a URDF unless ``meshes``. ``collision``: of each link of a URDF only what collides, meshes too, or
     what is seen where nothing of it collides. Raises :class:`InputError` naming the file."""
     missing = [] if missing is None else missing
+    if file.root is None:
+        try_model(file.path, file.files)
     try:
         if file.root is not None:
             missing += [name for name in file.meshes() if file.locate(name) is None]
             return _urdf(file, meshes, collision)
         spec = mujoco.MjSpec.from_file(str(file.path))
+    except InputError:
+        raise
     except (ValueError, ElementTree.ParseError) as error:
         raise InputError(f"{file.path}: cannot be read: {' '.join(str(error).split())}") from error
     missing += drop_missing_files(spec)
@@ -140,7 +147,9 @@ def _urdf(file: ModelFile, meshes: bool, collision: bool) -> mujoco.MjSpec:
     if extension is None:
         extension = ElementTree.SubElement(root, "mujoco")
     ElementTree.SubElement(extension, "compiler", compiler)
-    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    text = ElementTree.tostring(root, encoding="unicode")
+    try_model(file.path, (Path(m.get("filename", "")) for m in root.iter("mesh")), text)
+    spec = mujoco.MjSpec.from_string(text)
     for geom in spec.geoms:
         geom.mass = 0.0
     return spec
@@ -163,28 +172,3 @@ def _kept(element: ElementTree.Element, file: ModelFile, meshes: bool) -> bool:
         return False
     mesh.set("filename", str(found.resolve()))
     return True
-
-
-def drop_missing_files(spec: mujoco.MjSpec) -> list[str]:
-    """Take meshes, pictures and fields out of an MJCF whose files are missing, with the shapes that need them; returns their names."""
-    home, gone = Path(spec.modelfiledir or "."), []
-    for kind, folder in (("meshes", spec.meshdir), ("hfields", spec.meshdir), ("textures", spec.texturedir)):
-        for asset in list(getattr(spec, kind)):
-            files = [asset.file, *getattr(asset, "cubefiles", ())]
-            missing = [f for f in files if f and not isfile(home / folder / f)]
-            if missing:
-                gone += missing
-                _drop(spec, kind, asset)
-    return gone
-
-
-def _drop(spec: mujoco.MjSpec, kind: str, asset: object) -> None:
-    name = getattr(asset, "name", "") or Path(getattr(asset, "file", "")).stem
-    if kind == "textures":
-        for material in spec.materials:
-            material.textures = ["" if t == name else t for t in material.textures]
-    key = {"meshes": "meshname", "hfields": "hfieldname"}.get(kind)
-    for geom in list(spec.geoms) if key else []:
-        if getattr(geom, key or "") == name:
-            spec.delete(geom)
-    spec.delete(asset)

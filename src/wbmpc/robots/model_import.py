@@ -7,13 +7,14 @@ gravity), what is part of the machine and missing in the planner's equations (sp
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.robots.checks import compiled
+from wbmpc.robots.limited_program import copy_values, make_light
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
@@ -24,9 +25,6 @@ _OF_JOINTS = (
     "solref_limit", "solimp_limit", "solref_friction", "solimp_friction",
 )  # fmt: skip
 _OF_COMPILER = ("settotalmass", "inertiafromgeom", "boundmass", "boundinertia", "fusestatic")
-_OF_MEMORY = ("memory", "nconmax", "njmax", "nstack")
-#: Of MuJoCo's wrappers: what is no value of the element.
-_NO_VALUE = {"alt", "classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata"}
 
 
 def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
@@ -47,17 +45,6 @@ def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
         for name in _OF_JOINTS:
             setattr(joint, name, getattr(fresh.default.joint, name))
     _reset_defaults(spec, fresh)
-
-
-def make_light(spec: mujoco.MjSpec) -> None:
-    """Before anything is compiled: take out, in place, the memory and options that a file asks for, and its actuators."""
-    fresh = mujoco.MjSpec()
-    _copy(fresh.option, spec.option)
-    spec.stat.meaninertia = fresh.stat.meaninertia  # the constraint solver's scale
-    for name in _OF_MEMORY:  # a file may ask for more than there is
-        setattr(spec, name, getattr(fresh, name))
-    for actuator in list(spec.actuators):  # whose ranges the compiler may look for in long simulations
-        spec.delete(actuator)
 
 
 def _fix_masses(spec: mujoco.MjSpec, fresh: mujoco.MjSpec, path: object) -> None:
@@ -96,13 +83,7 @@ def _reset_defaults(spec: mujoco.MjSpec, fresh: mujoco.MjSpec) -> None:
     """The file's elements have taken what its defaults say; what plants add (floor, tyres, drives, a door) would take it too."""
     for default in [spec.default, *(body.classname for body in spec.bodies)]:
         for kind in ("geom", "joint", "actuator", "site"):
-            _copy(getattr(fresh.default, kind), getattr(default, kind))
-
-
-def _copy(source: Any, target: Any) -> None:
-    for name in set(dir(source)) - _NO_VALUE:
-        if not name.startswith("_") and not callable(getattr(source, name)):
-            setattr(target, name, getattr(source, name))
+            copy_values(getattr(fresh.default, kind), getattr(default, kind))
 
 
 def widen(spec: mujoco.MjSpec, position: dict[str, tuple[float, float]], path: object) -> None:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import subprocess
-import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from importlib.util import find_spec
@@ -13,12 +10,13 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from wbmpc.errors import InputError
+from wbmpc.robots.limited_process import CLOCK, OutOfTime, run_limited
 
 NAMESPACES = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
 NEEDED = "its macros (xacro) have to be expanded: pip install 'wbmpc[xacro]', or expand the file with ROS' own xacro"
 _MISSING = re.compile(r"Package not found: ([\w-]+)")
 #: How long macros may take [s].
-SECONDS = 30.0
+SECONDS = CLOCK
 #: Expanded texts that are kept: a robot is read several times.
 _KEPT = 8
 
@@ -44,16 +42,11 @@ def _expanded(
 ) -> str:
     if find_spec("xacrodoc") is None:
         raise InputError(f"{name}: {NEEDED}")
-    order = json.dumps({"path": str(path), "packages": dict(packages), "arguments": dict(arguments)})
-    program = [sys.executable, "-P", str(Path(__file__).with_name("expand_macros.py"))]
+    order = {"path": str(path), "packages": dict(packages), "arguments": dict(arguments)}
     try:
-        run = subprocess.run(program, input=order, capture_output=True, text=True, timeout=SECONDS)
-    except subprocess.TimeoutExpired:
-        raise InputError(f"{name}: its macros are not expanded within {SECONDS:g} s") from None
-    try:
-        answer = json.loads(run.stdout)
-    except ValueError:  # it has been ended, or memory was not enough
-        answer = {"error": (run.stderr.strip().splitlines() or [f"exit status {run.returncode}"])[-1]}
+        answer = run_limited(order, SECONDS)
+    except OutOfTime as limit:
+        raise InputError(f"{name}: its macros are not expanded within {limit}") from None
     if "text" in answer:
         return str(answer["text"])
     text = " ".join(str(answer["error"]).split())

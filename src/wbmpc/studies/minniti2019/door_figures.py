@@ -137,8 +137,8 @@ def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Pl
             Series("in contact (times 10)", t, 10.0 * (normal_force(log) > 0.0), dashed=True),
         ]),
         Plot(f"Door, reference {label}", "time [s]", "angle [deg], rate [deg/s]", [
-            Series("angle", t, door[:, 0]), Series("angle, believed", t, believed_door[:, 0], dashed=True),
-            Series("rate", t, door[:, 1]), Series("rate, believed", t, believed_door[:, 1], dashed=True),
+            Series("angle", t, door[:, 0]), Series("angle, estimated", t, believed_door[:, 0], dashed=True),
+            Series("rate", t, door[:, 1]), Series("rate, estimated", t, believed_door[:, 1], dashed=True),
         ]),
         Plot(f"Believed impedance over the first guess, reference {label}", "time [s]", "ratio", [
             Series(part, t, values) for part, values in parts

@@ -61,8 +61,8 @@ def plots(log: Log) -> list[Plot]:
         s
         for n in done
         for s in (
-            Series(f"{n}: asked", t[n], log.array(f"asked_{n}")[:, wheel], dashed=True),
-            Series(f"{n}: acting", t[n], log.array(f"acting_{n}")[:, wheel]),
+            Series(f"{n}, commanded", t[n], log.array(f"asked_{n}")[:, wheel], dashed=True),
+            Series(n, t[n], log.array(f"acting_{n}")[:, wheel]),
         )
     ]
     errors = {n: torque_error(log, n) for n in done}
@@ -70,14 +70,14 @@ def plots(log: Log) -> list[Plot]:
     band = {n: np.abs(np.fft.rfft(log.array(f"asked_{n}")[:, wheel])) / len(t[n]) for n in done}
     return [
         Plot(f"End effector, {'xyz'[moved]}", "time [s]", "position [m]", [
-            *lines, Series("asked", t[done[0]], target[:, moved], dashed=True),
+            *lines, Series("reference", t[done[0]], target[:, moved], dashed=True),
         ]),
-        Plot(f"Torque of wheel {wheel}, asked and acting", "time [s]", "torque [N m]", wheels),
+        Plot(f"Torque of wheel {wheel}, commanded and applied", "time [s]", "torque [N m]", wheels),
         Plot(f"Torque error of wheel {wheel}", "time [s]", "torque [N m]", [Series(n, t[n], errors[n][:, wheel]) for n in done]),
         Plot("Torque error of the last arm joint", "time [s]", "torque [N m]", [
             Series(n, t[n], errors[n][:, -1]) for n in done
         ]),
-        Plot(f"Asked torque of wheel {wheel} over frequency", "frequency [Hz]", "amplitude [N m]", [
+        Plot(f"Commanded torque of wheel {wheel} over frequency", "frequency [Hz]", "amplitude [N m]", [
             Series(n, frequency[n][1:], band[n][1:]) for n in done
         ]),
         Plot("Tilt", "time [s]", "angle [deg]", [Series(n, t[n], np.rad2deg(log.array(f"tilt_{n}"))) for n in done]),

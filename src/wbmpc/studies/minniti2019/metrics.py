@@ -8,7 +8,6 @@ import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.log import Log
-from wbmpc.mpc.mpc import MPC
 from wbmpc.result import Metric, Plot, Series
 
 
@@ -77,14 +76,6 @@ def common_plots(log: Log, end_effector: np.ndarray, ball: np.ndarray) -> list[P
             Series(f"wheel {i}", t, torque[:, i]) for i in range(count_wheels(state, torque))
         ]),
     ]  # fmt: skip
-
-
-def solve_times(mpc: MPC | None) -> list[Plot]:
-    """How long each solve took; nothing without an MPC."""
-    if mpc is None:
-        return []
-    solve = 1e3 * np.array(mpc.statistics.solve_times)
-    return [Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)])]
 
 
 def append_as(single: Log, log: Log, name: str, channels: Sequence[str]) -> None:

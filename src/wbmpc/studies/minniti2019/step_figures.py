@@ -105,7 +105,7 @@ def _turns(log: Log, schedule: Schedule) -> Plot:
     is_ = np.array([vector(q) for q in log.array("hand_quaternion")[thin]])
     target = np.array([vector(q) for q in schedule.quaternions])[[schedule.at(v) for v in t]]
     lines = [Series(f"about {n}", t, is_[:, i]) for i, n in enumerate("xyz")]
-    goals = [Series(f"about {n} asked", t, target[:, i], dashed=True) for i, n in enumerate("xyz")]
+    goals = [Series(f"about {n}, reference", t, target[:, i], dashed=True) for i, n in enumerate("xyz")]
     return Plot(
         "End effector orientation against home and its reference (Fig. 4)", "time [s]", "angle [deg]", [*lines, *goals]
     )
@@ -116,7 +116,7 @@ def plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
     target = schedule.positions[[schedule.at(v) for v in t]]
     limit = robot.limits.input_upper[: torque.shape[1]]
     lines = [Series(n, t, end_effector[:, i]) for i, n in enumerate("xyz")]
-    goals = [Series(f"{n} asked", t, target[:, i], dashed=True) for i, n in enumerate("xyz")]
+    goals = [Series(f"{n}, reference", t, target[:, i], dashed=True) for i, n in enumerate("xyz")]
     velocity = robot.state["arm_velocity"]
     ratio = np.abs(state[:, velocity]) / robot.limits.state_upper[velocity]
     degrees = np.rad2deg(state[:, 2:5])

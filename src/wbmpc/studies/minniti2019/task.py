@@ -28,7 +28,7 @@ from wbmpc.result import Metric, Plot
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending, Timing
 from wbmpc.studies.minniti2019.baselines import Parts, make_controller
-from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics, solve_times
+from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.types import Truth
 
@@ -179,7 +179,7 @@ def task_scenario(
     return Scenario.single(
         log, lambda progress: replace(loop.run(progress), mpc=system.planner or system.mpc),
         lambda run: {**metrics(log, run.ending), **estimator_metrics(log), **fault_metrics(controller)},
-        lambda run: [*plots(log), *solve_times(system.planner)], [*idealisations, *IDEALISATIONS],
+        lambda run: plots(log), [*idealisations, *IDEALISATIONS],
     )  # fmt: skip
 
 

@@ -65,7 +65,7 @@ def plots(log: Log) -> list[Plot]:
         *(
             Plot(f"End effector, {axis}", "time [s]", "position [m]", [
                 *(Series(n, t[n], log.array(f"hand_{n}")[:, i]) for n in done),
-                Series("asked", t[done[0]], log.array(f"wanted_{done[0]}")[:, i], dashed=True),
+                Series("reference", t[done[0]], log.array(f"wanted_{done[0]}")[:, i], dashed=True),
             ])
             for i, axis in enumerate("xyz")
         ),

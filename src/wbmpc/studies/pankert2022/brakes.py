@@ -92,7 +92,7 @@ def _plots(log: Log, tried: int) -> list[Plot]:
         for c in [f"fault_{kind}"]
     ]
     legs.append(
-        Series("wanted", log.times("fault_none"), np.degrees(log.array("fault_none")[:, 4 + tried]), dashed=True)
+        Series("reference", log.times("fault_none"), np.degrees(log.array("fault_none")[:, 4 + tried]), dashed=True)
     )
     slides = [Series(n, log.array(f"slide_{n}")[:, 0], 1e3 * log.array(f"slide_{n}")[:, 1]) for n in CONFIGURATIONS]
     return [

@@ -147,7 +147,7 @@ def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
         ]),
         Plot("Leg angles (Fig. 7)", "time [s]", "angle [deg]", [
             *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),
-            *(Series(f"{n}, wanted", t, goals[:, k], dashed=True) for k, n in enumerate(names)),
+            *(Series(f"{n}, reference", t, goals[:, k], dashed=True) for k, n in enumerate(names)),
         ]),
         Plot("Base error, estimated frame", "time [s]", "error [mm]", [
             Series(label, log.times(f"{n}.base"), size(n)) for n, label in runs

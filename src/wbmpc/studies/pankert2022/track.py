@@ -94,7 +94,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         log,
         loop.run,
         lambda run: metrics(log, references),
-        lambda run: plots(log, robot, mpc, references),
+        lambda run: plots(log, robot, references),
         IDEALISATIONS,
     )
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.studies.pankert2022.metrics import rms, travelled
 from wbmpc.studies.pankert2022.track_references import TrackReferences
@@ -65,18 +64,17 @@ def _speed_ratios(log: Log, robot: RobotModel) -> list[Series]:
     return series
 
 
-def plots(log: Log, robot: Any, mpc: MPC, references: TrackReferences) -> list[Plot]:
+def plots(log: Log, robot: Any, references: TrackReferences) -> list[Plot]:
     t, end_effector, reference = log.times("hand"), log.array("hand"), log.array("hand_reference")
     estimated, base, odometry = log.array("hand_odometry"), log.array("base"), log.array("base_odometry")
     curve = references.curve()[::40]
     axis, name = (2, "z [m]") if references.vertical else (1, "y [m]")
-    solve = 1e3 * np.array(mpc.statistics.solve_times)
     error = lambda p: 1e3 * np.linalg.norm(p - reference, axis=1)
     return [
         Plot("End effector path and its reference", "x [m]", name, [
             Series("reference", curve[:, 0], curve[:, axis], dashed=True),
-            Series("end effector, estimated frame", estimated[:, 0], estimated[:, axis]),
-            Series("end effector, world", end_effector[:, 0], end_effector[:, axis]),
+            Series("estimated frame", estimated[:, 0], estimated[:, axis]),
+            Series("world", end_effector[:, 0], end_effector[:, axis]),
         ], equal_axes=True),
         Plot("End effector error", "time [s]", "error [mm]", [
             Series("estimated frame", t, error(estimated)), Series("world", t, error(end_effector)),
@@ -85,5 +83,4 @@ def plots(log: Log, robot: Any, mpc: MPC, references: TrackReferences) -> list[P
             Series("true", base[:, 0], base[:, 1]), Series("odometry", odometry[:, 0], odometry[:, 1], dashed=True),
         ], equal_axes=True),
         Plot("Joint speeds over their limits", "time [s]", "largest |speed| / limit", _speed_ratios(log, robot)),
-        Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)]),
     ]  # fmt: skip

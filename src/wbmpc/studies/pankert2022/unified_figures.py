@@ -73,7 +73,7 @@ def plots(log: Log, robot: RobotModel, begin: float) -> list[Plot | Drawing]:
         ]),
         Plot("Leg angles", "time [s]", "angle [deg]", [
             *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),
-            *(Series(f"{n}, wanted", t, goals[:, k], dashed=True) for k, n in enumerate(names)),
+            *(Series(f"{n}, reference", t, goals[:, k], dashed=True) for k, n in enumerate(names)),
         ]),
         Plot("Zero-moment point", "time [s]", "margin [mm]", [
             Series("to the next triangle", t, margins[:, 0]), Series("to the polygon", t, margins[:, 1]),

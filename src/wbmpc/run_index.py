@@ -1,0 +1,193 @@
+"""All runs below a directory: one table, and one page that sorts and filters it."""
+
+from __future__ import annotations
+
+import html
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from wbmpc.errors import InputError
+from wbmpc.report import RECORDING, document
+from wbmpc.result import Metric
+from wbmpc.run_files import read_metrics
+from wbmpc.units import Scale, scale
+
+#: Levels below the directory that are searched, and runs that are read, at most.
+DEEPEST, MOST = 5, 20_000
+REPORT = "report.html"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One run: its directory, metrics as in metrics.json with their ``targets``, and ``note``: why it cannot be read.
+
+    ``outcome``: ``completed``, or why it was not. ``ended``: when its metrics were written.
+    """
+
+    directory: Path
+    ended: datetime
+    experiment: str = ""
+    seed: int | None = None
+    completed: bool = False
+    outcome: str = ""
+    metrics: dict[str, Metric] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    commit: str = ""
+    note: str = ""
+
+    @property
+    def goals(self) -> tuple[int, int]:
+        """Goals that are reached, and how many there are. A run that did not complete reaches none."""
+        judged = [m.met for m in self.metrics.values() if m.met is not None]
+        return (sum(judged) if self.completed else 0), len(judged)
+
+    def to_json(self) -> dict[str, Any]:
+        """The object that ``--json`` prints."""
+        reached, judged = self.goals
+        return {
+            "directory": str(self.directory), "experiment": self.experiment, "seed": self.seed, "completed": self.completed,
+            "outcome": self.outcome, "ended": self.ended.isoformat(timespec="seconds"), "commit": self.commit,
+            "goals": {"reached": reached, "of": judged}, "settings": self.settings, "note": self.note,
+            "metrics": {n: {"value": m.value if math.isfinite(m.value) else None, "unit": m.unit} for n, m in self.metrics.items()},
+        }  # fmt: skip
+
+
+def find_runs(root: Path) -> list[Entry]:
+    """The runs below ``root``, the newest first. Links to directories are not followed; a damaged metrics.json is an entry with a note.
+
+    Raises :class:`InputError` if ``root`` is no directory, or holds more than :data:`MOST` runs.
+    """
+    if not root.is_dir():
+        raise InputError(f"{root}: there is no such directory; runs are in 'runs' unless --out was given")
+    found: list[Entry] = []
+    for path in _metrics_files(root):
+        if len(found) == MOST:
+            raise InputError(f"{root}: has more than {MOST} runs; give a directory below it")
+        found.append(_read(path))
+    return sorted(found, key=lambda entry: (entry.ended, str(entry.directory)), reverse=True)
+
+
+def _metrics_files(root: Path) -> Iterator[Path]:
+    for directory, below, files in os.walk(root):
+        if len(Path(directory).relative_to(root).parts) >= DEEPEST:
+            below.clear()
+        if "metrics.json" in files:
+            yield Path(directory) / "metrics.json"
+
+
+def _read(path: Path) -> Entry:
+    ended = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    try:
+        data = read_metrics(path)
+        targets, seed = data.get("targets", {}), data.get("seed")
+        metrics = {name: _metric(m, targets.get(name, {})) for name, m in data["metrics"].items()}
+        commit = str(data.get("versions", {}).get("commit", ""))
+    except InputError as error:
+        return Entry(path.parent, ended, outcome="unreadable", note=str(error))
+    except (AttributeError, TypeError, ValueError) as error:
+        return Entry(
+            path.parent, ended, outcome="unreadable", note=f"{path}: targets or versions are no objects ({error})"
+        )
+    completed = data.get("completed") is True
+    return Entry(
+        path.parent, ended, data.get("experiment") or "", seed if isinstance(seed, int) else None, completed,
+        "completed" if completed else data.get("reason") or "not completed", metrics, data["settings"], commit,
+    )  # fmt: skip
+
+
+def _metric(figure: dict[str, Any], target: dict[str, Any]) -> Metric:
+    """A metric with its targets; a figure that is not finite is null in the file: as bad as can be."""
+    value = figure["value"]
+    paper, goal, least = (None if target.get(k) is None else float(target[k]) for k in ("paper", "goal", "least"))
+    return Metric(float("inf") if value is None else float(value), figure["unit"], paper, goal, least=least)
+
+
+# ---------------------------------------------------------------------- the page
+_SCRIPT = """<script>
+const value = cell => { const v = cell.dataset.v; return v === undefined ? cell.textContent : v === "" ? Infinity : Number(v) };
+for (const table of document.querySelectorAll("table")) table.rows[0].querySelectorAll("th").forEach((head, k) => {
+  head.tabIndex = 0; head.style.cursor = "pointer"; let up = false;
+  const sort = () => { up = !up;
+    const rows = [...table.rows].slice(1).sort((a, b) => { const x = value(a.cells[k]), y = value(b.cells[k]);
+      return (x < y ? -1 : x > y ? 1 : 0) * (up ? 1 : -1) });
+    table.querySelectorAll("th").forEach(h => h.removeAttribute("aria-sort"));
+    head.setAttribute("aria-sort", up ? "ascending" : "descending"); rows.forEach(row => row.parentNode.append(row)) };
+  head.addEventListener("click", sort); head.addEventListener("keydown", e => { if (e.key === "Enter") sort() }) });
+const filter = document.getElementById("filter");
+filter.addEventListener("input", () => { const words = filter.value.toLowerCase().split(/\\s+/);
+  for (const section of document.querySelectorAll("section")) { let shown = 0;
+    for (const row of [...section.querySelectorAll("tr")].slice(1)) {
+      const text = (section.id + " " + row.textContent).toLowerCase();
+      row.hidden = !words.every(w => text.includes(w)); shown += !row.hidden }
+    section.hidden = !shown } });
+</script>
+<style>th[aria-sort=ascending]::after { content: " ▲" } th[aria-sort=descending]::after { content: " ▼" }
+#filter { width: 100%; padding: 10px 14px; font: inherit; color: inherit; border: 1px solid var(--line); border-radius: 8px; background: var(--card);
+  margin: 20px 0 0 } th { white-space: normal; vertical-align: bottom } main { max-width: 1400px }</style>"""
+
+
+def page(runs: Sequence[Entry], beside: Path) -> str:
+    """The table as one HTML page that needs no network, with a section per experiment; links are relative to ``beside``."""
+    names = sorted({run.experiment for run in runs})
+    sections = "".join(_section(name, [r for r in runs if r.experiment == name], beside) for name in names)
+    failed = sum(not run.completed for run in runs)
+    about = f"{len(runs)} {'run' if len(runs) == 1 else 'runs'}, {failed} not completed. A click on a heading sorts."
+    search = (
+        '<input id="filter" type="search" placeholder="Filter: experiment, seed, outcome, commit" aria-label="Filter">'
+    )
+    return document("Runs", f'<h1>Runs</h1><p class="sub">{about}</p>{search}{sections}{_SCRIPT}', plots=False)
+
+
+def _section(name: str, runs: list[Entry], beside: Path) -> str:
+    """A table with the metrics that have a goal or a paper's figure, each in one unit; without any, all metrics."""
+    of_interest = [
+        n for run in runs for n, m in run.metrics.items() if (m.goal, m.least, m.paper) != (None, None, None)
+    ]
+    shown = list(dict.fromkeys(of_interest)) or list(dict.fromkeys(n for run in runs for n in run.metrics))
+    scales = {n: _scale([run.metrics[n] for run in runs if n in run.metrics]) for n in shown}
+    heads = "".join(
+        f"<th class=n>{html.escape(n).replace('_', '_<wbr>')} [{html.escape(scales[n].unit)}]</th>" for n in shown
+    )
+    rows = "".join(_row(run, shown, scales, beside) for run in runs)
+    title = html.escape(name) or "Unreadable"
+    return f"""<section id="{title}"><h2>{title}</h2><div class="card scroll"><table>
+<tr><th>run</th><th class=n>seed</th><th>outcome</th><th class=n>goals</th><th>ended</th><th>commit</th>{heads}</tr>{rows}</table></div></section>"""
+
+
+def _scale(metrics: Sequence[Metric]) -> Scale:
+    return scale(metrics[0].unit, *(m.value for m in metrics), metrics[0].goal, metrics[0].paper)
+
+
+def _row(run: Entry, shown: Sequence[str], scales: dict[str, Scale], beside: Path) -> str:
+    reached, judged = run.goals
+    kind = "met" if run.completed else "missed"
+    seed = "" if run.seed is None else run.seed
+    cells = [
+        f"<td>{_links(run, beside)}</td>", f'<td class=n data-v="{seed}">{seed}</td>',
+        f'<td><span class="{kind}">{html.escape(run.outcome)}</span> {html.escape(run.note)}</td>',
+        f'<td class=n data-v="{reached / judged if judged else ""}">{f"{reached} of {judged}" if judged else ""}</td>',
+        f"<td>{run.ended:%Y-%m-%d %H:%M:%S}</td>", f"<td>{html.escape(run.commit)}</td>",
+        *(_cell(run.metrics.get(n), scales[n]) for n in shown),
+    ]  # fmt: skip
+    return f"<tr>{''.join(cells)}</tr>"
+
+
+def _cell(metric: Metric | None, shown: Scale) -> str:
+    if metric is None:
+        return '<td class=n data-v=""></td>'
+    kind = {True: "met", False: "missed", None: ""}[metric.met]
+    return f'<td class=n data-v="{metric.value}"><span class="{kind}">{shown.text(metric.value)}</span></td>'
+
+
+def _links(run: Entry, beside: Path) -> str:
+    """The run's name as a link to its report, and one to its recording, where they are there."""
+    path = os.path.relpath(run.directory, beside)
+    link = lambda file, text: f'<a href="{html.escape(quote(f"{path}/{file}"))}">{html.escape(text)}</a>'
+    name = link(REPORT, path) if (run.directory / REPORT).is_file() else html.escape(path)
+    return name + (f" ({link(RECORDING, 'recording')})" if (run.directory / RECORDING).is_file() else "")

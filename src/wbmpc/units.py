@@ -1,0 +1,46 @@
+"""Units for readers: 1.457 mm instead of 0.001457 m. Files keep SI units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+#: By SI unit: (largest magnitude [SI unit], unit that is shown below it, shown per SI unit); the first that fits is taken.
+_SCALES: dict[str, tuple[tuple[float, str, float], ...]] = {
+    "m": ((1e-4, "µm", 1e6), (0.1, "mm", 1e3)),
+    "m/s": ((0.1, "mm/s", 1e3),),
+    "s": ((0.1, "ms", 1e3),),
+    "rad": ((math.inf, "°", 180 / math.pi),),
+    "rad/s": ((math.inf, "°/s", 180 / math.pi),),
+    "1": ((0.1, "%", 100.0),),
+}
+
+
+def number(value: float) -> str:
+    """A figure with four significant digits."""
+    if not math.isfinite(value):
+        return "not a number" if math.isnan(value) else f"{value:g}"
+    return f"{value:.4g}"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The unit of a row of figures, and how many of it one SI unit is."""
+
+    unit: str
+    factor: float = 1.0
+
+    def text(self, value: float | None) -> str:
+        """A figure in SI units as a cell of a table; an empty one for None."""
+        return "" if value is None else number(self.factor * value)
+
+
+def scale(unit: str, *values: float | None) -> Scale:
+    """The unit in which ``values`` [unit] read best, one for all of them: chosen by the largest. Figures that are not finite, zeros
+    and None do not count; without any other one, and for units that are not listed, the unit itself."""
+    sizes = [abs(v) for v in values if v is not None and math.isfinite(v) and v]
+    if sizes:
+        for largest, shown, factor in _SCALES.get(unit, ()):
+            if max(sizes) < largest:
+                return Scale(shown, factor)
+    return Scale(unit)

@@ -1,0 +1,121 @@
+"""`wbmpc runs`: every run below a directory, whatever stands beside it; the page sorts and filters in a browser."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+
+from fake_experiment import FakeSettings, run
+from wbmpc.cli import main
+from wbmpc.report import write_run
+from wbmpc.run_index import DEEPEST, find_runs, page
+
+CHROMIUM = shutil.which("chromium")
+
+
+@pytest.fixture
+def some(tmp_path: Path) -> Path:
+    """Three runs, the last one fell; the second one is nested and has an odd name."""
+    root = tmp_path / "runs"
+    for k, (name, seed, settings) in enumerate((
+        ("fake-seed3", 3, FakeSettings()), ("a/<b> & 'c'", 7, FakeSettings()), ("fell", 5, FakeSettings(fall_at=2.0)),
+    )):  # fmt: skip
+        files = write_run(run(settings, seed), root / name)
+        os.utime(files["metrics"], (1e9 + k, 1e9 + k))
+    return root
+
+
+def test_the_newest_first_with_outcome_and_goals(some: Path) -> None:
+    found = find_runs(some)
+    assert [r.seed for r in found] == [5, 7, 3]
+    assert [r.completed for r in found] == [False, True, True]
+    assert found[0].outcome == "the robot fell at 2.00 s" and found[0].goals == (0, 3)
+    assert found[2].goals == (2, 3)
+    assert found[1].metrics["path_length"].value == 20.53
+    assert found[0].metrics["rise_time_max"].value == float("inf")  # null in the file
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "[" * 9999, '{"metrics": 3}', '{"metrics": {}, "targets": [1], "versions": 2}', '{"metrics": {"a": {"value": 1, '
+             '"unit": "m"}}, "targets": {"a": {"goal": "x"}}}', '{"metrics": {"a": {"value": 1, "unit": "m"}}, "targets": {"a": 1}}']
+)  # fmt: skip
+def test_what_is_damaged_is_one_entry_with_its_file(some: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    broken = some / "broken" / "metrics.json"
+    broken.parent.mkdir()
+    broken.write_text(text)
+    found = find_runs(some)
+    assert len(found) == 4
+    note = next(r for r in found if r.directory == broken.parent)
+    assert (note.outcome, note.completed) == ("unreadable", False) and str(broken) in note.note
+    assert main(["runs", str(some)]) == 0 and str(broken) in capsys.readouterr().out.replace("\n", "")
+
+
+def test_links_and_deep_directories_are_not_followed(some: Path) -> None:
+    (some / "loop").symlink_to(some)
+    deep = some.joinpath(*"abcdefg"[: DEEPEST + 1])
+    deep.mkdir(parents=True)
+    shutil.copy(some / "fell" / "metrics.json", deep)
+    assert len(find_runs(some)) == 3
+
+
+def test_json_is_what_the_files_say(some: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["runs", str(some), "--json"]) == 0
+    output = json.loads(capsys.readouterr().out)
+    assert output["page"] is None
+    for entry in output["runs"]:
+        saved = json.loads((Path(entry["directory"]) / "metrics.json").read_text())
+        assert {k: entry[k] for k in ("experiment", "seed", "completed", "settings")} == {
+            k: saved[k] for k in ("experiment", "seed", "completed", "settings")
+        }
+        finite = {n: m for n, m in saved["metrics"].items() if m["value"] is not None}
+        assert {n: entry["metrics"][n] for n in finite} == finite
+
+
+def test_a_directory_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["runs", str(tmp_path / "no")]) == 2
+    assert str(tmp_path / "no") in capsys.readouterr().err.replace("\n", "")
+
+
+def test_the_page_links_to_what_is_there(some: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (some / "fell" / "report.html").unlink()
+    target = tmp_path / "pages" / "all.html"
+    target.parent.mkdir()
+    assert main(["runs", str(some), "--page", str(target)]) == 0
+    links: list[str] = []
+
+    class Finder(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            links.extend(v for k, v in attrs if k in ("src", "href") and v)
+
+    Finder().feed(target.read_text())
+    assert len(links) == 2 and all((target.parent / unquote(link)).is_file() for link in links)
+    assert main(["runs", str(some), "--page", str(target)]) == 2  # it is there already
+    assert main(["runs", str(some), "--page", str(target), "--force"]) == 0
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+def test_a_click_sorts_and_words_filter(some: Path, tmp_path: Path) -> None:
+    """Measured by a browser: order of seeds after one and two clicks, and what a word leaves."""
+    measure = """<script>addEventListener("load", () => {
+      const seeds = () => [...document.querySelectorAll("tr")].slice(1).filter(r => !r.hidden).map(r => r.cells[1].textContent).join("");
+      const head = document.querySelectorAll("th")[1], filter = document.getElementById("filter"), out = [];
+      head.click(); out.push(seeds()); head.click(); out.push(seeds());
+      for (const words of ["FELL at", "fake completed", "nothing like it"]) {
+        filter.value = words; filter.dispatchEvent(new Event("input")); out.push(seeds()) }
+      document.title = out.join("|") })</script></body>"""
+    text = page(find_runs(some), tmp_path)
+    (tmp_path / "page.html").write_text(text.replace("</body>", measure))
+    options = f"--headless --no-sandbox --disable-gpu --no-first-run --virtual-time-budget=2000 --user-data-dir={tmp_path / 'p'} --dump-dom"
+    out = subprocess.run(
+        [str(CHROMIUM), *options.split(), (tmp_path / "page.html").as_uri()], capture_output=True, text=True, timeout=90
+    )
+    found = re.search(r"<title>(.*?)</title>", out.stdout)
+    assert found is not None and found.group(1) == "357|753|5|73|"
