@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from wbmpc.cli.recordings import AsJson
 from wbmpc.cli.terminal import BAD_INPUT, printable, robot_names
 from wbmpc.errors import InputError
-from wbmpc.robots.findings import Finding
+
+if TYPE_CHECKING:
+    from wbmpc.robots.findings import Finding
 
 Packages = Annotated[
     list[str] | None,
@@ -39,6 +41,7 @@ def _collisions(path: str) -> list[Finding]:
     """What of its own a robot that loads keeps apart."""
     from wbmpc.model.robot import load_robot
     from wbmpc.obstacles.pairs import diagnose
+    from wbmpc.robots.findings import Finding
 
     try:
         return list(diagnose(load_robot(path)))

@@ -99,7 +99,7 @@ class RobotGeometry:
         return positions[:, self.frame_of] + np.einsum("nsij,sj->nsi", own, local), own @ turn
 
 
-def _cover(solid: Solid, cell: float = 0.06) -> list[tuple[Array, float]]:
+def _cover(solid: Solid, cell: float = 0.08) -> list[tuple[Array, float]]:
     """Balls (center in the frame, radius) that together contain a solid."""
     if solid.kind == "sphere":
         return [(solid.position, float(solid.size[0]))]
@@ -113,7 +113,7 @@ def _cover(solid: Solid, cell: float = 0.06) -> list[tuple[Array, float]]:
             inner = [(np.array([0.0, 0.0, z]), radius) for z in places]
             return [(solid.position + solid.rotation @ c, rho) for c, rho in [*ends, *inner]]
         half = np.array([r, r, h])
-    count3 = np.maximum(np.ceil(half / np.maximum(half.min(), cell)).astype(int), 1)
+    count3 = np.ceil(half / cell).astype(int)
     part = half / count3
     grid = [part[a] * (2 * np.arange(count3[a]) + 1) - half[a] for a in range(3)]
     places3 = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 3)
