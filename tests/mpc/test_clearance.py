@@ -10,7 +10,7 @@ import pytest
 
 import wbmpc as wb
 from clearing import TrueDistance, keep_clear, reach_problem, run, write_arm
-from wbmpc.mpc.braking import braking_plan
+from wbmpc.mpc.braking import braking_plan, braking_time
 from wbmpc.obstacles.rows import Clearance
 
 CYLINDER, BOX = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
@@ -68,7 +68,7 @@ def driving(robot: wb.RobotModel, world: wb.Obstacles, ahead: float) -> wb.MPC:
 def test_what_appears_within_the_stopping_distance_is_not_touched() -> None:
     robot, world = wb.load_robot("differential-ur10"), wb.Obstacles()
     mpc = driving(robot, world, 3.0)
-    place, seen = np.array([1.6, 0.0, 0.2]), 1.2  # 0.12 m ahead at 0.8 m/s
+    place, seen = np.array([1.7, 0.0, 0.2]), 1.2  # 0.2 m ahead at 0.8 m/s
 
     def change(t: float) -> None:
         if t >= seen and "box" not in world:
@@ -135,8 +135,7 @@ def test_an_arm_does_not_fold_into_its_foot(tmp_path: Path) -> None:
         mpc.reset(robot.home)
         truth = TrueDistance(robot, [(CYLINDER, [0.08, 0.05])])  # the foot once more
         only(truth, ("fore",))
-        foot = np.array([0.0, 0.0, 0.05])
-        least[keep] = run(mpc, robot, truth, lambda t: [foot], lambda t: None, 3.0).least
+        least[keep] = run(mpc, robot, truth, lambda t: [np.array([0.0, 0.0, 0.05])], lambda t: None, 3.0).least
     assert least[True] > 0.01 and least[False] < 0.0
 
 
@@ -144,7 +143,10 @@ def test_a_stop_takes_as_long_as_the_limits_say_and_ends_at_rest(tmp_path: Path)
     """Truth: v² / 2a of a rate that falls evenly, with the file's 6 rad/s²."""
     robot = wb.load_robot(write_arm(tmp_path))
     mpc = reaching(robot, robot.pose(robot.home)[0], wb.Obstacles())
-    plan = braking_plan(mpc.solver, robot, robot.home, np.array([1.5, 0.0, -0.6]), mpc.ocp.grid)
+    u = np.array([1.5, 0.0, -0.6])
+    duration = braking_time(mpc.ocp.dynamics, robot, robot.home, u)
+    assert duration == pytest.approx(1.5 / 6.0)
+    plan = braking_plan(mpc.solver, robot, robot.home, u, mpc.ocp.grid, duration)
     np.testing.assert_allclose(plan.x[-1] - robot.home, [1.5**2 / 12, 0.0, -0.6 * 1.5 / 12], atol=1e-9)
     assert not plan.u[mpc.ocp.grid[:-1] >= 0.25].any()
 

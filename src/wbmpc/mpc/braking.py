@@ -32,10 +32,9 @@ class BrakingPlan(NamedTuple):
     u: Array
 
 
-def braking_plan(solver: Solver, robot: RobotModel, x0: Array, u0: Array, grid: Array) -> BrakingPlan:
-    """A stop from the state ``x0`` (nx) under the input ``u0`` (nu), at nodes ``grid`` (N + 1) [s] from now."""
+def braking_plan(solver: Solver, robot: RobotModel, x0: Array, u0: Array, grid: Array, duration: float) -> BrakingPlan:
+    """A stop of ``duration`` [s] from the state ``x0`` (nx) under the input ``u0`` (nu), at nodes ``grid`` (N + 1) [s] from now."""
     dynamics = solver.ocp.dynamics
-    duration = braking_time(dynamics, robot, x0, u0)
     # the mean over each interval of what is left of the speed, and how much of the interval the stop lasts
     left = _remaining(grid, duration)
     lasts = np.clip((duration - grid[:-1]) / np.diff(grid), 0.0, 1.0)

@@ -21,8 +21,11 @@ _TERMS = (residuals.Clearance, residuals.SelfClearance)
 TOLERATED = 0.5
 #: Less than this [m] deeper than now is no deeper.
 DEEPER = 0.003
-#: Solves from a braking plan before one is taken as it is.
-BRAKING_SOLVES = 5
+#: Solves from a braking plan, and the barriers of the interior point: with a small one from the start its steps are cut where many
+#: rows become active at once.
+BRAKING_SOLVES, FIRST_BARRIER, BARRIER_SHARE = 5, 0.1, 0.4
+#: What is left [s] of a stop that should have ended.
+ENDING = 0.01
 #: A plan has to be clear from now on for the duration of a stop and so much longer [s].
 REACTION = 0.2
 
@@ -37,6 +40,8 @@ class ClearanceRows:
         self._within = {n: r for n, r in terms.items() if isinstance(r, residuals.SelfClearance)}
         self.active = bool(self._around or self._within)
         self.last = LeastClearance()
+        #: when the stop ends [s] that the last plan is; None: it is none
+        self._stops_at: float | None = None
         self._snapshot = Snapshot()
         if self._around and obstacles is None:
             raise InputError(
@@ -90,14 +95,63 @@ class ClearanceRows:
         found += [r.rows.deepest(times, states, share * r.rows.margin, DEEPER) for r in self._within.values()]
         return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)
 
-    def braking(self, t: float, x0: Array, delta: float) -> Callable[[], BrakingPlan]:
-        """What makes the plan of a stop from ``x0`` (nx) at ``t`` [s] under the input that the last plan, ``delta`` [s] old, has then."""
-        u0 = self._input(delta)
-        return lambda: braking_plan(self._solver, self.robot, x0, u0, self._solver.node_times(t))
+    # ------------------------------------------------------------------ solves that end clear, or in a stop
+    def solve(
+        self, t: float, x0: Array, delta: float | None, passes: int, run: Callable[[float, int], None],
+        unusable: Callable[[], bool],
+    ) -> LeastClearance | None:  # fmt: skip
+        """Solve at ``t`` [s] from ``x0`` (nx) with ``run(age of the last plan [s], passes)``; ``delta`` is that age, None of the first plan.
 
-    def stopping_time(self, x0: Array, delta: float) -> float:
-        """How long [s] that stop takes."""
-        return braking_time(self._solver.ocp.dynamics, self.robot, x0, self._input(delta))
+        Where the robot would come much too near to something before it can stop, solve from a plan that stops, with more passes. If that
+        does not help, the stop is the result: what it is for is returned. A robot that falls when it stands is not stopped.
+        """
+        self.look(t)
+        if delta is None or self.robot.base.balances:
+            run(delta or 0.0, passes)
+            self.measure(t)
+            return None
+        duration, stop = self._braking(t, x0, delta)
+        until, self._stops_at = t + duration + REACTION, None
+        cause = self.unsafe(*self.predicted(t, delta), until)
+        if cause is None:
+            run(delta, passes)
+            cause = self._runs_into(t, until)
+        if cause is not None and self._avoided(t, stop(), until, run, unusable):
+            cause = None
+        if cause is not None:
+            self._stops_at = t + duration
+        self.measure(t)
+        return cause
+
+    def _runs_into(self, t: float, until: float) -> LeastClearance | None:
+        plan = self._solver.trajectory(copy=False)
+        return self.unsafe(t + plan.grid, plan.x, until)
+
+    def _avoided(
+        self, t: float, stop: BrakingPlan, until: float, run: Callable[[float, int], None], unusable: Callable[[], bool]
+    ) -> bool:
+        """Whether solves from a stop find a plan that is clear, or clearer than the stop; else the stop is the result."""
+        self._solver.warm_start(stop.x, stop.u)
+        self._solver.reset()
+        for k in range(BRAKING_SOLVES):
+            with self._solver.barrier(FIRST_BARRIER * BARRIER_SHARE**k):
+                run(0.0, 1)
+        found = self._runs_into(t, until)
+        standing = self.unsafe(t + self._solver.node_times(t), stop.x, until)
+        clearer = found is None or (standing is not None and standing.distance <= found.distance)
+        if clearer and not unusable():
+            return True
+        self._solver.use(stop.x, stop.u)
+        return False
+
+    def _braking(self, t: float, x0: Array, delta: float) -> tuple[float, Callable[[], BrakingPlan]]:
+        """How long [s] a stop from ``x0`` (nx) at ``t`` [s] takes under the input that the last plan, ``delta`` [s] old, has then, and
+        what makes its plan. A stop that has begun goes on: it does not take longer because it is planned anew."""
+        solver, u0 = self._solver, self._input(delta)
+        duration = braking_time(solver.ocp.dynamics, self.robot, x0, u0)
+        if self._stops_at is not None:
+            duration = min(duration, max(self._stops_at - t, ENDING))
+        return duration, lambda: braking_plan(solver, self.robot, x0, u0, solver.node_times(t), duration)
 
     def _input(self, delta: float) -> Array:
         plan = self._solver.trajectory(copy=False)

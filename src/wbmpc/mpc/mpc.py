@@ -10,8 +10,7 @@ import numpy as np
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.mpc.braking import BrakingPlan
-from wbmpc.mpc.clearance import BRAKING_SOLVES, REACTION, ClearanceRows
+from wbmpc.mpc.clearance import ClearanceRows
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.policy import Policy
@@ -279,40 +278,17 @@ class MPC:
         return not self.fault
 
     def _solve_clear(self, t: float, x0: np.ndarray, delta: float, passes: int) -> None:
-        """Solve, and where the robot would come much too near to something before it can stop: from a braking plan, with more passes.
-        If that does not help either, the braking plan is the result."""
-        clear = self._clear
-        clear.look(t)
-        if self._t is None or clear.robot.base.balances:
-            self._solve(t, x0, delta, passes)
-        else:
-            until = t + clear.stopping_time(x0, delta) + REACTION
-            stop, sudden = clear.braking(t, x0, delta), clear.unsafe(*clear.predicted(t, delta), until)
-            if sudden is None:
-                self._solve(t, x0, delta, passes)
-            if sudden is not None or self._runs_into(t, until):
-                self._brake(t, x0, stop(), until)
-        clear.measure(t)
-
-    def _runs_into(self, t: float, until: float) -> Clearance | None:
-        plan = self.solver.trajectory(copy=False)
-        return self._clear.unsafe(t + plan.grid, plan.x, until)
-
-    def _brake(self, t: float, x0: np.ndarray, stop: BrakingPlan, until: float) -> None:
-        self.solver.warm_start(stop.x, stop.u)
-        self.solver.reset()
-        self._solve(t, x0, 0.0, BRAKING_SOLVES)
-        found = self._runs_into(t, until)
-        usable = not (self._not_finite_part() or self._rejection())
-        standing = self._clear.unsafe(t + self.solver.node_times(t), stop.x, until)
-        if usable and (found is None or (standing is not None and standing.distance <= found.distance)):
-            return
-        self.solver.use(stop.x, stop.u)
-        self._outcome = (_USABLE, *self._outcome[1:])
-        self.statistics.braking_plans += 1
-        self._lines.log(
-            _LOG, logging.WARNING, "clearance", f"MPC at {t:.3f} s: the robot brakes: {found or self._clear.last}"
+        """Solve with clearance rows; a plan that stops is the result where no other is clear."""
+        cause = self._clear.solve(
+            t, x0, None if self._t is None else delta, passes, lambda old, n: self._solve(t, x0, old, n), self._unusable
         )
+        if cause is not None:
+            self._outcome = (_USABLE, *self._outcome[1:])
+            self.statistics.braking_plans += 1
+            self._lines.log(_LOG, logging.WARNING, "clearance", f"MPC at {t:.3f} s: the robot brakes: {cause}")
+
+    def _unusable(self) -> bool:
+        return bool(self._not_finite_part() or self._rejection())
 
     def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
         """``start`` [s]: of the last plan."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import ctypes
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from operator import is_
@@ -21,7 +22,7 @@ from wbmpc.solver.certificate import Checks
 from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive, Interruptible
-from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
+from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, SETTINGS, StateField
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.trajectory import Trajectory
@@ -195,6 +196,17 @@ class Solver:
         self.warm_start(x, u)
         with self.exclusive:
             self.ws.k[:] = 0.0
+
+    @contextmanager
+    def barrier(self, value: float) -> Iterator[None]:
+        """While it lasts, solves have a barrier parameter of the interior point of at least ``value`` (compiled only)."""
+        numbers = self.numbers.copy()
+        places = [SETTINGS.index(n) for n in ("initial_barrier", "max_barrier", "barrier", "min_barrier")]
+        self.numbers[places] = np.maximum(numbers[places], value)
+        try:
+            yield
+        finally:
+            self.numbers[:] = numbers
 
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
