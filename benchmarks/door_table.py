@@ -40,7 +40,7 @@ def measure(scheme: str, door: str, force: float, seed: int) -> dict[str, Any]:
     known = DoorScheme(row=row, identify=identify, cone=cone)
     settings = RezeroDoorSettings(scheme=known, door=door, lean_share=10.0)  # type: ignore[arg-type]  # all forces as they are asked
     trial = push_door(settings, force, seed)
-    return {"scheme": scheme, "door": door, "force": force, "seed": seed, **trial_metrics(trial, settings.rise_time)}
+    return {"scheme": scheme, "door": door, "force": force, "seed": seed, **trial_metrics(trial)}
 
 
 def cell(runs: list[dict[str, Any]]) -> str:

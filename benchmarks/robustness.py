@@ -59,7 +59,7 @@ VARIANTS: dict[str, tuple[str, tuple[str, ...], dict[str, float]]] = {
     "peaks": ("swerve-track", ("variant=peaks",), {}),
     "radii of each wheel": ("swerve-track", ("plant.wheel_radius_each=0.002",), {}),
     "calibrated arm": ("swerve-track", ("plant.joint_offset=0",), {"hand_error_mean_odometry": 2e-4}),
-    "odometry only": ("swerve-plaster", ("sensors=false",), {}),
+    "odometry only": ("swerve-plaster", ("localization=none",), {}),
     "ten minutes": ("swerve-fixed", ("random_time=600",), {}),
 }
 #: Variants that take so long that only the first of the seeds runs them.

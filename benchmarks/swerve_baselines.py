@@ -70,9 +70,9 @@ def _motions(name: str, gains: dict[str, float], seed: int, random: float) -> np
         settings = settings.model_copy(update={"motions": motions, "random": 0.0})
     fixed.CONTROLLERS[name] = fixed.baseline(KINDS[name], **gains)
     log, reference = Log(), Motion.of(settings, seed)
-    if fixed.drive(name, settings, seed, robot, reference, None, log).ending.reason:
+    if fixed.drive(name, settings, seed, robot, reference, settings.estimation(robot, seed), None, log).ending.reason:
         return np.full(1, np.inf)
-    return np.asarray(errors(log, name, reference)[1] ** 2)
+    return np.asarray(errors(log, name, reference, "odometry")[1] ** 2)
 
 
 def _start(name: str) -> dict[str, float]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -16,7 +14,7 @@ import numpy as np
 import pytest
 
 import wbmpc
-from command_line import FAKE_MAIN, HERE, call, shell
+from command_line import FAKE_MAIN, call, shell
 from fake_experiment import REGISTRY
 from wbmpc.cli import app, main
 from wbmpc.cli.results import _table
@@ -82,12 +80,13 @@ def test_no_command_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Usage" in capsys.readouterr().out
 
 
-def test_list_names_experiments_and_robots() -> None:
+def test_list_names_experiments_and_robots(capsys: pytest.CaptureFixture[str]) -> None:
     out = shell("list")
     assert out.returncode == 0 and out.stderr == ""
     for name in ("swerve-track", "rezero-steps", "swerve-ur10", "swerve-fixed-ur10", "rezero"):
         assert name in out.stdout
-    data = json.loads(shell("list", "--json").stdout)
+    assert main(["list", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
     assert {e["name"] for e in data["experiments"]} >= {"swerve-track", "rezero-steps"}
     assert {"swerve-ur10", "rezero"} <= set(data["robots"])
 
@@ -96,8 +95,8 @@ def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
     out = shell("run", "fake", "--seed", "5", "--json", "--set", "mpc.rate=80", code=FAKE_MAIN)
     assert out.returncode == 0 and out.stderr == ""  # in a pipe: no progress bar
     data = json.loads(out.stdout)
-    assert set(data) == {"experiment", "seed", "completed", "reason", "metrics", "mpc", "files"}
-    assert (data["experiment"], data["seed"], data["completed"]) == ("fake", 5, True)
+    assert set(data) == {"experiment", "seed", "outcome", "completed", "reason", "metrics", "mpc", "files"}
+    assert (data["experiment"], data["seed"], data["completed"], data["outcome"]) == ("fake", 5, True, "completed")
     assert set(data["metrics"]["fell"]) == {"value", "unit"}
     assert data["mpc"]["rate_hz"] == 80.0
     assert all((tmp_path / f).is_file() for f in data["files"].values())
@@ -184,12 +183,6 @@ def test_figures_of_a_run_that_the_user_ended_are_not_judged(capsys: pytest.Capt
         assert ("not measured" in out) is interrupted and ("of all steps" in out) is not interrupted
 
 
-def test_the_shell_completes() -> None:
-    environment = {"_WBMPC_COMPLETE": "complete_bash", "COMP_WORDS": "wbmpc re", "COMP_CWORD": "1"}
-    out = shell(code=f"import os; os.environ.update({environment!r}); from wbmpc.cli import main; main()")
-    assert {"replay", "render", "reproduce"} <= set(out.stdout.split())
-
-
 def test_failures_of_the_solver_are_in_table_and_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("run", "fake", "--set", "failures=7", "--json") == 0
     mpc = json.loads(capsys.readouterr().out)["mpc"]
@@ -246,21 +239,24 @@ def test_the_commands_are_the_documented_ones() -> None:
     assert all(option in out.stdout for option in ("--seed", "--set", "--out", "--json"))
 
 
-def test_the_shell_completes_commands_and_names() -> None:
-    ask = lambda words: subprocess.run(
-        [sys.executable, "-m", "wbmpc"], capture_output=True, text=True, timeout=60,
-        env={
-            **os.environ, "PYTHONPATH": str(HERE.parent / "src"), "_WBMPC_COMPLETE": "complete_bash", "COMP_WORDS": words,
-            "COMP_CWORD": str(len(words.split()) - 1),
-        },
-    ).stdout.split()  # fmt: skip
+def test_the_shell_completes_commands_and_names(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def ask(words: str) -> list[str]:
+        given = {"_WBMPC_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+        for name, value in given.items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setattr(sys, "argv", ["wbmpc"])
+        with pytest.raises(SystemExit, match="0"):
+            main()
+        return capsys.readouterr().out.split()
+
     assert ask("wbmpc rep") == ["replay", "reproduce"]
     assert "swerve-track" in ask("wbmpc run swerve-t") and "rezero" in ask("wbmpc view rez")
 
 
-def test_a_table_in_a_pipe_is_plain_columns() -> None:
-    out = shell("run", "fake", "--quiet", code=FAKE_MAIN).stdout
-    assert out == ""
+def test_a_table_in_a_pipe_is_plain_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("run", "fake", "--quiet") == 0 and capsys.readouterr().out == ""
     lines = shell("run", "fake", code=FAKE_MAIN).stdout.splitlines()
     row = next(line.split() for line in lines if "hand_error_mean_odometry" in line)
     assert row[:3] == ["fake", "hand_error_mean_odometry", "mm"] and row[4:] == ["16.7", "≤", "3", "reached"]

@@ -37,9 +37,9 @@ def true_speed_ratio(result, motion: Motion) -> float:
 
 
 @pytest.mark.parametrize("seed", some([3, 4, 5], [0]))
-@pytest.mark.parametrize("name", ["H", "X", "A", "fixed"])
+@pytest.mark.parametrize("name", some(["H", "X", "A", "fixed"], [1, 3]))
 def test_commanded_speed_with_noisy_steering(name: str, seed: int) -> None:
-    motion = Motion((0.3, 0.0, 0.0), 3.0)
+    motion = Motion((0.3, 0.0, 0.0), 2.0)
     robot = "swerve-fixed-ur10" if name == "fixed" else "swerve-ur10"
     result = drive(motion, robot, legs=CONFIGURATIONS.get(name), perturbation=NOISY, seed=seed, guess=False, rest=0.0)
     assert result.reason == ""
@@ -77,7 +77,7 @@ STARTS = (0.0, np.pi / 2, -np.pi / 2, 3.1)
 @pytest.mark.parametrize(("goal", "start"), some([(g, s) for g in GOALS for s in STARTS], [1, 12]))
 def test_goal_from_rest(goal: str, start: float) -> None:
     """At least 90 % of the way, wheels parallel to the body (and turned by ``start`` from that) at first."""
-    motion = Motion(GOALS[goal], 3.0, start=1.5)
+    motion = Motion(GOALS[goal], 2.0, start=1.5)
     # the home's wheels stand parallel to the body; the branch nearest to it stays within the steering's range
     steer = -CONFIGURATIONS["X"] + start
     steer = np.where(np.abs(steer) > 3.1, steer - np.sign(steer) * np.pi, steer)

@@ -17,9 +17,9 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
-    "errors", "logs", "lie", "output_file", "log", "trajectory", "types", "checks", "json_file", "yaml_file", "configuration", "result", "units",
-    "report", "run_files", "run_index", "bases", "robots", "model", "stability", "obstacles", "ocp", "kernel", "solver", "mpc", "control", "runtime",
-    "estimation", "simulation", "settings", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "bases/TYPE",
+    "errors", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "json_file", "yaml_file", "configuration", "result", "units",
+    "report", "run_files", "run_index", "bases", "robots", "model", "stability", "obstacles", "ocp", "kernel", "solver", "mpc", "embedded", "control",
+    "runtime", "estimation", "simulation", "settings", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "bases/TYPE",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.

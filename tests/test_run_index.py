@@ -37,7 +37,7 @@ def test_the_newest_first_with_outcome_and_goals(some: Path) -> None:
     found = find_runs(some)
     assert [r.seed for r in found] == [5, 7, 3]
     assert [r.completed for r in found] == [False, True, True]
-    assert found[0].outcome == "the robot fell at 2.00 s" and found[0].goals == (0, 3)
+    assert (found[0].outcome, found[0].note) == ("gave_up", "the robot fell at 2.00 s") and found[0].goals == (0, 3)
     assert found[2].goals == (2, 3)
     assert found[1].metrics["path_length"].value == 20.53
     assert found[0].metrics["rise_time_max"].value == float("inf")  # null in the file

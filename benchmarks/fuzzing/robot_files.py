@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 from pathlib import Path
 from typing import Any
 
@@ -132,13 +133,51 @@ _HUGE: tuple[tuple[str, str], ...] = (
     ("end", '<custom><numeric name="n" size="2000000000"/></custom>'), ("top", '<size nuser_body="2000000000"/>'),
     ("inside", '<joint name="j" axis="1 0 0"/>'), ("inside", '<joint name="other" axis="1 0 0"/>'),
 )  # fmt: skip
+#: Bodies of an MJCF need no names; links of a URDF do.
+_NAMELESS = '<body><geom size="0.1"/><body pos="0 0 1"><site/></body></body>'
+#: Attributes of the templates that are no numbers, and those of limits, whose numbers may be infinite.
+_TEXTS, _LIMITS = ("name", "model", "type", "link"), ("range", "lower", "upper", "velocity", "effort")
+_ATTRIBUTE = re.compile(r'(\w+)="([^"]*)"')
+
+
+def _one_number(rng: random.Random, text: str, word: str, within: bool) -> str:
+    """With ``word`` for one of the numbers of an attribute; ``within``: not of a limit."""
+    found = [a for a in _ATTRIBUTE.finditer(text) if a[1] not in _TEXTS and not (within and a[1] in _LIMITS)]
+    chosen = rng.choice(found)
+    words = chosen[2].split()
+    words[rng.randrange(len(words))] = word
+    return text[: chosen.start(2)] + " ".join(words) + text[chosen.end(2) :]
+
+
+def _hide(rng: random.Random, text: str, urdf: bool) -> str:
+    """With too many elements between what looks like the marks of a comment."""
+    many = "".join(f'<link name="l{k}"/>' for k in range(6000)) if urdf else _HUGE[0][1]
+    marks = rng.choice(
+        (("<![CDATA[<!--]]>", "<![CDATA[-->]]>"), ('<site name="<!--"/>', '<site name="-->"/>'), ("<?a <!-- ?>", "<?a --> ?>"),
+         ("<!-- <![CDATA[ -->", "<!-- ]]> -->"), ("<!-- ' -->", "<!-- ' -->"), ("<!---->", "<!---->"))
+    )  # fmt: skip
+    at = text.rindex("</robot>" if urdf else "</worldbody>")
+    return text[:at] + many.join(marks) + text[at:]
 
 
 def models(rng: random.Random, folder: Path) -> Case:
     """URDF and MJCF: a small arm that was changed."""
     urdf = rng.random() < 0.4
     parts = {"top": "", "far": "0.5", "size": "0.2", "inside": "", "world": "", "end": ""}
-    kind, expected = rng.choice(("as it is", "huge", "entities", "cut", "attribute", "bytes")), INVALID
+    kinds = (
+        "as it is",
+        "huge",
+        "entities",
+        "cut",
+        "attribute",
+        "bytes",
+        "hidden",
+        "not finite",
+        "far",
+        "nameless",
+        "endless",
+    )
+    kind, expected = rng.choice(kinds), INVALID
     if kind == "as it is":
         parts["far"], parts["size"], expected = f"{rng.uniform(0.1, 2):.3f}", f"{rng.uniform(0.1, 2):.3f}", VALID
     elif kind == "huge" and not urdf:
@@ -151,9 +190,28 @@ def models(rng: random.Random, folder: Path) -> Case:
             rng.choice(("nan", "inf", "1e400", "", "a", "0x1", "-1", "1 2", "1e-320")),
             OPEN,
         )
+    elif kind == "nameless":
+        parts["inside"], expected = "" if urdf else _NAMELESS * rng.randint(1, 3), VALID
     text = (_URDF if urdf else _ARM).format(**parts)
     if kind == "entities":
         text = _BOMB + text
+    elif kind == "hidden":
+        text = _hide(rng, text, urdf)
+    elif kind in ("not finite", "far"):
+        words = (
+            ("nan", "-NaN", "nan(7)", "+nan")
+            if kind == "not finite"
+            else ("1e200", "-1e11", "inf", "-Infinity", "1e308")
+        )
+        text = _one_number(rng, text, rng.choice(words), within=kind == "far")
+    elif kind == "endless":  # a range that no joint can leave is none
+        end = rng.choice(("1e7", "1e16", "1e308", "inf"))
+        text, expected = (
+            text.replace('"-60 60"', f'"-{end} {end}"')
+            .replace('"-1"', f'"-{end}"')
+            .replace('upper="1"', f'upper="{end}"'),
+            VALID,
+        )
     data = text.encode()
     if kind == "cut":
         data = data[: rng.randint(0, len(data) - 8)]

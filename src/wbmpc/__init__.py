@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # what type checkers see; a test compares it with the table below
     from wbmpc.bases import base_type as base_type
+    from wbmpc.embedded.exporter import export as export
     from wbmpc.errors import InputError as InputError
     from wbmpc.errors import SolveFailed as SolveFailed
     from wbmpc.errors import SolverBusy as SolverBusy
@@ -100,6 +101,7 @@ _MODULES = {
     "FilterMemory": "wbmpc.mpc.filters",
     "MPC": "wbmpc.mpc.mpc",
     "Observation": "wbmpc.types",
+    "export": "wbmpc.embedded.exporter",
     "Policy": "wbmpc.mpc.policy",
     "RealTimeSettings": "wbmpc.runtime.safety",
     "WallClock": "wbmpc.runtime.clock",

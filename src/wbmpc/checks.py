@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +14,70 @@ from wbmpc.errors import InputError, NotFinite
 #: More units than this in one period or delay are a mistake in the settings.
 _MAXIMUM = 1_000_000
 _FEW = 16
+#: Absolute times [s] beyond have no milliseconds as floats.
+LATEST = 1e10
+#: By how much the length of a quaternion may be off, which is that of tf2.
+_LENGTH = 0.01
 _FLOAT = np.dtype(float)
+
+#: As MJCF, URDF, JSON and YAML write them: Python also takes 1_0 and digits of other scripts.
+_NUMBER = re.compile(
+    r"[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?|nan|inf(inity)?)", re.IGNORECASE
+)
+
+
+def parse_number(text: str) -> float:
+    """The number that a text from outside is, with nothing around it but blanks; raises ValueError for every other text."""
+    if not _NUMBER.fullmatch(text.strip(" \t\r\n")):
+        raise ValueError(f"'{text[:40]}' is no number")
+    return float(text)
+
+
+def real_numbers(who: str, values: Any) -> NDArray[np.float64]:
+    """``values`` as an array of floats, itself where it is one; :class:`InputError` of ``who`` for what is masked, complex, text or
+    anything else that NumPy would make numbers of, or raise its own errors for."""
+    if type(values) is np.ndarray and values.dtype is _FLOAT:
+        return values
+    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
+        raise InputError(f"{who}: numbers are needed, got masked ones")
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{who}: numbers are needed ({error})") from error
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"{who}: numbers are needed, got {str(values)[:80]!r} ({array.dtype})")
+    return array.astype(float)
+
+
+def real_number(who: str, value: Any, largest: float = math.inf) -> float:
+    """``value`` as a float; :class:`InputError` of ``who`` for what is no real number or beyond ``largest``, :class:`NotFinite`."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise InputError(f"{who}: a number is needed, got {str(value)[:80]!r}")
+    try:
+        number = float(value)
+    except OverflowError:  # a whole number beyond all floats
+        number = math.inf
+    if not math.isfinite(number):
+        raise NotFinite(f"{who} must be finite, got {number}")
+    if abs(number) > largest:
+        raise InputError(f"{who} must be at most {largest:g}, got {number:g}")
+    return number
+
+
+def absolute_time(who: str, value: Any) -> float:
+    """A time [s]; raises as :func:`real_number`."""
+    return real_number(f"{who}: the time", value, LATEST)
+
+
+def unit_quaternions(who: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternions (n, 4) or one (4,), scaled to unit length; :class:`InputError` of ``who`` for a length that is not rounding."""
+    lengths = np.linalg.norm(values, axis=-1, keepdims=True)
+    if not (np.abs(lengths - 1.0) <= _LENGTH).all():
+        wrong = lengths.flat[int(np.argmax(np.abs(lengths - 1.0)))]
+        raise InputError(f"{who}: the quaternion has length {wrong:.3g}, 1 is needed")
+    return np.asarray(values / lengths)
 
 
 def numbers(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ An experiment is data and a few lines. Its settings and a seed make a :class:`Sc
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -27,7 +27,8 @@ from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult, Series
+from wbmpc.result import Drawing, Metric, MpcStatistics, OutcomeName, Plot, RunResult, Series
+from wbmpc.simulation.contacts import Contacts
 from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -109,6 +110,18 @@ class Run:
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     ending: Ending = field(default_factory=Ending)
     faults: list[str] = field(default_factory=list)
+    contacts: list[Contacts] = field(default_factory=list)
+
+    @property
+    def collision(self) -> str:
+        """The first unwanted contact of what was run (baselines apart), and how many there were; empty without any."""
+        touches = [touch for contacts in self.contacts for touch in contacts.touches]
+        return f"{touches[0]}; {len(touches)} unwanted contacts" if touches else ""
+
+    @property
+    def failure(self) -> OutcomeName:
+        """What kind of failure it was if it was one."""
+        return "fell" if self.ending.fell else "collided" if self.collision else "gave_up"
 
     @property
     def controller(self) -> Any:
@@ -154,15 +167,25 @@ def run_scenario(
     statistics = _statistics(planners[-1]) if planners else None
     if progress is not None and statistics is None:
         progress(1.0, "")
-    reason = run.ending.reason or (statistics.fault if statistics else "")
+    reason = run.ending.reason or (statistics.fault if statistics else "") or run.collision
     log = scenario.log
     metrics, plots = (scenario.metrics(run), list(scenario.plots(run))) if log.channels else ({}, [])
     if plots and planners and planners[-1].statistics.solve_times:
         plots.append(_solve_times(planners[-1]))
     return RunResult(
-        name, seed, not reason, reason, metrics, statistics, log, plots, list(scenario.idealisations),
-        settings.model_dump(mode="json"), run.ending.interrupted, run.faults,
+        name, seed, not reason, reason, {**metrics, **_common(run, metrics)}, statistics, log, plots,
+        list(scenario.idealisations), settings.model_dump(mode="json"), run.ending.interrupted, run.faults, run.failure,
     )  # fmt: skip
+
+
+def _common(run: Run, metrics: Mapping[str, Metric]) -> dict[str, Metric]:
+    """What every experiment with a simulated robot reports: unwanted contacts, the smallest clearance, whether it ``fell``."""
+    if not metrics or not run.contacts:
+        return {}
+    fell = {} if any(n == "fell" or n.startswith("fell_") for n in metrics) else {"fell": float(run.ending.fell)}
+    touches, nearest = sum(len(c.touches) for c in run.contacts), min(c.clearance for c in run.contacts)
+    counts = {"contacts_unwanted": float(touches), **fell}
+    return {n: Metric(v, "1", goal=0.0) for n, v in counts.items()} | {"clearance_min": Metric(nearest, "m")}
 
 
 def _statistics(mpc: MPC) -> MpcStatistics:
@@ -188,6 +211,10 @@ def run_parts(scenario: Scenario, progress: Progress | None = None) -> Run:
         outcome = run.outcomes[p.name] = p.run(part(progress, k, len(parts), p.name) if p.name else progress)
         label, end = f"{p.name}: " if p.name else "", outcome.ending
         run.faults += [f"{label}{fault}" for fault in outcome.faults]
+        if p.baseline:
+            run.faults += [f"{label}{touch}" for contacts in end.contacts for touch in contacts.touches]
+        else:
+            run.contacts += end.contacts
         if end.reason and p.baseline and not end.interrupted:
             run.faults.append(f"{label}{end.reason}; nothing is compared with it")
         elif end.reason and (end.interrupted or not run.ending.reason):

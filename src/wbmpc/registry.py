@@ -25,6 +25,7 @@ from typing import Any
 
 from wbmpc.errors import InputError, WbmpcError, unknown_name
 from wbmpc.experiment import Experiment
+from wbmpc.mpc.mpc import MPC
 
 GROUP = "wbmpc.experiments"
 #: The module whose ``EXPERIMENTS`` lists the built-in ones: imported by its name when it is asked for, and nowhere else.
@@ -64,6 +65,30 @@ def load_file(path: Path) -> Experiment:
     if not path.is_file():
         raise InputError(f"there is no file '{path}'")
     return _checked(getattr(_imported(path), "EXPERIMENT", None), f"{path}: EXPERIMENT")
+
+
+def load_mpc(problem: str) -> MPC:
+    """The MPC of ``FILE.py`` or ``FILE.py:NAME``: NAME is one, or a function that returns one; by default ``make_mpc``, or else ``mpc``.
+
+    Raises :class:`InputError` if there is no such file, it cannot be imported, or has no MPC of that name.
+    """
+    file, _, name = problem.partition(":")
+    path = Path(file)
+    if path.suffix != ".py" or not path.is_file():
+        raise InputError(
+            f"'{problem}': a Python file that makes an MPC is needed, as FILE.py or FILE.py:NAME; there is no file '{path}'"
+        )
+    module = _imported(path)
+    names = (name,) if name else ("make_mpc", "mpc")
+    found = next((getattr(module, n) for n in names if hasattr(module, n)), None)
+    if found is None:
+        raise InputError(
+            f"{path}: there is no {' and no '.join(names)}; valid: a function that returns an MPC, or an MPC"
+        )
+    made = found() if callable(found) else found
+    if not isinstance(made, MPC):
+        raise InputError(f"{path}: {names[0] if name else 'make_mpc'}: an MPC is needed, got {type(made).__name__}")
+    return made
 
 
 def _imported(path: Path) -> ModuleType:

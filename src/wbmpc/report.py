@@ -83,6 +83,7 @@ def to_json(result: RunResult, files: dict[str, str]) -> dict[str, Any]:
     return {
         "experiment": result.experiment,
         "seed": result.seed,
+        "outcome": result.outcome,
         "completed": result.completed,
         "reason": result.reason,
         "metrics": {k: {"value": _plain(m.value), "unit": m.unit} for k, m in result.metrics.items()},
@@ -181,7 +182,8 @@ def about_run(experiment: str, seed: int, settings: dict[str, Any]) -> dict[str,
 def outcome(result: RunResult) -> dict[str, Any]:
     """What a recording says at its end."""
     figures = {name: m.value for name, m in result.metrics.items()}
-    return {"completed": str(result.completed).lower(), "reason": result.reason, "metrics": json.dumps(_plain(figures))}
+    about = {"outcome": result.outcome, "completed": str(result.completed).lower(), "reason": result.reason}
+    return {**about, "metrics": json.dumps(_plain(figures))}
 
 
 def write_run(result: RunResult, directory: Path) -> dict[str, str]:
@@ -340,7 +342,8 @@ def goal_notes(result: RunResult) -> list[str]:
 def _summary(result: RunResult) -> str:
     judged = {name: met for name in result.metrics if (met := result.reached(name)) is not None}
     missed = [html.escape(name) for name, met in judged.items() if not met]
-    text = "The run completed" if result.completed else f"The run did not complete: {html.escape(result.reason)}"
+    ended = f"The run did not complete: {html.escape(result.reason)} (outcome: {result.outcome})"
+    text = "The run completed" if result.completed else ended
     if judged:
         text += f"; {len(judged) - len(missed)} of {len(judged)} goals reached"
     if missed:

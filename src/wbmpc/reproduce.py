@@ -13,6 +13,7 @@ import statistics
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -164,9 +165,18 @@ def _spread(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     target = having[0].get("targets", {}).get(name, {})
     median, bounds = statistics.median(known), {key: target.get(key) for key in ("paper", "goal", "least")}
     unit = having[0]["metrics"][name]["unit"]
+    # a run that did not complete reaches no goal, whatever it measured before its end, and also if it had no time to measure
+    worst = float("inf" if bounds["least"] is None else "-inf")
+    counted = [v if r.get("completed", True) else worst for v, r in zip(known, having, strict=True)]
+    counted += [worst] * (len(runs) - len(having))
     # the median of falls says nothing: what may never happen is judged by the worst run
-    judged = Metric(max(known) if bounds["goal"] == 0 else median, unit, **bounds)
+    judged = Metric(max(counted) if bounds["goal"] == 0 else statistics.median(counted), unit, **bounds)
     return {"unit": unit, "median": median, "worst": max(known), **bounds, "met": judged.met}
+
+
+def _outcome(run: dict[str, Any]) -> str:
+    """How a run ended, in one word; of files without it as far as it is known."""
+    return str(run.get("outcome") or ("completed" if run["completed"] else "gave_up"))
 
 
 _OUTCOME = {True: '<span class="met">pass</span>', False: '<span class="missed">falls short</span>', None: ""}
@@ -199,11 +209,12 @@ def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool =
             continue
         page = out / name / "index.html"
         write_text(page, _experiment_page(name, found[name], lost, _clip(jobs, name, out, clips)))
-        completed = sum(r["completed"] for r in found[name]["runs"].values())
+        outcomes = Counter(_outcome(r) for r in found[name]["runs"].values())
         paper = {
             n: m for n, m in found[name]["metrics"].items() if any(m[k] is not None for k in ("paper", "goal", "least"))
         }
-        count = f"{completed} of {len(found[name]['runs'])} runs completed" + (
+        failed_how = "".join(f", {n} {how}" for how, n in sorted(outcomes.items()) if how != "completed")
+        count = f"{outcomes['completed']} of {len(found[name]['runs'])} runs completed{failed_how}" + (
             f", {len(lost)} gave no result" if lost else ""
         )
         link = f'<a href="{html.escape(name)}/index.html">{html.escape(name)}</a>'
@@ -241,7 +252,7 @@ def _versions(found: dict[str, Any]) -> str:
 def _experiment_page(name: str, entry: dict[str, Any], lost: dict[int, str], clip: str) -> str:
     runs = []
     for seed, run in entry["runs"].items():
-        state = "completed" if run["completed"] else html.escape(run["reason"])
+        state = "completed" if run["completed"] else html.escape(f"{_outcome(run)}: {run['reason']}")
         runs.append([f'<a href="seed{seed}/report.html">seed {seed}</a>', state])
     runs += [[f"seed {seed}", f"no result: {html.escape(reason)}"] for seed, reason in lost.items()]
     shown, first = next(iter(entry["runs"].items()))

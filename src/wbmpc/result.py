@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from wbmpc.log import Log
 
+#: How a run ended: in one word. Only the first is a success. ``rejected``: it did not start.
+OutcomeName = Literal["completed", "gave_up", "fell", "collided", "rejected", "interrupted"]
 #: A run in which a larger share of the solves gave no new plan was not controlled by the MPC: it is not completed.
 MAX_FAILED = 0.1
 
@@ -37,7 +39,7 @@ class Metric:
         return bool((self.goal is None or self.value <= self.goal) and (self.least is None or self.value >= self.least))
 
 
-def no_comparison(goal: float) -> Metric:
+def no_comparison(goal: float | None = None) -> Metric:
     """The ratio to a baseline that fell or ended early: no number, so that its ``goal`` does not count as reached."""
     return Metric(
         float("nan"), "1", goal=goal, goal_note="the baseline did not get to the end, there is nothing to compare with"
@@ -117,8 +119,9 @@ class Drawing:
 @dataclass
 class RunResult:
     """Everything a run leaves behind; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
-    experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages; ``command`` repeats
-    the run, and ``wall_time`` [s] is how long it took, both of runs of the command line."""
+    experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages; ``failure``: the
+    ``outcome`` of a run that neither completed nor was interrupted; ``command`` repeats the run, and ``wall_time`` [s] is how long it
+    took, both of runs of the command line."""
 
     experiment: str
     seed: int
@@ -132,8 +135,16 @@ class RunResult:
     settings: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False
     faults: list[str] = field(default_factory=list)
+    failure: OutcomeName = "gave_up"
     command: str = ""
     wall_time: float | None = None
+
+    @property
+    def outcome(self) -> OutcomeName:
+        """How the run ended: completed, interrupted, or its failure."""
+        if self.interrupted:
+            return "interrupted"
+        return "completed" if self.completed else self.failure
 
     def reached(self, name: str) -> bool | None:
         """Whether the goal of a metric is reached; None without a goal, and where the user ended the run: it says nothing about

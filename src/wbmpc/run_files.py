@@ -40,6 +40,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
     for key, kind, name in (
         ("experiment", str, "a text"),
         ("reason", str, "a text"),
+        ("outcome", str, "a text"),
         ("completed", bool, "true or false"),
     ):
         if data.get(key) is not None and not isinstance(data[key], kind):

@@ -25,9 +25,9 @@ REPORT = "report.html"
 
 @dataclass(frozen=True)
 class Entry:
-    """One run: its directory, metrics as in metrics.json with their ``targets``, and ``note``: why it cannot be read.
+    """One run: its directory, metrics as in metrics.json with their ``targets``, and ``note``: why it did not complete or cannot be read.
 
-    ``outcome``: ``completed``, or why it was not. ``ended``: when its metrics were written.
+    ``outcome``: as in metrics.json, or ``unreadable``. ``ended``: when its metrics were written.
     """
 
     directory: Path
@@ -97,7 +97,7 @@ def _read(path: Path) -> Entry:
     completed = data.get("completed") is True
     return Entry(
         path.parent, ended, data.get("experiment") or "", seed if isinstance(seed, int) else None, completed,
-        "completed" if completed else data.get("reason") or "not completed", metrics, data["settings"], commit,
+        data.get("outcome") or ("completed" if completed else "gave_up"), metrics, data["settings"], commit, data.get("reason") or "",
     )  # fmt: skip
 
 

@@ -63,8 +63,9 @@ class ControlSettings(Settings):
     rate: float = Field(400.0, gt=0, ge=1e-3, le=10_000)
 
 
-class LocalisationSettings(Settings):
-    """A source of global poses: ``rate`` [Hz], ``age`` [s] at delivery, noise of ``position`` [m] and ``yaw`` [rad]."""
+class LidarSettings(Settings):
+    """A simulated source of global poses, as a LIDAR with a map is: ``rate`` [Hz],
+    ``age`` [s] at delivery, noise of ``position`` [m] and ``yaw`` [rad]."""
 
     rate: float = Field(10.0, gt=0, le=1000)
     age: float = Field(0.050, ge=0, le=0.4)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.checks import real_number
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
 #: A horizon is at most so many times its first interval.
 LONGEST = 1e6
+#: Intervals of a problem; seconds of its horizon.
+MAX_INTERVALS, MAX_HORIZON = 100_000, 1e6
 
 
 def uniform_grid(horizon: float, intervals: int) -> Array:
@@ -25,6 +28,7 @@ def geometric_grid(horizon: float, intervals: int, first: float) -> Array:
     ratio is chosen so that the last node is at ``horizon``.
     """
     _check(horizon, intervals)
+    first = real_number("first_interval", first)
     if not 0.0 < first <= horizon / intervals:
         raise InputError(
             f"first_interval: {first:g} s must be positive and at most horizon / intervals = {horizon / intervals:g} s"
@@ -47,5 +51,11 @@ def geometric_grid(horizon: float, intervals: int, first: float) -> Array:
 def _check(horizon: float, intervals: int) -> None:
     if isinstance(intervals, bool) or not isinstance(intervals, (int, np.integer)) or intervals < 1:
         raise InputError(f"intervals: a whole number of intervals is needed, at least one, got {intervals!r}")
-    if not (isinstance(horizon, (int, float, np.number)) and np.isfinite(horizon) and horizon > 0.0):
-        raise InputError(f"horizon: must be a positive time in seconds, got {horizon!r}")
+    if intervals > MAX_INTERVALS:
+        raise InputError(f"intervals: at most {MAX_INTERVALS} are possible, got {intervals}")
+    if (
+        isinstance(horizon, bool)
+        or not isinstance(horizon, (int, float, np.integer, np.floating))
+        or not 0.0 < horizon <= MAX_HORIZON
+    ):
+        raise InputError(f"horizon: must be a positive time in seconds, at most {MAX_HORIZON:g}, got {horizon!r}")

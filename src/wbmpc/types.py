@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.errors import InputError
+from wbmpc.checks import absolute_time, real_numbers
 
 Array = NDArray[np.float64]
 
@@ -21,11 +21,9 @@ class Observation:
     x: np.ndarray
 
     def __post_init__(self) -> None:
-        try:
-            object.__setattr__(self, "t", float(self.t))
-            object.__setattr__(self, "x", np.asarray(self.x, float))
-        except (TypeError, ValueError) as error:
-            raise InputError(f"observation: a time and a vector of numbers are needed ({error})") from error
+        if type(self.t) is not float:
+            object.__setattr__(self, "t", absolute_time("observation", self.t))
+        object.__setattr__(self, "x", real_numbers("observation", self.x))
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,7 @@ def test_filter_has_its_frequency_response(frequency: float) -> None:
     x, u = ca.SX.sym("x", 2), ca.SX.sym("u", 1)
     empty = ca.SX(0, 1)
     derivative = ca.Function("f", [x, u], [dynamics(x, u, empty, empty), dynamics.view(x, u)[1]])
-    h, state, seen = 1e-4, np.zeros(2), []
+    h, state, seen = 4e-4, np.zeros(2), []
     for k in range(int(3.0 / h) + int(2 * np.pi / frequency / h)):
         half = state + 0.5 * h * np.array(derivative(state, np.sin(frequency * h * k))[0]).ravel()
         slope, acting = derivative(half, np.sin(frequency * h * (k + 0.5)))

@@ -154,3 +154,24 @@ def wait_for(condition: Callable[[], Any]) -> Any:
         assert time.monotonic() < end, "it does not come"
         time.sleep(0.02)
     return found
+
+
+def test_more_joints_than_a_robot_has_are_an_error(tmp_path: Path) -> None:
+    """Each costs time that grows with their number; joints of a URDF that do not move are none."""
+    joints = "".join(f'<body name="c{i}"><joint name="q{i}"/><geom size="0.1"/></body>' for i in range(201))
+    (tmp_path / "arm.xml").write_text(ARM.format(top="", world=joints))
+    with pytest.raises(InputError, match="more than 200 joints"):
+        check_size(tmp_path / "arm.xml")
+    fixed = "".join(
+        f'<link name="l{i}"/><joint name="q{i}" type="fixed"><parent link="b"/><child link="l{i}"/></joint>'
+        for i in range(300)
+    )
+    (tmp_path / "arm.urdf").write_text(f'<robot name="a"><link name="b"/>{fixed}</robot>')
+    check_size(tmp_path / "arm.urdf")
+
+
+def test_pictures_and_fields_have_one_limit_together(tmp_path: Path) -> None:
+    top = "".join(f'<texture name="t{i}" type="2d" builtin="flat" width="2000" height="2000"/>' for i in range(5))
+    (tmp_path / "arm.xml").write_text(ARM.format(top=f"<asset>{top}</asset>", world=""))
+    with pytest.raises(InputError, match="more than 16000000 pixels of pictures and points of fields"):
+        check_size(tmp_path / "arm.xml")

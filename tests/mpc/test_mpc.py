@@ -14,9 +14,10 @@ from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import wheel_velocities
-from wbmpc.mpc.mpc import MPC, STUCK
+from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver, Trajectory
+from wbmpc.solver.controller import STUCK
 from wbmpc.solver.driver import DIVERGED, INPUT_INFEASIBLE
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.types import Observation
@@ -187,13 +188,13 @@ def test_observations_are_checked() -> None:
         MPC(mpc.ocp, REAL_TIME, 0.0)
     with pytest.raises(InputError, match=r"mpc\.rate"):
         MPC(mpc.ocp, REAL_TIME, np.inf)
-    with pytest.raises(InputError, match="a time and a vector of numbers"):
+    with pytest.raises(InputError, match=r"observation: .*numbers? (is|are) needed"):
         Observation(0.0, "abc")  # type: ignore[arg-type]
     for x, u, message in (
         (np.array([0, np.nan, 0, 0]), None, "reset: 'x.1' is not finite"),
-        (np.zeros(3), None, "reset: 4 numbers are needed"),
+        (np.zeros(3), None, "reset: (4 )?numbers are needed"),
         (np.zeros(4), np.array([np.inf, 0.0]), "reset: 'u.0' is not finite"),
-        ("abc", None, "reset: 4 numbers are needed"),
+        ("abc", None, "reset: (4 )?numbers are needed"),
     ):
         with pytest.raises(InputError, match=message):
             mpc.reset(x, u)  # type: ignore[arg-type]

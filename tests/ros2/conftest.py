@@ -27,3 +27,20 @@ def pair(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[..., Any]]:
             return made
 
         yield make
+
+
+@pytest.fixture
+def made(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[..., Any]]:
+    """Makes a ball robot on a bus: the node of given settings and MuJoCo's robot, in lockstep."""
+    from balancing import NETWORK, ROBOT
+    from simulated import Simulated
+
+    caplog.set_level(logging.INFO, "wbmpc")
+    with ExitStack() as closing:
+
+        def make(**settings: Any) -> Any:
+            s = Simulated(ROBOT, NETWORK, **settings)
+            closing.callback(s.close)
+            return s
+
+        yield make

@@ -2,60 +2,32 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from needs import MISSING, needs_dds, private
+from needs import MISSING, needs_dds
 
 from effort import thorough
 from wbmpc.bases.ball.sensors import SensorFault
-from wbmpc.errors import InputError
-from wbmpc.model.robot import load_robot
-from wbmpc.ros2.network import Network
 
 pytestmark = needs_dds
 if not MISSING:
-    from simulated import Localisation, Simulated
-
-    from wbmpc.bases.ball.ros import POSTURES, BallMessage, BallRosAdapter, bodies
-    from wbmpc.bases.ball.ros_settings import BallRosSettings
-    from wbmpc.ros2.goals import EndEffectorTrack, Planner
-    from wbmpc.ros2.robot import BusRobot
-    from wbmpc.ros2.settings import Speeds, Topics
-    from wbmpc.runtime.clock import WallClock
-
-ROBOT = load_robot("rezero")
-NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "48"})
-
-
-@pytest.fixture
-def made(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[..., Any]]:
-    caplog.set_level(logging.INFO, "wbmpc")
-    opened: list[Any] = []
-
-    def make(**settings: Any) -> Any:
-        opened.append(Simulated(ROBOT, NETWORK, **settings))
-        return opened[-1]
-
-    yield make
-    for s in opened:
-        s.close()
+    from balancing import NETWORK, ROBOT, Deaf, balancing, errors, standing
+    from simulated import Simulated
 
 
 @pytest.fixture(scope="class")
-def balanced() -> Iterator[Callable[[], Any]]:
-    """A robot that balances: the one that a test before has left so, or else a new one."""
+def balanced() -> Iterator[Callable[..., Any]]:
+    """A robot that balances: the one that a test before has left so, or else a new one; ``sound``: that has a plan, too."""
     opened: list[Any] = []
 
-    def get() -> Any:
+    def get(sound: bool = True) -> Any:
         s = opened[-1] if opened else None
-        if s is None or s.why or not s.control.state.startswith("running: ") or s.control.degraded:
+        if s is None or s.why or not s.control.running or (sound and s.control.degraded):
             if s is not None:
                 s.close()
             s = Simulated(ROBOT, NETWORK)
@@ -68,31 +40,6 @@ def balanced() -> Iterator[Callable[[], Any]]:
     yield get
     for s in opened:
         s.close()
-
-
-def balancing(s: Any) -> None:
-    """Bring a robot to balance."""
-    s.ready()
-    s.end_effector()
-    assert s.until(lambda: s.control.state.startswith("running:")), s.control.state
-    s.run(0.2)
-
-
-def standing(s: Any) -> None:
-    """It stands, 1.2 s later too: without torques it falls within 1 s."""
-    s.run(1.2)
-    assert not s.why and s.truth().tilt < 0.25 and s.control.running
-
-
-class Deaf:
-    """In place of a publisher: nothing is sent, or what a function does."""
-
-    def __init__(self, publish: Callable[[Any], None] = lambda message: None) -> None:
-        self.publish = publish
-
-
-def errors(caplog: pytest.LogCaptureFixture, text: str) -> int:
-    return sum(text in r.getMessage() and r.levelno == logging.ERROR for r in caplog.records)
 
 
 @thorough
@@ -162,7 +109,7 @@ STATES = {
 
 
 class TestOneRun:
-    """On one robot as long as it balances; the last test ends that."""
+    """On one robot as long as it balances; what ends that comes after what does not."""
 
     def test_messages_that_are_wrong_do_not_count(
         self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
@@ -237,6 +184,20 @@ class TestOneRun:
         np.testing.assert_array_equal(forces(), np.zeros(3))
         assert np.any(ROBOT.parameters.split(s.control.adapter.parameters())["disturbance"] != 0.0)
 
+    def test_an_encoder_that_stands_still_is_reported_and_one_of_the_arm_ends_it(
+        self, balanced: Callable[[], Any]
+    ) -> None:
+        s = balanced()
+        s.sim.plant.sensors.faults = (SensorFault("stalled", 0, s.sim.plant.time, np.inf),)
+        s.end_effector(dx=0.1)
+        said = "the encoder of wheel_0 stands still"
+        assert s.until(lambda: any(said in m for m in s.messages(1))), s.control.adapter.faults
+        assert s.control.running and any(said in f for f in s.control.adapter.faults)
+        s.sim.plant.sensors.faults += (SensorFault("stalled", 1, s.sim.plant.time, np.inf, of="arm"),)
+        s.end_effector(dx=-0.1)
+        assert s.until(lambda: not s.control.running)
+        assert "the encoder of arm_shoulder stands still; motors off" in s.control.state
+
     def test_an_mpc_that_dies_leaves_its_last_policy(
         self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
     ) -> None:
@@ -254,7 +215,7 @@ class TestOneRun:
     def test_without_states_there_is_no_balance(
         self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
     ) -> None:
-        s = balanced()
+        s = balanced(sound=False)
         s.change = lambda m: None
         assert s.until(lambda: s.control.runner.stopped), s.control.state
         assert "s old, the limit is 0.1 s" in s.control.state
@@ -322,154 +283,3 @@ def test_an_mpc_that_hangs_leaves_its_last_policy(made: Callable[..., Any], capl
     assert s.until(lambda: s.control.state == "running: end effector to a goal"), s.control.state
     s.run(0.5)
     assert not s.why and s.truth().tilt < 0.25
-
-
-@pytest.fixture(scope="module")
-def adapter() -> Any:
-    """Making one takes seconds."""
-    return BallRosAdapter(ROBOT, BallRosSettings(), 1.0 / 400.0)
-
-
-@pytest.mark.parametrize("simulated", [True, False])
-def test_time_that_goes_back_is_another_clocks(adapter: Any, simulated: bool) -> None:
-    """A simulator that was started anew has the robot at its beginning again, its arm where the encoders say; with a clock that was
-    set the robot is where it was. In both cases it is upright, and at the message's time."""
-    adapter.settings = BallRosSettings(use_sim_time=simulated)
-    arm, wheel, still = ROBOT.home[ROBOT.state["arm"]], np.zeros(3), (np.zeros(3), np.array([0.0, 0.0, 9.81]))
-    x = ROBOT.home.copy()
-    x[:3] = 0.5, -0.2, 0.3
-    adapter.begin(x)
-    for t in (17.0, 17.0025):
-        adapter.controller.follow(BallMessage(t, t, wheel, arm, *still))
-    adapter.stand(BallMessage(17.005, 17.005, wheel, arm, *still))
-    t, previous = adapter.snapshot()
-    assert t == pytest.approx(17.005) and previous[:3] == pytest.approx(x[:3], abs=1e-3)
-    for t in (1.0, 1.0025):
-        adapter.stand(BallMessage(t, t, wheel, arm + 0.1, *still))
-        found = adapter.snapshot()
-        assert found[0] == pytest.approx(t)
-        np.testing.assert_allclose(found[1][ROBOT.state["arm"]], arm + 0.1, atol=1e-9)
-        np.testing.assert_allclose(found[1][:3], np.zeros(3) if simulated else previous[:3], atol=1e-9)
-        np.testing.assert_allclose(
-            found[1], [*found[1][:3], *ROBOT.base.numeric.equilibrium(arm + 0.1)[0][3:]], atol=1e-9
-        )
-
-
-@thorough
-def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
-    made: Callable[..., Any], caplog: pytest.LogCaptureFixture
-) -> None:
-    """The simulator's true pose, moved by an offset, as an exact source: the robot is where that says."""
-    s = made(topics={"pose": "/localisation"})
-    source = Localisation(s)
-    source.offset[:] = offset = np.array([3.0, -1.0])
-    balancing(s)
-    s.end_effector(dx=0.2)
-    s.run(3.0)
-    truth = s.truth()
-    seen = s.control.adapter.snapshot()[1]
-    np.testing.assert_allclose(seen[:2], truth.pose[:2] + offset, atol=3e-3)
-    np.testing.assert_allclose(truth.tool, ROBOT.pose(ROBOT.home)[0] + [0.2, 0.0, 0.0], atol=0.02)
-    assert np.sqrt(s.control.adapter.estimate().covariance[0, 0]) < 3e-3
-    source.sending = False
-    assert s.until(lambda: "holds its position: the pose on /localisation is" in s.control.state), s.control.state
-    s.end_effector(dx=0.2)
-    standing(s)
-    assert "a goal is rejected: the pose on /localisation" in s.control.request_queue.rejected
-    assert errors(caplog, "the pose on /localisation") == 1 and any("/localisation" in m for m in s.messages(2))
-    source.sending = True
-    assert s.until(lambda: s.control.state == "running: stay"), s.control.state
-
-
-@thorough
-def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
-    made: Callable[..., Any], caplog: pytest.LogCaptureFixture
-) -> None:
-    """One pose that is off by 1 m is left out; when they stay there it holds its position and takes no goals until they are back."""
-    s = made(topics={"pose": "/localisation"})
-    source = Localisation(s)
-    balancing(s)
-    source.offset[0] = 1.05
-    assert s.until(lambda: "jumped by 1.0" in s.control.source.fault)
-    source.offset[0] = 0.0
-    assert s.until(lambda: not s.control.source.fault) and s.control.state == "running: end effector to a goal"
-    assert errors(caplog, "jumped by 1.0") == 1
-    source.offset[0] = 1.05
-    assert s.until(lambda: "holds its position: the pose on /localisation is" in s.control.state), s.control.state
-    s.end_effector(dx=0.2)
-    standing(s)
-    assert "jumped by 1.0" in s.control.state and "a goal is rejected: the pose on" in s.control.request_queue.rejected
-    assert any("jumped by 1.0" in m for m in s.messages(2)) and np.abs(s.truth().pose[:2]).max() < 0.1
-    source.offset[0] = 0.0
-    assert s.until(lambda: s.control.state == "running: stay"), s.control.state
-
-
-@thorough
-def test_a_moment_that_is_announced_turns_the_hand_less(made: Callable[..., Any]) -> None:
-    """1.5 N m at the forearm, without the disturbance observer: with the reference the plan counts with the world's answer."""
-    moved = []
-    for announced in (False, True):
-        s = made(estimate_disturbance=False, topics={"wrench": f"/moment_{announced}"})
-        balancing(s)
-        start = s.truth().tool.copy()
-        publisher = s.other.publisher(f"/moment_{announced}", "geometry_msgs/msg/WrenchStamped")
-        assert s.until(lambda p=publisher: p._writer.get_matched_subscriptions())
-        with s._physics:
-            s.sim.plant.push(np.zeros(3), [0.0, 1.5, 0.0], body="arm_forearm_link")
-        wrong = 0.0
-        for _ in range(10):
-            if announced:
-                publisher.publish({"header": {"frame_id": "odom"}, "wrench": {"torque": {"y": -1.5}}})
-            s.run(0.1)
-            wrong = max(wrong, float(np.linalg.norm(s.truth().tool - start)))
-        moved.append(wrong)
-        assert not s.why
-        s.close()
-    assert moved[1] < 0.6 * moved[0], moved
-
-
-def test_the_bodys_posture_moves_no_hand() -> None:
-    """Forward kinematics of the body's references is where the end effector is led, at rest: on a way, at steps and when it is carried."""
-    planner, x = Planner(ROBOT, Speeds()), ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])[0]
-    position, turned = ROBOT.pose(x)
-    goal = position + [0.3, 0.1, 0.08]
-    way = planner.to_end_effector(x, 1.0, goal, turned)
-    body = bodies(way, ROBOT, x)
-    assert body.times[0] == 1.0 and body.times[-1] == way.end_effector.times[-1] and body.times.size == POSTURES
-    for t in body.times:
-        at = np.array([np.interp(t, way.end_effector.times, c) for c in way.end_effector.positions.T])
-        np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], at, atol=2e-3)
-    steps = EndEffectorTrack(
-        np.array([0.0, 2.0, 2.001, 4.0]), np.array([position, position, goal, goal]), np.tile(turned, (4, 1))
-    )
-    body = bodies(planner.along_end_effector_path(x, 0.0, steps, None), ROBOT, x)
-    for t, where in ((0.5, position), (1.99, position), (2.01, goal), (3.9, goal)):
-        np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], where, atol=2e-3)
-    folded = x.copy()
-    folded[ROBOT.state["arm"]] += [0.2, -0.3, 0.1]
-    carried = bodies(planner.to_base(folded, 0.0, np.array([1.0, 0.0, 0.5])), ROBOT, folded)
-    assert np.all(carried.values[:, ROBOT.state["arm"]] == folded[ROBOT.state["arm"]])
-    np.testing.assert_allclose(carried.values[-1, :3], [1.0, 0.0, 0.5], atol=1e-9)
-
-
-def test_what_it_needs(adapter: Any) -> None:
-    node: Any = SimpleNamespace(subscribe=lambda *given, **also: None)
-    with pytest.raises(InputError, match="needs an inertial unit"):
-        BusRobot(node, adapter, BallRosSettings(topics=Topics(imu="")), WallClock())
-    assert BallRosSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")
-
-
-def test_an_encoder_that_stands_still_is_reported_and_one_of_the_arm_ends_it(made: Callable[..., Any]) -> None:
-    s = made(rates={"diagnostics": 50.0})
-    balancing(s)
-    now = s.sim.plant.time
-    s.sim.plant.sensors.faults = (SensorFault("stalled", 0, now, np.inf),)
-    s.end_effector(dx=0.1)
-    s.run(0.6)
-    said = "the encoder of wheel_0 stands still"
-    assert s.control.running and any(said in f for f in s.control.adapter.faults)
-    assert any(said in m for m in s.messages(1))
-    s.sim.plant.sensors.faults += (SensorFault("stalled", 1, s.sim.plant.time, np.inf, of="arm"),)
-    s.end_effector(dx=-0.1)
-    assert s.until(lambda: not s.control.running)
-    assert "the encoder of arm_shoulder stands still; motors off" in s.control.state

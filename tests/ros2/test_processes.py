@@ -37,12 +37,13 @@ def bus() -> Iterator[Any]:
         yield opened
 
 
+@thorough
 def test_the_hand_follows_as_well_as_in_one_process(bus: Bus) -> None:
     assert track(bus, SETTINGS, REST) == pytest.approx(inside(SETTINGS, SEED), rel=0.2)
 
 
 def test_a_killed_controller_and_a_killed_simulator(bus: Bus) -> None:
-    """The robot's side stops by itself; the controller says that it has lost the robot. Continues the test before."""
+    """The robot's side stops by itself; the controller says that it has lost the robot."""
     recorder, node = Recorder(bus.node), bus.node
     goal = node.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped")
     there = lambda: recorder.rows["base"][-1][1]
@@ -194,6 +195,7 @@ def test_a_controller_and_a_driver_that_hang_or_die_in_real_time() -> None:
         killed(bus, r"measurement is (\d\.\d+) s", 1.0)
 
 
+@thorough
 @pytest.mark.wallclock
 def test_a_killed_simulator_in_real_time() -> None:
     """With simulated time, whose clock goes with the process. By the wall's clock: the test before."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, wait_until
 
+from effort import THOROUGH
 from wbmpc.estimation.wheel_odometry import WheelOdometry
 
 pytestmark = needs_dds
@@ -127,12 +128,12 @@ CAUSES = [second_publisher, stale_joints, silent_imu, broken_message, plan_too_o
 
 @pytest.mark.parametrize("cause", CAUSES)
 def test_odometry_goes_on_through_stops(pair: Callable[..., Any], cause: Any) -> None:
-    """Two stops, the second one longer: wrong by less than 5 mrad and 5 mm after each. What nobody heard of joints or inertial unit
+    """Wrong by less than 5 mrad and 5 mm after a stop, and after a second one. What nobody heard of joints or inertial unit
     begins while steering still turns: twice that."""
     maximum = 1e-2 if cause in (stale_joints, silent_imu) else 5e-3
     t = Turned(pair())
     t.p.ready()
-    for seconds in (0.2, 1.0):
+    for seconds in (0.2, 1.0) if THOROUGH or cause is silent_imu else (0.5,):
         t.turn()
         t.keep()
         end = cause(t)
@@ -141,12 +142,12 @@ def test_odometry_goes_on_through_stops(pair: Callable[..., Any], cause: Any) ->
         assert t.error().max() < maximum, (t.error(), seconds)
 
 
-def test_odometry_goes_on_through_a_stop_of_10_s(pair: Callable[..., Any]) -> None:
+def test_odometry_goes_on_through_a_long_stop(pair: Callable[..., Any]) -> None:
     t = Turned(pair())
     t.p.ready()
     t.turn()
     t.keep()
     end = second_publisher(t)
-    t.stopped(10.0)
+    t.stopped(6.0)
     end()
-    assert t.truth.pose[2] > 6.0 and t.error().max() < 5e-3, t.error()
+    assert t.truth.pose[2] > 3.6 and t.error().max() < 5e-3, t.error()

@@ -22,6 +22,15 @@ STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2
 ROBOT = load_robot("rezero")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+#: All drives behind springs, and nothing else that differs from the model.
+ELASTIC = Perturbation.none(
+    actuator_time_constant=0.0,
+    wheel_spring=40.0,
+    wheel_rotor=0.01,
+    arm_spring=300.0,
+    arm_rotor=0.05,
+    torque_gain=1.0,
+)
 
 
 def drives(n: int = 1, limit: float = 1e3, lag: float = 0.0, step: float = STEP) -> ElasticDrives:
@@ -142,15 +151,7 @@ def test_a_wheel_slips_beyond_its_traction() -> None:
 
 def test_balls_get_no_more_than_the_traction() -> None:
     """Commands that jump from limit to limit: all springs overshoot, but what acts on the ball is held by the wheels' traction."""
-    elastic = Perturbation.none(
-        actuator_time_constant=0.0,
-        wheel_spring=40.0,
-        wheel_rotor=0.01,
-        arm_spring=300.0,
-        arm_rotor=0.05,
-        torque_gain=1.0,
-    )
-    plant, seen = BallPlant(ROBOT.description, HOME, TORQUE, elastic), []
+    plant, seen = BallPlant(ROBOT.description, HOME, TORQUE, ELASTIC), []
     for k in range(240):
         plant.step(BallCommand(np.where(k // 80 % 2, -1.0, 1.0) * np.array([4.0] * 3 + [20.0] * 3)), 1)
         seen.append(np.abs(plant.torque))
@@ -161,15 +162,7 @@ def test_balls_get_no_more_than_the_traction() -> None:
 
 def test_a_robot_at_rest_does_not_notice_its_springs() -> None:
     """Statics: at the equilibrium's torques the springs are wound up from the start, and the arm stays."""
-    elastic = Perturbation.none(
-        actuator_time_constant=0.0,
-        wheel_spring=40.0,
-        arm_spring=300.0,
-        wheel_rotor=0.01,
-        arm_rotor=0.05,
-        torque_gain=1.0,
-    )
-    plant = BallPlant(ROBOT.description, HOME, TORQUE, elastic)
+    plant = BallPlant(ROBOT.description, HOME, TORQUE, ELASTIC)
     plant.step(BallCommand(TORQUE), 50)
     np.testing.assert_allclose(plant.torque, TORQUE, atol=0.03)  # the ball sinks a little into the floor
     np.testing.assert_allclose(plant.state()[5:8], HOME[5:8], atol=1e-4)

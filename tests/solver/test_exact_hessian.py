@@ -13,7 +13,7 @@ from wbmpc.errors import InputError
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SQP, Solver, Status
 from wbmpc.solver.inequalities import start_rows
-from wbmpc.solver.memory_layout import STATE, H, StateField
+from wbmpc.solver.memory_layout import EXACT, STATE, H, StateField
 from wbmpc.solver.riccati import backward
 
 START = np.array([0.2, 0.5, 0.3, -0.4])
@@ -167,3 +167,35 @@ def test_a_saddle_is_reported() -> None:
     well = solver.solve(np.zeros(1))
     assert well.status is Status.CONVERGED and well.detail == "" and well.cost < 0.5 * saddle.cost
     assert abs(well.x[-1, 0]) == pytest.approx(1.0, abs=1e-2)
+
+
+def slow(hessian: str, share: float = 0.99) -> Solver:
+    """½ (u + 1)² + ½ (λ u² + u − 1)²: Gauss-Newton contracts the distance from the minimum u = 0 by λ with each step."""
+    ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 4)
+    ocp.add(Cost("far", Rows(2, lambda s: ca.vertcat(s.u + 1.0, share * s.u**2 + s.u - 1.0)), 1.0))
+    ocp.add(Cost("state", Rows(1, lambda s: s.x), 1e-9, at="path+terminal"))
+    solver = Solver(ocp, SQP(hessian=hessian), use_cache=False)  # type: ignore[arg-type]
+    solver.warm_start(np.zeros(1), np.full(1, 0.5))
+    return solver
+
+
+def test_a_solve_that_gauss_newton_would_not_finish_goes_on_with_the_exact_hessian() -> None:
+    """Truth: u = 0; 0.99^300 of the distance is left where nothing takes over."""
+    assert slow("gauss_newton").solve(np.zeros(1)).status is Status.ITERATION_LIMIT
+    solver = slow("auto")
+    first = solver.solve(np.zeros(1))
+    assert first.status is Status.CONVERGED and first.iterations < 100
+    np.testing.assert_allclose(first.u, 0.0, atol=1e-6)
+    # what comes after does not depend on it: Gauss-Newton again, and none but `solve` compiles
+    assert solver.ws.table[EXACT] == 0
+    solver.warm_start(np.zeros(1), np.full(1, 0.5))
+    assert solver.solve(np.zeros(1)).iterations == first.iterations
+    solver.warm_start(np.zeros(1), np.full(1, 0.5))
+    assert solver.status(solver.run(np.zeros(1))[0]) is Status.ITERATION_LIMIT
+
+
+def test_a_solve_that_finishes_in_time_stays_with_gauss_newton() -> None:
+    """Contraction by 0.9: a hundred iterations and more, and the same ones to the last bit."""
+    ours, plain = (slow(hessian, 0.9).solve(np.zeros(1)) for hessian in ("auto", "gauss_newton"))
+    assert ours.iterations > 100 and ours.status is Status.CONVERGED
+    np.testing.assert_array_equal(ours.log, plain.log)

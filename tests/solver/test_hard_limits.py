@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from effort import thorough
+from effort import draws, thorough
 from toys import LinearQuadratic, Rows, ToyDynamics, hardened_pendulum, pendulum
 from wbmpc.errors import InputError, SolveFailed
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, sets
@@ -71,7 +71,7 @@ def test_double_integrator_against_osqp(backend: str) -> None:
     assert (x[:, 1] < -0.599).sum() > 3
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=draws(8, 12), deadline=None, derandomize=True)
 @given(st.integers(1, 6), st.integers(1, 5), st.integers(1, 6), st.data())
 def test_random_limits_against_osqp(nx: int, nu: int, n: int, data: st.DataObject) -> None:
     """Boxes on inputs, a general row of state and input, a row at the end; more rows than can be active."""

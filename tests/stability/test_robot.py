@@ -162,9 +162,7 @@ def tool_in_wrist() -> np.ndarray:
     return wrist.xmat.reshape(3, 3).T @ (tool - wrist.xpos)
 
 
-@pytest.mark.parametrize(
-    ("configuration", "direction"), some([(c, d) for c in "HXA" for d in (0.3, 1.9, -1.2)], [0, 4, 8])
-)
+@pytest.mark.parametrize(("configuration", "direction"), some([(c, d) for c in "HXA" for d in (0.3, 1.9, -1.2)], [4]))
 def test_the_robot_tips_when_the_margin_is_negative(configuration: str, direction: float) -> None:
     """Pushed at the end effector: 4 % less than the force at which the margin vanishes it stands, 4 % more it tips."""
     along = np.array([np.cos(direction), np.sin(direction), 0.0])

@@ -27,6 +27,8 @@ SWERVE, FIXED = robot("swerve-ur10"), robot("swerve-fixed-ur10")
 FELL, ENDED = Ending("the robot fell at 3.50 s", fell=True), Ending("interrupted at 3.50 s", interrupted=True)
 #: By how much the controllers of swerve-fixed are off [m].
 OFF = dict(zip(swerve_fixed.CONTROLLERS, (1e-3, 2e-3, 4e-3), strict=True))
+#: In the world by their squares [m²] times this [1/m]: another ratio, so that nobody takes one frame for the other.
+WORLD = 4e3
 
 
 LOST, STANDS = (
@@ -43,25 +45,30 @@ def no_mpc(*_: Any, **__: Any) -> Any:
 
 
 def driven() -> Log:
-    """Two seconds in which the MPC's base is off by 3 mm and the baseline's by 4 mm."""
-    log, sizes = Log(), {"leg": 4, "leg_reference": 4, "brake": 4, "wheel_slip": 1, "wheel_force": 4, "base": 3}
+    """Two seconds in which the MPC's base is off by 3 mm and the baseline's by 4 mm; in the world by 9 and 16 mm."""
+    log, sizes = Log(), {"leg": 4, "leg_reference": 4, "brake": 4, "wheel_slip": 1, "wheel_force": 4}
     for name, off in (("tour", 3e-3), ("baseline", 4e-3)):
         for t in (0.0, 1.0, 2.0):
             for channel, size in {**sizes, "base_reference": 3, "joint_speed": 12, "wanted": SWERVE.input.size}.items():
                 log.add(f"{name}.{channel}", t, np.zeros(size))
             log.add(f"{name}.base_odometry", t, np.array([off, 0.0, 0.0]))
+            log.add(f"{name}.base", t, np.array([0.0, off**2 / 1e-3, 0.0]))
     return log
 
 
 def test_the_figures_of_a_baseline_that_fell_are_infinite_and_there_is_no_ratio() -> None:
     found = {how: metrics(driven(), SWERVE, [], 0, None, how) for how in (Ending(), FELL, ENDED, None)}
     assert found[Ending()]["baseline_ratio"].value == pytest.approx(0.75)
+    assert found[Ending()]["baseline_ratio_world"].value == pytest.approx(9 / 16)
     assert found[Ending()][BASELINE[0]].value == pytest.approx(4e-3)
+    assert found[Ending()][f"{BASELINE[0]}_world"].value == pytest.approx(16e-3)
     assert [found[FELL][name].value for name in BASELINE] == [np.inf] * 3
-    assert np.isnan(found[FELL]["baseline_ratio"].value) and found[FELL]["baseline_ratio"].met is False
+    assert np.isnan(found[FELL]["baseline_ratio"].value)
+    assert np.isnan(found[FELL]["baseline_ratio_world"].value) and found[FELL]["baseline_ratio_world"].met is False
     for how in (ENDED, None):  # what the user ended says nothing about the baseline
         assert not [name for name in found[how] if name.startswith("baseline")]
     assert all(m["base_position_error_rms"].value == pytest.approx(3e-3) for m in found.values())
+    assert all(m["base_position_error_rms_world"].value == pytest.approx(9e-3) for m in found.values())
 
 
 @pytest.mark.parametrize(("how", "goes_on"), [(FELL, True), (ENDED, False)])
@@ -76,7 +83,7 @@ def test_swerve_drive_reports_how_its_baseline_ended(
     monkeypatch.setattr(experiment, "run_lockstep", lambda *_: how)
     for part in ("metrics", "plots"):
         monkeypatch.setattr(swerve_drive, part, lambda *_: {})
-    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(settle_time=0.0), 0)
+    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(settle_time=0.0, calibration="none"), 0)
     # what the user ended was not found in the robot
     assert result.faults == ([f"baseline: {FELL.reason}; nothing is compared with it"] if how is FELL else [])
     assert result.reason == ("" if how is FELL else ENDED.reason)
@@ -86,9 +93,9 @@ def test_swerve_drive_reports_how_its_baseline_ended(
 def test_a_real_fall_of_the_baseline_is_its_ending(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plant that counts as fallen from its 20 ms on. The search of gains takes such a baseline for infinitely bad."""
     monkeypatch.setattr(SwervePlant, "fell", property(lambda plant: plant.time > 0.02))
-    settings = SwerveDriveSettings(settle_time=0.0)
+    settings = SwerveDriveSettings(settle_time=0.0, calibration="none")
     mission, _ = tour(SWERVE, 0.1)
-    bench = swerve_drive._Run(settings, SWERVE, 0, Log())
+    bench = swerve_drive._Run.of(settings, SWERVE, 0)
     ending = bench.baseline(mission, 1.0).ending
     assert ending.fell and bench.log.times("baseline.base")[-1] < 0.03
     assert np.isinf(swerve_drive.baseline_on_tour(settings, 0)).all()
@@ -97,17 +104,22 @@ def test_a_real_fall_of_the_baseline_is_its_ending(monkeypatch: pytest.MonkeyPat
 def fixed(monkeypatch: pytest.MonkeyPatch, who: str, how: Ending) -> RunResult:
     """`swerve-fixed` with controllers that are 1, 2 and 4 mm off, of which one ends after 0.3 s."""
 
-    def drive(name: str, settings: Any, seed: int, robot: Any, motion: Any, mpc: Any, log: Log, *_: Any) -> Any:
+    def drive(
+        name: str, settings: Any, seed: int, robot: Any, motion: Any, known: Any, mpc: Any, log: Log, *_: Any
+    ) -> Any:
         for t in np.arange(0.0, 0.3 if name == who else float(motion.path.times[-1]), 0.1):
-            for channel in ("odometry", "base"):
-                log.add(f"{channel}_{name}", t, motion.path.pose(t) + [OFF[name], 0.0, 0.0])
+            log.add(f"odometry_{name}", t, motion.path.pose(t) + [OFF[name], 0.0, 0.0])
+            log.add(f"base_{name}", t, motion.path.pose(t) + [WORLD * OFF[name] ** 2, 0.0, 0.0])
             log.add(f"slip_{name}", t, 0.0)
+            log.add(f"steer_{name}", t, np.zeros(4))
         return Outcome(how if name == who else Ending(), mpc=mpc)
 
     monkeypatch.setattr(swerve_fixed, "drive", drive)
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
     monkeypatch.setattr(swerve_fixed, "plots", lambda *_: [])
-    return swerve_fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("forward",), random_time=0.0), 0)
+    return swerve_fixed.EXPERIMENT.run(
+        SwerveFixedSettings(motions=("forward",), random_time=0.0, calibration="none"), 0
+    )
 
 
 @pytest.mark.parametrize("who", ["ik", "four_wheel", "mpc"])
@@ -126,12 +138,15 @@ def test_swerve_fixed_names_who_fell(who: str, monkeypatch: pytest.MonkeyPatch) 
         )
     ratio = {"four_wheel": OFF["mpc"] / OFF["ik"], "ik": np.nan, "mpc": None}[who]
     assert value.get("tracking_error_ratio") == (ratio if ratio is None else pytest.approx(ratio, nan_ok=True))
-    assert who != "ik" or result.reached("tracking_error_ratio") is False
+    squared = ratio if ratio is None else pytest.approx(ratio**2, nan_ok=True)
+    assert value.get("tracking_error_ratio_world") == squared
+    assert who != "ik" or result.reached("tracking_error_ratio_world") is False
     for name, away in OFF.items():
         if name == who and who != "mpc":
             assert not [key for key in value if key.endswith(f"_{name}") or f"_{name}_" in key]
         else:  # the MPC's own part is kept, as in every run that ended early
             assert value[f"tracking_error_rms_{name}"] == pytest.approx(away)
+            assert value[f"tracking_error_rms_world_{name}"] == pytest.approx(WORLD * away**2)
 
 
 def test_swerve_fixed_that_the_user_ends_in_a_baseline(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,11 +19,12 @@ from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.registry import REGISTRY
 from wbmpc.report import write_run
 from wbmpc.robots.description import DATA
+from wbmpc.settings import ControlSettings
 from wbmpc.studies.pankert2022.reference_drive import OPENING, SwerveCalibrateSettings, _phases
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 ROBOT, SEED = robot("swerve-ur10"), 5
-SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, settle_time=2.0)
+SETTINGS = SwerveCalibrateSettings(stroke=1.0, turn=1.5, settle_time=2.0, control=ControlSettings(rate=200.0))
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +98,7 @@ def test_the_file_improves_the_odometry_of_a_run(calibration: Path) -> None:
 
 @thorough
 def test_a_run_with_global_poses_stays_where_it_should(calibration: Path) -> None:
-    settings = SwerveTrackSettings(periods=1, settle_time=2.0, calibration=str(calibration), global_poses=True)
+    settings = SwerveTrackSettings(periods=1, settle_time=2.0, calibration=str(calibration), localization="lidar")
     result = REGISTRY["swerve-track"].run(settings, SEED, None)
     assert result.metrics["base_error_rms_world"].value < 0.005
     assert result.metrics["hand_error_mean_world"].value < 0.010

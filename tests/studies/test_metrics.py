@@ -69,13 +69,27 @@ def test_metrics_of_steps_with_known_errors(preview: bool) -> None:
     turns[len(STEPS) + 1] = [0.0, 0.0, -0.3]
     m = stepping(settings, constants, offsets, turns)
     assert m["rise_time_max"] == pytest.approx(0.4 * np.log(9.0), abs=0.006)  # 10 to 90 % of an exponential
-    assert m["steady_position_error_max"] == pytest.approx(0.005, rel=2e-3)
     assert m["steady_position_error_world_max"] == m["steady_position_error_max"]
-    assert m["steady_orientation_error_max"] == pytest.approx(0.02, rel=2e-3)
-    assert m["unreachable_rotation_error"] == pytest.approx(0.3, rel=1e-3)
+    if (
+        preview
+    ):  # it leaves a whole horizon before it is asked to, and is where it should not be in all of the last second
+        assert m["steady_position_error_max"] > 0.2 and m["steady_orientation_error_max"] > 0.3
+    else:
+        assert m["steady_position_error_max"] == pytest.approx(0.005, rel=2e-3)
+        assert m["steady_orientation_error_max"] == pytest.approx(0.02, rel=2e-3)
+        assert m["unreachable_rotation_error"] == pytest.approx(0.3, rel=1e-3)
     assert m["tilt_max"] == pytest.approx(0.1, rel=1e-4)
     assert m["wheel_torque_max"] == 2.5  # of the wheels, not of the arm
     assert m["fell"] == 0.0
+
+
+def test_the_last_second_of_a_hold_is_the_steady_one() -> None:
+    """0.2 m, with a time constant of 1 s: the mean of the exponential from 4 to 5 s after the step."""
+    poses = len(STEPS) + 3
+    constants = np.full(poses, 0.1)
+    constants[1] = 1.0
+    m = stepping(RezeroStepsSettings(), constants, np.zeros((poses, 3)), np.zeros((poses, 3)))
+    assert m["steady_position_error_max"] == pytest.approx(0.2 * (np.exp(-4.0) - np.exp(-5.0)), rel=0.01)
 
 
 def test_a_wrong_heading_turns_the_hand_in_the_world_not_in_the_estimated_frame() -> None:
@@ -125,6 +139,7 @@ def tracking(
         log.add("hand_odometry", t, reference + factor * estimated)
         log.add("hand_reference", t, reference)
         log.add("hand_rotation", t, factor * 0.01)
+        log.add("hand_rotation_world", t, factor * 0.02)
         log.add("base", t, pose)
         for k, name in enumerate(("base_odometry", "base_wheels", "base_release"), start=1):
             log.add(name, t, pose + share * k * drift * np.array([0.6, 0.8, 7.0]))
@@ -162,6 +177,8 @@ def test_metrics_of_a_track_with_known_errors() -> None:
     assert m["hand_error_mean_nearest"] == pytest.approx(0.003, rel=1e-3)  # across the plane of the path
     assert m["hand_error_mean_world"] == pytest.approx(0.013)
     assert m["hand_orientation_error_max"] == pytest.approx(0.01)
+    assert m["hand_orientation_error_max_world"] == pytest.approx(0.02)
+    assert m["hand_error_max_world"] == pytest.approx(0.013)
     assert m["path_length"] == pytest.approx(20.53 / 6, rel=1e-3)
     assert m["base_path_length"] == pytest.approx(15.96 / 6, rel=1e-6)
     assert m["wheel_slip_max"] == pytest.approx(0.03)

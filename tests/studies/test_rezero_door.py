@@ -31,11 +31,11 @@ def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[n
     t, door = log.times("force_high"), log.array("door_high")[:, 0]
     force = np.einsum("ij,ij->i", log.array("force_high"), log.array("normal_high"))
     touch = t[np.flatnonzero(force > 0.0)[0]]
-    release = t[np.flatnonzero(door >= SHORT.opening_angle)[0]]
-    use = (t >= touch + 0.3) & (t < release - 0.02)
+    release = t[np.flatnonzero(door >= SHORT.opening_angle)[0]]  # from then on it stops pushing
+    use = (t >= touch + 0.1) & (t < release - 0.02)
     error = np.sqrt(np.mean((force[use] - 16.0) ** 2)) / 16.0
     assert m["force_error_ratio_high"] == pytest.approx(error, abs=0.01)
-    assert 0.001 < m["force_error_ratio_high"] < 0.10
+    assert 0.001 < m["force_error_ratio_high"] < 0.20  # with a load that has not been weighed yet
     assert m["contact_share_high"] == 1.0 and m["fell"] == 0.0
     assert m["door_angle_max"] == pytest.approx(door.max()) and door.max() > np.deg2rad(60.0)
     assert 0.1 < m["lean_mean_high"] < 0.4  # 16 N at 0.65 m above the ball's centre against 25 kg
@@ -50,12 +50,13 @@ def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[n
 
 
 def test_impedance_is_found_while_the_door_opens(result) -> None:  # type: ignore[no-untyped-def]
-    """12 kg of 0.8 m, closer and friction 3.5 N m together, at 0.5 to 0.7 rad/s."""
+    """Of the door that was drawn: inertia, and what resists at the rate that it reaches."""
     log = result.log
     inertia, damping, resistance = log.array("impedance_high")[-1]
-    assert inertia == pytest.approx(2.56, rel=0.5)
+    door = rezero_door.drawn_door(LOADED, (0.0, 0.0), 1)
+    assert inertia == pytest.approx(door.inertia, rel=0.7)
     rate = log.array("door_high")[:, 1].max()
-    assert damping * rate + resistance == pytest.approx(12.0 * rate + 3.5, rel=0.2)
+    assert damping * rate + resistance == pytest.approx(door.damping * rate + door.friction + door.closer, rel=0.2)
 
 
 def test_measured_force_is_that_of_the_physics(result) -> None:  # type: ignore[no-untyped-def]
@@ -132,7 +133,7 @@ def test_without_the_row_the_force_is_missed() -> None:
         update={"scheme": DoorScheme(row=False, identify=False, cone=False), "timeout": 4.0, "final_hold_time": 0.2}
     )
     trial = rezero_door.push_door(paper, 8.0, 1)
-    figures = trial_metrics(trial, paper.rise_time)
+    figures = trial_metrics(trial)
     assert not trial.ending.reason
     assert figures["force_error_ratio"] > 0.15
     assert figures["touch_peak"] > 8.0

@@ -14,7 +14,7 @@ from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
-TRACK = SwerveTrackSettings(periods=1, settle_time=2.0, calibration="none")
+TRACK = SwerveTrackSettings(periods=1, settle_time=1.0, calibration="none")
 STEPS = RezeroStepsSettings(hold_time=3.5, settle_time=1.5, final_hold_time=0.0)
 SHORT = RezeroStepsSettings(hold_time=1.5, settle_time=0.5, final_hold_time=0.0, preview=False)
 
@@ -100,7 +100,7 @@ def repeats(first, settings, share: float) -> None:  # type: ignore[no-untyped-d
 
 
 def test_same_seed_same_bits(track) -> None:  # type: ignore[no-untyped-def]
-    repeats(track, TRACK, 0.5)
+    repeats(track, TRACK, 0.3)
 
 
 @thorough

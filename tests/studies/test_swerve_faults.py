@@ -12,6 +12,7 @@ from toys import robot
 from wbmpc import experiment
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.experiment import Outcome
@@ -56,7 +57,7 @@ def test_what_the_controller_found_is_in_the_result(module: Any, monkeypatch: py
         if hasattr(module, name):
             monkeypatch.setattr(module, name, no_mpc)
     found_by = REGISTRY[module.NAME]
-    more: dict[Any, dict[str, Any]] = {swerve_unified: {}, swerve_plaster: {"calibration": "none", "passes": 1}}
+    more: dict[Any, dict[str, Any]] = {swerve_plaster: {"calibration": "none", "passes": 1}}
     sure = more.get(module, {"calibration": "none"})
     result = found_by.run(found_by.config_type(settle_time=0.0, **sure), 0, None)
     assert result.faults == [str(FAULT)]
@@ -67,10 +68,10 @@ def test_what_parts_found_is_in_the_result_with_their_names(monkeypatch: pytest.
     monkeypatch.setattr(
         swerve_drive._Run, "planned", lambda self, name, *_, **__: (Outcome(EARLY, found.faults, found, no_mpc()), None)
     )
-    assert swerve_drive.EXPERIMENT.run(SwerveDriveSettings(), 0).faults == [f"tour: {FAULT}"]
+    assert swerve_drive.EXPERIMENT.run(SwerveDriveSettings(calibration="none"), 0).faults == [f"tour: {FAULT}"]
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
     monkeypatch.setattr(swerve_fixed, "drive", lambda name, *_: Outcome(faults=[str(FAULT)] if name == "ik" else []))
-    settings = SwerveFixedSettings(motions=("forward",), random_time=0.0)
+    settings = SwerveFixedSettings(motions=("forward",), random_time=0.0, calibration="none")
     assert swerve_fixed.EXPERIMENT.run(settings, 0).faults == [f"ik: {FAULT}"]
 
 
@@ -87,7 +88,7 @@ def test_what_the_baseline_found_is_in_the_result_but_does_not_count(monkeypatch
     monkeypatch.setattr(swerve_drive, "plots", lambda *_: [])
     lockstep = lambda plant, controller, *_: controller.supervision.monitor.real.append(FAULT) or Ending()
     monkeypatch.setattr(experiment, "run_lockstep", lockstep)
-    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(settle_time=0.0), 0)
+    result = swerve_drive.EXPERIMENT.run(SwerveDriveSettings(settle_time=0.0, calibration="none"), 0)
     assert result.faults == [f"baseline: {FAULT}"] and counted == [0]
 
 
@@ -98,9 +99,9 @@ def test_what_the_baselines_of_hinged_legs_found_is_handed_on(name: str, monkeyp
         "run_lockstep",
         lambda plant, controller, *_: controller.supervision.monitor.real.append(FAULT) or EARLY,
     )
-    settings = SwerveFixedSettings(motions=("forward",), random_time=0.0, settle_time=0.0)
+    settings = SwerveFixedSettings(motions=("forward",), random_time=0.0, settle_time=0.0, calibration="none")
     motion = Motion.of(settings, 0)
-    outcome = swerve_fixed.drive(name, settings, 0, SWERVE, motion, None, Log())
+    outcome = swerve_fixed.drive(name, settings, 0, SWERVE, motion, EstimatorSettings(), None, Log())
     assert (outcome.ending, [str(fault) for fault in outcome.faults]) == (EARLY, [str(FAULT)])
 
 

@@ -5,19 +5,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.studies.pankert2022 import fixed
+from wbmpc.studies.base_path import Segment
+from wbmpc.studies.pankert2022 import fixed, fixed_motions
 from wbmpc.studies.pankert2022.fixed_figures import standstill
 from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings
 
 
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
-    return fixed.EXPERIMENT.run(SwerveFixedSettings(motions=("sideways",), random_time=0.0, settle_time=1.0), 3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(fixed_motions.SEGMENTS, "sideways", Segment((0.0, 0.4, 0.0), 3.5))
+        return fixed.EXPERIMENT.run(
+            SwerveFixedSettings(motions=("sideways",), random_time=0.0, settle_time=0.5, calibration="none"), 3
+        )
 
 
 def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
@@ -25,7 +31,7 @@ def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert 1e-5 < m["tracking_error_rms_mpc"] < 0.006
     assert 1e-5 < m["tracking_error_rms_ik"] < 0.03
-    assert m["tracking_error_rms_four_wheel"] > 0.5  # it cannot move sideways
+    assert m["tracking_error_rms_four_wheel"] > 0.2  # it cannot move sideways
     assert m["tracking_error_rms_mpc_sideways"] == pytest.approx(
         m["tracking_error_rms_mpc"], rel=0.2
     )  # the only motion
@@ -33,9 +39,9 @@ def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_the_bases_really_move(result) -> None:  # type: ignore[no-untyped-def]
-    """2 m sideways in the world, not only in the odometry."""
+    """1 m sideways in the world, not only in the odometry."""
     for name in ("mpc", "ik"):
-        np.testing.assert_allclose(result.log.array(f"base_{name}")[-1], [0.0, 2.0, 0.0], atol=0.05)
+        np.testing.assert_allclose(result.log.array(f"base_{name}")[-1], [0.0, 1.0, 0.0], atol=0.03)
         steer = result.log.array(f"steer_{name}")
         assert np.abs(steer).max() < 3.15
         assert np.abs(np.diff(steer, axis=0)).max() < 0.2  # turned, not jumped
@@ -58,7 +64,7 @@ def test_hinged_legs_stay_where_they_are(name: str) -> None:
     """Of a robot whose legs could swing: the baselines leave them closed. Truth: rolling straight ahead, legs at home."""
     settings = SwerveFixedSettings(motions=("forward",), random_time=0.0)
     motion, robot = Motion.of(settings, 0), load_robot("swerve-ur10")
-    controller = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion)
+    controller = fixed.CONTROLLERS[name](robot, np.zeros(3), 0.0025, settings, motion, EstimatorSettings())
     home = robot.state.split(robot.home)
     controller.measure(SwerveMeasurement(0.0, home["leg"], home["steer"], np.zeros(4), home["arm"]))
     command = controller.command(3.0, PolicyQueue())  # in the midst of the motion

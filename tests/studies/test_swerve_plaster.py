@@ -82,7 +82,7 @@ def test_a_short_wall(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_switch_stops_the_hand_before_the_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wall, "NEAREST", 0.2)
     monkeypatch.setattr(wall, "LENGTH", 0.6)
-    settings = SwervePlasterSettings(passes=1, settle_time=0.0, calibration="none", sensors=False, terrain=False)
+    settings = SwervePlasterSettings(passes=1, settle_time=0.0, calibration="none", localization="none", terrain=False)
     result = EXPERIMENT.run(settings, 0)
     assert not result.completed and "switch stopped it" in result.reason
 

@@ -79,6 +79,16 @@ def hand_error(client: Client) -> float:
     return float(found[-1][1])
 
 
+@pytest.mark.parametrize("running", ["lockstep"], indirect=True)
+def test_the_page_says_how_late_it_is(running: tuple[Any, Client]) -> None:
+    """The real-time factor, and how many of the ticks began later than a period."""
+    _, client = running
+    assert client.hears("real-time factor ", 60.0)
+    found = [re.search(r"real-time factor ([0-9.]+), ([0-9]+) of ([0-9]+) ticks late", text) for text in client.history]
+    factor, late, ticks = (float(v) for v in [m for m in found if m is not None][-1].groups())
+    assert 0.0 < factor < 1.5 and 0 <= late <= ticks and ticks > 0
+
+
 def test_no_message_ends_a_run(running: tuple[Any, Client]) -> None:
     """Each one is answered on the page, the run goes on and does afterwards what it is asked for properly. It ends below."""
     process, client = running
@@ -240,24 +250,3 @@ def test_what_a_run_may_be_asked_for() -> None:
             ask()
     np.testing.assert_array_equal(bounds.planar(np.array([2.0, 5.9, 9.0]), base), [2.0, 5.9, 9.0])
     assert bounds.choice("configuration", np.array(2.0), 3) == 2 and load_robot("rezero") is not None
-
-
-def test_the_page_says_how_late_it_is() -> None:
-    """The real-time factor, and how many of the ticks began later than a period."""
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
-    command = [sys.executable, "-m", "wbmpc", "view", "rezero", "--json", "--port", str(free_port())]
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        client = Client(json.loads(process.stdout.readline())["url"])
-        assert client.hears("real-time factor ", 60.0)
-        found = [
-            re.search(r"real-time factor ([0-9.]+), ([0-9]+) of ([0-9]+) ticks late", text) for text in client.history
-        ]
-        factor, late, ticks = (float(v) for v in [m for m in found if m is not None][-1].groups())
-        assert 0.0 < factor < 1.5 and 0 <= late <= ticks and ticks > 0
-        client.set("End the run", True)
-        process.communicate(timeout=60)
-    finally:
-        process.kill()
-        process.communicate()

@@ -22,6 +22,7 @@ from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
 from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory, size_of
 from wbmpc.cli.doctor import doctor
+from wbmpc.cli.exporting import export
 from wbmpc.cli.new import new
 from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
@@ -66,7 +67,7 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(log)
 app.add_typer(ros2)
-for _command in (new, doctor, stability, calibrate, view, replay, render, runs, compare, reproduce):
+for _command in (new, doctor, stability, calibrate, view, replay, render, runs, compare, reproduce, export):
     app.command()(_command)
 
 

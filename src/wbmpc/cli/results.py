@@ -59,7 +59,7 @@ def show_results(results: list[tuple[RunResult, dict[str, str]]], as_json: bool)
         _table([r for r, _ in results])
         for result, files in results:
             if not result.completed:
-                typer.echo(f"{result.experiment} did not complete: {result.reason}")
+                typer.echo(f"{result.experiment} did not complete: {result.reason} (outcome: {result.outcome})")
             typer.echo(f"{result.experiment}: the report page is {files['report']}")
     if any(r.interrupted for r, _ in results):
         raise typer.Exit(INTERRUPTED)

@@ -38,7 +38,7 @@ def runs(
     _print(found)
     for run in found:
         if run.note:
-            typer.echo(printable(run.note))
+            typer.echo(printable(f"{run.directory}: {run.note}"))
     typer.echo(
         f"the page is {target}"
         if target

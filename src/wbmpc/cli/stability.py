@@ -62,9 +62,11 @@ def stability(
 
 def _numbers(option: str, text: str, sizes: tuple[int, ...]) -> list[float]:
     """Finite numbers of an option, separated by commas or blanks."""
+    from wbmpc.checks import parse_number
+
     valid = " or ".join(map(str, sizes))
     try:
-        values = [float(v) for v in text.replace(",", " ").split()]
+        values = [parse_number(v) for v in text.replace(",", " ").split()]
     except ValueError:
         raise InputError(f"{option}: {valid} numbers are needed, got '{text}'") from None
     if len(values) not in sizes or not all(map(math.isfinite, values)):

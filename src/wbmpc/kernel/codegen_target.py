@@ -6,17 +6,64 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import llvmlite
 import llvmlite.binding as llvm
 
-from wbmpc.errors import InputError, KernelError
+from wbmpc.errors import InputError, KernelError, unknown_name
+
+
+@dataclass(frozen=True)
+class Target:
+    """A processor that code is generated for: LLVM's names of the platform and the processor, and features by commas."""
+
+    triple: str
+    cpu: str
+    features: str = ""
+
+
+#: Platforms and processors that code can be exported for; "native" is this machine.
+TARGETS = {
+    "x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3"),
+    "aarch64": Target("aarch64-unknown-linux-gnu", "generic"),
+}
+#: What code is generated for where it is not this machine.
+_CHOSEN: ContextVar[Target | None] = ContextVar("target", default=None)
+
+
+def find_target(name: str) -> Target:
+    """The target of a name. Raises :class:`InputError` for an unknown one."""
+    if name == "native":
+        return Target(llvm.get_default_triple(), *host_target())
+    if name not in TARGETS:
+        raise unknown_name("target", name, ("native", *TARGETS))
+    return TARGETS[name]
+
+
+@contextmanager
+def generating_for(chosen: Target) -> Iterator[None]:
+    """Within it, vector widths are those of ``chosen``."""
+    token = _CHOSEN.set(chosen)
+    try:
+        yield
+    finally:
+        _CHOSEN.reset(token)
+
+
+def target() -> tuple[str, str]:
+    """CPU name and features of what code is generated for."""
+    chosen = _CHOSEN.get()
+    return host_target() if chosen is None else (chosen.cpu, chosen.features)
 
 
 @cache
-def target() -> tuple[str, str]:
+def host_target() -> tuple[str, str]:
     """CPU name and features; 512-bit vectors are asked for where the target has them.
 
     ``WBMPC_TARGET`` (name, or name and comma-separated features after a colon) compiles for another one of the same family.
@@ -37,7 +84,7 @@ def register_width() -> int:
     name, flags = target()
     features = set(flags.split(","))
     wide = ("+avx512f" in features, "+avx2" in features or "+avx" in features)
-    if "WBMPC_TARGET" in os.environ:
+    if "WBMPC_TARGET" in os.environ or _CHOSEN.get() is not None:
         wide = (wide[0] or name in _AVX512, wide[1] or name in _AVX2)
     return 8 if wide[0] else 4 if wide[1] else 2
 
@@ -47,7 +94,9 @@ def vector_budget() -> int:
     width = register_width()
     if width == 8:
         return 24  # 32 registers of 8
-    if width == 4 or platform.machine() in ("aarch64", "arm64"):
+    chosen = _CHOSEN.get()
+    machine = platform.machine() if chosen is None else chosen.triple.split("-")[0]
+    if width == 4 or machine in ("aarch64", "arm64"):
         return 6  # 16 registers of 4, or 32 of 2
     return 3  # 16 registers of 2
 
@@ -88,7 +137,26 @@ def _check(name: str, features: str) -> None:
         )
 
 
+def machine_for(chosen: Target, opt: int) -> Any:
+    """LLVM's machine for position-independent code of a target, on this machine or another one."""
+    _initialise_all()
+    found = llvm.Target.from_triple(chosen.triple)
+    return found.create_target_machine(
+        cpu=chosen.cpu, features=chosen.features, opt=opt, reloc="pic", codemodel="small"
+    )
+
+
+@cache
+def _initialise_all() -> None:
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    llvm.initialize_native_asmparser()
+
+
 def _machine(opt: int) -> Any:
+    chosen = _CHOSEN.get()
+    if chosen is not None:
+        return machine_for(chosen, opt)
     _initialise()
     cpu, flags = target()
     if os.environ.get("WBMPC_TARGET"):
@@ -98,21 +166,36 @@ def _machine(opt: int) -> Any:
 
 def compile_module(ir: str, optimise: int = 0) -> bytes:
     """Object code of an LLVM module; ``optimise``: level of the passes on the IR (the kernels need none)."""
-    machine = _machine(1 if optimise == 0 else 2)
+    return emit(optimised(ir, optimise) if optimise else ir)
+
+
+def optimised(ir: str, level: int) -> bytes:
+    """An LLVM module after the passes of a level, as bitcode."""
+    machine, module = _machine(2), parsed(ir)
+    options = llvm.create_pipeline_tuning_options(speed_level=level)
+    options.loop_vectorization = True
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    return bytes(module.as_bitcode())
+
+
+def emit(code: str | bytes) -> bytes:
+    """Object code of an LLVM module: as text, or as bitcode that the passes have gone through."""
+    return bytes(_machine(2 if isinstance(code, bytes) else 1).emit_object(parsed(code)))
+
+
+def parsed(code: str | bytes) -> Any:
+    """An LLVM module of text or bitcode. Raises :class:`KernelError` for what LLVM does not take."""
     try:
-        module = llvm.parse_assembly(ir)
+        return llvm.parse_bitcode(code) if isinstance(code, bytes) else llvm.parse_assembly(code)
     except RuntimeError as error:
         raise KernelError(f"the generated code was rejected: {str(error)[:400]}") from error
-    if optimise:
-        options = llvm.create_pipeline_tuning_options(speed_level=optimise)
-        options.loop_vectorization = True
-        builder = llvm.create_pass_builder(machine, options)
-        builder.getModulePassManager().run(module, builder)
-    return bytes(machine.emit_object(module))
 
 
-def load_object(code: bytes) -> Any:
-    """An execution engine that holds the object code."""
+def load_object(code: bytes, symbols: Mapping[str, int] | None = None) -> Any:
+    """An execution engine that holds the object code; ``symbols``: addresses of what it calls elsewhere."""
+    for name, address in (symbols or {}).items():
+        llvm.add_symbol(name, address)
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(1))
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()

@@ -15,6 +15,7 @@ from wbmpc.errors import KernelError, UnsupportedOperation
 from wbmpc.kernel import blocks, cache, dense
 from wbmpc.kernel.codegen_target import compile_module, load_object, register_width, target_text, vector_budget
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
+from wbmpc.kernel.second_derivatives import SECOND, second_maps
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
 from wbmpc.ocp import Transcription
 
@@ -30,9 +31,7 @@ _SINGLE = (
     "terminal_quadratic",
     "end_rows_jacobian",
     "jump_jacobian",
-    "lagrangian",
-    "dynamics_hessian",
-    "end_lagrangian",
+    *SECOND,
 )
 #: Functions of eight nodes at a time, at addresses called "lanes.…".
 _EIGHT = (
@@ -57,6 +56,8 @@ _KERNELS = (
 )
 #: Order of the addresses in :attr:`Kernel.addresses`.
 ADDRESSES = (*_SINGLE, *(f"lanes.{n}" for n in _EIGHT), *_KERNELS)
+#: The same functions as the module of a problem calls them.
+SYMBOLS = (*(f"w_{n}" for n in _SINGLE), *(f"l_{n}" for n in _EIGHT), *_KERNELS)
 #: What the nodes share among the arguments x, u, p, w, h.
 _SHARED = {3}
 
@@ -171,11 +172,8 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
     ]
     for name in ("rows_jacobian", "end_rows_jacobian"):
         maps[name] = [maps[name][0], [[q * lz + extended(c)] for q, c in entries(name, 1)]]
-    both = lambda r, c, ld: sorted({extended(c) * ld + extended(r), extended(r) * ld + extended(c)})
-    for name, ld in (("lagrangian", lz), ("dynamics_hessian", lz), ("end_lagrangian", lx)):
-        maps[name] = [[both(r, c, ld) for r, c in entries(name, 0)]]
     maps["jump_jacobian"] = [maps["jump_jacobian"][0], [[r * lx + c] for r, c in entries("jump_jacobian", 1)]]
-    return maps
+    return {**maps, **second_maps(functions, lz, lx, nx)}
 
 
 def emit_riccati_node(s: Sizes) -> str:
@@ -378,8 +376,7 @@ def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel
     else:
         code = found[0]
     engine = load_object(code)
-    names = [*(f"w_{n}" for n in _SINGLE), *(f"l_{n}" for n in _EIGHT), *_KERNELS]
-    addresses = np.array([engine.get_function_address(n) for n in names], dtype=np.int64)
+    addresses = np.array([engine.get_function_address(n) for n in SYMBOLS], dtype=np.int64)
     if np.any(addresses == 0):
         raise KernelError("the compiled code lacks a function")
     return Kernel(sizes, addresses, found is not None, engine)

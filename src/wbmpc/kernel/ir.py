@@ -126,4 +126,4 @@ class PointerCall:
     def __call__(self, address: int, *pointers: int) -> None:
         import ctypes
 
-        ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * self.count)(address)(*pointers)
+        ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * self.count)(int(address))(*map(int, pointers))

@@ -137,6 +137,34 @@ def _table_entry(s: Signature) -> str:
     return "\n".join([*lines, "ret void", "}"])
 
 
+def _thunk(s: Signature) -> str:
+    """A function of another module under its own name here: it calls that module's wrapper, the one of :func:`_entry`."""
+    kinds = s.result if isinstance(s.result, tuple) else () if s.result == NONE else (s.result,)
+    types = ["i64" if k == BOOL else llvm_type(k) for k in s.arguments]
+    lines = [f"declare void @{s.symbol}.entry({', '.join([*types, 'ptr'])}) nounwind"]
+    parameters = ", ".join(f"{llvm_type(k)} %a{i}" for i, k in enumerate(s.arguments))
+    lines += [
+        f"define {llvm_type(s.result)} @{s.symbol}({parameters}) nounwind {{",
+        f"%out = alloca [{len(kinds)} x i64]",
+    ]
+    lines += [f"%b{i} = zext i1 %a{i} to i64" for i, k in enumerate(s.arguments) if k == BOOL]
+    passed = [f"{t} %{'b' if k == BOOL else 'a'}{i}" for i, (t, k) in enumerate(zip(types, s.arguments, strict=True))]
+    lines.append(f"call void @{s.symbol}.entry({', '.join([*passed, 'ptr %out'])})")
+    for i, k in enumerate(kinds):
+        lines.append(f"%o{i} = getelementptr i64, ptr %out, i64 {i}")
+        lines.append(f"%{'w' if k == BOOL else 'r'}{i} = load {'double' if k == NUM else 'i64'}, ptr %o{i}")
+        if k == BOOL:
+            lines.append(f"%r{i} = trunc i64 %w{i} to i1")
+    whole = "%r0"
+    if isinstance(s.result, tuple):
+        for i, k in enumerate(kinds):
+            before = f"%s{i - 1}" if i else "undef"
+            lines.append(f"%s{i} = insertvalue {llvm_type(s.result)} {before}, {llvm_type(k)} %r{i}, {i}")
+        whole = f"%s{len(kinds) - 1}"
+    lines.append(f"ret {llvm_type(s.result)} {whole}" if kinds else "ret void")
+    return "\n".join([*lines, "}"])
+
+
 def _call_and_store(s: Signature, passed: list[str], out: str, first: int) -> list[str]:
     """The call of a function, and its results to the words of ``out`` from the ``first`` one on."""
     call = f"call {llvm_type(s.result)} @{s.symbol}({', '.join(passed)})"
@@ -159,11 +187,14 @@ class Library:
     """Functions that are compiled together, when the first of them is called, and kept in the cache.
 
     ``rooms``: folders of the package whose source decides whether a cached build is still right; none: no cache.
-    ``modules`` are imported first, so that the library is whole whichever of its functions is called first.
+    ``modules`` are imported first, so that the library is whole whichever of its functions is called first. ``uses``: other
+    libraries, whose functions its own ones may call (without vectors).
     """
 
-    def __init__(self, name: str, rooms: tuple[str, ...] = (), modules: tuple[str, ...] = ()) -> None:
-        self.name, self.rooms, self.modules = name, rooms, modules
+    def __init__(
+        self, name: str, rooms: tuple[str, ...] = (), modules: tuple[str, ...] = (), uses: tuple[Library, ...] = ()
+    ) -> None:
+        self.name, self.rooms, self.modules, self.uses = name, rooms, modules, uses
         self.functions: list[Function[..., Any]] = []
         self._engine: Any = None
         self._lock = threading.Lock()
@@ -182,9 +213,20 @@ class Library:
 
     def source(self) -> str:
         """The library as LLVM IR."""
+        for module in self.modules:
+            import_module(module)
         known = {id(f): f.signature for f in self.functions}
-        find = lambda target: known.get(id(target))
+        foreign = {id(f): f for library in self.uses for f in library.functions if _callable(f.signature)}
+        called: dict[int, Function[..., Any]] = {}
+
+        def find(target: object) -> Signature | None:
+            if id(target) in foreign:
+                called[id(target)] = foreign[id(target)]
+                return foreign[id(target)].signature
+            return known.get(id(target))
+
         parts = [Translator(f.python, f.signature, find).translate() for f in self.functions]
+        parts += [_thunk(f.signature) for f in called.values()]
         text = "\n".join(parts)
         text = text.replace("\ndefine ", "\ndefine internal ").replace("define ", "define internal ", 1)
         entries = [_entry(f.signature) for f in self.functions if _callable(f.signature)]
@@ -198,9 +240,24 @@ class Library:
         text = f"{self.name} {cache.source_fingerprint(self.rooms)} {target_text()} {functions}"
         return hashlib.sha256(text.encode()).hexdigest()
 
+    def optimised(self) -> bytes:
+        """LLVM bitcode of the library after the passes on it, for this machine or the target that code is generated for; cached."""
+        from wbmpc.kernel.codegen_target import optimised, target_text
+
+        for module in self.modules:
+            import_module(module)
+        key = hashlib.sha256(f"{self._key()} bitcode".encode()).hexdigest() if self.rooms else ""
+        found = cache.load(key) if key else None
+        if found is not None and found[1].get("target") == target_text():
+            return found[0]
+        code = optimised(self.source(), 2)
+        if key:
+            cache.save(key, code, {"library": self.name, "target": target_text()})
+        return code
+
     def build(self) -> None:
         """Compile, or load from the cache."""
-        from wbmpc.kernel.codegen_target import compile_module, load_object, target_text
+        from wbmpc.kernel.codegen_target import emit, load_object, target_text
 
         for module in self.modules:
             import_module(module)
@@ -210,12 +267,22 @@ class Library:
             key = self._key() if self.rooms else ""
             found = cache.load(key) if key else None
             if found is None or found[1].get("target") != target_text():
-                code = compile_module(self.source(), optimise=2)
+                code = emit(self.optimised())
                 if key:
                     cache.save(key, code, {"library": self.name, "target": target_text()})
             else:
                 code = found[0]
-            self._engine = load_object(code)
+            self._engine = load_object(code, self._symbols())
+
+    def _symbols(self) -> dict[str, int]:
+        """Addresses of all functions of the libraries that this one uses, by the names of their wrappers."""
+        names = [
+            (library, f"{f.signature.symbol}.entry")
+            for library in self.uses
+            for f in library.functions
+            if _callable(f.signature)
+        ]
+        return {name: library.address(name) for library, name in names}
 
     def address(self, symbol: str) -> int:
         """Where a function is."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, unknown_name
 
 
@@ -52,7 +53,7 @@ class Layout:
         out = np.full(self.size, default)
         for group, value in values.items():
             part = self[group]
-            array = value if type(value) is np.ndarray else np.asarray(value, float)
+            array = real_numbers(f"group '{group}'", value)
             if array.ndim and array.shape != (part.stop - part.start,):
                 raise InputError(f"group '{group}' has {part.stop - part.start} entries, got {array.size}")
             out[part] = array
@@ -60,7 +61,7 @@ class Layout:
 
     def split(self, vector: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """The parts of a vector (size,) by group."""
-        vector = np.asarray(vector, float)
+        vector = real_numbers("vector", vector)
         if vector.shape != (self.size,):
             raise InputError(
                 f"a vector of {self.size} entries is needed ({', '.join(self.groups)}), got {vector.shape}"

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ class Numeric:
         if not hasattr(own, "run"):
             self._open()
         for place, value in zip(own.arguments, values, strict=True):
-            array = np.asarray(value, float)
+            array = real_numbers(self.function.name(), value)
             if array.size != place.size:
                 raise InputError(f"{self.function.name()}: {place.size} numbers are needed, got {array.size}")
             place[:] = array.ravel(order="F") if array.ndim > 1 else array

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases import base_type
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.joints import Limits
 from wbmpc.model.kinematics import FramePose
@@ -122,12 +123,12 @@ class RobotModel:
             s = ca.SX.sym("x", self.state.size)
             pose = self.frame_pose(s, frame)
             self._functions[frame] = ca.Function("pose", [s], [pose.position, pose.quaternion])
-        p, q = self._functions[frame](np.asarray(x, float))
+        p, q = self._functions[frame](real_numbers("state", x))
         return np.array(p).ravel(), np.array(q).ravel()
 
     def poses(self, states: ArrayLike, frame: str | None = None) -> Array:
         """Poses (n, 7) of a frame (the tool when left out) at states (n, nx): position and quaternion."""
-        states = np.atleast_2d(np.asarray(states, float))
+        states = np.atleast_2d(real_numbers("states", states))
         self.pose(states[0], frame)  # makes the function
         p, q = self._functions[frame or self.tool](states.T)
         return np.vstack([np.array(p), np.array(q)]).T

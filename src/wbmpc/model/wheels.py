@@ -36,7 +36,8 @@ class ModuleGeometry:
 
     def leg_angles(self, leg: ArrayLike) -> Array:
         """Leg angles (n,) or rates as far as the legs can turn: zero for fixed legs."""
-        return np.broadcast_to(np.asarray(leg, float) * self.has_hinge, self.modules)
+        angles = np.asarray(leg, float) * self.has_hinge
+        return angles if angles.shape == (self.modules,) else np.broadcast_to(angles, self.modules)
 
     def steer_axes(self, leg: ArrayLike) -> Array:
         """Positions (n, 2) [m] of the steer axes for leg angles (n,)."""

@@ -9,33 +9,28 @@ from wbmpc.solver import Solver
 
 
 class InputRows:
-    """``limits``: bounds and straight hard rows of the inputs, of all modes."""
+    """``limits``: bounds and straight hard rows of the inputs, of all modes; ``switches`` (r,): which of a node's parameters turns
+    each row on, −1 for always; ``table``: what parameters of the node and of the horizon add to offsets, one after the other."""
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
-        self._planes = planes = solver.problem.input_planes()
+        self.planes = planes = solver.problem.input_planes()
         self.limits = InputLimits(*solver.problem.input_bounds(), planes.matrix, planes.offset)
-        # rows of some modes: where they are among all, and the parameters that switch them
-        self._switched = np.flatnonzero(planes.switches >= 0)
-        self._switches = planes.switches[self._switched] + solver.problem.node.slices["switch"].start
+        first = solver.problem.node.slices["switch"].start
+        self.switches = np.append(np.where(planes.switches >= 0, planes.switches + first, -1), -1).astype(np.int64)
+        self.table = np.concatenate([planes.by_node.ravel(), planes.by_constant.ravel(), np.zeros(1)])
 
     def of_plan(self) -> tuple[np.ndarray | None, np.ndarray | None]:
         """See :meth:`wbmpc.mpc.mpc.MPC.input_rows`."""
         if not self.limits.offset.size:
             return None, None
-        nodes = self._solver.node_parameters[:-1]  # of the solver's grid, which may be finer than the problem's
-        active = np.ones((len(nodes), self.limits.offset.size))
-        active[:, self._switched] = nodes[:, self._switches]
-        return active, self._moving() if self._planes.move else None
+        from wbmpc.solver.feedback import plan_rows
 
-    def _moving(self) -> np.ndarray:
-        """Offsets (N, 2, r): what is linear in time at the nodes goes on to the next one, all else holds over an interval."""
-        solver, planes = self._solver, self._planes
-        nodes = solver.node_parameters[:, : planes.by_node.shape[1]]
-        ends = nodes[:-1].copy()
-        for name, reference in solver.references.items():
-            if reference.kind == "linear":
-                part = solver.problem.node.slices[f"reference.{name}"]
-                ends[:, part] = nodes[1:, part]
-        fixed = planes.offset + planes.by_constant @ solver.constants[: planes.by_constant.shape[1]]
-        return np.stack([nodes[:-1], ends], axis=1) @ planes.by_node.T + fixed
+        solver, planes, p = self._solver, self.planes, self._solver.node_parameters
+        n, r, width = len(p) - 1, self.limits.offset.size, planes.by_node.shape[1]
+        active, moving = np.empty((n, r)), np.empty((n, 2, r))
+        plan_rows(
+            p, 0, n, p.shape[1], solver.constants, 0, solver.tables().integers, solver.problem.nu, self.limits.table, self.table,
+            self.switches, r, int(planes.move), width, planes.by_constant.shape[1], np.empty(max(width, 1)), active, moving,
+        )  # fmt: skip
+        return active, moving if planes.move else None

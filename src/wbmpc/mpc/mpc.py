@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.clearance import ClearanceRows
@@ -26,9 +27,6 @@ from wbmpc.solver.solution import COLUMNS
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
-#: Rejected plans in a row from which on the next solve goes on from the rejected one. Rows that move fast reject up to three, and
-#: then the plan before is where to start from; after more it is so old that the same rejection comes back.
-STUCK = 4
 #: A status code of the solver for a plan that is used.
 _USABLE = 1
 
@@ -56,7 +54,7 @@ class MPC:
         plan_only_limits: bool = False,
         obstacles: Obstacles | None = None,
     ) -> None:
-        if not (rate > 0.0 and np.isfinite(rate)):
+        if real_number("mpc.rate", rate) <= 0.0:
             raise InputError(f"mpc.rate: must be positive, got {rate}")
         if (
             isinstance(first_iterations, bool)
@@ -79,7 +77,7 @@ class MPC:
         self._input_rows = InputRows(self.solver)
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = self._input_rows.limits
-        self._first = first_iterations
+        self.first_iterations = int(first_iterations)
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
@@ -156,8 +154,8 @@ class MPC:
         """
         d = self.ocp.dynamics
         for names, value in ((d.state.names, x), (d.input.names, u)):
-            if value is not None:
-                for row in np.atleast_2d(value):
+            if value is not None or names is d.state.names:
+                for row in np.atleast_2d(real_numbers("reset", value)):
                     _check_vector("reset", names, row)
         self.solver.warm_start(x, u)
         self.solver.reset()
@@ -239,7 +237,7 @@ class MPC:
         self._check(observation)
         x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
-        passes = self._first if self._t is None else 1
+        passes = self.first_iterations if self._t is None else 1
         if self._follow_last:
             self._continue_from(observation.t, delta)
         self._iterations = 0
@@ -333,21 +331,19 @@ class MPC:
         """After a pass without a plan: the next one starts from the last good plan, x (N + 1, nx), u (N, nu) from ``t`` [s] on.
 
         An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs. So does one
-        that misses a hard limit, from the :data:`STUCK`-th pass without a plan in a row on; it is not used as long as it does.
+        that misses a hard limit, from the fourth pass without a plan in a row on; it is not used as long as it does.
         A plan from which two passes in a row ended with numbers that are not finite is given up: the next one starts anew, from
         the observation.
         """
-        if self._broken > 1:
+        from wbmpc.solver.controller import RESTART, RESUME, recovery
+
+        after = recovery.python(self._outcome[0], self._broken, self._faults)
+        if after == RESTART:
             self.solver.warm_start(np.asarray(observation.x, float))
             self.solver.reset()
             self._t = None
-        elif self._broken or not self._continues_rejected():
+        elif after == RESUME:
             self.resume(x, u, t)
-
-    def _continues_rejected(self) -> bool:
-        """Whether a finite iterate that was rejected is what the next pass starts from."""
-        status = self.solver.status(self._outcome[0])
-        return status is Status.EQUALITY_INFEASIBLE or (status is Status.INPUT_INFEASIBLE and self._faults >= STUCK)
 
     def _not_finite_part(self) -> str:
         """What of the last pass is not finite or beyond all bounds; empty if nothing is."""
@@ -364,8 +360,8 @@ class MPC:
         return f"{status.value} ({self.solver.violation_message(status)})" if rejected else ""
 
     def _check(self, observation: Observation) -> None:
-        if not np.isfinite(observation.t):
-            raise NotFinite(f"observation: the time must be finite, got {observation.t}")
+        if not abs(observation.t) <= LATEST:
+            absolute_time("observation", observation.t)
         _check_vector("observation", self.ocp.dynamics.state.names, observation.x)
         if self._t is not None and observation.t < self._t:
             raise InputError(f"observation: time went back from {self._t:.4f} to {observation.t:.4f} s")
@@ -396,10 +392,7 @@ def _check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
 
 def _check_vector(where: str, names: Sequence[str], value: np.ndarray) -> None:
     """Raise :class:`InputError` unless ``value`` has one finite number for each name."""
-    try:
-        vector = np.asarray(value, float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: {len(names)} numbers are needed ({error})") from error
+    vector = real_numbers(where, value)
     if vector.shape != (len(names),):
         raise InputError(f"{where}: {len(names)} numbers are needed, got shape {vector.shape}")
     if not np.isfinite(vector).all():

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.obstacles.rows import Clearance
 from wbmpc.solver import Solution
-
-#: Share of a bound (or of 1, where that is more) beyond which an input counts as cut: the rest is rounding.
-_ROUNDING = 1e-9
 
 
 class InputLimits:
@@ -31,9 +32,11 @@ class InputLimits:
         self.lower, self.upper, self.count = lower, upper, 0
         self.matrix = np.zeros((0, lower.size)) if matrix is None else matrix
         self.offset = np.zeros(len(self.matrix)) if offset is None else offset
-        self._coupled = _groups(self.matrix != 0.0)  # (r, nu)
-        single = np.flatnonzero((self.matrix != 0.0).sum(axis=1) == 1)
-        self._single = [(int(r), int(np.argmax(self.matrix[r] != 0.0))) for r in single]
+        inside = self.matrix != 0.0
+        alone = np.where(inside.sum(axis=1) == 1, inside.argmax(axis=1), -1.0)
+        parts = (lower, upper, self.matrix.ravel(), self.offset, _groups(inside).ravel(), alone)
+        #: all of it in one array, as :mod:`wbmpc.solver.feedback` reads it
+        self.table = np.concatenate([np.asarray(part, float) for part in parts])
 
     def hold(
         self,
@@ -44,43 +47,23 @@ class InputLimits:
     ) -> np.ndarray:
         """``u`` (nu), cut in place; ``planned`` (nu): without feedback; ``active`` (r): which rows count now (all: left out);
         ``offset`` (r): of the rows now, where they move."""
-        lower, upper, far = self.lower, self.upper, False
+        from wbmpc.solver.feedback import within
+
+        rows, nu = self.offset.size, self.lower.size
+        room, plan = np.empty(3 * nu + rows), np.array(u if planned is None else planned, float)
         if offset is not None:
-            lower, upper = self._bounds(offset, active)
-        if (u > upper).any() or (u < lower).any():
-            far = bool((np.maximum(u - upper, lower - u) > _ROUNDING * np.maximum(np.abs(u), 1.0)).any())
-            np.clip(u, lower, upper, out=u)
-        offset = self.offset if offset is None else offset
-        if planned is not None and offset.size and self._scale(u, planned, active, offset):
-            far = True
-            np.clip(u, lower, upper, out=u)  # a plan that is outside itself
-        self.count += int(far)
+            room[3 * nu :] = offset
+        counts = np.ones(max(rows, 1)) if active is None else np.array(active, float)
+        cut = within(u, plan, 0, self.table, counts, rows, nu, offset is not None, planned is not None, room)
+        self.count += int(cut)
         return u
 
-    def _bounds(self, offset: np.ndarray, active: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """(lower, upper) (nu): the bounds that hold for good, and those of the rows of single inputs with these offsets (r)."""
-        lower, upper = self.lower.copy(), self.upper.copy()
-        for r, i in self._single:
-            if active is not None and active[r] <= 0.0:
-                continue
-            slope = self.matrix[r, i]
-            if slope > 0.0:
-                lower[i] = max(lower[i], -offset[r] / slope)
-            else:
-                upper[i] = min(upper[i], -offset[r] / slope)
-        return lower, upper
 
-    def _scale(self, u: np.ndarray, planned: np.ndarray, active: np.ndarray | None, offset: np.ndarray) -> bool:
-        """Whether rows made feedback smaller, in place. What the plan itself lacks of a row is not made worse."""
-        now = self.matrix @ u + offset
-        bad = now < -_ROUNDING if active is None else (now < -_ROUNDING) & (active > 0.0)
-        if not bad.any():
-            return False
-        previous = np.maximum(self.matrix[bad] @ planned + offset[bad], 0.0)
-        shares = previous / (previous - now[bad])
-        share = np.where(self._coupled[bad], shares[:, None], 1.0).min(axis=0)
-        np.copyto(u, (u - planned) * share + planned, where=share < 1.0)
-        return True
+def _is_finite(t: float) -> bool:
+    try:
+        return math.isfinite(t)
+    except TypeError:
+        raise InputError(f"policy: a time in seconds is needed, got {t!r}") from None
 
 
 def _groups(inside: np.ndarray) -> np.ndarray:
@@ -162,34 +145,74 @@ class Policy:
         Raises :class:`InputError` for another shape, :class:`NotFinite` for a time or a state that is not finite, or so large that the
         input is not.
         """
-        if np.shape(x) != self.x[0].shape:
-            raise InputError(f"policy: a state of {self.x.shape[1]} numbers is needed, got shape {np.shape(x)}")
-        if not (math.isfinite(t) and np.isfinite(x).all()):
+        return self._code.input(t, self._checked(t, x), False)[0]
+
+    def _checked(self, t: float, x: np.ndarray) -> np.ndarray:
+        x = real_numbers("policy", x)
+        if x.shape != self.x[0].shape:
+            raise InputError(f"policy: a state of {self.x.shape[1]} numbers is needed, got shape {x.shape}")
+        if not (_is_finite(t) and np.isfinite(x).all()):
             raise NotFinite("policy: time and state must be finite")
-        k = self._interval(t)
-        a = self._share(t, k)
-        with np.errstate(over="ignore", invalid="ignore"):
-            u: np.ndarray = self.gain[k] @ (x - ((1.0 - a) * self.x[k] + a * self.x[k + 1]))
-        u += self.u[k]
-        if not np.isfinite(u).all():  # no limit could hold it
-            raise NotFinite("policy: the state is so far from the plan that the input is not finite")
-        return u
+        return x
 
     def __call__(self, t: float, x: np.ndarray | None = None) -> np.ndarray:
         """Input (nu) within ``limits`` at time t [s] for the measured state (nx); the feed-forward alone when x is left out.
 
         Raises what :meth:`law` raises.
         """
-        if x is None and not math.isfinite(t):
-            raise NotFinite("policy: time and state must be finite")
-        u = self.feedforward(t) if x is None else self.law(t, x)
-        if self.limits is None:
-            return u
-        if x is None and self.moving is None:
-            return self.limits.hold(u)
-        k, offset = self._interval(t), None
-        if self.moving is not None:
-            a = self._share(t, k)
-            offset = (1.0 - a) * self.moving[k, 0] + a * self.moving[k, 1]
-        active = None if self.active is None else self.active[k]
-        return self.limits.hold(u, None if x is None else self.u[k], active, offset)
+        if x is None:
+            if not _is_finite(t):
+                raise NotFinite("policy: time and state must be finite")
+            u = self.feedforward(t)
+            cut = self.limits is not None and self._code.hold(t, u)
+        else:
+            u, cut = self._code.input(t, self._checked(t, x), self.limits is not None)
+        if cut and self.limits is not None:
+            self.limits.count += 1
+        return u
+
+    @cached_property
+    def _code(self) -> _Code:
+        return _Code(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is bound to this process."""
+        return {name: value for name, value in self.__dict__.items() if name != "_code"}
+
+
+class _Code:
+    """The compiled functions of :mod:`wbmpc.solver.feedback` with the addresses of a policy's arrays: a call costs microseconds."""
+
+    def __init__(self, policy: Policy) -> None:
+        from wbmpc.solver.feedback import evaluate, hold
+
+        self._evaluate, self._hold = evaluate.pointer, hold.pointer
+        (n, nu), nx, limits = policy.u.shape, policy.x.shape[1], policy.limits
+        rows = 0 if limits is None else limits.offset.size
+        active = np.ones((n, max(rows, 1))) if policy.active is None else policy.active
+        moves = policy.moving is not None
+        free = np.concatenate([np.full(nu, -np.inf), np.full(nu, np.inf)])
+        arrays = (
+            policy.times, policy.x, policy.u, policy.gain, free if limits is None else limits.table, active,
+            policy.moving if moves else np.zeros(1),
+        )  # fmt: skip
+        self._kept = [np.ascontiguousarray(a, float) for a in arrays]
+        times, x, u, gain, table, active_at, moving = (a.ctypes.data for a in self._kept)
+        self._inputs, self._room = nu, 3 * nu + rows  # room of its own for each call: threads share a policy
+        self._law = (times, x, u, gain, table, active_at, moving, n, nx, nu, rows, int(moves))
+        self._held = (times, u, table, active_at, moving, n, nu, rows, int(moves), 0)
+
+    def input(self, t: float, x: np.ndarray, limited: bool) -> tuple[np.ndarray, bool]:
+        """With feedback; whether it was cut. Raises :class:`NotFinite`."""
+        x, u, out = np.ascontiguousarray(x, float), np.empty(self._inputs), ctypes.c_int64()
+        room = np.empty(self._room)
+        self._evaluate(*self._law, limited, t, x.ctypes.data, room.ctypes.data, u.ctypes.data, ctypes.addressof(out))
+        if out.value < 0:  # no limit could hold it
+            raise NotFinite("policy: the state is so far from the plan that the input is not finite")
+        return u, out.value > 0
+
+    def hold(self, t: float, u: np.ndarray) -> bool:
+        """Cut a planned input, in place; whether it was."""
+        out, room = ctypes.c_int64(), np.empty(self._room)
+        self._hold(*self._held, t, room.ctypes.data, u.ctypes.data, ctypes.addressof(out))
+        return out.value > 0

@@ -9,13 +9,14 @@ import casadi as ca
 import numpy as np
 
 from wbmpc import trajectory
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.layout import Layout
 from wbmpc.ocp.terms import Constraint, Cost
+from wbmpc.trajectory import MAX_INTERVALS
 
 Term = Cost | Constraint
 #: A finer grid is a mistake of units: its matrices alone would fill the memory.
-MAX_INTERVALS = 100_000
 
 
 class SystemDynamics(Protocol):
@@ -126,10 +127,12 @@ class OptimalControlProblem:
 
 def _grid(horizon: float, intervals: int, first: float | None, grid: Sequence[float] | None) -> np.ndarray:
     if grid is not None:
-        times = np.asarray(grid, float)
+        times = real_numbers("grid", grid)
         shaped = times.ndim == 1 and times.size >= 2 and times[0] == 0.0
         if not (shaped and np.isfinite(times).all() and np.all(np.diff(times) > 0)):
             raise InputError("grid: needs at least two finite, increasing times that start at 0")
+        if times.size > MAX_INTERVALS + 1 or times[-1] > trajectory.MAX_HORIZON:
+            raise InputError(f"grid: at most {MAX_INTERVALS} intervals and {trajectory.MAX_HORIZON:g} s are possible")
         return times
     if first is not None:
         return trajectory.geometric_grid(horizon, intervals, first)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.checks import LATEST, real_numbers, unit_quaternions
 from wbmpc.errors import InputError
 
 
@@ -25,14 +26,16 @@ class Reference:
     KINDS = ("linear", "pose", "hold", "pose_hold")
 
     def __post_init__(self) -> None:
-        times = np.ascontiguousarray(np.atleast_1d(self.times), float)
-        values = np.ascontiguousarray(np.atleast_2d(np.asarray(self.values, float)))
+        times = np.ascontiguousarray(np.atleast_1d(real_numbers("reference, times", self.times)))
+        values = np.ascontiguousarray(np.atleast_2d(real_numbers("reference, values", self.values)))
         if times.size == 0:
             raise InputError("reference: at least one sample is needed")
         if times.ndim != 1 or values.shape[0] != times.size:
             raise InputError(f"reference: {times.size} times need {times.size} rows of values, got {values.shape}")
         if not (np.isfinite(times).all() and np.isfinite(values).all()):
             raise InputError("reference: times and values must be finite")
+        if np.abs(times).max() > LATEST:
+            raise InputError(f"reference: times must be at most {LATEST:g} s, got {np.abs(times).max():g}")
         if np.any(np.diff(times) < 0):
             raise InputError("reference: times must not decrease")
         if self.kind not in self.KINDS:
@@ -45,14 +48,20 @@ class Reference:
     @classmethod
     def constant(cls, value: ArrayLike) -> Reference:
         """One value for all times."""
-        return cls(np.zeros(1), np.atleast_2d(np.asarray(value, float)))
+        return cls(np.zeros(1), np.atleast_2d(real_numbers("reference", value)))
 
     @classmethod
     def poses(cls, times: ArrayLike, positions: ArrayLike, quaternions: ArrayLike, hold: bool = False) -> Reference:
         """Poses: positions (n, 3) [m], unit quaternions (n, 4) or one (4,) for all times."""
-        times = np.atleast_1d(np.asarray(times, float))
-        positions = np.atleast_2d(np.asarray(positions, float))
-        rotations = np.broadcast_to(np.asarray(quaternions, float), (times.size, 4))
+        times = np.atleast_1d(real_numbers("reference, times", times))
+        positions = np.atleast_2d(real_numbers("reference, positions", positions))
+        rotations = real_numbers("reference, quaternions", quaternions)
+        for name, given, width in (("positions", positions, 3), ("quaternions", rotations, 4)):
+            if given.shape not in ((times.size, width), (width,)):
+                raise InputError(
+                    f"reference, {name}: {times.size} times need shape ({times.size}, {width}), got {given.shape}"
+                )
+        rotations = np.broadcast_to(rotations, (times.size, 4))
         return cls(times, np.hstack([positions, rotations]), "pose_hold" if hold else "pose")
 
     def at(self, t: float) -> NDArray[np.float64]:
@@ -72,10 +81,7 @@ def _continuous_quaternions(values: NDArray[np.float64]) -> NDArray[np.float64]:
     if values.shape[1] != 7:
         raise InputError(f"reference: a pose has 7 numbers (position, quaternion), got {values.shape[1]}")
     values = values.copy()
-    norms = np.linalg.norm(values[:, 3:], axis=1)
-    if np.any(norms < 1e-6):
-        raise InputError("reference: a quaternion of length zero")
-    values[:, 3:] /= norms[:, None]
+    values[:, 3:] = unit_quaternions("reference", values[:, 3:])
     for i in range(1, len(values)):
         if values[i, 3:] @ values[i - 1, 3:] < 0.0:
             values[i, 3:] *= -1.0

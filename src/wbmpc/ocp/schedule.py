@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError
 
 
@@ -23,11 +24,7 @@ class Mode:
 
     def __post_init__(self) -> None:
         for group, numbers in self.values.items():
-            try:
-                finite = bool(np.isfinite(np.asarray(numbers, float)).all())
-            except (TypeError, ValueError):
-                finite = False
-            if not finite:
+            if not np.isfinite(real_numbers(f"mode '{self.name}', '{group}'", numbers)).all():
                 raise InputError(f"mode '{self.name}': values of '{group}' must be finite numbers, got {numbers}")
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError
 
 
@@ -28,7 +29,7 @@ class Box:
     upper: ArrayLike
 
     def __post_init__(self) -> None:
-        lower, upper = np.asarray(self.lower, float), np.asarray(self.upper, float)
+        lower, upper = real_numbers("box, lower", self.lower), real_numbers("box, upper", self.upper)
         if np.any(lower == np.inf) or np.any(upper == -np.inf):
             raise InputError(
                 f"box: a lower bound of inf or an upper one of -inf allows nothing, got {lower.tolist()} and {upper.tolist()}"
@@ -43,7 +44,7 @@ class Box:
 
     def bounds(self, rows: int) -> tuple[np.ndarray, np.ndarray]:
         """``lower`` and ``upper`` as arrays of ``rows`` numbers."""
-        sides = {"lower": np.asarray(self.lower, float), "upper": np.asarray(self.upper, float)}
+        sides = {"lower": real_numbers("box, lower", self.lower), "upper": real_numbers("box, upper", self.upper)}
         for name, side in sides.items():
             if (side.ndim and side.shape != (rows,)) or np.isnan(side).any():
                 raise InputError(f"box: {name} needs one number or {rows}, none of them NaN, got {side}")

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp.norms import AugmentedLagrangian, Norm, Quadratic, RelaxedBarrier
 from wbmpc.ocp.residuals import Residual
@@ -107,10 +108,7 @@ def expand_rows(value: Weight, residual: Residual, where: str) -> np.ndarray:
 
 def _expand(value: float | Sequence[float], size: int, where: str) -> np.ndarray:
     """``size`` finite numbers that are not negative from one or ``size``."""
-    try:
-        array = np.asarray(value, float)
-    except (TypeError, ValueError):
-        raise InputError(f"{where}: one number or {size} are needed, got {value!r}") from None
+    array = real_numbers(where, value)
     if array.ndim and array.shape != (size,):
         raise InputError(f"{where}: one number or {size} are needed, got {array.size}")
     if not np.isfinite(array).all() or np.any(array < 0.0):

@@ -7,11 +7,11 @@ model's parameters and all weights, so that weights change without a new compila
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, cast
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -49,6 +49,11 @@ class _Slots:
             slices[name] = slice(start, start + size)
             start += size
         return cls(slices, start)
+
+
+def _function(name: str, inputs: list[ca.SX], outputs: Sequence[ca.SX | ca.DM]) -> ca.Function:
+    """A function with common parts computed once."""
+    return ca.Function(name, inputs, [ca.SX(e) for e in ca.cse(outputs)])
 
 
 #: Equality rows of more than this softness are variables of their own in the line search.
@@ -316,35 +321,46 @@ class Transcription:
         value, gradient, hessian = self._quadratic("path", self.z)
         end = self._quadratic("terminal", self.x)
         with_jacobian = lambda e, z: [ca.densify(e), ca.jacobian(e, z)]
-        make: Any = lambda name, inputs, out: ca.Function(name, inputs, [ca.SX(e) for e in ca.cse(out)])
         h = self.h
         return {
-            "dynamics_jacobian": make("dynamics_jacobian", args, [ca.densify(f), jacobian]),
-            "cost_quadratic": make("cost_quadratic", [*args, h], [h * value, h * gradient, h * hessian]),
-            "equality_jacobian": make("equality_jacobian", args, with_jacobian(self.equality, self.z)),
-            "rows_jacobian": make("rows_jacobian", args, with_jacobian(self.path.expression(), self.z)),
-            "terminal_quadratic": make("terminal_quadratic", at_end, list(end)),
-            "end_rows_jacobian": make("end_rows_jacobian", at_end, with_jacobian(self.end.expression(), self.x)),
-            "jump_jacobian": make("jump_jacobian", at_end, with_jacobian(self.jump, self.x)),
-            **self._second_derivatives(make),
+            "dynamics_jacobian": _function("dynamics_jacobian", args, [ca.densify(f), jacobian]),
+            "cost_quadratic": _function("cost_quadratic", [*args, h], [h * value, h * gradient, h * hessian]),
+            "equality_jacobian": _function("equality_jacobian", args, with_jacobian(self.equality, self.z)),
+            "rows_jacobian": _function("rows_jacobian", args, with_jacobian(self.path.expression(), self.z)),
+            "terminal_quadratic": _function("terminal_quadratic", at_end, list(end)),
+            "end_rows_jacobian": _function("end_rows_jacobian", at_end, with_jacobian(self.end.expression(), self.x)),
+            "jump_jacobian": _function("jump_jacobian", at_end, with_jacobian(self.jump, self.x)),
+            **self._second_derivatives(),
         }
 
-    def _second_derivatives(self, make: Any) -> dict[str, ca.Function]:
-        """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not; nothing when not ``exact``.
+    def _second_derivatives(self) -> dict[str, ca.Function]:
+        """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not.
 
-        ``lagrangian`` (…, h, ν, κ): h cost + νᵀ equalities + h κᵀ rows; ``dynamics_hessian`` (…, h, a): aᵀ f.
-        Without ``exact`` the first is νᵀ equalities + h κᵀ rows by the inputs alone, where they are nonlinear in them.
+        Without ``exact``: νᵀ equalities + h κᵀ rows by the inputs alone, where they are nonlinear in them, else nothing.
         """
+        if self.exact:
+            return self.exact_derivatives()
         args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
-        nu, kappa = ca.SX.sym("nu", self.equality.shape[0]), ca.SX.sym("kappa", self.path.expression().shape[0])
-        last, adjoint = ca.SX.sym("kappa", self.end.expression().shape[0]), ca.SX.sym("a", self.nx)
-        if not self.exact:
-            nothing = [ca.SX(1, 1)]
-            return {
-                "lagrangian": make("lagrangian", [*args, nu, kappa], self._curvature(nu, kappa) or nothing),
-                "dynamics_hessian": make("dynamics_hessian", [*args, adjoint], nothing),
-                "end_lagrangian": make("end_lagrangian", [*at_end, last], nothing),
-            }
+        nu, kappa, last, adjoint = self._multipliers()
+        nothing = [ca.SX(1, 1)]
+        return {
+            "lagrangian": _function("lagrangian", [*args, nu, kappa], self._curvature(nu, kappa) or nothing),
+            "dynamics_hessian": _function("dynamics_hessian", [*args, adjoint], nothing),
+            "end_lagrangian": _function("end_lagrangian", [*at_end, last], nothing),
+        }
+
+    def _multipliers(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """ν of equalities, κ of the rows along the path and at the end, a of the dynamics."""
+        path, end = self.path.expression().shape[0], self.end.expression().shape[0]
+        sizes = {"nu": self.equality.shape[0], "kappa": path, "last": end, "a": self.nx}
+        nu, kappa, last, adjoint = (ca.SX.sym(name, size) for name, size in sizes.items())
+        return nu, kappa, last, adjoint
+
+    def exact_derivatives(self) -> dict[str, ca.Function]:
+        """``lagrangian`` (…, h, ν, κ): second derivatives of h cost + νᵀ equalities + h κᵀ rows that the Gauss-Newton Hessian has
+        not; ``end_lagrangian`` the same at the end; ``dynamics_hessian`` (…, h, a): of aᵀ f."""
+        args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
+        nu, kappa, last, adjoint = self._multipliers()
         path = self.h * (self._value("path") + ca.dot(kappa, self.path.expression())) + ca.dot(nu, self.equality)
         end = self._value("terminal") + ca.dot(last, self.end.expression())
         more = lambda f, z, gauss_newton: ca.triu(ca.hessian(f, z)[0]) - gauss_newton
@@ -352,9 +368,9 @@ class Transcription:
         end_more = more(end, self.x, self._quadratic("terminal", self.x)[2])
         curvature = ca.triu(ca.hessian(ca.dot(adjoint, self.rates), self.z)[0])
         return {
-            "lagrangian": make("lagrangian", [*args, nu, kappa], [path_more]),
-            "dynamics_hessian": make("dynamics_hessian", [*args, adjoint], [curvature]),
-            "end_lagrangian": make("end_lagrangian", [*at_end, last], [end_more]),
+            "lagrangian": _function("lagrangian", [*args, nu, kappa], [path_more]),
+            "dynamics_hessian": _function("dynamics_hessian", [*args, adjoint], [curvature]),
+            "end_lagrangian": _function("end_lagrangian", [*at_end, last], [end_more]),
         }
 
     def bent_terms(self) -> set[str]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import mujoco
 
+from wbmpc.checks import parse_number
 from wbmpc.robots.model_file import ModelFile
 
 #: What is smaller is a standstill, what is larger no limit [rad/s, m/s, N m or N].
@@ -56,12 +57,12 @@ def _of_urdf(file: ModelFile) -> dict[str, Drive]:
 
 
 def number(text: str | None) -> float | None:
-    """A finite number of an attribute; None where there is none."""
+    """A number of an attribute; None where there is none."""
     try:
-        value = float(text or "")
+        value = parse_number(text or "")
     except ValueError:
         return None
-    return value if math.isfinite(value) else None
+    return None if math.isnan(value) else value
 
 
 def _bound(value: float | None) -> float | None:

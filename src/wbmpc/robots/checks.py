@@ -7,19 +7,40 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import mujoco
+import numpy as np
 
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
 
+#: Of a compiled model: kind of element, array, what it is, and its largest possible magnitude.
+_NUMBERS = (
+    ("body", "body_pos", "its position [m]", 1e4), ("body", "body_quat", "its orientation", 2.0),
+    ("body", "body_mass", "its mass [kg]", 1e7), ("body", "body_inertia", "its moment of inertia [kg m²]", 1e10),
+    ("body", "body_ipos", "its center of mass [m]", 1e4), ("body", "body_iquat", "its inertial frame", 2.0),
+    ("joint", "jnt_pos", "its position [m]", 1e4), ("joint", "jnt_axis", "its axis", 2.0),
+    ("joint", "jnt_range", "its range", 1e8), ("geom", "geom_pos", "its position [m]", 1e4),
+    ("geom", "geom_size", "its size [m]", 1e6), ("site", "site_pos", "its position [m]", 1e4),
+)  # fmt: skip
+
 
 def compiled(spec: mujoco.MjSpec, path: object) -> mujoco.MjModel:
-    """The file as MuJoCo takes it. Raises :class:`InputError` with its name where it does not."""
+    """The file as MuJoCo takes it. Raises :class:`InputError` with its name where it does not, or has numbers of no machine."""
     try:
-        return spec.compile()
+        model = spec.compile()
     except ValueError as error:
         raise InputError(f"{path}: cannot be compiled: {' '.join(str(error).split())}") from error
+    for kind, name, what, largest in _NUMBERS:
+        values = getattr(model, name)
+        wrong = np.argwhere(~(np.abs(values) <= largest))
+        if len(wrong):
+            k = wrong[0][0]
+            element = mujoco.mj_id2name(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), int(k)) or f"number {k}"
+            raise InputError(
+                f"{path}: {kind} '{element}': {what} is {values[tuple(wrong[0])]:.4g}; at most {largest:g} is possible"
+            )
+    return model
 
 
 @contextmanager

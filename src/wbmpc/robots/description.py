@@ -76,7 +76,8 @@ class LimitsDescription(Section):
 
     ``actuator_velocity`` [rad/s]: what a steering drive may do beyond ``velocity``, which is the planner's, to catch up with the plan.
     ``base``: largest speed along each axis [m/s] and about the vertical [rad/s]; ``wheel_effort`` [N m]: omni wheels (needed);
-    ``spin_effort`` [N m]: what they may do about the vertical before the robot spins on the floor.
+    ``wheel_velocity`` [rad/s]: up to which they give it, in the simulated robot; ``spin_effort`` [N m]: what they may do about the
+    vertical before the robot spins on the floor.
     """
 
     velocity: dict[str, _Limit] = Field(default={})
@@ -87,6 +88,7 @@ class LimitsDescription(Section):
     base_linear: _Limit = 1.0
     base_angular: _Limit = 1.0
     wheel_effort: _Limit = np.inf
+    wheel_velocity: _Limit = np.inf
     spin_effort: _Limit = np.inf
 
     @model_validator(mode="after")

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Never
 from xml.parsers import expat
 
+from wbmpc.checks import parse_number
 from wbmpc.errors import InputError
 from wbmpc.robots.xml_numbers import check_number
 from wbmpc.robots.xml_text import strict_parser, without_comments
@@ -22,6 +23,8 @@ from wbmpc.robots.xml_text import strict_parser, without_comments
 LARGEST, MAX_ELEMENTS, MAX_BODIES, DEEPEST, MAX_PIXELS = 16 * 1024 * 1024, 5_000, 500, 128, 16_000_000
 #: Elements that are beside the robot's bodies, which are taken out one by one: shapes and lights of the world, sensors, drives.
 MAX_BESIDE = 1_000
+#: Joints that move: what is done for each takes time that grows with their number.
+MAX_JOINTS = 200
 _OF_WORLD, _LISTS = (
     ("geom", "light", "camera"),
     ("sensor", "actuator", "keyframe", "contact", "tuple", "equality", "tendon"),
@@ -52,6 +55,7 @@ class _Count:
     bodies: float = 0.0
     beside: float = 0.0
     pixels: float = 0.0
+    joints: float = 0.0
     models: dict[str, Path] = field(default_factory=dict)
 
 
@@ -60,16 +64,50 @@ def check_size(path: Path, text: bytes | None = None) -> tuple[Path, ...]:
     no regular file (a pipe, a device): its reader would wait for ever. ``text``: what a file's macros became, instead of the file.
 
     Returns the file and those that it names, as far as they are there."""
-    folders, named = {path.parent}, []  # type: set[Path], list[tuple[str, Path, str]]
-    _Walk(path, {}, (), folders, named).run(text)
-    found = {path: None}
-    for where, beside, name in named:
-        for place in (folder / n for folder in (beside, *folders) for n in (name, name.rpartition("/")[2])):
+    known, found = _walked(path, text), {path: None}
+    for where, beside, name in known.named:
+        for place in (folder / n for folder in (beside, *known.folders) for n in (name, name.rpartition("/")[2])):
             if exists(place) and not (isfile(place) or isdir(place)):
                 raise InputError(f"{where}: '{place}' is no regular file")
             if isfile(place):
                 found[place] = None
     return tuple(found)
+
+
+#: What walks found, by file and text, with the states of all files that they read: a robot is read several times.
+_KNOWN: dict[tuple[Path, Path, bytes | None], _Found] = {}
+_MOST_KNOWN = 16
+
+
+@dataclass
+class _Found:
+    """``states`` of the files that were read; ``folders`` in which files may be; ``named``: files by the element that names them and
+    the folder that it is in."""
+
+    states: dict[Path, tuple[int, int]]
+    folders: set[Path]
+    named: list[tuple[str, Path, str]]
+
+
+def _walked(path: Path, text: bytes | None) -> _Found:
+    key = (path, path.absolute(), text)
+    known = _KNOWN.get(key)
+    if known is None or any(_state(file) != state for file, state in known.states.items()):
+        found, done = _Found({}, {path.parent}, []), dict[Path, _Count]()
+        _Walk(path, done, (), found.folders, found.named).run(text)
+        found.states |= {file: _state(file) for file in (path, *done)}
+        if len(_KNOWN) >= _MOST_KNOWN:
+            _KNOWN.clear()
+        known = _KNOWN[key] = found
+    return known
+
+
+def _state(file: Path) -> tuple[int, int]:
+    try:
+        about = file.stat()
+    except OSError:
+        return 0, -1
+    return about.st_mtime_ns, about.st_size
 
 
 class _Walk:
@@ -122,7 +160,8 @@ class _Walk:
         self._times.append(times)
         self._open.append(name)
         pixels = self._product(name, " ".join(attributes.get(a, "1") for a in _AREAS[name])) if name in _AREAS else 0.0
-        self._add(name, _Count(times, times * (name in _BODIES), times * beside, pixels))
+        moves = name in ("joint", "freejoint") and attributes.get("type") != "fixed" and not beside
+        self._add(name, _Count(times, times * (name in _BODIES), times * beside, pixels, times * moves))
         for attribute, value in attributes.items():
             self._check_number(name, attribute, value)
             if attribute in _FOLDERS:
@@ -159,7 +198,7 @@ class _Walk:
 
     def _numbers(self, name: str, text: str) -> list[float]:
         try:
-            return [float(word) for word in text.split()]
+            return [parse_number(word) for word in text.split()]
         except ValueError:
             self._fail(f"<{name}>: numbers are needed, got '{text[:40]}'")
 
@@ -167,10 +206,12 @@ class _Walk:
         count = self._count
         count.elements, count.bodies = count.elements + more.elements, count.bodies + more.bodies
         count.beside, count.pixels = count.beside + more.beside, count.pixels + more.pixels
+        count.joints += more.joints
         for what, value, maximum in (
             ("bodies", count.bodies, MAX_BODIES),
             ("elements", count.elements, MAX_ELEMENTS),
             ("shapes, sensors and drives beside the bodies", count.beside, MAX_BESIDE),
+            ("joints", count.joints, MAX_JOINTS),
             ("pixels of pictures and points of fields", count.pixels, MAX_PIXELS),
         ):
             if not value <= maximum:
@@ -196,4 +237,5 @@ class _Walk:
         if element == "include":
             self._count.models |= inside.models
         beside = 0.0 if self._in_body() else times * inside.beside
-        self._add(element, _Count(times * inside.elements, times * inside.bodies, beside, inside.pixels))
+        more = _Count(times * inside.elements, times * inside.bodies, beside, inside.pixels, times * inside.joints)
+        self._add(element, more)

@@ -15,7 +15,7 @@ def fix_joint(spec: mujoco.MjSpec, name: str, value: float, source: str) -> None
 
     Nothing may refer to it any more (see :mod:`wbmpc.robots.model_import`). Raises :class:`InputError`.
     """
-    joint = next((j for j in spec.joints if j.name == name), None)
+    joint = spec.joint(name)
     if joint is None:
         raise unknown_name("joint (key 'fixed_joints')", name, [j.name for j in spec.joints], where=source)
     reject_reference(source, name, float(joint.ref))

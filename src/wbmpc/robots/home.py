@@ -115,6 +115,6 @@ class _Search:
         mujoco.mj_kinematics(m, d)
         mujoco.mj_comPos(m, d)
         mujoco.mj_collision(m, d)
-        geoms = [d.contact[i].geom for i in range(d.ncon) if d.contact[i].dist < 0.0]
-        parts = [sorted(int(m.body_weldid[m.geom_bodyid[g]]) for g in pair) for pair in geoms]
-        return {(a, b) for a, b in parts if a != b}
+        pairs = d.contact.geom[d.contact.dist < 0.0]
+        parts = np.unique(np.sort(m.body_weldid[m.geom_bodyid[pairs]], axis=1), axis=0)
+        return {(a, b) for a, b in parts.tolist() if a != b}

@@ -6,13 +6,16 @@ import math
 from collections.abc import Mapping
 from copy import copy, deepcopy
 from dataclasses import dataclass, field
+from itertools import count
 from os.path import isfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
+from wbmpc.checks import parse_number
 from wbmpc.errors import InputError
 from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.limited_program import drop_missing_files
@@ -28,6 +31,8 @@ if TYPE_CHECKING:
 _MESHES = (".stl", ".obj", ".msh")
 #: Larger files [bytes] are too much for a page in a browser.
 _LARGEST_MESH = 5_000_000
+#: Ends of a joint's range [rad, degrees or m] that are none.
+_WIDEST_RANGE = 1e6
 #: Elements of a URDF that MuJoCo reads.
 _READ = ("link", "joint", "material", "mujoco")
 
@@ -112,16 +117,38 @@ def parse(
     if file.root is None:
         try_model(file.path, file.files)
     try:
-        if file.root is not None:
-            missing += [name for name in file.meshes() if file.locate(name) is None]
-            return _urdf(file, meshes, collision)
-        spec = mujoco.MjSpec.from_file(str(file.path))
+        spec = mujoco.MjSpec.from_file(str(file.path)) if file.root is None else _urdf(file, meshes, collision)
     except InputError:
         raise
     except (ValueError, ElementTree.ParseError) as error:
         raise InputError(f"{file.path}: cannot be read: {' '.join(str(error).split())}") from error
-    missing += drop_missing_files(spec)
+    if file.root is None:
+        missing += drop_missing_files(spec)
+    else:
+        missing += [name for name in file.meshes() if file.locate(name) is None]
+    _name_bodies(spec)
+    _open_ranges(spec)
     return spec
+
+
+def _name_bodies(spec: mujoco.MjSpec) -> None:
+    """Bodies of an MJCF need no names; here they are found by them."""
+    names = {body.name for body in spec.bodies}
+    for body in spec.bodies[1:]:
+        if not body.name:
+            possible = (f"{body.parent.name}_body{k}" for k in count(1))
+            body.name = next(name for name in possible if name not in names)
+            names.add(body.name)
+
+
+def _open_ranges(spec: mujoco.MjSpec) -> None:
+    """A range that no joint can leave is none; one end of it that is none stays where it is reached by nothing."""
+    for joint in spec.joints:
+        low, high = np.clip(joint.range, -_WIDEST_RANGE, _WIDEST_RANGE)
+        if max(-low, high) == _WIDEST_RANGE:
+            joint.range = [low, high]
+            if -low == high:
+                joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
 
 
 def _urdf(file: ModelFile, meshes: bool, collision: bool) -> mujoco.MjSpec:
@@ -157,7 +184,7 @@ def _urdf(file: ModelFile, meshes: bool, collision: bool) -> mujoco.MjSpec:
 
 def _number(element: ElementTree.Element, name: str) -> float:
     try:
-        return float(element.get(name, "0"))
+        return parse_number(element.get(name, "0"))
     except ValueError:
         return math.nan
 

@@ -19,11 +19,14 @@ from wbmpc.robots.limited_program import copy_values, make_light
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
 
+#: Bit of ``conaffinity`` of shapes that stand for their body in collisions.
+SHAPE = 4
 #: What joints have in the file beside place, axis and range: friction is the plants' own, limits of effort are the YAML's.
 _OF_JOINTS = (
     "damping", "armature", "frictionloss", "actfrclimited", "actfrcrange", "actgravcomp", "margin",
     "solref_limit", "solimp_limit", "solref_friction", "solimp_friction",
 )  # fmt: skip
+_OF_CONTACTS = ("condim", "friction", "priority", "solmix", "solref", "solimp", "margin", "gap")
 _OF_COMPILER = ("settotalmass", "inertiafromgeom", "boundmass", "boundinertia", "fusestatic")
 
 
@@ -37,14 +40,25 @@ def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
     for element in [e for elements in lists for e in elements]:
         spec.delete(element)
     _leave_the_world(spec, base)
-    for geom in spec.geoms:
-        geom.contype = geom.conaffinity = 0
+    _mark_shapes(spec, fresh)
     for body in spec.bodies:
         body.gravcomp = 0.0
     for joint in spec.joints:
         for name in _OF_JOINTS:
             setattr(joint, name, getattr(fresh.default.joint, name))
     _reset_defaults(spec, fresh)
+
+
+def _mark_shapes(spec: mujoco.MjSpec, fresh: mujoco.MjSpec) -> None:
+    """Shapes touch nothing until a plant says so, and then as MuJoCo's defaults do; those that stand for their body in collisions are
+    marked: of a body, those that the file lets collide, or all that it draws where it lets none."""
+    for body in spec.bodies:
+        shapes = [g for g in body.geoms if g.type != mujoco.mjtGeom.mjGEOM_PLANE]
+        solid = [g for g in shapes if g.contype or g.conaffinity] or shapes
+        for geom in body.geoms:
+            for name in _OF_CONTACTS:
+                setattr(geom, name, getattr(fresh.default.geom, name))
+            geom.contype, geom.conaffinity = 0, SHAPE if any(geom is g for g in solid) else 0
 
 
 def _fix_masses(spec: mujoco.MjSpec, fresh: mujoco.MjSpec, path: object) -> None:

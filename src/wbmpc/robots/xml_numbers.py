@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.checks import parse_number
 from wbmpc.errors import InputError
 
 #: Of any unit of a model: MuJoCo takes a larger value for the end of a simulation.
@@ -16,22 +20,38 @@ _TEXTS = """name class childclass dclass model modelname file filename link pare
 #: Attributes of limits: what is infinite is none.
 _LIMITS = """range ctrlrange forcerange actfrcrange actrange lengthrange lower upper velocity effort soft_lower_limit soft_upper_limit"""
 _NAMES, _BOUNDS = frozenset(_TEXTS.split()), frozenset(_LIMITS.split())
-_NAN, _INFINITE = re.compile(r"[+-]?nan(\(.*\))?", re.I), re.compile(r"[+-]?inf(inity)?", re.I)
+_NAN = re.compile(r"(?<!\S)[+-]?nan(\(\S*\))?(?!\S)", re.IGNORECASE)
+_INFINITE = re.compile(r"(?<!\S)[+-]?inf(inity)?(?!\S)", re.IGNORECASE)
+#: So many words of an attribute are looked at one by one, where not all of them are numbers.
+_FEW = 1000
 
 
 def check_number(name: str, value: str) -> None:
     """Raise :class:`InputError` naming an attribute with a number that cannot be meant."""
     if name in _NAMES:
         return
-    for word in value.split():
-        if _NAN.fullmatch(word):
-            raise InputError(f"'{name}' has '{word}', which is not a number")
-        if name not in _BOUNDS and (_INFINITE.fullmatch(word) or _magnitude(word) > LARGEST_NUMBER):
-            raise InputError(f"'{name}' has '{word[:40]}'; at most {LARGEST_NUMBER:g} is read")
+    if found := _NAN.search(value):
+        raise InputError(f"'{name}' has '{found[0]}', which is not a number")
+    if name in _BOUNDS:
+        return
+    if found := _INFINITE.search(value):
+        raise InputError(f"'{name}' has '{found[0]}'; at most {LARGEST_NUMBER:g} is read")
+    words = value.split()
+    too_large = np.abs(_numbers(words)) > LARGEST_NUMBER
+    if too_large.any():
+        raise InputError(f"'{name}' has '{words[int(np.argmax(too_large))][:40]}'; at most {LARGEST_NUMBER:g} is read")
 
 
-def _magnitude(word: str) -> float:
+def _numbers(words: list[str]) -> NDArray[np.float64]:
+    """Of each word (n), 0 where it is none."""
     try:
-        return abs(float(word))
+        return np.array(words, float)
+    except ValueError:
+        return np.array([_number(word) for word in words[:_FEW]])
+
+
+def _number(word: str) -> float:
+    try:
+        return parse_number(word)
     except ValueError:
         return 0.0

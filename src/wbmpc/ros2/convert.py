@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.checks import unit_quaternions
 from wbmpc.errors import InputError, NotFinite
 
 Array = np.ndarray
@@ -71,10 +72,7 @@ def read_vector(v: Any, what: str) -> Array:
 def read_pose(p: Any, what: str) -> tuple[Array, Array]:
     """Position (3) [m] and unit quaternion (4) of this library."""
     q = check_numbers(np.array([getattr(p.orientation, n) for n in lie.PARTS], float), what)
-    length = float(np.linalg.norm(q))
-    if abs(length - 1.0) > 0.05:
-        raise InputError(f"{what}: the quaternion has length {length:.3g}, 1 is needed")
-    return read_vector(p.position, what), q / length
+    return read_vector(p.position, what), unit_quaternions(what, q)
 
 
 def planar(position: Array, orientation: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -76,6 +77,6 @@ class Network:
 def _domain(text: str) -> int:
     if not text:
         return 0
-    if not text.isdecimal() or int(text) > LARGEST_DOMAIN:
+    if not re.fullmatch("[0-9]{1,9}", text) or int(text) > LARGEST_DOMAIN:
         raise InputError(f"ROS_DOMAIN_ID: a whole number from 0 to {LARGEST_DOMAIN} is needed, got '{text}'")
     return int(text)

@@ -7,7 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -25,21 +25,35 @@ from wbmpc.errors import (
 )
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.simulation.contacts import Contacts
 
 _LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]
-#: How long [s] the robot is held at a stop after a run that ended early.
-STOP_TIME = 0.5
+#: How long [s] the robot is held at a stop after a run that ended early, at least, and until it rests, at most.
+STOP_TIME, LONGEST_STOP = 0.5, 5.0
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How a run ended: an empty ``reason`` when it completed; ``fell`` and ``interrupted`` (by the user: Ctrl-C, a view) say what
-    kind of end it was."""
+    """How a run ended: an empty ``reason`` when nothing ended it early; ``fell`` and ``interrupted`` (by the user: Ctrl-C, a view) say
+    what kind of end it was. ``contacts``: of its simulated robots, where they are monitored."""
 
     reason: str = ""
     fell: bool = False
     interrupted: bool = False
+    contacts: tuple[Contacts, ...] = field(default=(), compare=False, repr=False)
+
+    @classmethod
+    def of(cls, *plants: Any, reason: str = "") -> Ending:
+        """Of a run of ``plants`` that was ended for a ``reason``, or went to its end."""
+        fell = any(plant.fell for plant in plants)
+        return cls(reason or ("the robot fell" if fell else ""), fell, contacts=contacts_of(*plants))
+
+
+def contacts_of(*plants: Any) -> tuple[Contacts, ...]:
+    """What is known of the contacts of simulated robots."""
+    found = [getattr(getattr(plant, "world", None), "contacts", None) for plant in plants]
+    return tuple(contacts for contacts in found if contacts is not None)
 
 
 @dataclass(frozen=True)
@@ -171,7 +185,7 @@ def watched(
 
         try:
             yield tick
-            ending = Ending("the robot fell", fell=True) if plant.fell else Ending()
+            ending = Ending.of(plant)
         except RunAborted as error:
             ending = Ending(str(error), interrupted=isinstance(error, EndedByUser))
             raise
@@ -191,7 +205,8 @@ def run_lockstep(
 ) -> Ending:
     """Run for ``duration`` [s]. What ends a run early (a fall, numbers that are not finite, no plan, Ctrl-C) stops the
     robot and is returned, not raised; so is whatever else is raised once the robot has been commanded: it would go on with its
-    last command. Before, in the first period, errors (bad settings) are raised.
+    last command. Before, in the first period, errors (bad settings) are raised. A robot that is stopped early is simulated until it
+    rests: whether it fell is what is seen then.
 
     ``mpc`` None: for controllers that need no plan. ``record(t, command, plans)`` is called at every tick, with the plant as it is
     before the command acts; then come the watchers of a ``progress`` that is a :class:`Watch`.
@@ -213,12 +228,23 @@ def run_lockstep(
             if progress is not None and i % 40 == 0:
                 progress((i + 1) / ticks, f"{t:.1f} of {duration:.1f} s")
         if ending.reason and not plant.diverged:
-            plant.step(controller.stop(), round(STOP_TIME / timing.period) * timing.steps)
+            _come_to_rest(plant, controller, timing, STOP_TIME if ending.interrupted else LONGEST_STOP)
+            ending = replace(ending, fell=ending.fell or (plant.fell and not ending.interrupted))
+        ending = replace(ending, contacts=contacts_of(plant))
         for watcher in watchers:
             watcher.end(ending)
     if progress is not None and not ending.reason:
         progress(1.0, f"{duration:.1f} s")
     return ending
+
+
+def _come_to_rest(plant: Any, controller: Controller, timing: Timing, longest: float) -> None:
+    """Stop the robot, which nothing pushes any more, until it rests: for :data:`STOP_TIME` at least, and the ``longest`` time [s] at most."""
+    getattr(plant, "end_pushes", lambda: None)()
+    for _ in range(max(round(longest / STOP_TIME), 1)):
+        plant.step(controller.stop(), round(STOP_TIME / timing.period) * timing.steps)
+        if plant.diverged or getattr(plant, "rests", True):
+            return
 
 
 def _tick(

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.robots import RobotDescription
 from wbmpc.robots.checks import compiled
+from wbmpc.simulation.contacts import GROUND, Contacts, enable
+from wbmpc.simulation.speed_torque import SpeedTorque
 
 _LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
@@ -22,11 +25,11 @@ Edit = Callable[[mujoco.MjSpec], None]
 
 #: Physics step [s]: 400, 80 and 50 Hz and a drive loop of 2 kHz are whole numbers of steps.
 TIMESTEP = 5e-4
-#: Tilt [rad] at which a robot counts as fallen.
-FALL_TILT = 0.9
+#: Tilt [rad] at which a robot counts as fallen, and one whose hull touches the floor: it may be propped up by its arm.
+FALL_TILT, PROPPED_TILT = 0.9, 0.35
+#: Speed [m/s, rad/s] below which a robot rests.
+STANDS = 0.05
 NO_TORQUE = (0.0, 0.0, 0.0)
-#: Contact bits: floors and obstacles touch wheels, balls and tips (type 1 against affinity 2 and the reverse).
-GROUND, ROBOT = {"contype": 1, "conaffinity": 2}, {"contype": 2, "conaffinity": 1}
 
 
 def set_options(spec: mujoco.MjSpec, timestep: float, integrator: mujoco.mjtIntegrator) -> None:
@@ -102,16 +105,22 @@ class World:
     ``refresh`` does the first half when it has not been done, so that what is read never belongs to the step before.
     """
 
-    def __init__(self, spec: mujoco.MjSpec, source: object, body: str, tool: str, joints: list[str]) -> None:
-        """``source``: the robot's file, for :class:`InputError` where it cannot be simulated: a base without mass."""
+    def __init__(
+        self, spec: mujoco.MjSpec, description: RobotDescription, joints: list[str], rated: Mapping[str, float]
+    ) -> None:
+        """The robot of a ``description`` with the scene of a ``spec``; ``joints``: those that are read; ``rated`` [rad/s]: speeds up to
+        which drives give their whole torque, by actuator. Raises :class:`InputError` naming the robot's file where it cannot be
+        simulated: a base without mass."""
         # MuJoCo's warnings go to the log, not into a file in the working directory
         mujoco.set_mju_user_warning(lambda text: _LOG.warning("MuJoCo: %s", text))
-        self.model: mujoco.MjModel = compiled(spec, source)
+        enable(spec, description.home, description.model)
+        self.model: mujoco.MjModel = compiled(spec, description.model)
         self.data = mujoco.MjData(self.model)
         self.timestep = float(self.model.opt.timestep)
         self.external: Hook | None = None
         m = self.model
-        self.body, self.site = m.body(body).id, self._tool(tool)
+        self.contacts, self._drives = Contacts(m), SpeedTorque(m, rated)
+        self.body, self.site = m.body(description.base.body).id, self._tool(description.arm.tool)
         self._joints = {name: (int(m.joint(name).qposadr[0]), int(m.joint(name).dofadr[0])) for name in joints}
         self._pushes: dict[int, tuple[Array, Array, Array | None]] = {}
         self._steps, self._fresh, self._lost, self._yaw = 0, False, False, 0.0
@@ -150,6 +159,7 @@ class World:
             mujoco.mj_step1(self.model, self.data)
         if control is not None:
             control()
+        self._drives.apply(self.model, self.data)
         if self._pushes:
             self._apply_pushes()
         if self.external is not None:
@@ -161,6 +171,7 @@ class World:
         """After a command's steps: note whether numbers are still finite, count the turns of the base."""
         self._lost = self.diverged
         if not self._lost:
+            self.contacts.update(self.data, self.time)
             self._yaw = unwrap(self._wrapped_yaw(), self._yaw)
 
     # ------------------------------------------------------------------ pushes
@@ -183,6 +194,12 @@ class World:
         self._pushes.pop(index, None)
         if f.any() or t.any():
             self._pushes[index] = (f, t, p)
+
+    def end_pushes(self) -> None:
+        """Push nothing any more."""
+        for body in self._pushes:
+            self.data.xfrc_applied[body] = 0.0
+        self._pushes.clear()
 
     def _apply_pushes(self) -> None:
         d = self.data
@@ -210,14 +227,24 @@ class World:
         return math.acos(min(max(cosine, -1.0), 1.0))
 
     @property
+    def rests(self) -> bool:
+        """Whether nothing of robot and scene moves faster than :data:`STANDS`."""
+        return bool(np.abs(self.data.qvel).max(initial=0.0) < STANDS)
+
+    @property
     def diverged(self) -> bool:
         """Whether positions are not finite: the physics cannot go on."""
         return self._lost or not all(map(math.isfinite, self.data.qpos.tolist()))
 
     @property
     def fell(self) -> bool:
-        """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
-        return self.diverged or self.tilt > FALL_TILT
+        """Whether the base leans by more than 0.9 rad, or by 0.35 rad with its hull on the floor, or numbers are not finite."""
+        return self.diverged or self.tilt > self.fall_tilt
+
+    @property
+    def fall_tilt(self) -> float:
+        """The tilt [rad] beyond which the robot has fallen."""
+        return PROPPED_TILT if self.contacts.grounded else FALL_TILT
 
     @property
     def twist(self) -> Array:
@@ -265,7 +292,7 @@ class WorldAccess:
 
     @property
     def fell(self) -> bool:
-        """Whether the base leans by more than 0.9 rad, or numbers are not finite."""
+        """Whether the robot has fallen: see :attr:`World.fell`."""
         return self.world.fell
 
     @property
@@ -274,13 +301,19 @@ class WorldAccess:
         return self.world.diverged
 
     @property
+    def rests(self) -> bool:
+        """Whether nothing moves any more."""
+        return self.world.rests
+
+    @property
     def fall_reason(self) -> str:
         """What counts as the fall, in words; empty while there is none."""
         if not self.fell:
             return ""
         if self.diverged:
             return "numbers of the simulation are not finite"
-        return f"its base leaned by {np.degrees(self.world.tilt):.0f} deg, the limit is {np.degrees(FALL_TILT):.0f} deg"
+        tilt, limit = np.degrees([self.world.tilt, self.world.fall_tilt])
+        return f"its base leaned by {tilt:.0f} deg, the limit is {limit:.0f} deg"
 
     @property
     def external(self) -> Hook | None:
@@ -296,3 +329,7 @@ class WorldAccess:
     ) -> None:
         """Push a body until changed: see :meth:`World.push`."""
         self.world.push(force, torque, body, point)
+
+    def end_pushes(self) -> None:
+        """Push nothing any more."""
+        self.world.end_pushes()

@@ -145,7 +145,7 @@ def largest_gap(problem: Transcription, ws: Any, x0: np.ndarray) -> tuple[float,
     names = problem.ocp.dynamics.state.names
     first = int(np.argmax(np.abs(x0 - ws.x[0])))
     start = float(abs(x0[first] - ws.x[0, first]))
-    gaps = np.array([np.abs(_end(problem, ws, k) - ws.x[k + 1]) for k in range(len(ws.u))])
+    gaps = np.abs(step_ends(problem, ws, ws.x[:-1], ws.u) - ws.x[1:])
     for q in problem.ocp.dynamics.unit_quaternions:  # a unit quaternion is scaled after the step
         gaps[:, q : q + 4] = 0.0
     k, i = divmod(int(np.argmax(np.where(np.isnan(gaps), np.inf, gaps))), problem.nx)
@@ -157,18 +157,25 @@ def largest_gap(problem: Transcription, ws: Any, x0: np.ndarray) -> tuple[float,
 
 def _end(problem: Transcription, ws: Any, k: int) -> np.ndarray:
     """The state at the end of interval k: one Runge-Kutta step, and the jump where an event is."""
-    x, u, p, w = _arguments(problem, ws, k)
-    h, f = ws.grid[k + 1] - ws.grid[k], problem.values["dynamics"]
-    slope = lambda at: np.array(f(at, u, p, w)).ravel()
-    first = slope(x)
-    second = slope(x + 0.5 * h * first)
-    step = h * second
+    return step_ends(problem, ws, ws.x[k : k + 1], ws.u[k : k + 1], k)[0]
+
+
+def step_ends(problem: Transcription, ws: Any, x: np.ndarray, u: np.ndarray, first: int = 0) -> np.ndarray:
+    """As many states (n, nx) and inputs (n, nu) from node ``first`` on, an interval later: (n, nx)."""
+    n, f = len(u), problem.values["dynamics"]
+    p, w = ws.p[first : first + n + 1, : problem.node.size].T, np.tile(ws.w[: problem.constant.size, None], (1, n))
+    h = np.diff(ws.grid)[first : first + n]
+    slope = lambda at: np.array(f(at, u.T, p[:, :n], w)).reshape(problem.nx, n)
+    k1 = slope(x.T)
+    k2 = slope(x.T + 0.5 * h * k1)
+    step = h * k2
     if problem.ocp.integrator == "rk4":
-        third = slope(x + 0.5 * h * second)
-        step = h / 6.0 * (first + 2.0 * second + 2.0 * third + slope(x + h * third))
-    if not _events(problem, ws)[k]:
-        return x + step  # type: ignore[no-any-return]
-    return np.array(problem.values["jump"](x + step, ws.p[k + 1, : problem.node.size], w)).ravel()
+        k3 = slope(x.T + 0.5 * h * k2)
+        step = h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + slope(x.T + h * k3))
+    end, events = x.T + step, np.asarray(_events(problem, ws)[first : first + n], bool)
+    if events.any():
+        end[:, events] = np.array(problem.values["jump"](end, p[:, 1:], w)).reshape(problem.nx, n)[:, events]
+    return end.T  # type: ignore[no-any-return]
 
 
 def _events(problem: Transcription, ws: Any) -> np.ndarray:

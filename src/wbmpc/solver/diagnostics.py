@@ -13,6 +13,7 @@ from wbmpc.ocp.constraint_classification import fixed, row_names
 from wbmpc.ocp.sets import Box
 from wbmpc.solver import certificate
 from wbmpc.solver.certificate import Violation
+from wbmpc.solver.least_violation import Finding, least_violation
 from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 
@@ -30,7 +31,7 @@ def diagnose(solver: Solver, solution: Solution) -> Solution:
     """The solution with its violations by name, and the status and the message that these show."""
     problem, ws = solver.problem, solver.ws
     violations = solver.checks.violations(ws.x, ws.u, ws.p, ws.w)
-    missed = _missed(solver, violations)
+    missed, ended = _missed(solver, violations), solution.status
     if solution.status is Status.NOT_FINITE:
         solution = replace(solution, kkt=np.nan)
         detail = _not_finite(solver)
@@ -46,7 +47,7 @@ def diagnose(solver: Solver, solution: Solution) -> Solution:
     elif solution.status is Status.DIVERGED and not (missed and _multipliers_diverged(solution)):
         status, detail = Status.DIVERGED, _diverged(solver)
     else:
-        status, detail = _unfinished(solver, solution, missed)
+        status, detail = _unfinished(solver, solution, missed, ended)
     if solution.status in (Status.DIVERGED, Status.LINE_SEARCH_FAILED) and not certificate.not_finite_trial(
         problem, ws
     ):
@@ -79,6 +80,16 @@ def _can_contradict(problem: Transcription) -> bool:
     """Whether anything that must be met looks at states. Where nothing does, a motion of the model closes all gaps."""
     terms = [t for t in problem.ocp.terms.values() if isinstance(t, Constraint) and _must_hold(problem, t)]
     return any(problem.with_state(t).any() and not _gives_way(problem, t) for t in terms)
+
+
+def _rows_that_must_hold(problem: Transcription) -> dict[str, np.ndarray]:
+    """By constraint, which of its rows must hold exactly: of those with a slack, rows of inputs alone."""
+    found = {}
+    for name, term in problem.ocp.terms.items():
+        if isinstance(term, Constraint) and _must_hold(problem, term):
+            alone = problem.with_input(term) & ~problem.with_state(term)
+            found[name] = alone if _gives_way(problem, term) else np.ones(alone.size, bool)
+    return found
 
 
 def _missed(solver: Solver, violations: dict[str, Violation]) -> Violation | None:
@@ -126,13 +137,13 @@ def _no_minimum(solver: Solver) -> str:
     """What to say where the exact Hessian is not convex at the end; the Gauss-Newton one is always convex."""
     from wbmpc.solver.driver import is_minimum
 
-    if not solver.problem.exact or is_minimum(solver.ws.memory, solver.ws.table):
+    if not solver.hessian.exact or is_minimum(solver.ws.memory, solver.ws.table):
         return ""
     return "the curvature is not positive in every direction: a saddle or a maximum, no minimum; try another guess"
 
 
-def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) -> tuple[Status, str]:
-    """Infeasible, no step, the iteration limit, or multipliers without bound."""
+def _unfinished(solver: Solver, solution: Solution, missed: Violation | None, ended: Status) -> tuple[Status, str]:
+    """Infeasible, no step, the iteration limit, or multipliers without bound. ``ended``: the status of the compiled code."""
     problem, ws, feasibility = solver.problem, solver.ws, solver.settings.feasibility
     status = Status.INFEASIBLE if solution.status is Status.DIVERGED else solution.status
     outside = certificate.not_finite_trial(problem, ws) if status is Status.LINE_SEARCH_FAILED else ""
@@ -155,16 +166,29 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None) ->
         )
     hint = _nonlinear_hint(solver, missed)
     only_gaps = not missed and not _can_contradict(problem)
-    slow = hint != "" and (solver.settings.hessian != "exact" or (missed is not None and missed.value < NEARLY))
+    slow = hint != "" and (not solver.hessian.exact or (missed is not None and missed.value < NEARLY))
     stuck = _stuck(unmet, feasibility) and not only_gaps
     if not (held_up or slow) and (solution.status is Status.LINE_SEARCH_FAILED or stuck):
         status = Status.INFEASIBLE
+    certified, more = _certified(solver, ended) if status is Status.INFEASIBLE else (status, "")
     if missed:
-        return status, f"largest violation: {missed}{hint}"
+        return certified, f"largest violation: {missed}{hint}{more}"
+    where += more
     if where.startswith("the start") and hasattr(ws, "x_trial"):
         there = certificate.largest_gap(problem, certificate.trial(ws), solver.x0)[1]
         where += f"; a step further: {there}" if not there.startswith("the start") else ""
-    return status, where
+    return certified, where
+
+
+def _certified(solver: Solver, ended: Status) -> tuple[Status, str]:
+    """INFEASIBLE where that has a certificate, else how the solve ``ended``; and what is to be said of it. (In real time there is
+    no time for one.)"""
+    if not solver.settings.compute_kkt:
+        return Status.INFEASIBLE, ""
+    finding = least_violation(solver, _rows_that_must_hold(solver.problem), solver.settings.feasibility)
+    if finding is Finding.MET:
+        return ended, "; all constraints can be met: try more iterations or another guess"
+    return Status.INFEASIBLE if finding is Finding.INFEASIBLE else ended, ""
 
 
 def _nonlinear_hint(solver: Solver, missed: Violation | None) -> str:
@@ -175,7 +199,7 @@ def _nonlinear_hint(solver: Solver, missed: Violation | None) -> str:
     terms = solver.problem.bent_terms()
     if missed is None or missed.row.split(".")[0] not in terms:
         return ""
-    hint = "more iterations or another guess" if solver.settings.hessian == "exact" else 'hessian="exact"'
+    hint = "more iterations or another guess" if solver.hessian.exact else 'hessian="exact"'
     return f", which is nonlinear in the inputs: try {hint}"
 
 

@@ -35,9 +35,12 @@ from wbmpc.solver.riccati import backward, first_equalities, forward, kkt_residu
 from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.soft_equalities import soft_residual_steps, start_soft_residuals, take_soft_residuals
 from wbmpc.solver.stages import row_count
+from wbmpc.solver.stall import forget_errors, stalled
 from wbmpc.solver.workspace import LOG
 
 CONVERGED, ITERATION_LIMIT, LINE_SEARCH_FAILED, NOT_FINITE, DIVERGED, INPUT_INFEASIBLE, EQUALITY_INFEASIBLE = range(7)
+#: No status of a solution: Gauss-Newton steps contract the error too slowly.
+STALLED = 7
 
 LOG_COLUMNS = len(LOG)
 #: What a direction is commanded to be where it ends nothing: of use, or to be sought again.
@@ -66,6 +69,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     ) = 0.0, 0.0, 0.0, 0.0
     m[state + StateField.PENALTY_FACTOR], m[state + StateField.SECOND_ORDER_SHARE] = 1.0, 1.0
     start_adaptive(m, state)
+    forget_errors(m, o)
     # in real time feedback would take the inputs of a roll-out anywhere, and one iteration does not bring them back
     rolled = 1.0 if rows and s[Setting.SINGLE_SHOOTING] * s[Setting.KEEP_MULTIPLIERS] > 0.0 else 0.0
     m[state + StateField.HOLD_INPUTS] = 1.0 + s[Setting.KEEP_MULTIPLIERS] if o[NONLINEAR_INPUT_ROWS] > 0 else rolled
@@ -379,10 +383,16 @@ def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float,
 @compiled
 def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[int, int]:
     """Up to ``iterations`` steps: (status, steps done). ``s``: see SETTINGS; rows of ``log``: see workspace.LOG."""
-    penalty, first, last_kkt, last_residual, size, it = 0.0, 1.0, np.inf, np.inf, 1.0, 0
+    begin(m, o, x0, s)
+    return iterate(m, o, x0, s, log, 0)
+
+
+@compiled
+def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: int) -> tuple[int, int]:
+    """As :func:`solve`, from the present iterate with its slacks and multipliers, after ``done`` steps."""
+    penalty, first, last_kkt, last_residual, size, it = 0.0, 1.0, np.inf, np.inf, 1.0, done
     # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
     level, last_mu, bias = s[Setting.BARRIER], s[Setting.INITIAL_BARRIER], 0.0
-    begin(m, o, x0, s)
     state, limit, hold = o[STATE], int(s[Setting.ITERATIONS]), m[o[STATE] + StateField.HOLD_INPUTS]
     again = (
         row_count(o) > 0
@@ -394,7 +404,7 @@ def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[i
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
-        if it == 0 and np.isfinite(cost):
+        if it == done and np.isfinite(cost):
             size = min(max(1.0, abs(cost)), THRESHOLDS.divergence)
         it += 1
         ended = direction_status(m, o, s, log, row, (cost, violation, largest, slope), size)
@@ -413,6 +423,8 @@ def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[i
         if found == AGAIN:
             first, last_kkt = 1.0, np.inf
             continue
+        if stalled(m, o, s, (kkt, violation), it):
+            return STALLED, it - 1
         if again and restart_from_rollout(m, o, x0, s):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue

@@ -102,6 +102,9 @@ class StateField(IntEnum):
     # barrier_update.py
     FREE_BARRIER = 31  # whether μ follows the products of slacks and multipliers
     ERRORS = 32  # of the last iterations that it did: four entries
+    # stall.py
+    SMALLEST_ERROR = 36  # of the present iterations in a row
+    LAST_SMALLEST_ERROR = 37  # of those before
 
 
 class Setting(IntEnum):
@@ -127,6 +130,7 @@ class Setting(IntEnum):
     EQUALITY_BOUND = 17
     ROLLOUT_RESTART = 18
     MAX_BARRIER = 19
+    DETECT_STALL = 20
 
 
 #: By how much planned inputs and states may be outside a hard row [its range].

@@ -21,6 +21,9 @@ from wbmpc.solver.memory_layout import (
     NP,
     NU,
     NX,
+    ROW_L,
+    ROW_T,
+    ROWS,
     SLOPES,
     STATE,
     UT,
@@ -228,6 +231,16 @@ def receding_solve(
     m[o[STATE] + StateField.BLOCKED_TIME] += delta
     sample_all(m, o, numbers, integers, t0)
     return solve(m, o, x0, settings, log)
+
+
+@compiled
+def forget(m: Floats, o: Integers) -> None:
+    """Discard slacks and multipliers: the next solve initializes them."""
+    state = o[STATE]
+    m[state + StateField.MAX_STEP], m[state + StateField.INFEASIBLE_SOLVES] = 0.0, 0.0
+    m[state + StateField.BLOCKED_RESIDUAL], m[state + StateField.BLOCKED_TIME] = 0.0, 0.0
+    for i in range((o[N] + 1) * o[ROWS]):
+        m[o[ROW_T] + i], m[o[ROW_L] + i] = 0.0, 0.0
 
 
 @compiled

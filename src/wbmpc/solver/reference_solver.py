@@ -156,6 +156,9 @@ class InterpretedSolver(InterpretedDirections):
 
     def reset(self) -> None:
         """Slacks and multipliers start anew."""
+        state = self.ws.state
+        state[[StateField.MAX_STEP, StateField.INFEASIBLE_SOLVES, StateField.BLOCKED_RESIDUAL]] = 0.0
+        state[StateField.BLOCKED_TIME] = 0.0
         for rows in self.own:
             rows.l, rows.started = np.zeros_like(rows.l), False
 

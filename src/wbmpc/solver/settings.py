@@ -107,7 +107,9 @@ class SQP:
     ``compute_kkt`` only); ``min_step``: the line search gives up below it, and then takes the full step if
     ``accept_min_step``; ``line_search``: an ℓ1 merit with Armijo's rule, or a filter; ``max_regularization``: of the Hessian's diagonal
     (Levenberg-Marquardt), grown when a step fails or the subproblem is not convex; ``hessian``: "exact" has the second
-    derivatives of everything, as far as the subproblem stays convex ("rk2" without jumps and quaternions, compiled only);
+    derivatives of everything, as far as the subproblem stays convex ("rk2" without jumps and quaternions, compiled only); "auto"
+    begins with "gauss_newton", and where that would not converge within the iterations left, :meth:`Solver.solve` compiles the exact
+    one and goes on with it;
     ``equality_bound``: in real time a plan fails whose first input misses an equality by more than this share of what the row
     makes of inputs, |D| + Σ |D_i u_i|; those that contradict each other do so at every solve;
     ``backend``: machine code, or the interpreted twin.
@@ -121,7 +123,7 @@ class SQP:
     accept_min_step: bool = False
     line_search: Literal["merit", "filter"] = "merit"
     max_regularization: float = 1e6
-    hessian: Literal["gauss_newton", "exact"] = "gauss_newton"
+    hessian: Literal["auto", "gauss_newton", "exact"] = "auto"
     equality_bound: float = 0.05
     interior_point: InteriorPoint = field(default_factory=InteriorPoint)
     backend: Literal["compiled", "interpreted"] = "compiled"
@@ -136,8 +138,8 @@ class SQP:
             raise unknown_name("backend", self.backend, ("compiled", "interpreted"))
         if self.line_search not in ("merit", "filter"):
             raise unknown_name("line search", self.line_search, ("merit", "filter"))
-        if self.hessian not in ("gauss_newton", "exact"):
-            raise unknown_name("hessian", self.hessian, ("gauss_newton", "exact"))
+        if self.hessian not in ("auto", "gauss_newton", "exact"):
+            raise unknown_name("hessian", self.hessian, ("auto", "gauss_newton", "exact"))
         for key in ("tolerance", "feasibility", "min_step"):
             if not 0.0 < getattr(self, key) < np.inf:
                 raise InputError(f"{name}: {key} must be positive and finite, got {getattr(self, key)}")
@@ -174,7 +176,7 @@ class SQP:
             "iterations": self.iterations, "tolerance": self.tolerance, "feasibility": self.feasibility,
             "min_step": self.min_step, "compute_kkt": self.compute_kkt, "accept_min_step": self.accept_min_step,
             "single_shooting": self.single_shooting, "use_filter": self.line_search == "filter",
-            "max_regularization": self.max_regularization, "equality_bound": self.equality_bound,
+            "max_regularization": self.max_regularization, "equality_bound": self.equality_bound, "detect_stall": False,
             **self.interior_point.numbers(self.tolerance),
         }  # fmt: skip
         return np.array([float(own[name]) for name in SETTINGS])

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from wbmpc.checks import absolute_time, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.schedule import DEFAULT
@@ -22,6 +23,7 @@ from wbmpc.solver.certificate import Checks
 from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, SETTINGS, StateField
 from wbmpc.solver.settings import SLQ, SQP
 from wbmpc.solver.solution import COLUMNS, Solution, Status
@@ -84,7 +86,10 @@ class Solver:
         from wbmpc.solver.reference_solver import InterpretedSolver
         from wbmpc.solver.workspace import make_workspace
 
-        self.problem, self._terms = Transcription(self.ocp, self._exact()), tuple(self.ocp.terms.values())
+        self.problem, self._terms = (
+            Transcription(self.ocp, exact_from_start(self.ocp, self.settings)),
+            tuple(self.ocp.terms.values()),
+        )
         self.kernel = self._build()
         if self.kernel is not None:
             self.ws: Any = make_workspace(self.kernel, self.problem)
@@ -96,6 +101,7 @@ class Solver:
         self._tables: Tables | None = None
         self.log = np.zeros((self.settings.max_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
+        self.hessian = HessianSwitch(self)
         if self.kernel is not None:
             self._bind()
 
@@ -116,21 +122,6 @@ class Solver:
             self.settings = replace(self.settings, backend="interpreted")
             return None
 
-    def _exact(self) -> bool:
-        if self.settings.hessian != "exact":
-            return False
-        jumps = getattr(self.ocp.dynamics, "jump", None) is not None
-        bad = {
-            f"integrator='{self.ocp.integrator}'": self.ocp.integrator != "rk2",
-            "a state that jumps at events": jumps,
-            "quaternions": bool(self.ocp.dynamics.unit_quaternions),
-            "backend='interpreted'": self.settings.backend != "compiled",
-        }
-        for name, entries in bad.items():
-            if entries:
-                raise InputError(f"hessian='exact' does not go with {name}; valid: hessian='gauss_newton'")
-        return True
-
     # ------------------------------------------------------------------ data
     def set_reference(self, name: str, reference: Reference) -> None:
         """What the term ``name`` compares with from now on."""
@@ -138,6 +129,10 @@ class Solver:
         if name not in slices:
             raise unknown_name("reference", name, slices)
         width = slices[name].stop - slices[name].start
+        if not isinstance(reference, Reference):
+            raise InputError(
+                f"reference '{name}': a Reference is needed, such as Reference.constant(…), got {str(reference)[:80]!r}"
+            )
         if reference.values.shape[1] != width:
             raise InputError(
                 f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
@@ -174,7 +169,11 @@ class Solver:
     def set_parameters(self, values: Mapping[str, np.ndarray] | np.ndarray) -> None:
         """Set the model's parameters (constant over the horizon): by group, or the whole vector."""
         part = self.problem.constant.slices["parameters"]
-        vector = self.ocp.dynamics.parameters.vector(values) if isinstance(values, Mapping) else np.asarray(values)
+        vector = (
+            self.ocp.dynamics.parameters.vector(values)
+            if isinstance(values, Mapping)
+            else real_numbers("parameters", values)
+        )
         if vector.shape != (part.stop - part.start,) or not np.isfinite(vector).all():
             raise InputError(f"parameters: {part.stop - part.start} finite numbers are needed, got {vector}")
         with self.exclusive:
@@ -211,18 +210,12 @@ class Solver:
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
         with self.exclusive:
-            self.ws.state[
-                [
-                    StateField.MAX_STEP,
-                    StateField.INFEASIBLE_SOLVES,
-                    StateField.BLOCKED_RESIDUAL,
-                    StateField.BLOCKED_TIME,
-                ]
-            ] = 0.0
             if self.settings.backend == "interpreted":
                 self.twin.reset()
             else:
-                self.ws.rows_t[:], self.ws.rows_l[:] = 0.0, 0.0
+                from wbmpc.solver.receding import forget
+
+                forget(self.ws.memory, self.ws.table)
 
     # ------------------------------------------------------------------ what the last solve left
     def trajectory(self, start: float = 0.0, copy: bool = True) -> Trajectory:
@@ -278,7 +271,7 @@ class Solver:
 
     # ------------------------------------------------------------------ solve
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
-        """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations)."""
+        """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations). Compiles nothing."""
         with self.exclusive:
             self._check_terms()
             if self.settings.backend == "interpreted":
@@ -320,11 +313,9 @@ class Solver:
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters; after k times h
         under inputs (k, nu), one after the other. Raises :class:`InputError` for other shapes."""
-        u, nx, nu = np.asarray(u, float), self.problem.nx, self.problem.nu
-        if np.shape(x) != (nx,) or u.ndim not in (1, 2) or u.shape[-1] != nu:
-            raise InputError(
-                f"simulate: {nx} states and {nu} inputs are needed, got shapes {np.shape(x)} and {u.shape}"
-            )
+        x, u, nx, nu = real_numbers("simulate", x), real_numbers("simulate", u), self.problem.nx, self.problem.nu
+        if x.shape != (nx,) or u.ndim not in (1, 2) or u.shape[-1] != nu:
+            raise InputError(f"simulate: {nx} states and {nu} inputs are needed, got shapes {x.shape} and {u.shape}")
         if u.ndim == 2 and (len(u) > SIMULATED or self.settings.backend == "interpreted"):
             for row in u:
                 x = self.simulate(x, row, h)
@@ -347,16 +338,16 @@ class Solver:
         :class:`SolverBusy` while another thread is in the solver.
         """
         x0 = self._start_state(x0)
-        if not np.isfinite(t0):
-            raise InputError(f"start of the horizon: a finite time is needed, got {t0}")
+        t0 = absolute_time("start of the horizon", t0)
         check_events(self, t0)
         with self.exclusive, Interruptible():
             start = time.perf_counter()
-            status, count = self.run(x0, t0)
-            elapsed = time.perf_counter() - start
-            solution = self.solution(status, count, elapsed)
-            if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
-                solution = diagnose(self, solution)
+            with self.hessian:
+                status, count = self.hessian.run(x0, t0)
+                elapsed = time.perf_counter() - start
+                solution = self.solution(status, count, elapsed)
+                if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
+                    solution = diagnose(self, solution)
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
         return solution
@@ -372,10 +363,7 @@ class Solver:
     def _start_state(self, x0: np.ndarray) -> np.ndarray:
         """``x0`` as (nx) finite numbers."""
         nx = self.problem.nx
-        try:
-            x0 = np.ascontiguousarray(x0, float)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"initial state: {nx} numbers are needed ({error})") from error
+        x0 = np.ascontiguousarray(real_numbers("initial state", x0))
         if x0.shape != (nx,):
             raise InputError(f"initial state: {nx} numbers are needed, got shape {x0.shape}")
         if not np.isfinite(x0).all():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.model.layout import Layout
 from wbmpc.ocp import OptimalControlProblem
@@ -33,10 +34,7 @@ def trajectories(
 
 def _finite(name: str, layout: Layout, value: np.ndarray) -> np.ndarray:
     """A guess as numbers, all of them finite."""
-    try:
-        values = np.asarray(value, float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"warm start, {name}: numbers are needed ({error})") from error
+    values = real_numbers(f"warm start, {name}", value)
     bad = np.argwhere(~np.isfinite(np.atleast_1d(values)))
     if not bad.size:
         return values

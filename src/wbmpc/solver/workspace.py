@@ -287,8 +287,8 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "multiplier": (max(s.ng, 1),),
         "signed": (max(s.nr, s.ne, 1),),
         "normal": (max(s.ng, 1), max(s.ng, 1)),
-        "second": (s.nz, s.lz) if problem.second else (1,),
-        "chained": (s.nz if problem.second else 1, s.lz),
+        "second": (s.nz, s.lz),
+        "chained": (s.nz, s.lz),
     }
     shapes |= _lane_shapes(s, shapes["p"][1])
     return shapes | {name: (n + 1, rows) for name in _ROWS}

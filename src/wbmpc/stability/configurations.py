@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.checks import parse_number
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry
@@ -90,7 +91,7 @@ def _named(robot: RobotModel, name: str) -> NDArray[np.float64]:
 def _parsed(configuration: str | Sequence[float], legs: int) -> NDArray[np.float64]:
     try:
         parts = configuration.replace(",", " ").split() if isinstance(configuration, str) else configuration
-        angles = np.array([float(v) for v in parts])
+        angles = np.array([parse_number(v) if isinstance(v, str) else float(v) for v in parts])
     except ValueError:
         choices = [*CONFIGURATIONS, f"{legs} angles in rad such as {','.join(['0.1'] * legs)}"]
         raise unknown_name("configuration", str(configuration), choices) from None

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linprog
 
 from wbmpc.stability.geometry import checked_feet, margin, support_polygon
 from wbmpc.stability.zmp import Load, zero_moment_point
@@ -45,6 +44,8 @@ def friction_needed(feet: ArrayLike, load: Load) -> float:
 def _carried(feet: Array, tipping: Array, along: Array) -> float:
     """How many times the load ``along`` the ground (force in x, y, moment about z) the feet (n, 2) hold at a coefficient of 1,
     pressed down by a force of 1 with the moments ``tipping`` about x and y. Unknown: τ (n, 2), N (n) and that number."""
+    from scipy.optimize import linprog  # takes as long to import as all the rest of wbmpc
+
     n, (x, y) = len(feet), feet.T
     balance = np.zeros((6, 3 * n + 1))
     balance[0, 0 : 2 * n : 2] = balance[1, 1 : 2 * n : 2] = 1.0

@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import schur
-from scipy.optimize import linprog
 
 from wbmpc.bases.ball.model import BallBase, ball_base
 from wbmpc.errors import InputError
@@ -59,7 +58,17 @@ class Balance:
 
     @classmethod
     def of(cls, robot: RobotModel, arm: ArrayLike, directions: int = 36) -> Balance:
-        """About the equilibrium for arm angles [rad]."""
+        """About the equilibrium for arm angles [rad]; the same of one robot are computed once."""
+        numeric = ball_base(robot).numeric
+        limits, maximum = robot.limits.input_upper[robot.input["wheel"]], robot.description.limits.spin_effort
+        key = (np.asarray(arm, float).tobytes(), limits.tobytes(), maximum, directions)
+        if key not in numeric.balances:
+            numeric.balances[key] = cls._about(robot, arm, directions)
+        found: Balance = numeric.balances[key]
+        return found
+
+    @classmethod
+    def _about(cls, robot: RobotModel, arm: ArrayLike, directions: int) -> Balance:
         base = ball_base(robot)
         x, u = robot.base.numeric.equilibrium(arm)
         a, b, pushed, offset, mass = _linear(robot, base, x, u)
@@ -113,6 +122,8 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
 
 def _support(effect: Array, limits: Array, spin: Array, maximum: float) -> float:
     """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ most."""
+    from scipy.optimize import linprog
+
     rows, bounds = (None, None) if not np.isfinite(maximum) else (np.vstack([spin, -spin]), [maximum, maximum])
     found = linprog(-effect, A_ub=rows, b_ub=bounds, bounds=[(-v, v) for v in limits])
     return float(-found.fun)

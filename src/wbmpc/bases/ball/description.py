@@ -40,7 +40,7 @@ class BallBaseDescription(BaseDescription):
     ``payload``: whether a mass at the tool [kg] is a parameter (``payload``).
     """
 
-    limit_keys: ClassVar[tuple[str, ...]] = ("wheel_effort", "spin_effort")
+    limit_keys: ClassVar[tuple[str, ...]] = ("wheel_effort", "wheel_velocity", "spin_effort")
 
     type: Literal["ball"]
     ball: str

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from wbmpc import lie
 from wbmpc.bases.ball.filter_memory import FilterMemory
@@ -65,7 +65,7 @@ class BallFilter:
         self.covariance = p
         self.freedom, self.surprise = n + 1, 0.0
         self.faults: tuple[str, ...] = ()
-        self._gate = float(chi2.isf(GATE, self.freedom))
+        self._gate = float(chdtri(self.freedom, GATE))
         self._inertial = InertialGate(unit or InertialDescription(), start.rotation.T @ GRAVITY)
         self._still = STILL * np.sqrt(12.0) * noise.encoder
         self._first = True

@@ -23,6 +23,8 @@ MAXIMUM = 0.9
 STRONG = 0.6
 #: How long [s] a strong force has to drive the ball that fast: one of 100 N for 0.7 s does for 28 ms and is recovered from.
 HELD = 0.3
+#: A learnt force that has fallen below this share of its largest does not last: a push is over, and the observer forgets it.
+FADED = 0.9
 
 
 class LeanControl:
@@ -42,11 +44,16 @@ class LeanControl:
         self.reach = float(self.balance.reach.min())
         self._room = max(MAXIMUM - share, 0.0) * self.reach
         self._ball_speed = slice(robot.base.nq, robot.base.nq + 2)
-        self.push_fault, self._driven_since = "", np.inf  # of a force that pushes the robot away
+        self.reset()
 
     def reset(self) -> None:
         """Before another run."""
-        self.push_fault, self._driven_since = "", np.inf
+        self.push_fault, self._pushed_since, self._driven_since = (
+            "",
+            np.inf,
+            np.inf,
+        )  # of a force that pushes the robot away
+        self._largest = 0.0
 
     def shift(self, force: Array, yaw: float) -> Array:
         """By how much (2) [m] the divergent component counts like more than it is, along the world's x and y, under the learnt
@@ -63,16 +70,19 @@ class LeanControl:
         return shift - _turned(min(1.0, self._room / size) * borne, yaw)
 
     def check(self, t: float, force: Array, x: Array) -> None:
-        """Report once a learnt ``force`` (nq) that pushes the robot away, at state x (nx) and time t [s]: one that no lean can
-        hold, or a strong one that drives the ball with half of ``speed``. Raises :class:`DisturbanceTooLarge` when it has driven it with
-        all of it for :data:`HELD`.
+        """Report once a learnt ``force`` (nq) that pushes the robot away for :data:`HELD`, at state x (nx) and time t [s]: one that no
+        lean can hold, or a strong one that drives the ball with half of ``speed``. Raises :class:`DisturbanceTooLarge` when it has
+        driven it with all of it for as long. What is left of a push that is over counts as neither.
         """
         borne = math.hypot(*self._worths(force, float(x[2]))[1].tolist()) / self.reach
         velocity = x[self._ball_speed]
         # a ball that rolls back against the force is not driven by it
-        driven = math.hypot(*velocity.tolist()) / self.speed if borne > STRONG and velocity @ force[:2] > 0.0 else 0.0
+        self._largest = max(self._largest, borne) if borne > STRONG else 0.0
+        lasts = borne > STRONG and borne >= FADED * self._largest
+        driven = math.hypot(*velocity.tolist()) / self.speed if lasts and velocity @ force[:2] > 0.0 else 0.0
         self._driven_since = min(self._driven_since, t) if driven > 1.0 else np.inf
-        fault = (borne > MAXIMUM or driven > 0.5) and not self.push_fault
+        self._pushed_since = min(self._pushed_since, t) if lasts and (borne > MAXIMUM or driven > 0.5) else np.inf
+        fault = t - self._pushed_since >= HELD - 1e-9 and not self.push_fault
         if not fault and t - self._driven_since < HELD:
             return
         what = f"a force of at least {np.hypot(*force[:2]):.0f} N that lasts pushes the robot away"

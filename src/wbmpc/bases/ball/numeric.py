@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -26,6 +26,8 @@ class BallNumeric:
         self._input, self._parameters = Layout(base.input).size, Layout(base.parameters).size
         self._numeric: dict[str, Numeric] = {}
         self._functions: dict[str, ca.Function] = {}
+        #: What :class:`wbmpc.bases.ball.balance.Balance` has found, by all that it depends on.
+        self.balances: dict[tuple[object, ...], Any] = {}
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """M (nq, nq) with the spin of the ball."""

@@ -23,12 +23,11 @@ from wbmpc.checks import numbers, whole
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
+from wbmpc.simulation.contacts import GROUND, ROLLING
 from wbmpc.simulation.elastic_drives import ElasticDrives
 from wbmpc.simulation.payloads import add_payload, lay_cables
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import (
-    GROUND,
-    ROBOT,
     TIMESTEP,
     Array,
     Edit,
@@ -112,7 +111,7 @@ class BallPlant(WorldAccess):
         self.draw = p.draw(draw_rng, bodies, len(self.base.wheels.azimuths), len(arm))
         with named(description.model):
             self._build(spec, payload, edit)
-        self.world = World(spec, description.model, self.base.body, description.arm.tool, arm)
+        self.world = World(spec, description, arm, self._rated())
         self.model, self.data = self.world.model, self.world.data
         self._arm_q = np.array([self.model.joint(n).qposadr[0] for n in arm])
         self._arm_v = np.array([self.model.joint(n).dofadr[0] for n in arm])
@@ -154,7 +153,7 @@ class BallPlant(WorldAccess):
         ball = spec.body(base.ball)
         ball.add_geom(
             name="contact_ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[base.ball_radius, 0, 0], mass=0, condim=4,
-            friction=friction, solref=CONTACT, rgba=[0, 0, 0, 0], group=3, **ROBOT,
+            friction=friction, solref=CONTACT, rgba=[0, 0, 0, 0], group=3, **ROLLING,
         )  # fmt: skip
         self._ball_joint = next(j.name for j in spec.joints if j.parent.name == base.ball)
         for i, b in enumerate(base.wheels.azimuths):
@@ -186,6 +185,12 @@ class BallPlant(WorldAccess):
         actuator.gear = gear
         if np.isfinite(limit):
             actuator.ctrlrange, actuator.ctrllimited = [-limit, limit], mujoco.mjtLimited.mjLIMITED_TRUE
+
+    def _rated(self) -> dict[str, float]:
+        """Speeds [rad/s] up to which the drives give their whole torque."""
+        limits, wheels = self.description.limits, range(len(self.base.wheels.azimuths))
+        arm = {name: limits.velocity.get(name, np.inf) for name in self.description.arm.joints}
+        return {**{f"wheel_{i}": limits.wheel_velocity for i in wheels}, **arm}
 
     def _drives(self) -> ElasticDrives:
         p, limits, wheels = self.perturbation, self.description.limits, len(self.base.wheels.azimuths)

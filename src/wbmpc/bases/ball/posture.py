@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from wbmpc import lie
 from wbmpc.model.robot import RobotModel
@@ -14,6 +13,8 @@ def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> 
 
     Where the arm does not decide (place and heading of the base), a weak pull towards home does.
     """
+    from scipy.optimize import least_squares
+
     arm, target = robot.home[robot.state["arm"]], lie.quaternion_conjugate(quaternion)
 
     def state(z: np.ndarray) -> np.ndarray:

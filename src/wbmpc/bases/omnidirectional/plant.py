@@ -15,6 +15,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.omnidirectional.model import roller_angles
 from wbmpc.bases.planar.plant import PlanarPlant, contact_settings
+from wbmpc.simulation.contacts import ROLLER
 
 #: Rollers of a wheel: with 16, a mecanum or omni wheel of 0.1 m runs out of round by less than 0.1 mm.
 ROLLERS = 16
@@ -43,7 +44,7 @@ class OmnidirectionalPlant(PlanarPlant):
             body.add_joint(
                 name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], damping=[_DAMPING, 0, 0], armature=_ARMATURE,
             )  # fmt: skip
-            settings = {**contact_settings(friction), "rgba": [0.25, 0.25, 0.28, 1.0], "group": 1}
+            settings = {**contact_settings(friction), **ROLLER, "rgba": [0.25, 0.25, 0.28, 1.0], "group": 1}
             body.add_geom(
                 name=name, type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=[roller, roller, length], mass=mass, **settings
             )

@@ -14,9 +14,10 @@ from wbmpc.checks import numbers
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
+from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
-from wbmpc.simulation.world import ROBOT, TIMESTEP, Array, Edit, World, add_drive
+from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
 
@@ -52,7 +53,7 @@ class PlanarPlant(WheeledPlant):
         with named(description.model):
             self._build(spec, edit)
         names = [n for group in self._names.values() for n in group]
-        self.world = World(spec, description.model, self.base.body, description.arm.tool, names)
+        self.world = World(spec, description, names, {n: description.limits.velocity.get(n, np.inf) for n in names})
         self.model, self.data = self.world.model, self.world.data
         self.index()
         self.start_sensors({"wheel": np.zeros(len(self._names["wheel"])), "arm": self.draw.arm_offset})
@@ -147,4 +148,4 @@ class PlanarPlant(WheeledPlant):
 
 def contact_settings(friction: list[float]) -> dict[str, object]:
     """Settings of a geom that rolls on the floor: massless, invisible in pictures."""
-    return {"condim": 3, "friction": friction, "solref": TYRE, "rgba": [0, 0, 0, 0], "group": 3, **ROBOT}
+    return {"condim": 3, "friction": friction, "solref": TYRE, "rgba": [0, 0, 0, 0], "group": 3, **ROLLING}

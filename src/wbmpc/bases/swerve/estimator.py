@@ -11,19 +11,16 @@ from wbmpc import lie
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.side_slip import SideSlip
+from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
 from wbmpc.checks import not_negative
 from wbmpc.control.drives import Smoothing
 from wbmpc.estimation.fused_odometry import FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
+from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.model.robot import RobotModel
-from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
-#: A wheel that hangs in the air goes its own way: contradiction of the wheels [m/s] averaged over [s], the share of it that one
-#: wheel has to make, for how long [s] it is not believed after that, fewest wheels from which the faulty one can be identified.
-CONTRADICTS, ODD_TIME, ODD_SHARE, ODD_FOR, ODD_WHEELS = 0.01, 0.03, 0.8, 0.1, 4
 #: Weight in the odometry of a wheel that slips.
 SLIP_WEIGHT = 1e-3
 
@@ -31,36 +28,17 @@ SLIP_WEIGHT = 1e-3
 @dataclass(frozen=True)
 class EstimatorSettings:
     """``calibration``: what is known of the wheels (None: nothing); ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry
-    has one; ``reject_lifted_wheels``: whether the odometry hardly listens to a wheel whose way the others contradict, as of one that hangs in
-    the air; ``smoothing`` [s] of base position and arm against the jitter of the encoders' age (0: none)."""
+    has one; ``reject_slipping_wheels``: whether it hardly listens to wheels whose way the others contradict (:class:`SlippingWheels`);
+    ``smoothing`` [s] of base position and arm against the jitter of the encoders' age (0: none)."""
 
     calibration: WheelCalibration | None = None
     noise: OdometryNoise | None = None
     use_gyro: bool = True
-    reject_lifted_wheels: bool = False
+    reject_slipping_wheels: bool = True
     smoothing: float = 0.0
 
     def __post_init__(self) -> None:
         not_negative("swerve robot's estimator", smoothing=self.smoothing)
-
-
-class SlippingWheels:
-    """Finds the wheel that goes elsewhere than all others do. ``odd`` (n): for how long [s] each is not believed yet."""
-
-    def __init__(self, geometry: ModuleGeometry) -> None:
-        self._geometry = geometry
-        self.odd, self._contradiction = np.zeros(geometry.modules), np.zeros((geometry.modules, 2))
-
-    def update(self, h: float, residual: Array, leg: Array) -> None:
-        """``residual`` (n, 2) [m] of the wheels' ways over h [s]; ``leg`` (n) [rad]."""
-        self.odd = np.maximum(self.odd - h, 0.0)
-        if h <= 0.0:
-            return
-        self._contradiction += (1.0 - np.exp(-h / ODD_TIME)) * (residual / h - self._contradiction)
-        if np.sqrt(np.sum(self._contradiction**2)) > CONTRADICTS:
-            i, share = odd_one_out(self._contradiction, self._geometry.steer_axes(leg))
-            if share > ODD_SHARE:
-                self.odd[i] = ODD_FOR
 
 
 class SwerveEstimator:
@@ -86,9 +64,7 @@ class SwerveEstimator:
             leg_offset=wheels.leg_offset,
             steer_offset=wheels.steer_offset,
         )
-        self._odd = (
-            SlippingWheels(geometry) if settings.reject_lifted_wheels and geometry.modules >= ODD_WHEELS else None
-        )
+        self._odd = SlippingWheels(geometry) if settings.reject_slipping_wheels else None
         self._smoothing = Smoothing(settings.smoothing) if settings.smoothing > 0.0 else None
         self._mean_age = (settings.noise or OdometryNoise()).mean_age
         self.measured: SwerveMeasurement | None = None
@@ -106,7 +82,8 @@ class SwerveEstimator:
         turning = self.mean_rate(previous, m) if self.use_gyro else None
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
         if self._odd is not None:
-            self._odd.update(h, self.wheels_alone.residual, self.hinge_angles)
+            turn = None if turning is None else (turning - self.odometry.gyro_bias) * h
+            self._odd.update(h, self.wheels_alone, self.hinge_angles, turn)
         self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning, weights=self._weights())
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)

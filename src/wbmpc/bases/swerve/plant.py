@@ -21,10 +21,11 @@ from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
+from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation, clipped
 from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant, span
-from wbmpc.simulation.world import ROBOT, TIMESTEP, Array, Edit, World, add_drive
+from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
 #: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
@@ -90,9 +91,7 @@ class SwervePlant(WheeledPlant):
         self.draw = self.perturbation.draw(draw_rng, bodies, len(modules), len(arm))
         with named(description.model):
             self._build(spec, edit)
-        self.world = World(
-            spec, description.model, self.base.body, description.arm.tool, [n for g in self._names.values() for n in g]
-        )
+        self.world = World(spec, description, [n for g in self._names.values() for n in g], self._rated())
         self.model, self.data = self.world.model, self.world.data
         self.index()
         self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
@@ -116,7 +115,7 @@ class SwervePlant(WheeledPlant):
             spec.joint(module.wheel).parent.add_geom(
                 name=f"contact_{module.wheel}", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
                 size=[radius, WHEEL_HALF_WIDTH, radius], condim=3, friction=friction, solref=TYRE, mass=0,
-                rgba=[0, 0, 0, 0], group=3, **ROBOT,
+                rgba=[0, 0, 0, 0], group=3, **ROLLING,
             )  # fmt: skip
             self._normal_force_sensor(spec, f"contact_{module.wheel}")
             for joint in (module.steer, module.wheel):
@@ -152,6 +151,12 @@ class SwervePlant(WheeledPlant):
         self._wheel_bodies = [int(m.geom_bodyid[geom]) for geom in self._wheel_geoms]
         for dof in self._v["leg"]:
             m.dof_solref[dof], m.dof_solimp[dof] = _BRAKE_SOLREF, _BRAKE_SOLIMP
+
+    def _rated(self) -> dict[str, float]:
+        """Speeds [rad/s] up to which the drives give their whole torque."""
+        speed = self.description.limits.velocity
+        base = {"wheel": WHEEL_SPEED, "steer": STEER_SPEED}
+        return {n: base.get(g, speed.get(n, np.inf)) for g in ("wheel", "steer", "arm") for n in self._names[g]}
 
     def _zero_errors(self) -> dict[str, Array]:
         draw, n = self.draw, len(self._names["leg"])

@@ -74,6 +74,7 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
             "hand_error_rms": Metric(rms((estimated_end_effector(log) - end_effector)[use]), "m", goal=0.005),
             "hand_error_rms_world": Metric(rms((log.array("hand") - end_effector)[use]), "m"),
             "ball_error_rms": Metric(rms((estimated_ball(log) - target)[use]), "m"),
+            "ball_error_rms_world": Metric(rms((log.array("state")[:, :2] - target)[use]), "m"),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
             "fell": Metric(float(ending.fell), "1", goal=0.0),
         }

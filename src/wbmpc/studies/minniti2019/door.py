@@ -32,9 +32,12 @@ SUMMARY = "the ball robot pushes a door open with a wanted force (Minniti et al.
 LABELS = ("low", "high")
 #: Where the end effector touches the panel, from the hinge; the gap before it [m].
 LEVER, GAP = 0.7, 0.10
+#: A panel reaches at least so far [m] beyond where it is pushed; what of a door is drawn.
+EDGE, DRAWN = 0.08, ("width", "mass", "friction", "closer", "damping", "breakaway")
 HERE = [
-    "the door's hinge is where it is believed to be within door_position_error; the closed panel's place is learnt from the touch",
-    "only the rubber tip of the end effector touches the door, and only its panel; the robot's body does not",
+    "the door's hinge is where it is believed to be within door_position_error and door_spread; the closed panel's place is learnt from the "
+    "touch, the hinge from the end effector's way",
+    "the panel's edges and the door's frame have no contact but with the panel's box",
     "the force sensor has noise of 0.1 N and a bias of 0.1 N for each axis; it stands between end effector and tip",
     "the closer's torque is constant, dry friction is Coulomb's",
 ]
@@ -45,11 +48,21 @@ NOMINAL = (2.56, 12.0, 3.5)
 def make_plant(
     settings: RezeroDoorSettings, robot: RobotModel, home: np.ndarray, torque: np.ndarray, seed: int
 ) -> DoorPlant:
-    """The robot before a door that stands up to ``door_position_error`` away from where it is believed to be."""
-    error = np.random.default_rng([seed, 23]).uniform(-settings.door_position_error, settings.door_position_error, 2)
-    hinge = np.array(believed(robot.pose(home)[0]).hinge) + error
-    door = Door((float(hinge[0]), float(hinge[1])), **DOORS[settings.door])
+    """The robot before a door of the chosen kind, drawn (:func:`drawn_door`)."""
+    door = drawn_door(settings, believed(robot.pose(home)[0]).hinge, seed)
     return DoorPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
+
+
+def drawn_door(settings: RezeroDoorSettings, hinge: tuple[float, float], seed: int) -> Door:
+    """A door that stands up to ``door_position_error`` away from a ``hinge`` (2) [m], and whose numbers, and the hinge's distance from
+    where it is pushed, differ by up to ``door_spread`` from those of its kind. It reaches beyond the end effector in any case."""
+    rng = np.random.default_rng([seed, 23])
+    x, y = np.array(hinge) + rng.uniform(-settings.door_position_error, settings.door_position_error, 2)
+    kind = {**{n: getattr(Door, n) for n in DRAWN}, **DOORS[settings.door]}
+    numbers = {n: kind[n] * (1.0 + settings.door_spread * rng.uniform(-1.0, 1.0)) for n in DRAWN}
+    shift = LEVER * settings.door_spread * float(rng.uniform(-1.0, 1.0))
+    numbers["width"] = max(numbers["width"], LEVER + shift + EDGE)
+    return Door((float(x), float(y) + shift), **{**kind, **numbers})
 
 
 def believed(end_effector: np.ndarray) -> DoorGeometry:
@@ -158,6 +171,7 @@ def record_door(log: Log, t: float, plant: DoorPlant, controller: DoorController
     log.add("force_sensorless", t, -controller.sensorless.force)
     log.add("force_planned", t, -plans.current.feedforward(t)[-3:])
     log.add("pushing", t, float(controller.phase == "push"))
+    log.add("penetration", t, plant.penetration)
     log.add("touching", t, float(controller.contact.touching))
     log.add("impedance", t, controller.impedance)
     log.add("hand_wanted", t, controller.mpc.reference["end_effector"].at(t)[:3])
@@ -175,7 +189,7 @@ def build(settings: RezeroDoorSettings, seed: int) -> Scenario:
     names, log = LABELS[-len(settings.forces) :], Log()
     return Scenario(
         log, [Part(f"{force:g} N", partial(push, force)) for force in sorted(settings.forces)],
-        lambda run: {**metrics(trials, names, settings.rise_time), **worst_estimates(trials)},
+        lambda run: {**metrics(trials, names), **worst_estimates(trials)},
         lambda run: [plot for name, t in zip(names, trials, strict=False) for plot in door_plots(name, t, settings)],
         [*HERE, *IDEALISATIONS],
     )  # fmt: skip

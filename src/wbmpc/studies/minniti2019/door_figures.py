@@ -15,7 +15,8 @@ from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 from wbmpc.studies.minniti2019.metrics import estimated_end_effector, estimator_metrics, rms
 
-#: The peak of the touch is looked for in this time after it [s]; how the end effector rests, in this time before the end.
+#: The peak of the touch is looked for in this time [s] after it, from which on the force counts in full; how the end effector rests, in
+#: this time [s] before the end.
 TOUCH, REST = 0.1, 1.0
 
 
@@ -43,21 +44,21 @@ def lean(log: Log) -> np.ndarray:
     return angle
 
 
-def pushed(log: Log, rise: float) -> tuple[float, np.ndarray]:
-    """The time [s] of the first touch (infinite: none) and which samples (n,) count: from ``rise`` [s] after it to the
-    release."""
+def pushed(log: Log) -> tuple[float, np.ndarray]:
+    """The time [s] of the first touch (infinite: none) and which samples (n,) count: from :data:`TOUCH` after it until the door is
+    open, in contact or not."""
     t, force = log.times("force"), normal_force(log)
     hit = np.flatnonzero(force > 0.0)
     touch = float(t[hit[0]]) if hit.size else np.inf
-    return touch, (t >= touch + rise) & (log.array("pushing") > 0.0)
+    return touch, (t >= touch + TOUCH) & (log.array("pushing") > 0.0)
 
 
-def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
+def trial_metrics(trial: Trial) -> dict[str, float]:
     """Figures of one run: force error over the reference (lost contact counts in full), peak of the touch [N], share of
     the time in contact, mean lean [rad], largest angle of the door [rad], rms error of the force estimated without the
     sensor [N], how far the end effector swings at rest and is from where it is wanted [m], whether it fell."""
     log, target = trial.log, trial.force
-    touch, use = pushed(log, rise)
+    touch, use = pushed(log)
     force, t = normal_force(log), log.times("force")
     counted = force[use]
     without_sensor = np.sum(log.array("force_sensorless") * log.array("normal"), axis=1)[use] - counted
@@ -67,6 +68,7 @@ def trial_metrics(trial: Trial, rise: float) -> dict[str, float]:
         "contact_share": float(np.mean(counted > 0.0)) if counted.size else 0.0,
         "lean_mean": float(lean(log)[use].mean()) if counted.size else 0.0,
         "door_angle_max": float(log.array("door")[:, 0].max()),
+        "panel_penetration_max": float(log.array("penetration").max()),
         "force_estimate_error_rms": float(np.sqrt(np.mean(without_sensor**2))) if counted.size else np.inf,
         **rest(trial),
         "fell": float(trial.ending.fell),
@@ -87,18 +89,19 @@ def rest(trial: Trial) -> dict[str, float]:
     }
 
 
-def metrics(trials: Sequence[Trial], names: Sequence[str], rise: float) -> dict[str, Metric]:
+def metrics(trials: Sequence[Trial], names: Sequence[str]) -> dict[str, Metric]:
     """The figures of the runs by name, those of all runs last; a run that did not happen is infinitely bad."""
-    figures = {name: trial_metrics(trial, rise) for name, trial in zip(names, trials, strict=False)}
+    figures = {name: trial_metrics(trial) for name, trial in zip(names, trials, strict=False)}
     out: dict[str, Metric] = {}
     for name in names:
         f = figures.get(name, {"force_error_ratio": np.inf, "contact_share": 0.0, "lean_mean": np.inf})
-        out[f"force_error_ratio_{name}"] = Metric(f["force_error_ratio"], "1", goal=0.10)
+        out[f"force_error_ratio_{name}"] = Metric(f["force_error_ratio"], "1", goal=0.08)
         out[f"contact_share_{name}"] = Metric(f["contact_share"], "1")
         out[f"lean_mean_{name}"] = Metric(f["lean_mean"], "rad")
     maximum = lambda key: max(f[key] for f in figures.values())
     out["touch_peak"] = Metric(maximum("touch_peak"), "N")
     out["force_estimate_error_rms"] = Metric(maximum("force_estimate_error_rms"), "N")
+    out["panel_penetration_max"] = Metric(maximum("panel_penetration_max"), "m")
     out["door_angle_max"] = Metric(maximum("door_angle_max"), "rad")
     out["rest_hand_swing"] = Metric(maximum("rest_hand_swing"), "m")
     out["rest_hand_error"] = Metric(maximum("rest_hand_error"), "m")
@@ -116,7 +119,7 @@ def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Pl
     """The paper's Fig. 9 for one force, with what was planned; door, impedance and torques."""
     log, target = trial.log, trial.force
     t, normal, state = log.times("force"), log.array("normal"), log.array("state")
-    touch, _ = pushed(log, settings.rise_time)
+    touch, _ = pushed(log)
     along = lambda channel: np.sum(log.array(channel) * normal, axis=1)
     tangential = np.linalg.norm(log.array("force") - normal_force(log)[:, None] * normal, axis=1)
     reference = target * np.clip((t - touch) / max(settings.rise_time, 1e-9), 0.0, 1.0) * log.array("pushing")

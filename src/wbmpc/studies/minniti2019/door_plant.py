@@ -2,7 +2,8 @@
 
 The panel is a box on a hinge with inertia, damping, dry friction and a closer; it may stick until it has moved once, or be
 locked. The end effector touches it with a soft ball of rubber on a light body of its own (``hand_tip``), so that the sensor between
-end effector and tip reads hardly any inertia. Only the tip touches the panel.
+end effector and tip reads hardly any inertia. The panel collides with the whole robot; only the tip
+is meant to touch it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription
+from wbmpc.simulation.contacts import HANDLE, TOOL
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import Array
 
@@ -29,8 +31,6 @@ HALF_THICKNESS, HEIGHT, CLEARANCE = 0.02, 1.8, 0.01
 LOOSE = np.deg2rad(0.5)
 #: How far [rad] a door opens before it meets its stop.
 WIDE_OPEN = 2.2
-#: Contact bits: tip and panel touch each other and nothing else.
-_TIP, _PANEL = {"contype": 4, "conaffinity": 8}, {"contype": 8, "conaffinity": 4}
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Door:
         body.add_geom(
             name="door", type=mujoco.mjtGeom.mjGEOM_BOX, size=[self.width / 2.0, HALF_THICKNESS, HEIGHT / 2.0],
             pos=[self.width / 2.0, 0, 0], mass=0, condim=3, friction=[self.grip, 0.005, 1e-4], solref=TIP_CONTACT,
-            rgba=[0.72, 0.53, 0.34, 0.9], **_PANEL,
+            rgba=[0.72, 0.53, 0.34, 0.9], **HANDLE,
         )  # fmt: skip
 
 
@@ -113,7 +113,7 @@ def add_tip(spec: mujoco.MjSpec, tool: str, grip: float) -> None:
     tip.add_site(name="hand_force")
     tip.add_geom(
         name="hand_tip", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[TIP_RADIUS, 0, 0], mass=0, condim=3,
-        friction=[grip, 0.005, 1e-4], solref=TIP_CONTACT, rgba=[0.1, 0.1, 0.1, 1], **_TIP,
+        friction=[grip, 0.005, 1e-4], solref=TIP_CONTACT, rgba=[0.1, 0.1, 0.1, 1], **TOOL,
     )  # fmt: skip
     kind, site_type = mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtObj.mjOBJ_SITE
     spec.add_sensor(name="hand_force", type=kind, objtype=site_type, objname="hand_force")
@@ -189,6 +189,13 @@ class DoorPlant(BallPlant):
         """Unit vector (3) normal to the panel, in the direction in which it opens."""
         heading = self.door.closed + self.door.opening * self.angle
         return self.door.opening * np.array([-np.sin(heading), np.cos(heading), 0.0])
+
+    @property
+    def penetration(self) -> float:
+        """How far [m] the robot, its tip included, is in the panel at its deepest contact; contacts are soft."""
+        contacts = self.data.contact
+        touching = (contacts.geom == self._panel).any(axis=1) if self.data.ncon else np.zeros(0, bool)
+        return float(max(-contacts.dist[touching].min(initial=0.0), 0.0)) if touching.any() else 0.0
 
     def contact_force(self) -> Array:
         """The force (3) [N] of the end effector on the panel in the last physics step, world axes; zero without contact."""

@@ -26,8 +26,10 @@ class RezeroDoorSettings(RezeroSettings):
     """``forces`` [N] along the normal, a run each, reached ``rise_time`` [s] after the touch; ``door``: its kind; ``settle_time`` [s] before
     the end effector starts, with ``speed`` [m/s]; it lets go at ``opening_angle`` [rad], or ``timeout`` [s] after it started; the run ends
     ``final_hold_time`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
-    (what is left out: as suits the scheme); ``door_position_error`` [m]: the door's place is not known better; ``lean_share``: a force beyond this
-    share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and it is reported."""
+    (what is left out: as suits the scheme); ``door_position_error`` [m]: the door's place is not known better;
+    ``door_spread``: width, mass, hinge, friction, closer and damping of the door differ by up to this share from those of its kind;
+    ``lean_share``: a force beyond this share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and
+    it is reported."""
 
     cost: RezeroCost = RezeroCost(
         end_effector=EndEffectorCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
@@ -40,13 +42,14 @@ class RezeroDoorSettings(RezeroSettings):
     push: PushCost | None = None
     door: Literal["free", "heavy", "sticking", "light", "locked"] = "free"
     forces: tuple[Annotated[float, Field(gt=0, le=200.0)], ...] = Field((8.0, 16.0), min_length=1, max_length=2)
-    rise_time: float = Field(0.3, ge=0, le=10.0)
+    rise_time: float = Field(0.1, ge=0, le=10.0)
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
     speed: float = Field(0.1, gt=0, le=1.0)
     opening_angle: float = Field(float(np.deg2rad(60.0)), gt=0, le=2.0)
     timeout: float = Field(9.0, ge=1.0, le=120.0)
     final_hold_time: float = Field(2.0, ge=0.1, le=60.0)
     door_position_error: float = Field(0.01, ge=0, le=0.05)
+    door_spread: float = Field(0.2, ge=0, le=0.3)
     lean_share: float = Field(0.6, gt=0, le=10.0)
 
     only_with: ClassVar[Rules] = {

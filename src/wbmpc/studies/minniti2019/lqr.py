@@ -11,17 +11,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import expm, solve_discrete_are
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RegularGridInterpolator
 
 Array = NDArray[np.float64]
 
@@ -92,6 +95,8 @@ class RegulatorGains:
     @cached_property
     def schedule(self) -> RegularGridInterpolator:
         """Gains over the arm's angles: three values of each joint, all but the first within ±1 rad of home."""
+        from scipy.interpolate import RegularGridInterpolator
+
         home = self.robot.home[self.robot.state["arm"]]
         axes = [np.array([home[0]])] if home.size > 1 else []
         axes += [v + np.array([-0.8, 0.0, 0.8]) for v in home[len(axes) :]]

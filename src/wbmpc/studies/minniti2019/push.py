@@ -20,18 +20,22 @@ from wbmpc.studies.minniti2019.recovery import LAST, rest
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
 
+#: Time [s] that a robot has for recovering, at least.
+RECOVERY = 2.0
 BALL, HAND = "rezero-push-ball", "rezero-push-hand"
 SUMMARY = "the ball robot is pushed while it holds its {} (Minniti et al. 2019, Fig. 5)"
 IDEALISATIONS = ["pushes are exact forces at the base's centre of mass"]
 
 
 class RezeroPushSettings(RezeroSettings):
-    """``forces`` [N], each along x and then along y, for ``push_duration`` [s], whole controller periods; ``pause`` [s] from one push to
-    the next."""
+    """``forces`` [N], each along x and then along y, for ``push_duration`` [s], whole controller periods; ``gap`` [s] from the first push of
+    such a pair to the second (left out: as long as the pause), ``pause`` [s] from then to the next pair. The robot must be back before
+    each push that comes at least :data:`RECOVERY` after the one before."""
 
     forces: tuple[Annotated[float, Field(ge=0, le=5000.0)], ...] = Field((50.0, 100.0, 200.0), min_length=1)
     push_duration: float = Field(0.2, gt=0, le=5.0)
-    pause: float = Field(7.0, ge=2.0, le=60.0)
+    gap: Annotated[float, Field(ge=0.5, le=60.0)] | None = None
+    pause: float = Field(7.0, ge=RECOVERY, le=60.0)
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
 
     @model_validator(mode="after")
@@ -41,6 +45,8 @@ class RezeroPushSettings(RezeroSettings):
 
     @model_validator(mode="after")
     def _one_after_the_other(self) -> Self:
+        if self.gap is not None and self.gap < self.push_duration:
+            raise ValueError(f"gap: {self.gap:g} s from one push to the next, which are {self.push_duration:g} s long")
         if self.pause < self.push_duration + LAST:
             raise ValueError(
                 f"pause: {self.pause:g} s from one push to the next, which are {self.push_duration:g} s long and judged by the last "
@@ -66,10 +72,11 @@ class RezeroPushHandSettings(RezeroPushSettings):
 
 def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
     pushes, t = [], settings.settle_time
+    gap = settings.pause if settings.gap is None else settings.gap
     for force in settings.forces:
         for direction in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
             pushes.append(Push(t, settings.push_duration, tuple(force * np.array(direction))))
-            t += settings.pause
+            t += gap if direction[0] else settings.pause
     return Task(arm, t, pushes=tuple(pushes))
 
 
@@ -80,9 +87,9 @@ def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
     end_effector, ball = robot.pose(robot.home)[0], robot.home[:2]
 
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
-        rests = [
-            rest(log, held, end_effector if held == "hand" else ball, p.start + settings.pause) for p in task.pushes
-        ]
+        next_push = [*(p.start for p in task.pushes[1:]), task.duration]
+        ends = [end for p, end in zip(task.pushes, next_push, strict=True) if end - p.start >= RECOVERY - 1e-9]
+        rests = [rest(log, held, end_effector if held == "hand" else ball, end) for end in ends]
         back = [r.recovered for r in rests]
         travel = np.linalg.norm(log.array("state")[:, :2] - ball, axis=1)
         return {

@@ -23,7 +23,7 @@ from wbmpc.studies.minniti2019.task import Task, ball_robot, task_scenario
 NAME = "rezero-steps"
 SUMMARY = "the ball robot takes steps of the end effector's pose, base free (Minniti et al. 2019, Fig. 4)"
 
-IDEALISATIONS = ["with preview (the default) the MPC sees a step coming one horizon ahead"]
+IDEALISATIONS = ["with preview=true the MPC sees a step coming one horizon ahead, and leaves for it early"]
 #: A move takes at least so long [s].
 MOVING = 0.5
 
@@ -37,7 +37,7 @@ class RezeroStepsSettings(RezeroSettings):
     hold_time: float = Field(5.0, ge=STEADY + MOVING, le=600.0)
     settle_time: float = Field(5.0, ge=0.5, le=600.0)
     final_hold_time: float = Field(10.0, ge=0.0, le=600.0)
-    preview: bool = True
+    preview: bool = False
 
     only_with: ClassVar[Rules] = {
         **RezeroSettings.only_with,

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
@@ -73,6 +72,8 @@ def reaching(
 ) -> Reference:
     """The body (n, nx) at rest over times (n) [s] with the ball at ``ball`` (n, 2) and the end effector as near as it can be to ``end_effector``
     (n, 3) [m], from state ``start`` (nx) on, with its heading: the task of controllers that track the body alone."""
+    from scipy.optimize import least_squares
+
     arm, velocity = start[robot.state["arm"]], robot.state["base_velocity"].start
 
     def state(place: np.ndarray, angles: np.ndarray) -> np.ndarray:

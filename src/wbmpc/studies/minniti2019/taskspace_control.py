@@ -14,7 +14,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from scipy.linalg import solve_continuous_are
-from scipy.optimize import lsq_linear
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
@@ -88,6 +87,8 @@ class TaskSpaceController(BallController):
         return torque, torque
 
     def _solve(self, t: float, x: Array) -> Array:
+        from scipy.optimize import lsq_linear
+
         n, g = self.robot.base.nq, self.gains
         place, turned, velocity, jacobian, drift, map_, bias = (np.array(m) for m in self._model["now"](x))
         mass = self.robot.base.numeric.mass_matrix(x[:n])

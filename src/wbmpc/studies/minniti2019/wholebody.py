@@ -65,6 +65,7 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
     def metrics(log: Log, ending: Ending) -> dict[str, Metric]:
         t, torque = log.times("state"), log.array("torque")
         use, end_effector = t >= settings.settle_time, estimated_end_effector(log) - target(t)
+        away = np.linalg.norm(log.array("hand") - target(t), axis=1)
         steady = [(t >= end - STEADY) & (t < end) & (t[-1] > end - 0.1) for end in ends]
         mean = lambda values: max(float(np.linalg.norm(values[w].mean(axis=0))) if w.any() else np.inf for w in steady)
         share = (
@@ -73,8 +74,11 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
             else np.inf
         )
         return {
-            "ball_error_rms_wholebody": Metric(rms(estimated_ball(log)[use]), "m", goal=0.020),
-            "hand_error_rms": Metric(rms(end_effector[use]), "m"),
+            # the whole run, in which the load is weighed
+            "ball_error_rms_world": Metric(rms(log.array("state")[:, :2]), "m", goal=0.010),
+            "ball_error_rms_wholebody": Metric(rms(estimated_ball(log)), "m"),
+            "hand_error_max_world": Metric(float(away.max()), "m", goal=0.020),
+            "hand_error_rms": Metric(rms(end_effector), "m"),
             "steady_hand_error_max": Metric(mean(end_effector), "m", goal=0.005),
             "steady_hand_error_world_max": Metric(mean(log.array("hand") - target(t)), "m"),
             "steady_ball_offset_max": Metric(mean(estimated_ball(log)), "m", goal=0.010),

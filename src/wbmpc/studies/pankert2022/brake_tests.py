@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -16,9 +16,9 @@ from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import ControlSettings, Settings
+from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.simulation.world import GROUND
 from wbmpc.stability import CONFIGURATIONS, assess, corners, leg_angles
 from wbmpc.studies.pankert2022.rolling import RollingController
 
@@ -53,12 +53,13 @@ class SwerveBrakesSettings(Settings):
 
 @dataclass(frozen=True)
 class Bench:
-    """One robot on the test bench: settings, seed, where the log goes."""
+    """One robot on the test bench: settings, seed, where the log goes; ``plants``: those that were made for tests."""
 
     settings: SwerveBrakesSettings
     robot: RobotModel
     seed: int
     log: Log
+    plants: list[SwervePlant] = field(default_factory=list)
 
     @property
     def left_front(self) -> int:
@@ -78,9 +79,11 @@ class Bench:
     def plant(self, configuration: str, **options: object) -> SwervePlant:
         """Standing in a configuration, as its encoders see it, wheels parallel to the body."""
         x = assess(self.robot, configuration, arm=options.pop("arm", None)).x  # type: ignore[arg-type]
-        return SwervePlant(
+        plant = SwervePlant(
             self.robot.description, self.robot.state.split(x), self.settings.plant, self.seed, **options  # type: ignore[arg-type]
         )  # fmt: skip
+        self.plants.append(plant)
+        return plant
 
 
 def reject(robot: RobotModel) -> None:

@@ -12,7 +12,7 @@ from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.simulation.lockstep import Progress
+from wbmpc.simulation.lockstep import Ending, Progress, contacts_of
 from wbmpc.stability import CONFIGURATIONS
 from wbmpc.studies.pankert2022 import brake_tests
 from wbmpc.studies.pankert2022.brake_tests import Bench, Found, SwerveBrakesSettings
@@ -41,7 +41,8 @@ def build(settings: SwerveBrakesSettings, seed: int) -> Scenario:
     def test(name: str, into: dict[Any, Any], key: Any, run: Callable[..., Any], *arguments: Any) -> Part:
         def kept(progress: Progress | None) -> Outcome:
             result = into[key] = run(bench, *arguments, progress)
-            return Outcome(faults=[str(fault) for fault in result.real] if isinstance(result, Found) else ())
+            ending = Ending(contacts=contacts_of(*bench.plants[-1:]))
+            return Outcome(ending, [str(fault) for fault in result.real] if isinstance(result, Found) else ())
 
         return Part(name, kept)
 

@@ -30,13 +30,13 @@ def build(settings: SwerveCalibrateSettings, seed: int) -> Scenario:
     robot, log, found = swerve_robot(settings.robot), Log(), list[WheelCalibration]()
 
     def run(progress: Progress | None) -> Outcome:
-        controller, reason = drive(robot, settings, seed, log, progress)
+        controller, plant, reason = drive(robot, settings, seed, log, progress)
         try:
             if not reason:
                 found.append(calibrate(robot.base.geometry, record_of(log)))
         except InputError as error:  # the drive is worth keeping
             reason = f"the calibration: {error}"
-        return Outcome(Ending(reason), controller.faults, controller)
+        return Outcome(Ending.of(plant, reason=reason), controller.faults, controller)
 
     measured = lambda _: _metrics(log, found[0]) if found else {}
     return Scenario.single(log, run, measured, lambda _: _plots(log), IDEALISATIONS)

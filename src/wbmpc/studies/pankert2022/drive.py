@@ -30,7 +30,7 @@ from wbmpc.stability import CONFIGURATIONS, corners
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import metrics, plots
 from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings, straight, tour
-from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses
+from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses, ramps
 from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
@@ -42,8 +42,8 @@ SUMMARY = (
 
 IDEALISATIONS = [
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
-    "bumps are smooth and of the floor's mean friction; the door is a gap that is measured, drawn but not hit",
-    "the computation takes a constant 10 ms; the baseline's takes none",
+    "bumps are smooth and of the floor's mean friction; the door's posts are rigid",
+    "the computation takes a constant 10 ms, the baseline's too",
     "the time that a brake takes to open and to close is assumed, and known to the planner",
 ]
 
@@ -56,14 +56,20 @@ class _Run:
     robot: RobotModel
     seed: int
     log: Log
+    estimation: EstimatorSettings  # what every controller knows of the wheels
+
+    @classmethod
+    def of(cls, settings: SwerveDriveSettings, robot: RobotModel, seed: int) -> _Run:
+        return cls(settings, robot, seed, Log(), settings.estimation(robot, seed))
 
     def start(
         self, mission: Mission, edit: Callable[[mujoco.MjSpec], None] | None = None
     ) -> tuple[np.ndarray, SwervePlant]:
         home = at_home(self.robot, mission.legs)
         plant = SwervePlant(
-            self.robot.description, self.robot.state.split(home), self.settings.plant, self.seed, edit=edit
-        )
+            self.robot.description, self.robot.state.split(home), self.settings.plant, self.seed, edit=edit,
+            localisation=self.settings.global_poses(self.seed),
+        )  # fmt: skip
         return home, plant
 
     def record(
@@ -99,7 +105,7 @@ class _Run:
         timing = Timing.of(plant.timestep, s.control.rate, s.mpc.rate, s.mpc.computation_delay)
         controller = SwerveController(
             robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=s.actuator_time_constant),
-            estimation=EstimatorSettings(use_gyro=s.use_gyro, reject_lifted_wheels=s.reject_lifted_wheels),
+            estimation=self.estimation,
             supervision=SupervisionSettings(guard=s.leg_guard and knock is None, report=brakes.accept),
         )  # fmt: skip
         stand_still(plant, controller, timing, s.settle_time)
@@ -130,8 +136,10 @@ class _Run:
         controller = RollingController(
             robot, plant.truth().pose, timing.period, goals,
             RollingGains(s.baseline_base_gain, s.baseline_leg_gain, s.baseline_steer_gain, s.baseline_lead, s.baseline_look_ahead),
-            brakes.commanded, estimation=EstimatorSettings(use_gyro=s.use_gyro, reject_lifted_wheels=s.reject_lifted_wheels),
+            brakes.commanded, estimation=self.estimation, delay=s.mpc.computation_delay,
         )  # fmt: skip
+        part = robot.state["arm"]
+        controller.posture = lambda t: tuple(way[0] for way in ramps(robot.home[part], mission.arm, t))  # type: ignore[return-value, assignment]
         stand_still(plant, controller, timing, s.settle_time)
 
         def record(now: float, command: Any, plans: Any) -> None:
@@ -142,13 +150,15 @@ class _Run:
 
 
 def baseline_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
-    """Pose errors (k, 3) in the estimated frame of the baseline alone on the tour, for the search of gains; infinite if it fell or
-    ended early for another reason."""
-    robot, log = swerve_robot(settings.robot), Log()
+    """Pose errors (k, 3) in the estimated frame of the baseline alone on the tour, for the search of gains; infinite if it fell,
+    collided or ended early for another reason."""
+    robot = swerve_robot(settings.robot)
     mission, duration = tour(robot, settings.plant.brake_delay)
-    ending = _Run(settings, robot, seed, log).baseline(mission, duration, terrain).ending
+    run = _Run.of(settings, robot, seed)
+    ending, log = run.baseline(mission, duration, terrain).ending, run.log
     error = log.array("baseline.base_odometry") - log.array("baseline.base_reference")
-    return np.full_like(error, np.inf) if ending.reason else error
+    collided = any(contacts.touches for contacts in ending.contacts)
+    return np.full_like(error, np.inf) if ending.reason or collided else error
 
 
 def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
@@ -157,8 +167,8 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
     if "leg" not in robot.state:
         raise InputError(f"robot: '{settings.robot}' has fixed legs, it cannot reconfigure; valid: a base with hinges")
     reject_two_wheels(robot.description)
-    bench = _Run(settings, robot, seed, Log())
     mission, duration = tour(robot, settings.plant.brake_delay)
+    bench = _Run.of(settings, robot, seed)
     knocks: list[Knock | None] = []
 
     def aside(name: str, mission: Mission, duration: float, knock: float | None, progress: Progress | None) -> Outcome:
@@ -170,7 +180,15 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
         faults = [fault for name, o in run.outcomes.items() if name != "baseline" for fault in o.faults]
         held, baseline = run.outcomes["tour"].controller.holds, run.outcomes.get("baseline")
         knocked = knocks[0].done if knocks and knocks[0] is not None else None
-        return metrics(bench.log, robot, faults, held, knocked, None if baseline is None else baseline.ending)
+        return metrics(
+            bench.log,
+            robot,
+            faults,
+            held,
+            knocked,
+            None if baseline is None else baseline.ending,
+            settings.localization == "lidar",
+        )
 
     closed = {f"closed_{name}": straight(robot, name, False) for name in CONFIGURATIONS}
     return Scenario(

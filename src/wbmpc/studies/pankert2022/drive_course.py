@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from wbmpc.model.robot import RobotModel
-from wbmpc.simulation.world import GROUND
+from wbmpc.simulation.contacts import GROUND, OBSTACLE
 
 #: The door [m]: where it is, its width. Half widths [m] of the body and of a leg with its wheel (for the clearance).
 DOOR, DOOR_WIDTH, BODY, LEG_HALF = 3.0, 0.90, (0.451, 0.400), 0.045
@@ -18,11 +18,11 @@ BUMP_HEIGHT, BUMP_RADIUS, CABLES, CABLE_RADIUS = 0.015, 0.30, (9.0, 12.0), 0.010
 
 
 def terrain(spec: mujoco.MjSpec) -> None:
-    """Bumps and cables on the floor, and the door's posts, which are seen but touch nothing."""
+    """Bumps and cables on the floor, and the door's posts."""
     for side in (-1.0, 1.0):
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX, size=POST, pos=[DOOR, side * (0.5 * DOOR_WIDTH + POST[1]), POST[2]],
-            rgba=POST_COLOUR, contype=0, conaffinity=0,
+            rgba=POST_COLOUR, **OBSTACLE,
         )  # fmt: skip
     common = {"friction": [0.75, 0.005, 1e-4], "solref": [0.01, 1.0], **GROUND}
     for x, y in BUMPS:

@@ -11,20 +11,23 @@ from pydantic import Field
 from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, SwerveCost
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import RobotModel
-from wbmpc.settings import ExperimentSettings
 from wbmpc.stability import leg_angles
+from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
 
+#: Along the way [m]: where the turn by 180° begins, where it has been made, the end. Speed [rad/s] at which the arm folds.
+WAY, FOLDING = (9.0, 11.0, 15.0), 0.3
+#: When [s] the brakes open (1) and close (0).
+BRAKES = ((15.0, 1.0), (19.5, 0.0), (33.0, 1.0), (44.5, 0.0), (54.0, 1.0), (58.5, 0.0))
 #: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s].
 KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
 
-class SwerveDriveSettings(ExperimentSettings):
-    """``use_gyro``, ``settle_time``, ``actuator_time_constant``: as in swerve-track; ``leg_guard`` (MPC), ``reject_lifted_wheels``
-    (MPC and baseline): see :class:`wbmpc.bases.swerve.controller.SwerveController`.
+class SwerveDriveSettings(DrivingSettings):
+    """``leg_guard`` (MPC): see :class:`wbmpc.bases.swerve.controller.SwerveController`.
     ``baseline_…``: gains [1/s] for base, legs and steering; by how much
     [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
-    :class:`wbmpc.studies.pankert2022.rolling.RollingController`)."""
+    :class:`wbmpc.studies.pankert2022.rolling.RollingController`). The other settings are those of all experiments that drive."""
 
     # by runs on seed 0, looked at on seed 5
     cost: SwerveCost = SwerveCost(
@@ -33,10 +36,6 @@ class SwerveDriveSettings(ExperimentSettings):
         input=InputCost(base=5.0, steer=0.002),
     )
     robot: str = "swerve-ur10"
-    use_gyro: bool = True
-    reject_lifted_wheels: bool = False
-    settle_time: float = Field(20.0, ge=0, le=120)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     leg_guard: bool = True
     # of a search that benchmarks/swerve_baselines.py does, of which only a part was run
     baseline_base_gain: float = Field(8.0, ge=0, le=50)
@@ -49,22 +48,33 @@ class SwerveDriveSettings(ExperimentSettings):
 def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
     """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
     h, x, a = (leg_angles(robot, name) for name in "HXA")
-    quarter, end = 0.5 * np.pi, 18.0
-    # The base never stops while its brakes are open (at rest the wheels would have to turn before anything can move), and
-    # is so fast that no wheel comes to a stop while it turns: then none has to turn about in place.
+    quarter, (begin, after, end) = 0.5 * np.pi, WAY
+    # The base never stops while its brakes are open: at rest the wheels would have to turn before anything can move. Brakes are open
+    # while legs turn, and closed where wheels have to turn round (the base turns faster than it drives): they would swing the legs.
     way = (
-        Leg(1.0, 61.5, (end, 0.0, 0.0)),
-        Leg(20.0, 10.0, (end, 0.0, -quarter)),
-        Leg(30.0, 18.0, (end, 0.0, quarter)),
+        Leg(1.0, 30.5, (begin, 0.0, 0.0)),
+        Leg(20.0, 10.0, (begin, 0.0, -quarter)),
+        Leg(30.0, 19.5, (after, 0.0, -quarter)),
+        Leg(30.0, 18.0, (after, 0.0, quarter)),
+        Leg(48.0, 14.5, (end, 0.0, quarter)),
         Leg(48.0, 10.0, (end, 0.0, 0.0)),
     )
     turns = (
         Reconfiguration(15.0 + delay, x),
-        Reconfiguration(31.0, a),
+        Reconfiguration(33.0 + delay, a),
         Reconfiguration(40.0, x),
-        Reconfiguration(54.0, h),
+        Reconfiguration(54.0 + delay, h),
     )
-    return Mission(way, h, turns, ((15.0, 1.0), (58.5, 0.0))), 65.0
+    home = robot.home[robot.state["arm"]]
+    return Mission(way, h, turns, BRAKES, folding(robot, home)), 65.0
+
+
+def folding(robot: RobotModel, home: np.ndarray) -> tuple[Reconfiguration, ...]:
+    """The arm's first joint turns the end effector to before the base, and back behind the door."""
+    place = robot.pose(robot.home)[0]
+    folded = home.copy()
+    folded[0] -= float(np.arctan2(place[1], place[0]))
+    return Reconfiguration(1.0, folded, FOLDING), Reconfiguration(16.0, home, FOLDING)
 
 
 def straight(robot: RobotModel, name: str, is_open: bool) -> tuple[Mission, float]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
@@ -32,22 +33,19 @@ NAME = "swerve-fixed"
 SUMMARY = "base motions of a swerve base with fixed legs: MPC against inverse kinematics and four-wheel steering"
 
 IDEALISATIONS = [
-    "errors are in the estimated frame: what steering zeros do to the odometry is the same for all controllers, but not what slip"
-    " does, and the MPC lets wheels slip while they turn about",
     "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
-    "the computation of the MPC takes a constant 10 ms; the baselines' takes none",
+    "the computation of the MPC and of the baselines takes a constant 10 ms",
     "baselines know the reference ahead of time too: they turn their wheels before they start",
 ]
 
-Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion], SwerveController]
+Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion, EstimatorSettings], SwerveController]
 
 
 def _mpc_controller(
-    r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion
+    r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion, known: EstimatorSettings
 ) -> SwerveController:
-    return SwerveController(
-        r, pose, period, tracking=TrackingSettings(lag=s.actuator_time_constant, allow_side_slip=fast_enough(r))
-    )
+    tracking = TrackingSettings(lag=s.actuator_time_constant, allow_side_slip=fast_enough(r))
+    return SwerveController(r, pose, period, tracking=tracking, estimation=known)
 
 
 def goals(
@@ -71,8 +69,11 @@ GAINS: dict[str, dict[str, float]] = {
 def baseline(kind: type[RollingController], **gains: float) -> Make:
     """A maker of a baseline's controller."""
 
-    def make(r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion) -> SwerveController:
-        return kind(r, pose, period, lambda t: goals(p, t, legs_at_home(r)), RollingGains(**gains))
+    def make(
+        r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion, known: EstimatorSettings
+    ) -> SwerveController:
+        aims = lambda t: goals(p, t, legs_at_home(r))
+        return kind(r, pose, period, aims, RollingGains(**gains), estimation=known, delay=s.mpc.computation_delay)
 
     return make
 
@@ -93,12 +94,14 @@ def build(settings: SwerveFixedSettings, seed: int) -> Scenario:
     mpc = swerve_mpc(robot, settings.mpc, settings.cost, guess, allow_side_slip=turns)
     reference.set(mpc, robot)
     mpc.reset(robot.home)
+    known = settings.estimation(robot, seed)
     drives = {
-        n: partial(drive, n, settings, seed, robot, reference, mpc if n == "mpc" else None, log) for n in CONTROLLERS
+        n: partial(drive, n, settings, seed, robot, reference, known, mpc if n == "mpc" else None, log)
+        for n in CONTROLLERS
     }
     return Scenario(
         log, [Part(name, run, baseline=name != "mpc") for name, run in drives.items()],
-        lambda run: metrics(log, reference, CONTROLLERS, run), lambda run: plots(log, reference, CONTROLLERS),
+        lambda run: metrics(log, reference, CONTROLLERS, run, settings.localization == "lidar"), lambda run: plots(log, reference, CONTROLLERS),
         IDEALISATIONS, compared=True,
     )  # fmt: skip
 
@@ -109,14 +112,17 @@ def drive(
     seed: int,
     robot: RobotModel,
     reference: Motion,
+    known: EstimatorSettings,
     mpc: MPC | None,
     log: Log,
     progress: Progress | None = None,
 ) -> Outcome:
     """One controller over the whole reference; logs its poses as ``base_NAME`` and ``odometry_NAME``."""
-    plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed)
+    plant = SwervePlant(
+        robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=settings.global_poses(seed)
+    )
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
-    controller = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference)
+    controller = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference, known)
     if mpc is not None:
         controller.supervision.report = closed_brakes(robot, mpc)
     stand_still(plant, controller, timing, settings.settle_time)

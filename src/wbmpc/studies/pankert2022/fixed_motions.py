@@ -12,9 +12,9 @@ from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, S
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.settings import ExperimentSettings
 from wbmpc.studies.base_path import BasePath, Segment, in_turn, random_twists
 from wbmpc.studies.pankert2022.directions import reject_directions
+from wbmpc.studies.pankert2022.driving import DrivingSettings
 
 Name = Literal["forward", "sideways", "diagonal", "turning", "combined"]
 SEGMENTS: dict[Name, Segment] = {
@@ -28,10 +28,10 @@ SEGMENTS: dict[Name, Segment] = {
 START, PAUSE, RAMP = 1.0, 2.0, 1.0
 
 
-class SwerveFixedSettings(ExperimentSettings):
+class SwerveFixedSettings(DrivingSettings):
     """``motions``: which, in this order, each once at most; ``random_time`` [s] of random twists after them (600 is the ten minutes of
-    the protocol), up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]; ``settle_time`` [s] of standing first, for the gyro's bias;
-    ``actuator_time_constant`` [s] that the MPC's controller assumes."""
+    the protocol), up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]. The other settings are those of all experiments
+    that drive."""
 
     cost: SwerveCost = SwerveCost(
         end_effector=EndEffectorCost(weight=0.0, orientation=0.0),
@@ -43,8 +43,6 @@ class SwerveFixedSettings(ExperimentSettings):
     random_time: float = Field(60.0, ge=0, le=3600)
     speed: float = Field(0.5, gt=0, le=1.0)
     yaw_rate: float = Field(0.4, ge=0, le=1.0)
-    settle_time: float = Field(20.0, ge=0, le=120)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
 
     @model_validator(mode="after")
     def _something_to_compare(self) -> Self:

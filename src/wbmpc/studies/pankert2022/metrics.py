@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
+
+from wbmpc.result import Metric
 
 
 def rotation_about_z(yaw: float) -> np.ndarray:
@@ -25,3 +29,28 @@ def rms(values: np.ndarray) -> float:
 def travelled(path: np.ndarray) -> float:
     """Length [m] of a path (n, 2 or more) over the floor."""
     return float(np.sum(np.hypot(*np.diff(path[:, :2], axis=0).T)))
+
+
+def in_both_frames(
+    name: str, figure: Callable[[np.ndarray], float], errors: Sequence[np.ndarray], unit: str,
+    goal: float | None = None, paper: float | None = None, note: str = "", estimated: str = "",
+) -> dict[str, Metric]:  # fmt: skip
+    """The ``figure`` of an error in the world, ``NAME_world``, and beside it in the estimated frame, ``NAME`` with the ending
+    ``estimated``; ``errors`` (k, ...) in this order. Endings stand
+    in the place of ``{}`` of a name that has it. The goal is the world's: a bystander would measure it."""
+    world, own = errors
+    pattern = name if "{}" in name else name + "{}"
+    return {
+        pattern.format("_world"): Metric(figure(world), unit, goal=goal, paper=paper, goal_note=note),
+        pattern.format(estimated): Metric(figure(own), unit, paper=paper),
+    }
+
+
+def largest(errors: np.ndarray) -> float:
+    """Largest length of rows (n, k), or of numbers (n,)."""
+    return float(np.linalg.norm(np.atleast_2d(errors.T).T, axis=1).max())
+
+
+def mean(errors: np.ndarray) -> float:
+    """Mean length of rows (n, k), or of numbers (n,)."""
+    return float(np.linalg.norm(np.atleast_2d(errors.T).T, axis=1).mean())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,16 +45,30 @@ class Leg:
 
 @dataclass(frozen=True)
 class Reconfiguration:
-    """From ``start`` [s] the legs turn to ``angles`` (n) [rad] by ramps of ``rate`` [rad/s]."""
+    """From ``start`` [s] the legs, or the arm's joints, turn to ``angles`` (n) [rad] by ramps of ``rate`` [rad/s]."""
 
     start: float
     angles: np.ndarray
     rate: float = 0.2
 
 
+def ramps(first: np.ndarray, parts: Sequence[Reconfiguration], t: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (k, n) and rates (k, n) at times t (k,), beginning at ``first`` (n)."""
+    t = np.atleast_1d(np.asarray(t, float))
+    angle, rate = np.tile(first, (t.size, 1)), np.zeros((t.size, first.size))
+    at = np.array(first, float)
+    for part in parts:
+        way = part.angles - at
+        gone = np.clip(part.rate * (t - part.start), 0.0, None)[:, None]
+        angle += np.sign(way) * np.minimum(gone, np.abs(way))
+        rate += np.where((gone > 0.0) & (gone < np.abs(way)), part.rate * np.sign(way), 0.0)
+        at = np.array(part.angles, float)
+    return angle, rate
+
+
 @dataclass(frozen=True)
 class Mission:
-    """Base poses (from the origin), leg angles from ``legs``, brake events.
+    """Base poses (from the origin), leg angles from ``legs``, brake events, and postures of the arm (``arm``), which begins at home.
 
     ``brakes``: (time [s], open (0 or 1) for all legs); closed before the first.
     """
@@ -62,6 +77,7 @@ class Mission:
     legs: np.ndarray
     reconfigurations: tuple[Reconfiguration, ...] = ()
     brakes: tuple[tuple[float, float], ...] = ()
+    arm: tuple[Reconfiguration, ...] = ()
 
     def base(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Poses (k, 3) and their rates (k, 3) in world axes at times t (k,)."""
@@ -83,16 +99,7 @@ class Mission:
 
     def leg(self, t: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Leg angles (k, n) and rates (k, n)."""
-        t = np.atleast_1d(np.asarray(t, float))
-        angle, rate = np.tile(self.legs, (t.size, 1)), np.zeros((t.size, self.legs.size))
-        at = np.array(self.legs, float)
-        for part in self.reconfigurations:
-            way = part.angles - at
-            gone = np.clip(part.rate * (t - part.start), 0.0, None)[:, None]
-            angle += np.sign(way) * np.minimum(gone, np.abs(way))
-            rate += np.where((gone > 0.0) & (gone < np.abs(way)), part.rate * np.sign(way), 0.0)
-            at = np.array(part.angles, float)
-        return angle, rate
+        return ramps(self.legs, self.reconfigurations, t)
 
     def steer(self, robot: RobotModel, t: ArrayLike) -> np.ndarray:
         """Steering angles (k, n) [rad] that roll the references at times t (k,), within the joints' limits.
@@ -141,13 +148,15 @@ class Mission:
             brakes.set(t, np.full(self.legs.size, is_open))
 
     def set(self, mpc: MPC, robot: RobotModel, home: np.ndarray, duration: float) -> None:
-        """References of base, legs and twist; the arm's posture is that of ``home``."""
+        """References of base, legs, twist and arm, whose first posture is that of ``home``."""
         t = np.arange(0.0, duration + 0.02, 0.02)
         states, inputs = np.tile(home, (t.size, 1)), np.zeros((t.size, robot.input.size))
         states[:, robot.state["base"]] = self.base(t)[0]
         states[:, robot.state["steer"]] = self.steer(robot, t)
         states[:, robot.state["leg"]], inputs[:, robot.input["leg"]] = self.leg(t)
         inputs[:, robot.input["base"]] = self.twist(t)
+        part = robot.state["arm"]
+        states[:, part], inputs[:, robot.input["arm"]] = ramps(home[part], self.arm, t)
         mpc.reference["state"], mpc.reference["input"] = Reference(t, states), Reference(t, inputs)
 
 

@@ -11,19 +11,17 @@ from wbmpc import lie
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
-from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import RunAborted
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.simulation.contacts import GROUND, OBSTACLE
 from wbmpc.simulation.lockstep import Timing
-from wbmpc.simulation.world import GROUND
 from wbmpc.studies.pankert2022 import plaster_wall as wall
 from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.plaster_figures import metrics, plots
-from wbmpc.studies.pankert2022.reference_drive import calibrated
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 
@@ -42,8 +40,18 @@ DISTANCE_NOISE, DISTANCE_RATE, UNKNOWN = 0.002, 50.0, (10.0, 10.0)
 CABLES, CABLE_RADIUS, BUMPS, BUMP_HEIGHT, BUMP_RADIUS = (0.9, 2.6), 0.005, ((0.6, 0.5), (1.9, -0.5)), 0.010, 0.30
 
 
+def room(spec: mujoco.MjSpec) -> None:
+    """The wall on a flat floor."""
+    half = [0.5 * wall.LENGTH + 2.0, 0.05, 1.0]
+    spec.worldbody.add_geom(
+        name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=[half[0] - 1.0, wall.WALL + half[1], half[2]],
+        rgba=[0.85, 0.83, 0.78, 0.4], **OBSTACLE,
+    )  # fmt: skip
+
+
 def terrain(spec: mujoco.MjSpec) -> None:
-    """Cables across the way, smooth bumps."""
+    """The wall; cables across the way, smooth bumps."""
+    room(spec)
     common = {"friction": [0.75, 0.005, 1e-4], "solref": [0.01, 1.0], **GROUND}
     for x in CABLES:
         spec.worldbody.add_geom(
@@ -90,22 +98,20 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
     references = wall.WallReferences(settings, robot)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)
     references.set(mpc, robot)
-    source = settings.localisation.source(seed) if settings.sensors else None
     plant = SwervePlant(
         robot.description, robot.state.split(robot.home), settings.plant, seed,
-        edit=terrain if settings.terrain else None, localisation=source,
+        edit=terrain if settings.terrain else room, localisation=settings.global_poses(seed),
     )  # fmt: skip
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
-    calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
+    estimation = settings.estimation(robot, seed)
     controller = SwerveController(
         robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=settings.actuator_time_constant),
-        estimation=EstimatorSettings(calibration=calibration),
-        supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
+        estimation=estimation, supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
     stand_still(plant, controller, timing, settings.settle_time)
     mpc.reset(robot.home)
     log = Log()
-    sensor = _WallSensor(robot, timing.period, seed) if settings.sensors else None
+    sensor = _WallSensor(robot, timing.period, seed) if settings.localization == "lidar" else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if sensor is not None and t >= references.lines.start - 0.5:
@@ -125,7 +131,7 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
             )
 
     loop = Loop(plant, controller, mpc, timing, references.duration, record)
-    measured = lambda _: metrics(log, references, settings.sensors)
+    measured = lambda _: metrics(log, references, sensor is not None)
     return Scenario.single(log, loop.run, measured, lambda _: plots(log, references), IDEALISATIONS)
 
 

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost
-from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.settings import ExperimentSettings, LocalisationSettings
+from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.paths import Approach
 
@@ -36,20 +35,17 @@ ENDS = 0.45
 STOP_TIME, STOP_SPEED = 0.3, 0.1
 
 
-class SwervePlasterSettings(ExperimentSettings):
-    """``passes`` over the five lines at ``speed`` [m/s]; ``sensors``: LIDAR and wall distance (b), or odometry only (a);
-    ``terrain``: cables and bumps; ``calibration``, ``settle_time``, ``actuator_time_constant``: as in swerve-track."""
+class SwervePlasterSettings(DrivingSettings):
+    """``passes`` over the five lines at ``speed`` [m/s]; ``localization``: lidar, with a sensor of
+    the wall's distance (b), or none, odometry only (a); ``terrain``: cables and bumps. The other settings are those of all experiments
+    that drive."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=100.0))
     robot: str = "swerve-ur10"
     passes: int = Field(10, ge=1, le=50)
     speed: float = Field(0.7, gt=0.05, le=0.9)
-    sensors: bool = True
+    localization: Literal["none", "lidar"] = "lidar"
     terrain: bool = True
-    calibration: str = "drive"
-    localisation: Annotated[LocalisationSettings, OnlyWith(sensors=True, calibration="drive")] = LocalisationSettings()
-    settle_time: float = Field(20.0, ge=0, le=120)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
 
 
 @dataclass(frozen=True)

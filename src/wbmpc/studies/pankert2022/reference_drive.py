@@ -22,7 +22,7 @@ from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
-from wbmpc.settings import ControlSettings, LocalisationSettings, Settings
+from wbmpc.settings import ControlSettings, LidarSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022.directions import reject_directions
@@ -32,6 +32,7 @@ from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 class SwerveCalibrateSettings(Settings):
     """``speed`` [m/s] of the fastest wheel; ``stroke`` [m] of the straight parts; ``turn`` [rad] to the left, then right;
     ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``settle_time`` [s] before the first;
+    ``lidar``: the source of the poses;
     ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base."""
 
     robot: str = "swerve-ur10"
@@ -42,7 +43,7 @@ class SwerveCalibrateSettings(Settings):
     rounds: int = Field(1, ge=1, le=20)
     settle_time: float = Field(5.0, ge=0, le=120)
     open_brakes: bool = True
-    localisation: LocalisationSettings = LocalisationSettings()
+    lidar: LidarSettings = LidarSettings()
     control: ControlSettings = ControlSettings()
     plant: Perturbation = Perturbation()
 
@@ -138,11 +139,12 @@ def drive(
     seed: int,
     log: Log,
     progress: Progress | None = None,
-) -> tuple[SwerveController, str]:
-    """The reference drive, recorded in ``log``: the controller with its odometry, and why it ended early (empty: it did not)."""
+) -> tuple[SwerveController, SwervePlant, str]:
+    """The reference drive, recorded in ``log``: the controller with its odometry, the simulated robot, and why it ended early (empty: it
+    did not)."""
     plant = SwervePlant(
         robot.description, robot.state.split(robot.home), settings.plant, seed,
-        localisation=settings.localisation.source(seed),
+        localisation=settings.lidar.source(seed),
     )  # fmt: skip
     steps = round(1.0 / settings.control.rate / plant.timestep)
     period, geometry = steps * plant.timestep, robot.base.geometry
@@ -171,13 +173,11 @@ def drive(
                 tick(plant.time, command)
                 plant.step(command, steps)
                 if plant.fell:
-                    return controller, f"the robot fell at {plant.time:.2f} s"
-    return controller, ""
+                    return controller, plant, f"the robot fell at {plant.time:.2f} s"
+    return controller, plant, ""
 
 
-def calibrated(
-    robot: RobotModel, how: str, plant: Perturbation, localisation: LocalisationSettings, seed: int
-) -> WheelCalibration:
+def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSettings, seed: int) -> WheelCalibration:
     """What an experiment knows of its wheels: ``how`` is "none", "drive" (a reference drive of this plant first), or a file."""
     geometry = robot.base.geometry
     if how == "none":
@@ -185,7 +185,7 @@ def calibrated(
     if how == "drive":
         sound = plant.model_copy(update={"brake_fault": "none"})  # a brake fails in the run, not before it
         log = Log()
-        _, reason = drive(robot, SwerveCalibrateSettings(plant=sound, localisation=localisation), seed, log)
+        *_, reason = drive(robot, SwerveCalibrateSettings(plant=sound, lidar=lidar), seed, log)
         if reason:
             raise RunAborted(f"the reference drive for the calibration: {reason}")
         return calibrate(geometry, record_of(log))

@@ -1,12 +1,14 @@
 """Baselines without MPC: base and leg references straight through the rolling inverse kinematics.
 
 The twist that the reference asks for, corrected by the base's and the legs' errors, gives each wheel its heading and speed
-(Pankert et al. 2022, equations 4 and 5, solved for the wheels). No limits but for scaling the whole motion to the
-fastest wheel and holding it back while wheels still turn. Gains: ``benchmarks/swerve_baselines.py``, on the tuning seeds.
+(Pankert et al. 2022, equations 4 and 5, solved for the wheels). Limits are those of the drives, as
+for the MPC; the whole motion is scaled to the fastest wheel and held back while wheels still turn. Gains:
+``benchmarks/swerve_baselines.py``, on the tuning seeds.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
@@ -21,6 +23,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.mpc.policy_queue import PolicyQueue
 
+#: Gain [1/s] of the arm's joints.
+ARM_GAIN = 4.0
 #: Speed [m/s] of a contact below which its wheel is not turned.
 SLOW = 0.01
 #: t [s] -> (base pose (3), its rate (3) in world axes), (leg angles (n), rates (n); empty for fixed legs).
@@ -50,24 +54,31 @@ class RollingGains:
 
 
 class RollingController(SwerveController):
-    """``goals``: what base and legs shall do. The arm stands still. The other arguments are those of :class:`SwerveController`."""
+    """``goals``: what base and legs shall do. The arm stands still, or follows ``posture`` (t) -> (angles (m), rates (m)). ``delay``
+    [s]: by which a command acts after the measurement that it is made of. The other arguments are those of :class:`SwerveController`."""
+
+    posture: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = None
 
     def __init__(
         self, robot: RobotModel, pose: np.ndarray, period: float, goals: Goals, gains: RollingGains | None = None,
         brakes: Brakes | None = None, *, estimation: EstimatorSettings | None = None,
-        supervision: SupervisionSettings | None = None,
+        supervision: SupervisionSettings | None = None, delay: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__(robot, pose, period, brakes, estimation=estimation, supervision=supervision)
         self.goals, self.gains = goals, gains or RollingGains()
+        not_negative("rolling controller", delay=delay)
+        self._waiting: deque[SwerveCommand] = deque(maxlen=round(delay / period) + 1)
 
     def command(self, t: float, plans: PolicyQueue) -> SwerveCommand:
-        """As :meth:`drive`; plans are not looked at."""
-        return self.drive(t)
+        """What :meth:`drive` made of the measurement before the delay; plans are not looked at."""
+        self._waiting.append(self.drive(t))
+        return self._waiting[0]
 
     def drive(self, t: float) -> SwerveCommand:
         """Drive speeds for this tick from the last measurement."""
         m, brake, geometry = self.measured, self.brakes(t), self.robot.base.geometry
         assert m is not None
+        measured = self.estimator.steer
         (pose, rate), legs = self.goals(t + self.gains.lead)
         leg, swing = self._legs(*legs, brake)
         resting = np.abs(rate).max() < REST and np.abs(swing).max(initial=0.0) < REST
@@ -75,17 +86,24 @@ class RollingController(SwerveController):
             target, wheel = self._await(t, leg)
         else:
             twist = self.twist(pose - self.pose, rate)
-            target, wheel = rolling_inverse_kinematics(geometry, leg, m.steer, twist, swing)
-            target = np.where(np.abs(wheel) * geometry.wheel_radius < SLOW, m.steer, target)
+            target, wheel = rolling_inverse_kinematics(geometry, leg, measured, twist, swing)
+            target = np.where(np.abs(wheel) * geometry.wheel_radius < SLOW, measured, target)
         target, wheel = self._within(target, wheel)
         # wheels that point elsewhere would drag the base along: slow down until they have turned
-        limit = self.robot.limits.input_upper
+        limit = self.robot.limits.actuator_upper
         wheel = scale_wheels(wheel, float(limit[self.robot.input["wheel"]].min()))
-        wheel = wheel * float(np.cos(np.minimum(np.abs(target - m.steer), 0.5 * np.pi)).min())
+        wheel = wheel * float(np.cos(np.minimum(np.abs(target - measured), 0.5 * np.pi)).min())
         steer_limit = limit[self.robot.input["steer"]]
-        steer = np.clip(self.gains.steer_gain * (target - m.steer), -steer_limit, steer_limit)
+        steer = np.clip(self.gains.steer_gain * (target - measured), -steer_limit, steer_limit)
         self.watch(t, brake, swing)
-        return SwerveCommand(wheel, steer, np.zeros(m.arm.size), brake)
+        return SwerveCommand(wheel * self.wheel_scale, steer, self._arm(t, m.arm), brake)
+
+    def _arm(self, t: float, measured: np.ndarray) -> np.ndarray:
+        """Speeds (m) [rad/s] of the arm's joints."""
+        if self.posture is None:
+            return np.zeros(measured.size)
+        angles, rates = self.posture(t)
+        return rates + ARM_GAIN * (angles - measured)
 
     def twist(self, error: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Body twist (3) for the pose error (3) and the reference's rate (3), both in world axes."""
@@ -102,14 +120,15 @@ class RollingController(SwerveController):
         if not m.leg.size:
             return still, still
         limit = self.robot.limits.input_upper[self.robot.input["leg"]]
-        return m.leg, brake * np.clip(rate + self.gains.leg_gain * (target - m.leg), -limit, limit)
+        leg = self.estimator.leg
+        return leg, brake * np.clip(rate + self.gains.leg_gain * (target - leg), -limit, limit)
 
     def _await(self, t: float, leg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steering for the motion that comes, wheels at rest."""
         assert self.measured is not None
         soon = self.goals(t + self.gains.look_ahead)[0][1]
         aim = self._in_base(soon) if np.abs(soon).max() >= REST else np.zeros(3)
-        target, _ = rolling_inverse_kinematics(self.robot.base.geometry, leg, self.measured.steer, aim)
+        target, _ = rolling_inverse_kinematics(self.robot.base.geometry, leg, self.estimator.steer, aim)
         return target, np.zeros(target.size)
 
     def _within(self, target: np.ndarray, wheel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,14 +10,12 @@ from wbmpc import lie
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
-from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022.metrics import in_frame, rotation_about_z
-from wbmpc.studies.pankert2022.reference_drive import calibrated
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.track_figures import SPEEDS, metrics, plots
@@ -42,21 +40,19 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     robot = swerve_robot(settings.robot)
     references = TrackReferences(settings, robot)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)
-    source = settings.localisation.source(seed) if settings.global_poses else None
-    plant = SwervePlant(robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=source)
+    plant = SwervePlant(
+        robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=settings.global_poses(seed)
+    )
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     # after everything that rejects bad settings at once
-    calibration = calibrated(robot, settings.calibration, settings.plant, settings.localisation, seed)
+    estimation = settings.estimation(robot, seed, settings.smoothing)
     pose0 = plant.truth().pose
     controller = SwerveController(
         robot, pose0, timing.period, tracking=TrackingSettings(lag=settings.actuator_time_constant, friction=settings.friction),
-        estimation=EstimatorSettings(
-            calibration=calibration, use_gyro=settings.use_gyro, smoothing=settings.smoothing
-        ),
-        supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
+        estimation=estimation, supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
     # the model's base has one height: what the true one lacks of it, the end effector makes up for
-    references.set(mpc, robot.home, -calibration.rise(robot.base.geometry))
+    references.set(mpc, robot.home, -controller.estimator.calibration.rise(robot.base.geometry))
     stand_still(plant, controller, timing, settings.settle_time)
     release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
     mpc.reset(robot.home)
@@ -82,6 +78,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         position, turn = (part[0] for part in references.pose(np.array([t])))
         target = lie.quaternion_to_rotation(turn)
         log.add("hand_rotation", t, lie.rotation_angle(rotation_about_z(pose[2]) @ truth.tool_rotation_in_base, target))
+        log.add("hand_rotation_world", t, lie.rotation_angle(truth.tool_rotation, target))
         log.add("hand_reference", t, position)
         log.add("input", t, plans.current.feedforward(t))
         log.add("wheel_command", t, command.wheel)

@@ -13,7 +13,7 @@ from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.settings import ExperimentSettings, LocalisationSettings
+from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.paths import Approach, SinePath
 
 #: Length of one period [m] (15.96 m for six) and heights, offsets of the end effector's path [m].
@@ -26,14 +26,11 @@ END_EFFECTOR_ROTATION = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 
 END_EFFECTOR_ORIENTATION = lie.rotation_to_quaternion(END_EFFECTOR_ROTATION)
 
 
-class SwerveTrackSettings(ExperimentSettings):
+class SwerveTrackSettings(DrivingSettings):
     """``periods`` of the sine (6 periods are the paper's 15.96 m), its ``amplitude`` [m] and ``variant`` (``vertical``: upright;
     ``peaks``: horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` along it [m/s]
-    (an end effector that is elsewhere at home comes to its start first); ``use_gyro``, whose bias shows over ``settle_time`` [s] of
-    standing (0: it shows under way, and the pose is corrected late); ``calibration`` of the wheels: drive (a reference drive with
-    ``localisation`` first), none, or a file that 'wbmpc calibrate' wrote; ``global_poses``: whether the run itself has the
-    ``localisation``; ``actuator_time_constant`` [s] that the controller assumes; ``friction``, ``smoothing``: see
-    :class:`wbmpc.bases.swerve.controller.SwerveController`."""
+    (an end effector that is elsewhere at home comes to its start first); ``friction``, ``smoothing``: see
+    :class:`wbmpc.bases.swerve.controller.SwerveController`. The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(end_effector=EndEffectorCost(weight=4000.0))
     robot: str = "swerve-ur10"
@@ -41,16 +38,8 @@ class SwerveTrackSettings(ExperimentSettings):
     periods: int = Field(6, ge=1, le=20)
     speed: float = Field(0.255, ge=0.01, le=0.8)
     amplitude: Annotated[float, OnlyWith(variant=("horizontal", "vertical"))] = Field(0.498, gt=0, le=0.6)
-    use_gyro: bool = True
-    calibration: str = "drive"
-    global_poses: bool = False
-    localisation: Annotated[LocalisationSettings, OnlyWith(global_poses=True, calibration="drive")] = (
-        LocalisationSettings()
-    )
     friction: bool = True
     smoothing: float = Field(0.025, ge=0, le=1)
-    settle_time: float = Field(20.0, ge=0, le=120)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
 
 
 class TrackReferences:

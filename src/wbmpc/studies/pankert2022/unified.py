@@ -15,7 +15,6 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import ROLLING_SOFTNESS, swerve_problem
-from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant, reject_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
@@ -116,11 +115,13 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     mpc.reference["end_effector"] = Reference.poses(t, np.array(HOLD) + approach.offset(t)[0], approach.offset(t)[1])
     brakes = BrakeControl(robot, delay=settings.plant.brake_delay, changed=mpc.set_schedule)
     mission.apply(brakes)
-    plant = SwervePlant(robot.description, robot.state.split(home), settings.plant, seed)
+    plant = SwervePlant(
+        robot.description, robot.state.split(home), settings.plant, seed, localisation=settings.global_poses(seed)
+    )
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     controller = SwerveController(
         robot, plant.truth().pose, timing.period, brakes, tracking=TrackingSettings(lag=settings.actuator_time_constant),
-        estimation=EstimatorSettings(use_gyro=settings.use_gyro),
+        estimation=settings.estimation(robot, seed),
         supervision=SupervisionSettings(guard=settings.leg_guard, report=brakes.accept),
     )  # fmt: skip
     stand_still(plant, controller, timing, settings.settle_time)

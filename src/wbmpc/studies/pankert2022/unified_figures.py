@@ -10,7 +10,7 @@ from wbmpc.result import Drawing, Metric, Plot, Series
 from wbmpc.stability import StanceOf, draw
 from wbmpc.stability.assessment import Assessment
 from wbmpc.stability.geometry import overlap_regions
-from wbmpc.studies.pankert2022.metrics import rms, travelled
+from wbmpc.studies.pankert2022.metrics import in_both_frames, largest, rms, travelled
 
 #: Errors of the base [m, rad] at the end with which it counts as there; what may keep it from there.
 THERE, TURNED = 0.05, 0.05
@@ -25,17 +25,18 @@ def metrics(log: Log, begin: float, free: bool, faults: int, held: int) -> dict[
         use[:] = True
     error = lambda a, b: (log.array(a) - log.array(b))[use]
     base = log.array("base")[use]
-    drift = error("base_reference", "base_odometry")
+    off = tuple(error(name, "hand_reference") for name in ("hand", "hand_odometry"))
+    drift = tuple(error(name, "base_reference") for name in ("base", "base_odometry"))
+    place, yaw = tuple(d[:, :2] for d in drift), tuple(d[:, 2] for d in drift)
     margins = log.array("support_margin")[use]
     metrics = {
-        "hand_error_rms": Metric(rms(error("hand_odometry", "hand_reference")), "m", goal=0.005),
-        "hand_error_max": Metric(float(np.linalg.norm(error("hand_odometry", "hand_reference"), axis=1).max()), "m"),
-        "hand_error_rms_world": Metric(rms(error("hand", "hand_reference")), "m"),
+        **in_both_frames("hand_error_rms", rms, off, "m", goal=0.003),
+        **in_both_frames("hand_error_max", largest, off, "m"),
+        **in_both_frames("base_position_error_rms", rms, place, "m"),
+        **in_both_frames("base_yaw_error_rms", rms, yaw, "rad"),
+        **in_both_frames("base_position_error_end", lambda e: largest(e[-1:]), place, "m", goal=THERE, note=REACH_NOTE),
+        **in_both_frames("base_yaw_error_end", lambda e: largest(e[-1:]), yaw, "rad", goal=TURNED, note=REACH_NOTE),
         "base_travel": Metric(travelled(base), "m"),
-        "base_position_error_rms": Metric(rms(drift[:, :2]), "m"),
-        "base_yaw_error_rms": Metric(rms(drift[:, 2:]), "rad"),
-        "base_position_error_end": Metric(float(np.hypot(*drift[-1, :2])), "m", goal=THERE, goal_note=REACH_NOTE),
-        "base_yaw_error_end": Metric(float(abs(drift[-1, 2])), "rad", goal=TURNED, goal_note=REACH_NOTE),
         "support_margin_end": Metric(float(margins[-1, 0]), "m"),
         "support_margin_min": Metric(float(margins[:, 0].min()), "m"),
         "wheel_slip_max": Metric(float(log.array("wheel_slip")[use].max()), "m/s"),
@@ -67,6 +68,9 @@ def plots(log: Log, robot: RobotModel, begin: float) -> list[Plot | Drawing]:
         ], equal_axes=True),
         Plot("End effector error", "time [s]", "error [mm]", [
             Series("estimated frame", t[use], error("hand_odometry")[use]), Series("world", t[use], error("hand")[use]),
+        ]),
+        Plot("Base error, world", "time [s]", "error [mm, mrad]", [
+            Series(n, t, 1e3 * (base - target)[:, k]) for k, n in enumerate(("x", "y", "yaw"))
         ]),
         Plot("Base error, estimated frame", "time [s]", "error [mm, mrad]", [
             Series(n, t, 1e3 * (odometry - target)[:, k]) for k, n in enumerate(("x", "y", "yaw"))

@@ -8,7 +8,8 @@ from pydantic import BeforeValidator, Field
 
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost
 from wbmpc.configuration import kind_alone
-from wbmpc.settings import ExperimentSettings, Settings, Weight
+from wbmpc.settings import Settings, Weight
+from wbmpc.studies.pankert2022.driving import DrivingSettings
 
 #: Where the legs begin if nothing else is said.
 AT_HOME = "home"
@@ -36,16 +37,13 @@ class SupportLegs(Settings):
 Legs = Annotated[TargetLegs | SupportLegs, Field(discriminator="kind"), BeforeValidator(kind_alone)]
 
 
-class SwerveUnifiedSettings(ExperimentSettings):
+class SwerveUnifiedSettings(DrivingSettings):
     """``leg_start``: H, X, A, angles [rad] in brackets, one for each leg, or home; ``legs``: what moves them from there, targets
-    (``legs.goal``, as ``leg_start``) or their support (:class:`SupportLegs`); ``use_gyro``, ``settle_time``,
-    ``actuator_time_constant``: as in swerve-track; ``leg_guard``: see :class:`wbmpc.bases.swerve.controller.SwerveController`."""
+    (``legs.goal``, as ``leg_start``) or their support (:class:`SupportLegs`);
+    ``leg_guard``: see :class:`wbmpc.bases.swerve.controller.SwerveController`. The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
     robot: str = "swerve-ur10"
     leg_start: Configuration = AT_HOME
     legs: Legs = TargetLegs()
-    use_gyro: bool = True
-    settle_time: float = Field(20.0, ge=0, le=120)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     leg_guard: bool = True

@@ -19,9 +19,9 @@ from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.settings import Settings
-from wbmpc.simulation.lockstep import Progress, watched
+from wbmpc.simulation.contacts import GROUND
+from wbmpc.simulation.lockstep import Ending, Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.simulation.world import GROUND
 from wbmpc.stability import CONFIGURATIONS, assess, corners
 from wbmpc.studies.pankert2022.support_prediction import RAISE, REST, Case
 from wbmpc.studies.pankert2022.wobble_figures import RATE, TURN, Predictions, metrics, plots
@@ -122,7 +122,7 @@ def _simulate(
             command = SwerveCommand(still, still, arm, still)
             tick(t, command)
             plant.step(command, steps)
-    return Outcome(faults=[str(fault) for fault in monitor.real])
+    return Outcome(Ending.of(plant), [str(fault) for fault in monitor.real])
 
 
 EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveWobbleSettings, build)

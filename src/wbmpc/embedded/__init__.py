@@ -1,0 +1,1 @@
+"""Controllers for a robot's own program: one object file with a C header, without Python."""

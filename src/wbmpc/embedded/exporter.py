@@ -1,0 +1,137 @@
+"""An MPC as an object file with a C header, an example, and a file for CMake."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from wbmpc.embedded.image import Image, check_exportable, make_image
+from wbmpc.embedded.interface import interface
+from wbmpc.embedded.texts import write_texts
+from wbmpc.errors import InputError, KernelError
+from wbmpc.kernel.codegen_target import Target, find_target, generating_for, register_width
+from wbmpc.kernel.compiled import emit_problem
+from wbmpc.kernel.object_file import Symbols, link, symbols
+from wbmpc.mpc.mpc import MPC
+from wbmpc.output_file import whole_file
+from wbmpc.solver import compilation, controller, feedback
+
+#: All that the object file may need from elsewhere: the C library's mathematics, and copies and zeros of memory.
+ALLOWED = frozenset(
+    {
+        "sin",
+        "cos",
+        "tan",
+        "sincos",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "asinh",
+        "acosh",
+        "atanh",
+        "exp",
+        "log",
+    }
+    | {"log1p", "expm1", "pow", "fmax", "fmin", "floor", "ceil", "round", "trunc", "fmod", "hypot", "copysign", "erf"}
+    | {"memcpy", "memset", "memmove"}
+)
+
+
+#: Of C and C++, as far as a prefix could be one.
+KEYWORDS = frozenset(
+    """alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl concept const const_cast consteval
+    constexpr constinit continue co_await co_return co_yield decltype default delete do double dynamic_cast else enum explicit export
+    extern false float for friend goto if inline int long mutable namespace new noexcept not not_eq nullptr operator or or_eq private
+    protected public register reinterpret_cast requires restrict return short signed sizeof static static_assert static_cast struct
+    switch template this thread_local throw true try typedef typeid typename typeof union unsigned using virtual void volatile wchar_t
+    while xor xor_eq main""".split()  # noqa: SIM905
+)
+
+
+@dataclass(frozen=True)
+class Export:
+    """What :func:`export` wrote: the object file, what it defines and needs, and what it has room for."""
+
+    directory: Path
+    prefix: str
+    target: str
+    object_size: int
+    symbols: Symbols
+    image: Image
+
+    @property
+    def block_size(self) -> int:
+        """Of the memory that the caller gives [bytes]."""
+        return 8 * self.image.offsets()["end"]
+
+
+def export(
+    mpc: MPC, directory: str | Path, *, prefix: str = "controller", target: str = "native", samples: int = 100
+) -> Export:
+    """Write the controller of ``mpc``, as it is now, into ``directory``, for programs without Python.
+
+    The files: ``PREFIX.o`` and ``PREFIX.h``, ``example.c``, ``CMakeLists.txt``, ``README.md``. The object file has everything from
+    observation to input: :meth:`MPC.update` and :class:`Policy`, weights, references and the mode schedule as they are in ``mpc``,
+    and the trajectories of :meth:`MPC.reset` to start from. It allocates nothing and keeps its state in one block of the caller's.
+    All its symbols begin with ``prefix``. ``target``: "native", "x86-64-v3" or "aarch64". ``samples``: of each reference, and
+    events, that there is room for.
+
+    Raises :class:`InputError` for another target or prefix, and for an MPC of which a part runs in Python alone.
+    """
+    check_exportable(mpc)
+    if not re.fullmatch("[a-z][a-z0-9_]*", prefix):
+        raise InputError(
+            f"export: prefix '{prefix}': valid: a lower-case letter, then lower-case letters, digits and '_'"
+        )
+    if samples < 1:
+        raise InputError(f"export: samples: a whole number from 1 on is needed, got {samples}")
+    chosen, folder = find_target(target), Path(directory)
+    image = make_image(mpc, samples)
+    code = _object(mpc, image, chosen, prefix)
+    found = _checked(code, prefix)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"export: '{folder}' cannot be made ({error.strerror})") from error
+    with whole_file(folder / f"{prefix}.o") as path:
+        path.write_bytes(code)
+    done = Export(folder, prefix, target, len(code), found, image)
+    write_texts(done, mpc, chosen)
+    return done
+
+
+def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
+    with generating_for(target):
+        problem, _ = emit_problem(mpc.solver.problem)
+        features = _features(target, register_width())
+        libraries = [library.optimised() for library in (compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY)]
+    magic = int.from_bytes(
+        hashlib.sha256(problem.encode() + image.words().tobytes()).digest()[:8], "little", signed=True
+    )
+    return link([interface(image, prefix, magic, features), problem, *libraries], target, f"{prefix}_")
+
+
+def _features(target: Target, width: int) -> tuple[str, ...] | None:
+    """What a processor of the x86 family is looked at for; None for others, and where this machine cannot write such code."""
+    if not target.triple.startswith("x86_64") or platform.machine() not in ("x86_64", "AMD64"):
+        return None
+    if width == 2:
+        return ()
+    wide = ("avx512f", "avx512dq", "avx512bw", "avx512vl") if width == 8 else ()
+    return ("fma", "avx", "bmi1", "avx2", "bmi2", *wide)
+
+
+def _checked(code: bytes, prefix: str) -> Symbols:
+    found = symbols(code)
+    foreign = [name for name in found.defined if not name.startswith(f"{prefix}_")]
+    unknown = [name for name in found.undefined if name not in ALLOWED]
+    if foreign or unknown:
+        raise KernelError(f"export: the object file defines {foreign} and needs {unknown}")
+    return found

@@ -1,0 +1,66 @@
+"""Several LLVM modules as one object file of which only chosen functions can be seen."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import llvmlite.binding as llvm
+
+from wbmpc.errors import KernelError
+from wbmpc.kernel.codegen_target import Target, machine_for, parsed
+
+
+class Symbols(NamedTuple):
+    """Of an object file: what others can link with, and what it needs from elsewhere."""
+
+    defined: list[str]
+    undefined: list[str]
+
+
+def link(modules: Sequence[str | bytes], target: Target, prefix: str) -> bytes:
+    """Position-independent object code of LLVM modules (text, or bitcode that passes have gone through); what does not begin with
+    ``prefix`` is internal, and dropped if nothing uses it."""
+    machine = machine_for(target, 1)
+    parts = [parsed(module) for module in modules]
+    for part in parts:
+        part.triple, part.data_layout = target.triple, str(machine.target_data)
+    whole = parts[0]
+    for part in parts[1:]:
+        whole.link_in(part)
+    for thing in (*whole.functions, *whole.global_variables):
+        if not thing.is_declaration and not thing.name.startswith(prefix):
+            thing.linkage = "internal"
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))
+    return bytes(machine.emit_object(whole))
+
+
+def symbols(code: bytes) -> Symbols:
+    """What a 64-bit little-endian ELF object defines for others and needs, each sorted."""
+    if code[:6] != b"\x7fELF\x02\x01":
+        raise KernelError("the object code is not in the ELF format of 64-bit little-endian systems")
+    defined: set[str] = set()
+    undefined: set[str] = set()
+    for name, info, section in _symbol_table(code):
+        if (
+            name and info >> 4 in (1, 2) and name != "_GLOBAL_OFFSET_TABLE_"
+        ):  # global or weak; the linker makes that one
+            (defined if section else undefined).add(name)
+    return Symbols(sorted(defined), sorted(undefined))
+
+
+def _symbol_table(code: bytes) -> Iterator[tuple[str, int, int]]:
+    """(name, info, section) of every symbol, by the layout that the ELF specification gives."""
+    (start,) = struct.unpack_from("<Q", code, 0x28)
+    size, count, _ = struct.unpack_from("<HHH", code, 0x3A)
+    sections = [struct.unpack_from("<IIQQQQIIQQ", code, start + i * size) for i in range(count)]
+    for kind, offset, length, strings in ((s[1], s[4], s[5], s[6]) for s in sections):
+        if kind != 2:  # SHT_SYMTAB
+            continue
+        names = sections[strings][4]
+        for at in range(offset, offset + length, 24):
+            name, info, _, section = struct.unpack_from("<IBBH", code, at)
+            yield code[names + name : code.index(b"\0", names + name)].decode(), info, section

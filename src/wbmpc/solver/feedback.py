@@ -1,0 +1,207 @@
+"""Compiled code of a policy: the planned input with feedback, held within the hard rows of the inputs.
+
+``limits`` is one array: lower and upper bounds (nu each), then of the r rows ``matrix`` u + offset ≥ 0 the matrix (r, nu), the
+offsets (r,), which inputs a row may scale back (r, nu; 1 or 0), and the input of a row that looks at one alone (r,; −1: several).
+``room``: 3 nu + r numbers to work in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.kernel.ir import Floats, Integers
+from wbmpc.kernel.library import Library
+from wbmpc.solver.receding import LINEAR
+
+LIBRARY = Library("policy", rooms=("solver", "kernel", "ocp"))
+compiled = LIBRARY.step
+#: Share of a bound (or of 1, where that is more) beyond which an input counts as cut: the rest is rounding.
+ROUNDING = 1e-9
+#: What became of an input.
+FINE, CUT, NOT_FINITE = 0, 1, -1
+
+
+@compiled
+def interval(times: Floats, n: int, t: float) -> int:
+    """Which of the ``n`` intervals between ``times`` (n + 1) holds at time t; the first and the last one outside."""
+    low, high = 0, n - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        if times[middle] <= t + 1e-9:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@compiled
+def share(times: Floats, k: int, t: float) -> float:
+    """How much of interval k has passed at time t, from 0 to 1."""
+    return min(max((t - times[k]) / (times[k + 1] - times[k]), 0.0), 1.0)
+
+
+@compiled
+def planned_state(times: Floats, states: Floats, n: int, nx: int, t: float, x: Floats) -> None:
+    """The planned state at time t: linear between the nodes."""
+    k = interval(times, n, t)
+    a = share(times, k, t)
+    for i in range(nx):
+        x[i] = (1.0 - a) * states[k * nx + i] + a * states[(k + 1) * nx + i]
+
+
+@compiled
+def law(
+    times: Floats, states: Floats, inputs: Floats, gains: Floats, n: int, nx: int, nu: int, t: float, x: Floats, u: Floats
+) -> bool:  # fmt: skip
+    """u = u_ff + K (x − x_ff) at time t; whether it is finite."""
+    k = interval(times, n, t)
+    a = share(times, k, t)
+    for j in range(nu):
+        u[j] = inputs[k * nu + j]
+    for i in range(nx):
+        apart = x[i] - ((1.0 - a) * states[k * nx + i] + a * states[(k + 1) * nx + i])
+        for j in range(nu):
+            u[j] += gains[(k * nu + j) * nx + i] * apart
+    finite = True
+    for j in range(nu):
+        finite = finite and np.isfinite(u[j])
+    return finite
+
+
+@compiled
+def moved_bounds(limits: Floats, r: int, nu: int, active: Floats, k: int, room: Floats) -> None:
+    """Bounds in ``room``: those that hold for good, and those of the rows of single inputs with the offsets behind them."""
+    offset, single = 3 * nu, 2 * nu + 2 * r * nu + r
+    for row in range(r):
+        i = int(limits[single + row])
+        if i < 0 or active[k * r + row] <= 0.0:
+            continue
+        slope = limits[2 * nu + row * nu + i]
+        bound = -room[offset + row] / slope
+        if slope > 0.0:
+            room[i] = max(room[i], bound)
+        else:
+            room[nu + i] = min(room[nu + i], bound)
+
+
+@compiled
+def clip(u: Floats, nu: int, room: Floats) -> bool:
+    """Cut inputs one by one to the bounds in ``room``; whether any was further outside than by rounding."""
+    far = False
+    for i in range(nu):
+        out = max(u[i] - room[nu + i], room[i] - u[i])
+        if out > 0.0:
+            far = far or out > ROUNDING * max(abs(u[i]), 1.0)
+            u[i] = min(max(u[i], room[i]), room[nu + i])
+    return far
+
+
+@compiled
+def scale_back(
+    u: Floats, inputs: Floats, limits: Floats, r: int, nu: int, active: Floats, k: int, room: Floats
+) -> bool:
+    """Feedback smaller where rows need it; whether any does. What the plan itself lacks of a row is not made worse."""
+    matrix, coupled, offset, shares, found = 2 * nu, 2 * nu + r * nu + r, 3 * nu, 2 * nu, False
+    for i in range(nu):
+        room[shares + i] = 1.0
+    for row in range(r):
+        if active[k * r + row] <= 0.0:
+            continue
+        now, planned = room[offset + row], room[offset + row]
+        for i in range(nu):
+            now += limits[matrix + row * nu + i] * u[i]
+            planned += limits[matrix + row * nu + i] * inputs[k * nu + i]
+        if now >= -ROUNDING:
+            continue
+        found, planned = True, max(planned, 0.0)
+        for i in range(nu):
+            if limits[coupled + row * nu + i] > 0.0:
+                room[shares + i] = min(room[shares + i], planned / (planned - now))
+    for i in range(nu):
+        if room[shares + i] < 1.0:
+            u[i] = (u[i] - inputs[k * nu + i]) * room[shares + i] + inputs[k * nu + i]
+    return found
+
+
+@compiled
+def within(
+    u: Floats, inputs: Floats, k: int, limits: Floats, active: Floats, r: int, nu: int, moved: bool, feedback: bool,
+    room: Floats,
+) -> bool:  # fmt: skip
+    """``u`` within the limits in interval k; whether it was cut. ``moved``: the rows' offsets are those in ``room``; ``feedback``:
+    rows of several inputs scale back what it adds to the planned ``inputs``."""
+    for i in range(2 * nu):
+        room[i] = limits[i]
+    if moved:
+        moved_bounds(limits, r, nu, active, k, room)
+    else:
+        for row in range(r):
+            room[3 * nu + row] = limits[2 * nu + r * nu + row]
+    far = clip(u, nu, room)
+    if feedback and scale_back(u, inputs, limits, r, nu, active, k, room):
+        far = True
+        clip(u, nu, room)  # a plan that is outside itself
+    return far
+
+
+@compiled
+def hold(
+    times: Floats, inputs: Floats, limits: Floats, active: Floats, moving: Floats, n: int, nu: int, r: int, moves: int,
+    feedback: bool, t: float, room: Floats, u: Floats,
+) -> bool:  # fmt: skip
+    """As :func:`within` at time t, with offsets that are linear in time over an interval where they move."""
+    k = interval(times, n, t)
+    if moves > 0:
+        a = share(times, k, t)
+        for row in range(r):
+            room[3 * nu + row] = (1.0 - a) * moving[2 * k * r + row] + a * moving[(2 * k + 1) * r + row]
+    return within(u, inputs, k, limits, active, r, nu, moves > 0, feedback, room)
+
+
+@compiled
+def evaluate(
+    times: Floats, states: Floats, inputs: Floats, gains: Floats, limits: Floats, active: Floats, moving: Floats, n: int, nx: int,
+    nu: int, r: int, moves: int, limited: bool, t: float, x: Floats, room: Floats, u: Floats,
+) -> int:  # fmt: skip
+    """The input at time t in the state x: FINE, CUT to the limits where it is ``limited``, or NOT_FINITE."""
+    if not law(times, states, inputs, gains, n, nx, nu, t, x, u):
+        return NOT_FINITE
+    if limited and hold(times, inputs, limits, active, moving, n, nu, r, moves, True, t, room, u):
+        return CUT
+    return FINE
+
+
+@compiled
+def plan_rows(
+    p: Floats, p_at: int, n: int, size: int, w: Floats, w_at: int, integers: Integers, nu: int, limits: Floats, rows: Floats,
+    switches: Integers, r: int, moves: int, by_node: int, by_constant: int, room: Floats, active: Floats, moving: Floats,
+) -> None:  # fmt: skip
+    """Of the rows of ``limits`` in each of n intervals: which count, ``active`` (n, r), and where ``moves`` their offsets at its
+    beginning and end, ``moving`` (n, 2, r). ``p`` from ``p_at`` on: the nodes' parameters (n + 1, size); ``w``: those of the whole
+    horizon; ``switches`` (r,): the node's parameter that turns each on, or −1; ``rows``: what p (r, by_node) and w (r, by_constant)
+    add to the offsets; ``integers``: of the references. ``room``: by_node numbers.
+
+    What is linear in time at the nodes goes on to the next one, all else holds over an interval."""
+    for k in range(n):
+        for row in range(r):
+            active[k * r + row] = 1.0 if switches[row] < 0 else p[p_at + k * size + switches[row]]
+    if moves == 0:
+        return
+    for j in range(by_node):
+        room[j] = 0.0
+    for slot in range(integers[0]):
+        s = 4 + 6 * slot
+        if integers[s + 4] == LINEAR:
+            for j in range(integers[s + 3]):
+                room[integers[s + 5] + j] = 1.0
+    for row in range(r):
+        fixed = limits[(2 + r) * nu + row]
+        for j in range(by_constant):
+            fixed += rows[r * by_node + row * by_constant + j] * w[w_at + j]
+        for k in range(n):
+            start, end, at = fixed, fixed, p_at + k * size
+            for j in range(by_node):
+                slope = rows[row * by_node + j]
+                start += slope * p[at + j]
+                end += slope * (p[at + size + j] if room[j] > 0.0 else p[at + j])
+            moving[2 * k * r + row], moving[(2 * k + 1) * r + row] = start, end

@@ -1,0 +1,84 @@
+"""The ball robot's adapter without a bus. Truth: forward kinematics, clocks that a test sets, limits of the settings."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import needs_dds
+
+from wbmpc.bases.ball.ros import POSTURES, BallMessage, BallRosAdapter, bodies
+from wbmpc.bases.ball.ros_settings import BallRosSettings
+from wbmpc.errors import InputError
+from wbmpc.model.robot import load_robot
+from wbmpc.ros2.goals import EndEffectorTrack, Planner
+from wbmpc.ros2.robot import BusRobot
+from wbmpc.ros2.settings import Speeds, Topics
+from wbmpc.runtime.clock import WallClock
+
+pytestmark = needs_dds
+ROBOT = load_robot("rezero")
+
+
+@pytest.fixture(scope="module")
+def adapter() -> Any:
+    """Making one takes seconds."""
+    return BallRosAdapter(ROBOT, BallRosSettings(), 1.0 / 400.0)
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_time_that_goes_back_is_another_clocks(adapter: Any, simulated: bool) -> None:
+    """A simulator that was started anew has the robot at its beginning again, its arm where the encoders say; with a clock that was
+    set the robot is where it was. In both cases it is upright, and at the message's time."""
+    adapter.settings = BallRosSettings(use_sim_time=simulated)
+    arm, wheel, still = ROBOT.home[ROBOT.state["arm"]], np.zeros(3), (np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    x = ROBOT.home.copy()
+    x[:3] = 0.5, -0.2, 0.3
+    adapter.begin(x)
+    for t in (17.0, 17.0025):
+        adapter.controller.follow(BallMessage(t, t, wheel, arm, *still))
+    adapter.stand(BallMessage(17.005, 17.005, wheel, arm, *still))
+    t, previous = adapter.snapshot()
+    assert t == pytest.approx(17.005) and previous[:3] == pytest.approx(x[:3], abs=1e-3)
+    for t in (1.0, 1.0025):
+        adapter.stand(BallMessage(t, t, wheel, arm + 0.1, *still))
+        found = adapter.snapshot()
+        assert found[0] == pytest.approx(t)
+        np.testing.assert_allclose(found[1][ROBOT.state["arm"]], arm + 0.1, atol=1e-9)
+        np.testing.assert_allclose(found[1][:3], np.zeros(3) if simulated else previous[:3], atol=1e-9)
+        np.testing.assert_allclose(
+            found[1], [*found[1][:3], *ROBOT.base.numeric.equilibrium(arm + 0.1)[0][3:]], atol=1e-9
+        )
+
+
+def test_the_bodys_posture_moves_no_hand() -> None:
+    """Forward kinematics of the body's references is where the end effector is led, at rest: on a way, at steps and when it is carried."""
+    planner, x = Planner(ROBOT, Speeds()), ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])[0]
+    position, turned = ROBOT.pose(x)
+    goal = position + [0.3, 0.1, 0.08]
+    way = planner.to_end_effector(x, 1.0, goal, turned)
+    body = bodies(way, ROBOT, x)
+    assert body.times[0] == 1.0 and body.times[-1] == way.end_effector.times[-1] and body.times.size == POSTURES
+    for t in body.times:
+        at = np.array([np.interp(t, way.end_effector.times, c) for c in way.end_effector.positions.T])
+        np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], at, atol=2e-3)
+    steps = EndEffectorTrack(
+        np.array([0.0, 2.0, 2.001, 4.0]), np.array([position, position, goal, goal]), np.tile(turned, (4, 1))
+    )
+    body = bodies(planner.along_end_effector_path(x, 0.0, steps, None), ROBOT, x)
+    for t, where in ((0.5, position), (1.99, position), (2.01, goal), (3.9, goal)):
+        np.testing.assert_allclose(ROBOT.pose(body.at(t))[0], where, atol=2e-3)
+    folded = x.copy()
+    folded[ROBOT.state["arm"]] += [0.2, -0.3, 0.1]
+    carried = bodies(planner.to_base(folded, 0.0, np.array([1.0, 0.0, 0.5])), ROBOT, folded)
+    assert np.all(carried.values[:, ROBOT.state["arm"]] == folded[ROBOT.state["arm"]])
+    np.testing.assert_allclose(carried.values[-1, :3], [1.0, 0.0, 0.5], atol=1e-9)
+
+
+def test_what_it_needs(adapter: Any) -> None:
+    node: Any = SimpleNamespace(subscribe=lambda *given, **also: None)
+    with pytest.raises(InputError, match="needs an inertial unit"):
+        BusRobot(node, adapter, BallRosSettings(topics=Topics(imu="")), WallClock())
+    assert BallRosSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")

@@ -1,0 +1,66 @@
+"""The door's figures and what the controller learns of its place. Truth: logs by formula, circles on paper."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.log import Log
+from wbmpc.simulation.lockstep import Ending
+from wbmpc.studies.minniti2019.door import LEVER, drawn_door
+from wbmpc.studies.minniti2019.door_control import LeverFit
+from wbmpc.studies.minniti2019.door_figures import Trial, trial_metrics
+from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
+
+
+def pushed(lost: float, early: float) -> Trial:
+    """10 N wanted from the touch at 1 s to the release at 3 s: ``early`` [N] off for 0.05 s, and no contact for the share ``lost``."""
+    log, state = Log(), np.zeros(16)
+    for t in np.arange(0.0, 5.0, 0.0025).tolist():
+        pushing = 1.0 <= t < 3.0
+        away = 2.0 <= t < 2.0 + 1.9 * lost
+        force = 0.0 if not pushing or away else 10.0 - early * (t < 1.05)
+        log.add("force", t, [0.0, force, 0.0])
+        log.add("normal", t, [0.0, 1.0, 0.0])
+        log.add("pushing", t, float(pushing))
+        log.add("door", t, [0.0, 0.0])
+        log.add("penetration", t, 0.002 if pushing else 0.0)
+        log.add("force_sensorless", t, [0.0, force, 0.0])
+        for name in ("hand", "hand_wanted"):
+            log.add(name, t, np.zeros(3))
+        log.add("state", t, state)
+    return Trial(10.0, log, Ending(), None)  # type: ignore[arg-type]
+
+
+def test_lost_contact_counts_in_full_and_the_first_tenth_of_a_second_does_not() -> None:
+    whole = trial_metrics(pushed(0.0, 5.0))
+    assert whole["force_error_ratio"] == pytest.approx(0.0, abs=1e-9) and whole["contact_share"] == 1.0
+    lost = trial_metrics(pushed(0.16, 0.0))
+    assert lost["force_error_ratio"] == pytest.approx(np.sqrt(0.16), rel=0.01)  # 100 % error for 16 % of the time
+    assert lost["contact_share"] == pytest.approx(0.84, abs=0.01) and lost["panel_penetration_max"] == 0.002
+
+
+@pytest.mark.parametrize("lever", [0.58, 0.7, 0.82])
+def test_the_lever_of_a_door_is_found_from_the_way_of_the_end_effector(lever: float) -> None:
+    fit, along, normal, offset = LeverFit(0.7), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 0.04
+    rng = np.random.default_rng(3)
+    for angle in np.linspace(0.0, 1.0, 800):
+        c, s = np.cos(angle), np.sin(angle)
+        a, n = np.array([s, -c, 0.0]), np.array([c, s, 0.0])
+        place = np.array([1.0, 2.0, 0.6]) + lever * a - offset * n
+        if angle == 0.0:
+            fit.first = place
+        fit.update(place + 1e-3 * rng.normal(size=3), along, normal, offset)
+    assert fit.lever == pytest.approx(lever, abs=0.01)
+
+
+def test_doors_are_drawn_about_their_kind_and_reach_beyond_the_end_effector() -> None:
+    settings = RezeroDoorSettings(door="heavy")
+    doors = [drawn_door(settings, (1.0, LEVER), seed) for seed in range(60)]
+    for name, kind in {**DOORS["heavy"], "closer": 2.0, "friction": 1.5}.items():
+        ratio = np.array([getattr(door, name) for door in doors]) / kind
+        assert 0.8 <= ratio.min() < 0.85 and 1.15 < ratio.max() <= 1.2
+    lever = np.array([door.hinge[1] for door in doors])
+    assert np.ptp(lever) > 0.2 and all(door.width >= at + 0.06 for door, at in zip(doors, lever, strict=True))
+    same = drawn_door(RezeroDoorSettings(door_spread=0.0, door_position_error=0.0), (1.0, LEVER), 5)
+    assert (same.width, same.mass, same.hinge) == (0.8, 12.0, (1.0, LEVER))
