@@ -58,9 +58,9 @@ def run(name: str, ticks: int, extra: int) -> dict[str, Any]:
         x = (1.0 - share) * plan.x[0] + share * plan.x[1] + NOISE * PERIOD * rng.normal(size=x.size)
     costs = np.array(rows)[1:]  # the first plan takes many calls
     slow = costs[:, 0] > 2.0 * np.median(costs[:, 0])
-    tell = lambda chosen: ", ".join(f"{n} × {s or 'nothing'}" for s, n in collections.Counter(chosen).most_common())
+    listed = lambda chosen: ", ".join(f"{n} × {s or 'nothing'}" for s, n in collections.Counter(chosen).most_common())
     late = [s for s, is_slow in zip(said[1:], slow, strict=True) if is_slow]
-    return {"costs": costs, "slow": int(slow.sum()), "slow say": tell(late), "all say": tell(said[1:])}
+    return {"costs": costs, "slow": int(slow.sum()), "slow say": listed(late), "all say": listed(said[1:])}
 
 
 def main() -> None:

@@ -61,6 +61,12 @@ def test_a_loop_in_cpp_is_the_loop_in_python() -> None:
     assert figure(text, r"at ([\d.]+) m") == pytest.approx(2.0, abs=0.05)
 
 
+def test_fourth_example_keeps_clear_and_arrives() -> None:
+    text = run_python(["examples/04_obstacles.py"])
+    assert figure(text, r"clearance (-?\d+) mm, margin") >= 40.0
+    assert figure(text, r"end effector ([\d.]+) mm") < 50.0
+
+
 def test_program_of_the_readme() -> None:
     program = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert program is not None

@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "json_file", "yaml_file", "configuration", "settings_table",
-    "result", "units", "report", "run_files", "run_index", "bases", "robots", "model", "stability", "ocp", "kernel", "solver", "mpc", "embedded",
+    "result", "units", "report", "run_files", "run_index", "bases", "robots", "model", "stability", "obstacles", "ocp", "kernel", "solver", "mpc", "embedded",
     "control", "runtime", "estimation", "simulation", "settings", "default_problem", "experiment", "registry", "recording", "view", "ros2",
     "compare", "reproduce", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
@@ -31,12 +31,24 @@ ONLY_IN = {
     "mcap": {"recording"},
     "viser": {"view"},
     "llvmlite": {"kernel"},
-    "threading": {"logs", "model", "kernel", "solver", "runtime", "simulation", "view", "ros2", "cli", "bases/TYPE"},
+    "threading": {
+        "logs",
+        "model",
+        "obstacles",
+        "kernel",
+        "solver",
+        "runtime",
+        "simulation",
+        "view",
+        "ros2",
+        "cli",
+        "bases/TYPE",
+    },
     "multiprocessing": {"runtime", "benchmark", "view", "studies"},
     "cyclonedds": {"ros2"},
     "rosbags": {"ros2"},
     "rclpy": {"ros2"},
-    "mujoco": {"bases", "robots", "model", "simulation", "bases/TYPE", "studies"},
+    "mujoco": {"bases", "robots", "model", "obstacles", "simulation", "bases/TYPE", "studies"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")
 

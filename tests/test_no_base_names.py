@@ -17,7 +17,7 @@ NAMES = re.compile(
     r"|\bbases\.(ball|fixed|swerve|differential|omnidirectional)\b"
 )
 ROOMS = (
-    "model", "ocp", "kernel", "solver", "mpc", "runtime", "simulation", "estimation", "control", "stability", "recording", "view",
+    "model", "obstacles", "ocp", "kernel", "solver", "mpc", "runtime", "simulation", "estimation", "control", "stability", "recording", "view",
     "ros2", "cli", "robots", "benchmark", "types.py", "compare.py",
 )  # fmt: skip
 

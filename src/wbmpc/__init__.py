@@ -28,6 +28,8 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.mpc.mpc import MPC as MPC
     from wbmpc.mpc.policy import Policy as Policy
     from wbmpc.mpc.policy_queue import PolicyQueue as PolicyQueue
+    from wbmpc.obstacles import Obstacles as Obstacles
+    from wbmpc.obstacles import shapes as shapes
     from wbmpc.ocp import AugmentedLagrangian as AugmentedLagrangian
     from wbmpc.ocp import Constraint as Constraint
     from wbmpc.ocp import Cost as Cost
@@ -90,6 +92,8 @@ _MODULES = {
     "frequency_aware": "wbmpc.ocp",
     "residuals": "wbmpc.ocp",
     "sets": "wbmpc.ocp",
+    "Obstacles": "wbmpc.obstacles",
+    "shapes": "wbmpc.obstacles",
     "AugmentedLagrangian": "wbmpc.ocp",
     "ILQR": "wbmpc.solver",
     "InteriorPoint": "wbmpc.solver",

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from wbmpc.cli.recordings import AsJson
 from wbmpc.cli.terminal import BAD_INPUT, printable, robot_names
 from wbmpc.errors import InputError
+
+if TYPE_CHECKING:
+    from wbmpc.robots.findings import Finding
 
 Packages = Annotated[
     list[str] | None,
@@ -33,6 +37,18 @@ def pairs(option: str, given: list[str] | None) -> dict[str, str]:
     return found
 
 
+def _collisions(path: str) -> list[Finding]:
+    """What of its own a robot that loads keeps apart."""
+    from wbmpc.model.robot import load_robot
+    from wbmpc.obstacles.pairs import diagnose
+    from wbmpc.robots.findings import Finding
+
+    try:
+        return list(diagnose(load_robot(path)))
+    except InputError as error:
+        return [Finding("warning", "collision", "", str(error))]
+
+
 def doctor(
     robot: Annotated[
         str,
@@ -49,6 +65,8 @@ def doctor(
 
     folders = {name: Path(folder) for name, folder in pairs("--package", package).items()}
     result = examine_robot(robot, folders, pairs("--argument", argument))
+    if not result.count("error") and not folders and Path(result.robot).suffix in (".yaml", ".yml"):
+        result = replace(result, findings=(*result.findings, *_collisions(result.robot)))
     if as_json:
         findings = [vars(f) for f in result.findings]
         summary = {

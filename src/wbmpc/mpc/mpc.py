@@ -11,11 +11,14 @@ import numpy as np
 from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
+from wbmpc.mpc.clearance import ClearanceRows
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.references import References
 from wbmpc.mpc.statistics import Statistics
+from wbmpc.obstacles.rows import Clearance
+from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status
@@ -24,6 +27,8 @@ from wbmpc.solver.solution import COLUMNS
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
+#: A status code of the solver for a plan that is used.
+_USABLE = 1
 
 
 class MPC:
@@ -33,7 +38,9 @@ class MPC:
     checked by the loop. ``first_iterations``: calls of the solver for the first plan, each with the iterations that ``solver`` has.
     ``guess``: see :class:`Guess`. ``plan_only_limits``: hard rows of the inputs alone that are not linear (|u|² ≤ r², a box around a
     nonlinear function of a reference) are allowed, though only plans hold them: a policy's feedback cannot be held to them, and
-    is to be cut by its user. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says.
+    is to be cut by its user. ``obstacles``: what the problem's :class:`wbmpc.residuals.Clearance` keeps clear of; they may change between
+    any two updates. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says. A plan that would come
+    much too near to an obstacle while the robot can still stop gives way to one that stops (docs/how-to/obstacles.md).
     """
 
     def __init__(
@@ -45,6 +52,7 @@ class MPC:
         first_iterations: int = 30,
         guess: Guess | None = None,
         plan_only_limits: bool = False,
+        obstacles: Obstacles | None = None,
     ) -> None:
         if real_number("mpc.rate", rate) <= 0.0:
             raise InputError(f"mpc.rate: must be positive, got {rate}")
@@ -59,6 +67,7 @@ class MPC:
         self.ocp, self.rate = ocp, float(rate)
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
+        self._clear = ClearanceRows(ocp, self.solver, obstacles)
         self.guess = guess
         self.statistics = Statistics()
         terms = {t.name: t.residual for t in ocp.terms.values()}
@@ -174,7 +183,9 @@ class MPC:
         mismatch = self.solver.initial_state_mismatch
         if mismatch:
             self.statistics.count_initial_state_mismatch(mismatch)
-        self._policy = Policy.of(solution, observation.t, self.limits, self.limit_violation, *self.input_rows())
+        self._policy = Policy.of(
+            solution, observation.t, self.limits, self.limit_violation, *self.input_rows(), self.clearance
+        )
         return self._policy
 
     def input_rows(self) -> tuple[np.ndarray | None, np.ndarray | None]:
@@ -197,6 +208,11 @@ class MPC:
         return self._outcome[2]
 
     @property
+    def clearance(self) -> Clearance:
+        """Of the last plan, where the problem has clearance rows: the pair that lacks most of its margin."""
+        return self._clear.last
+
+    @property
     def solve_info(self) -> dict[str, float]:
         """Of the last plan: iterations in all, cost, constraint violation, optimality, solve time [s]; where the grid follows
         events or the state jumps at them, how many found no node."""
@@ -205,6 +221,8 @@ class MPC:
         found = {name: float(row[COLUMNS[name]]) for name in ("cost", "violation", "kkt")}
         if self.ocp.align_events or self.solver.problem.jumps:
             found["events_without_node"] = float(self.events_without_node)
+        if self._clear.active and np.isfinite(self.clearance.distance):
+            found["clearance"] = self.clearance.distance
         return {"solve_time": self.solve_time, "iterations": float(self._iterations), **found}
 
     def advance(self, observation: Observation) -> bool:
@@ -222,16 +240,32 @@ class MPC:
         passes = self.first_iterations if self._t is None else 1
         if self._follow_last:
             self._continue_from(observation.t, delta)
-        status, count, elapsed, self._iterations = 0, 0, 0.0, 0
+        self._iterations = 0
+        if self._clear.active:
+            self._solve_clear(observation.t, x0, delta, passes)
+        else:
+            self._solve(observation.t, x0, delta, passes)
+        self._t = observation.t
+        self._count_events(observation.t)
+        return self._judge(observation)
+
+    def _solve(self, t: float, x0: np.ndarray, delta: float, passes: int) -> None:
+        """``passes`` calls of the solver, the first one from the last plan, ``delta`` [s] old, or what the guess makes of it."""
+        status, count, elapsed = 0, 0, 0.0
         for k in range(passes):
             start = time.perf_counter()
             if k == 0:
-                self._apply_guess(observation.t, x0, observation.t - delta)
-            status, count = self.solver.run(x0, observation.t, delta if k == 0 else 0.0)
+                self._apply_guess(t, x0, t - delta)
+            if self._clear.active:
+                self._clear.refresh(t, delta if k == 0 else 0.0)
+            status, count = self.solver.run(x0, t, delta if k == 0 else 0.0)
             self._iterations += count
             elapsed = time.perf_counter() - start
-        self._t, self._outcome = observation.t, (status, count, elapsed)
-        self._count_events(observation.t)
+        self._outcome = (status, count, elapsed)
+
+    def _judge(self, observation: Observation) -> bool:
+        """Whether what the last pass left is a plan; ``fault`` says why not."""
+        status = self._outcome[0]
         broken = self._not_finite_part()
         self._broken = self._broken + 1 if broken else 0
         previous, self.fault = self.fault, broken or self._rejection()
@@ -240,6 +274,19 @@ class MPC:
             cause = "not finite" if broken else self.solver.status(status).value
             self._lines.log(_LOG, logging.WARNING, cause, f"MPC at {observation.t:.3f} s: {self.fault}")
         return not self.fault
+
+    def _solve_clear(self, t: float, x0: np.ndarray, delta: float, passes: int) -> None:
+        """Solve with clearance rows; a plan that stops is the result where no other is clear."""
+        cause = self._clear.solve(
+            t, x0, None if self._t is None else delta, passes, lambda old, n: self._solve(t, x0, old, n), self._unusable
+        )
+        if cause is not None:
+            self._outcome = (_USABLE, *self._outcome[1:])
+            self.statistics.braking_plans += 1
+            self._lines.log(_LOG, logging.WARNING, "clearance", f"MPC at {t:.3f} s: the robot brakes: {cause}")
+
+    def _unusable(self) -> bool:
+        return bool(self._not_finite_part() or self._rejection())
 
     def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
         """``start`` [s]: of the last plan."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, NotFinite
+from wbmpc.obstacles.rows import Clearance
 from wbmpc.solver import Solution
 
 
@@ -90,6 +91,7 @@ class Policy:
     parameters move them (None: nowhere); in between they are linear, so that ``policy(t)`` follows them too. Other hard rows
     (with states, and those that ``MPC(plan_only_limits=True)`` allows) hold in the plan, i.e. for ``policy(t)``; cut feedback to
     those yourself, from :meth:`law`.
+    ``clearance``: what of the plan is nearest to an obstacle, or to another part of the robot, for its margin (None: no such rows).
     """
 
     times: np.ndarray
@@ -100,15 +102,18 @@ class Policy:
     limit_violation: float = field(default=0.0, kw_only=True)
     active: np.ndarray | None = field(default=None, kw_only=True, compare=False)
     moving: np.ndarray | None = field(default=None, kw_only=True, compare=False)
+    clearance: Clearance | None = field(default=None, kw_only=True, compare=False)
 
     @classmethod
     def of(
         cls, solution: Solution, t0: float, limits: InputLimits | None = None, limit_violation: float = 0.0,
-        active: np.ndarray | None = None, moving: np.ndarray | None = None,
+        active: np.ndarray | None = None, moving: np.ndarray | None = None, clearance: Clearance | None = None,
     ) -> Policy:  # fmt: skip
         """The policy of a solution whose horizon starts at ``t0`` [s]."""
         own = (t0 + solution.times, solution.x, solution.u, solution.gain)
-        return cls(*own, limits=limits, limit_violation=limit_violation, active=active, moving=moving)
+        return cls(
+            *own, limits=limits, limit_violation=limit_violation, active=active, moving=moving, clearance=clearance
+        )
 
     @property
     def end(self) -> float:

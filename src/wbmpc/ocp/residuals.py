@@ -17,12 +17,14 @@ from wbmpc.errors import unknown_name
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin
+from wbmpc.ocp.clearance_residuals import Clearance, SelfClearance
 from wbmpc.ocp.contact_residuals import FrictionCone, PushForce, push_on_surface
 from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench, RelativeMotion, RelativePose
 from wbmpc.ocp.symbols import Residual, Symbols
 
 __all__ = [
     "AccelerationLimit",
+    "Clearance",
     "Expression",
     "FramePose",
     "FrameTwist",
@@ -37,6 +39,7 @@ __all__ = [
     "RelativePose",
     "Residual",
     "Rolling",
+    "SelfClearance",
     "State",
     "SupportMargin",
     "Symbols",

@@ -27,6 +27,7 @@ from wbmpc.bases.base import BaseDescription, Section
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots.actuation import Drive
 from wbmpc.robots.checks import check_joints, check_tool, compiled
+from wbmpc.robots.collision import CollisionDescription, check_frames
 from wbmpc.robots.fixed_joints import fix_joint
 from wbmpc.robots.inertia import mend_inertias
 from wbmpc.robots.mechanism import Mechanism, read_mechanism
@@ -124,7 +125,7 @@ class RobotDescription(Section):
     ``fixed_joints``: joints that are held, and where [rad or m]. Every joint of the file below the base's body is either named by
     ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters. ``packages``: folders of
     the ROS packages that the model names (``package://``), ``xacro_arguments``: of its macros. What ``limits`` does not say of a
-    joint's velocity, effort and position, the model does.
+    joint's velocity, effort and position, the model does. ``collision``: shapes, and the distances that they keep.
     """
 
     name: Annotated[str, AfterValidator(_robot_name)]
@@ -138,6 +139,7 @@ class RobotDescription(Section):
     fixed_joints: dict[str, float] = Field(default={})
     home: dict[str, float] = Field(default={})
     limits: LimitsDescription = LimitsDescription()
+    collision: CollisionDescription = CollisionDescription()
     source: str = Field(default="", exclude=True)
 
     @model_validator(mode="before")
@@ -353,6 +355,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
             raise unknown_name(
                 "steering joint (key 'limits.actuator_velocity')", name, steering, where=description.source
             )
+    check_frames(description.collision, spec, description.source)
     bodies = [b.name for b in spec.bodies]
     for key, body in {"body": description.base.body, **description.base.parts()}.items():
         if body not in bodies:

@@ -107,14 +107,17 @@ def _is_urdf(path: Path, data: bytes) -> bool:
     return next(roots, b"").lstrip(b"< \t\r\n").startswith(b"robot")
 
 
-def parse(file: ModelFile, *, meshes: bool = False, missing: list[str] | None = None) -> mujoco.MjSpec:
+def parse(
+    file: ModelFile, *, meshes: bool = False, collision: bool = False, missing: list[str] | None = None
+) -> mujoco.MjSpec:
     """The file as a specification that is not compiled, with all links kept. Files that are missing are left out, and named in
-    ``missing``; so are the meshes of a URDF unless ``meshes``. Raises :class:`InputError` naming the file."""
+    ``missing``; so are the meshes of a URDF unless ``meshes``. ``collision``: of each link of a URDF only what collides, meshes too, or
+    what is seen where nothing of it collides. Raises :class:`InputError` naming the file."""
     missing = [] if missing is None else missing
     if file.root is None:
         try_model(file.path, file.files)
     try:
-        spec = mujoco.MjSpec.from_file(str(file.path)) if file.root is None else _urdf(file, meshes)
+        spec = mujoco.MjSpec.from_file(str(file.path)) if file.root is None else _urdf(file, meshes, collision)
     except InputError:
         raise
     except (ValueError, ElementTree.ParseError) as error:
@@ -148,16 +151,19 @@ def _open_ranges(spec: mujoco.MjSpec) -> None:
                 joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
 
 
-def _urdf(file: ModelFile, meshes: bool) -> mujoco.MjSpec:
+def _urdf(file: ModelFile, meshes: bool, collision: bool) -> mujoco.MjSpec:
     """Shapes have no mass: a link weighs what its ``inertial`` says."""
     assert file.root is not None
-    root = deepcopy(file.root) if meshes else ElementTree.Element("robot", file.root.attrib)
-    if not meshes:  # what is changed is copied, and no more
+    whole = meshes or collision
+    root = deepcopy(file.root) if whole else ElementTree.Element("robot", file.root.attrib)
+    if not whole:  # what is changed is copied, and no more
         root.extend(copy(e) for e in file.root if e.tag in _READ)
     for link in root.findall("link"):
+        shown = not (collision and link.findall("collision"))
         for kind in ("visual", "collision"):
             for element in link.findall(kind):
-                if not _kept(element, file, meshes and kind == "visual"):
+                with_meshes = collision or (meshes and kind == "visual")
+                if not (_kept(element, file, with_meshes) and (shown or kind == "collision")):
                     link.remove(element)
     for joint in root.findall("joint"):
         limit = joint.find("limit")

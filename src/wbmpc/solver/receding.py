@@ -155,6 +155,17 @@ def align(m: Floats, o: Integers, numbers: Floats, integers: Integers, t0: float
             free = k + 1
 
 
+def node_times(grid: np.ndarray, aligned: bool, tables: Tables, t0: float) -> np.ndarray:
+    """Times (N + 1) [s] of the nodes of a horizon that starts at ``t0``, from its start; ``grid``: the problem's."""
+    if not aligned:
+        return grid
+    size = len(grid)
+    m, o = np.concatenate([grid, grid, grid]), np.zeros(max(N, GRID, GRID_BASE, GRID_OLD, ALIGN) + 1, np.int64)
+    o[N], o[GRID], o[GRID_BASE], o[GRID_OLD], o[ALIGN] = size - 1, 0, size, 2 * size, 1
+    align(m, o, tables.numbers, tables.integers, t0)
+    return m[:size]
+
+
 @compiled
 def sample_all(m: Floats, o: Integers, numbers: Floats, integers: Integers, t0: float) -> None:
     """Parameters of all nodes for a horizon that starts at ``t0`` [s], and which intervals end with a jump."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import ctypes
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from operator import is_
@@ -23,7 +24,7 @@ from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive, Interruptible
 from wbmpc.solver.hessian import HessianSwitch, exact_from_start
-from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
+from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, SETTINGS, StateField
 from wbmpc.solver.settings import SLQ, SQP, Effort
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.trajectory import Trajectory
@@ -189,6 +190,23 @@ class Solver:
         with self.exclusive:
             self.ws.x[:], self.ws.u[:] = start
 
+    def use(self, x: np.ndarray, u: np.ndarray) -> None:
+        """Take states (N + 1, nx) and inputs (N, nu) as the result of the last solve, without feedback."""
+        self.warm_start(x, u)
+        with self.exclusive:
+            self.ws.k[:] = 0.0
+
+    @contextmanager
+    def barrier(self, value: float) -> Iterator[None]:
+        """While it lasts, solves have a barrier parameter of the interior point of at least ``value`` (compiled only)."""
+        numbers = self.numbers.copy()
+        places = [SETTINGS.index(n) for n in ("initial_barrier", "max_barrier", "barrier", "min_barrier")]
+        self.numbers[places] = np.maximum(numbers[places], value)
+        try:
+            yield
+        finally:
+            self.numbers[:] = numbers
+
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
         with self.exclusive:
@@ -205,6 +223,12 @@ class Solver:
         the next solve."""
         parts = (self.ws.grid, self.ws.x, self.ws.u)
         return Trajectory(start, *(part.copy() if copy else _read_only(part) for part in parts))
+
+    def node_times(self, t0: float) -> np.ndarray:
+        """Times (N + 1) [s] of the nodes of a solve that starts at ``t0`` [s], from its start: events move them (``align_events``)."""
+        from wbmpc.solver.receding import node_times
+
+        return node_times(self.ocp.grid, self.ocp.align_events, self.tables(), t0)
 
     @property
     def gain(self) -> np.ndarray:

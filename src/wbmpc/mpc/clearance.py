@@ -1,0 +1,159 @@
+"""Clearance rows of an MPC: set before every solve, watched after it; plans that would run into something are replaced."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.errors import InputError
+from wbmpc.mpc.braking import BrakingPlan, braking_plan, braking_time
+from wbmpc.obstacles.rows import Clearance as LeastClearance
+from wbmpc.obstacles.world import Obstacles, Snapshot
+from wbmpc.ocp import OptimalControlProblem, Reference, residuals
+from wbmpc.solver import Solver
+
+Array = NDArray[np.float64]
+_TERMS = (residuals.Clearance, residuals.SelfClearance)
+#: Share of a margin that a plan may lack before it is replaced: one iteration misses rows by some of it.
+TOLERATED = 0.5
+#: Less than this [m] deeper than now is no deeper.
+DEEPER = 0.003
+#: Solves from a braking plan, and the barriers of the interior point: with a small one from the start its steps are cut where many
+#: rows become active at once.
+BRAKING_SOLVES, FIRST_BARRIER, BARRIER_SHARE = 5, 0.1, 0.4
+#: What is left [s] of a stop that should have ended.
+ENDING = 0.01
+#: A plan has to be clear from now on for the duration of a stop and so much longer [s].
+REACTION = 0.2
+
+
+class ClearanceRows:
+    """The clearance terms of a problem. ``active``: whether there are any; ``last``: the least clearance of the last plan."""
+
+    def __init__(self, ocp: OptimalControlProblem, solver: Solver, obstacles: Obstacles | None) -> None:
+        self._solver, self._obstacles = solver, obstacles
+        terms = {name: term.residual for name, term in ocp.terms.items()}
+        self._around = {n: r for n, r in terms.items() if isinstance(r, residuals.Clearance)}
+        self._within = {n: r for n, r in terms.items() if isinstance(r, residuals.SelfClearance)}
+        self.active = bool(self._around or self._within)
+        self.last = LeastClearance()
+        #: when the stop ends [s] that the last plan is; None: it is none
+        self._stops_at: float | None = None
+        self._snapshot = Snapshot()
+        if self._around and obstacles is None:
+            raise InputError(
+                f"mpc: term '{next(iter(self._around))}' needs obstacles: MPC(ocp, obstacles=wb.Obstacles())"
+            )
+        if obstacles is not None and not self._around:
+            raise InputError(
+                "mpc: obstacles are given, but no term keeps clear of them; valid: a hard residuals.Clearance"
+            )
+        self.robot: Any = next((r.robot for r in terms.values() if isinstance(r, _TERMS)), None)
+
+    # ------------------------------------------------------------------ before a solve
+    def look(self, t: float) -> None:
+        """Take the obstacles as they are at ``t`` [s]."""
+        if self._obstacles is not None:
+            self._snapshot = self._obstacles.snapshot(t)
+
+    def predicted(self, t: float, delta: float) -> tuple[Array, Array]:
+        """Times (N + 1) [s] of the next solve's nodes, and where the last plan, ``delta`` [s] old, is then (N + 1, nx)."""
+        grid, plan = self._solver.node_times(t), self._solver.trajectory(copy=False)
+        at = np.minimum(grid + delta, plan.grid[-1])
+        k = np.clip(np.searchsorted(plan.grid, at, side="right") - 1, 0, len(plan.grid) - 2)
+        share = ((at - plan.grid[k]) / (plan.grid[k + 1] - plan.grid[k]))[:, None]
+        return t + grid, (1.0 - share) * plan.x[k] + share * plan.x[k + 1]
+
+    def refresh(self, t: float, delta: float) -> None:
+        """Set all rows for a solve at ``t`` [s] that goes on from a plan which is ``delta`` [s] old."""
+        times, states = self.predicted(t, delta)
+        for name, term in self._around.items():
+            self._solver.set_reference(name, Reference(times, term.rows.refresh(self._snapshot, times, states)))
+        for name, own in self._within.items():
+            self._solver.set_reference(name, Reference(times, own.rows.refresh(states)))
+
+    # ------------------------------------------------------------------ after a solve
+    def measure(self, t: float) -> None:
+        """Measure the plan of a solve at ``t`` [s]: the pair that lacks most of its margin is ``last``."""
+        plan = self._solver.trajectory(copy=False)
+        times, states = t + plan.grid, plan.x
+        found = [r.rows.clearance(self._snapshot, times, states) for r in self._around.values()]
+        found += [r.rows.clearance(times, states) for r in self._within.values()]
+        self.last = min(found, key=lambda c: c.excess)
+
+    def unsafe(self, times: Array, states: Array, until: float) -> LeastClearance | None:
+        """Where a plan comes much too near to something before ``until`` [s], and nearer than it is at its first node; None: nowhere."""
+        count = max(int(np.searchsorted(times, until, side="right")), 2)
+        times, states = times[:count], states[:count]
+        share = 1.0 - TOLERATED
+        found = [
+            r.rows.deepest(self._snapshot, times, states, share * r.rows.margin, DEEPER) for r in self._around.values()
+        ]
+        found += [r.rows.deepest(times, states, share * r.rows.margin, DEEPER) for r in self._within.values()]
+        return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)
+
+    # ------------------------------------------------------------------ solves that end clear, or in a stop
+    def solve(
+        self, t: float, x0: Array, delta: float | None, passes: int, run: Callable[[float, int], None],
+        unusable: Callable[[], bool],
+    ) -> LeastClearance | None:  # fmt: skip
+        """Solve at ``t`` [s] from ``x0`` (nx) with ``run(age of the last plan [s], passes)``; ``delta`` is that age, None of the first plan.
+
+        Where the robot would come much too near to something before it can stop, solve from a plan that stops, with more passes. If that
+        does not help, the stop is the result: what it is for is returned. A robot that falls when it stands is not stopped.
+        """
+        self.look(t)
+        if delta is None or self.robot.base.balances:
+            run(delta or 0.0, passes)
+            self.measure(t)
+            return None
+        duration, stop = self._braking(t, x0, delta)
+        until, self._stops_at = t + duration + REACTION, None
+        cause = self.unsafe(*self.predicted(t, delta), until)
+        if cause is None:
+            run(delta, passes)
+            cause = self._runs_into(t, until)
+        if cause is not None and self._avoided(t, stop(), until, run, unusable):
+            cause = None
+        if cause is not None:
+            self._stops_at = t + duration
+        self.measure(t)
+        return cause
+
+    def _runs_into(self, t: float, until: float) -> LeastClearance | None:
+        plan = self._solver.trajectory(copy=False)
+        return self.unsafe(t + plan.grid, plan.x, until)
+
+    def _avoided(
+        self, t: float, stop: BrakingPlan, until: float, run: Callable[[float, int], None], unusable: Callable[[], bool]
+    ) -> bool:
+        """Whether solves from a stop find a plan that is clear, or clearer than the stop; else the stop is the result."""
+        self._solver.warm_start(stop.x, stop.u)
+        self._solver.reset()
+        for k in range(BRAKING_SOLVES):
+            with self._solver.barrier(FIRST_BARRIER * BARRIER_SHARE**k):
+                run(0.0, 1)
+        found = self._runs_into(t, until)
+        standing = self.unsafe(t + self._solver.node_times(t), stop.x, until)
+        clearer = found is None or (standing is not None and standing.distance <= found.distance)
+        if clearer and not unusable():
+            return True
+        self._solver.use(stop.x, stop.u)
+        return False
+
+    def _braking(self, t: float, x0: Array, delta: float) -> tuple[float, Callable[[], BrakingPlan]]:
+        """How long [s] a stop from ``x0`` (nx) at ``t`` [s] takes under the input that the last plan, ``delta`` [s] old, has then, and
+        what makes its plan. A stop that has begun goes on: it does not take longer because it is planned anew."""
+        solver, u0 = self._solver, self._input(delta)
+        duration = braking_time(solver.ocp.dynamics, self.robot, x0, u0)
+        if self._stops_at is not None:
+            duration = min(duration, max(self._stops_at - t, ENDING))
+        return duration, lambda: braking_plan(solver, self.robot, x0, u0, solver.node_times(t), duration)
+
+    def _input(self, delta: float) -> Array:
+        plan = self._solver.trajectory(copy=False)
+        k = min(int(np.searchsorted(plan.grid, delta + 1e-9, side="right")) - 1, len(plan.u) - 1)
+        return plan.u[k].copy()

@@ -1,0 +1,146 @@
+"""Which parts of a robot can touch each other: proposed by sampling, for a person to confirm in the robot file."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.model.robot import RobotModel
+from wbmpc.obstacles.collider import Collider
+from wbmpc.obstacles.geometry import RobotGeometry, path_of, robot_geometry
+from wbmpc.robots.findings import Finding
+
+Array = NDArray[np.float64]
+Pair = tuple[str, str]
+#: States that are drawn, and the distance [m] beyond which a pair is not near.
+SAMPLES, NEAR = 600, 0.10
+#: Share of the states in which a pair that touches is taken for one that always does.
+ALWAYS = 0.95
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Pairs of frames by what sampling ``samples`` states found of them: ``pairs`` that come near; ``adjacent``: one joint or none between
+    them; ``always``: they touch in almost every state, or at home; ``never``: not nearer than :data:`NEAR` in any, which is no proof."""
+
+    samples: int
+    pairs: tuple[Pair, ...]
+    adjacent: tuple[Pair, ...]
+    always: tuple[Pair, ...]
+    never: tuple[Pair, ...]
+
+
+def draw_states(robot: RobotModel, count: int, seed: int = 0) -> Array:
+    """States (count, nx) within the ranges of joints, the first one home; what has no range stays at home, but for joints of the arm."""
+    limits, rng = robot.limits, np.random.default_rng(seed)
+    lower, upper = limits.state_lower.copy(), limits.state_upper.copy()
+    arm = np.zeros(robot.state.size, bool)
+    arm[robot.state["arm"]] = True
+    lower[arm & ~np.isfinite(lower)], upper[arm & ~np.isfinite(upper)] = -np.pi, np.pi
+    free = np.isfinite(lower) & np.isfinite(upper)
+    states = np.tile(robot.home, (count, 1))
+    states[1:, free] = rng.uniform(lower[free], upper[free], (count - 1, int(free.sum())))
+    return states
+
+
+def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
+    """Which pairs of frames a robot has to keep apart, from ``samples`` random states."""
+    geometry = robot_geometry(robot)
+    adjacent = [p for p in combinations(geometry.frames, 2) if _adjacent(robot, *p)]
+    others = [p for p in combinations(geometry.frames, 2) if p not in adjacent]
+    least = distances(geometry, others, draw_states(robot, samples))
+    always = (least < 0.0).mean(axis=0) >= ALWAYS
+    always |= least[0] < 0.0
+    never = ~always & (least >= NEAR).all(axis=0)
+    listed = lambda mask: tuple(p for p, m in zip(others, mask, strict=True) if m)
+    return Proposal(samples, listed(~always & ~never), tuple(adjacent), listed(always), listed(never))
+
+
+def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: float = NEAR) -> Array:
+    """Least distances (n, pairs) [m] of pairs of frames at states (n, nx); ``reach`` where it is more."""
+    collider = Collider([s.solid for s in geometry.shapes])
+    of = {f: np.flatnonzero(geometry.frame_of == i) for i, f in enumerate(geometry.frames)}
+    listed = np.array([(p, i, j) for p, (a, b) in enumerate(pairs) for i in of[a] for j in of[b]], int).reshape(-1, 3)
+    centers, axes = geometry.at(*geometry.kinematics(states))
+    row, first, second = listed.T
+    solids = [s.solid for s in geometry.shapes]
+    bound = (
+        np.linalg.norm(centers[:, first] - centers[:, second], axis=2)
+        - geometry.radius[first]
+        - geometry.radius[second]
+    )
+    for a, b in {(int(i), int(j)) for i, j in zip(first, second)} if len(states) > 1 else ():
+        at = np.flatnonzero((first == a) & (second == b))
+        for c, d in ((a, b), (b, a)):  # a solid against the sphere around the other
+            inside = np.einsum("ni,nij->nj", centers[:, d] - centers[:, c], axes[:, c])
+            bound[:, at] = np.maximum(bound[:, at], (solids[c].distance(inside) - geometry.radius[d])[:, None])
+    found = np.full((len(states), len(pairs)), reach)
+    for k in np.flatnonzero((bound < reach).any(axis=1)).tolist():
+        collider.place(centers[k], axes[k])
+        for i in np.flatnonzero(bound[k] < reach).tolist():
+            if bound[k, i] < found[k, row[i]]:
+                near = collider.distance(int(first[i]), int(second[i]), float(found[k, row[i]]))
+                found[k, row[i]] = min(found[k, row[i]], near)
+    return found
+
+
+def _adjacent(robot: RobotModel, a: str, b: str) -> bool:
+    """Whether at most one joint moves a frame against another."""
+    tree = robot.tree
+    paths = [path_of(robot, tree.frames[f].link) for f in (a, b)]
+    between = set(paths[0]) ^ set(paths[1])
+    return sum(tree.links[i].joint is not None for i in between) <= 1
+
+
+_PROPOSALS: WeakKeyDictionary[RobotModel, Proposal] = WeakKeyDictionary()
+_LOCK = threading.Lock()
+
+
+def proposal_of(robot: RobotModel) -> Proposal:
+    """:func:`propose_pairs`, once for a robot."""
+    with _LOCK:
+        if robot not in _PROPOSALS:
+            _PROPOSALS[robot] = propose_pairs(robot)
+        return _PROPOSALS[robot]
+
+
+def self_pairs(robot: RobotModel) -> tuple[Pair, ...]:
+    """The pairs that the robot file names, or those that are proposed, without the ones to ignore."""
+    own = robot.description.collision.self
+    found = proposal_of(robot).pairs if own.pairs is None else own.pairs
+    ignored = {frozenset(p) for p in own.ignore}
+    return tuple(p for p in found if frozenset(p) not in ignored)
+
+
+def diagnose(robot: RobotModel) -> Iterator[Finding]:
+    """What of its own a robot keeps apart, for a person to confirm."""
+    geometry, own = robot_geometry(robot), robot.description.collision.self
+    bare = [b for b in robot.frames if b not in geometry.frames and b in _bodies(robot)]
+    yield Finding(
+        "info", "collision", "key 'collision.shapes'", f"{len(geometry.shapes)} shapes on {len(geometry.frames)} frames"
+        + (f"; none on {', '.join(bare)}" if bare else ""), "",
+    )  # fmt: skip
+    if own.pairs is not None:
+        yield Finding(
+            "info", "collision", "key 'collision.self.pairs'", f"{len(self_pairs(robot))} pairs, confirmed", ""
+        )
+        return
+    found = proposal_of(robot)
+    pairs = ", ".join(f"[{a}, {b}]" for a, b in self_pairs(robot))
+    touching = ", ".join(f"[{a}, {b}]" for a, b in found.always)
+    yield Finding(
+        "info", "collision", "key 'collision.self.pairs'",
+        f"{len(self_pairs(robot))} pairs come near in {found.samples} random states ({len(found.adjacent)} adjacent and "
+        f"{len(found.never)} others do not)" + (f"; these touch at home or always and are left out: {touching}" if touching else ""),
+        f"confirm them: collision: {{self: {{pairs: [{pairs}]}}}}",
+    )  # fmt: skip
+
+
+def _bodies(robot: RobotModel) -> set[str]:
+    return {link.name for link in robot.tree.links}

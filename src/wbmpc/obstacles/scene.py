@@ -1,0 +1,68 @@
+"""Obstacles from a YAML file: a mapping ``obstacles`` of names to shapes and poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.obstacles.shapes import Box, Capsule, ConvexMesh, Cylinder, HalfSpace, Shape, Sphere
+from wbmpc.yaml_file import load_yaml
+
+#: Shapes by what a file calls them, and the keys that each needs; the others are optional.
+_SHAPES: dict[str, tuple[type[Any], tuple[str, ...], tuple[str, ...]]] = {
+    "sphere": (Sphere, ("radius",), ("center",)),
+    "capsule": (Capsule, ("a", "b", "radius"), ()),
+    "cylinder": (Cylinder, ("a", "b", "radius"), ()),
+    "box": (Box, ("half",), ("center", "orientation")),
+    "half_space": (HalfSpace, ("normal",), ("offset",)),
+    "convex_mesh": (ConvexMesh, ("vertices",), ()),
+}
+_PLACES = ("position", "orientation", "velocity", "std", "velocity_std")
+
+
+def read_scene(path: str | Path) -> Iterator[tuple[str, str, Shape, dict[str, Any]]]:
+    """Of each obstacle of a YAML file: where it stands in the file, its name, shape and what else is set of it.
+
+    ``obstacles: {pillar: {cylinder: {a: [2, 0, 0], b: [2, 0, 1.5], radius: 0.1}, velocity: [0, 0.2, 0]}}``: one shape each (sphere,
+    capsule, cylinder, box, half_space, convex_mesh), and position, orientation, velocity, std, velocity_std. Raises :class:`InputError`
+    naming file, obstacle and key.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    data = load_yaml(path)
+    section = data.get("obstacles") if isinstance(data, Mapping) and set(data) == {"obstacles"} else None
+    if not isinstance(section, Mapping):
+        raise InputError(f"{path}: one key is needed, 'obstacles', with a mapping of names")
+    for name, entry in section.items():
+        where = f"{path}: key 'obstacles.{name}'"
+        if not isinstance(entry, Mapping):
+            raise InputError(f"{where}: a mapping with a shape is needed, got {entry!r}")
+        yield where, str(name), _shape(where, entry), {k: v for k, v in entry.items() if k in _PLACES}
+
+
+def _shape(where: str, entry: Mapping[Any, Any]) -> Shape:
+    kinds = [k for k in entry if k in _SHAPES]
+    for key in entry:
+        if key not in _SHAPES and key not in _PLACES:
+            raise unknown_name("key", str(key), [*_SHAPES, *_PLACES], where=where)
+    if len(kinds) != 1:
+        raise InputError(f"{where}: one shape is needed, got {len(kinds)}; valid: {', '.join(_SHAPES)}")
+    where = f"{where[:-1]}.{kinds[0]}'"
+    shape, needed, optional = _SHAPES[kinds[0]]
+    values = entry[kinds[0]]
+    if not isinstance(values, Mapping):
+        raise InputError(f"{where}: a mapping of {', '.join((*needed, *optional))} is needed")
+    for key in values:
+        if key not in (*needed, *optional):
+            raise unknown_name("key", str(key), (*needed, *optional), where=f"{where}")
+    missing = [k for k in needed if k not in values]
+    if missing:
+        raise InputError(f"{where}: '{missing[0]}' is missing")
+    try:
+        found: Shape = shape(**values)
+    except (InputError, TypeError, ValueError) as error:
+        raise InputError(f"{where}: {error}") from error
+    return found

@@ -1,0 +1,198 @@
+"""Shapes of obstacles, in axes of their own: :meth:`wbmpc.obstacles.world.Obstacles.set` says where these are. Lengths in m."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc import checks, lie
+from wbmpc.errors import InputError
+from wbmpc.obstacles import solids
+from wbmpc.obstacles.solids import Solid
+
+__all__ = ["Box", "Capsule", "ConvexMesh", "Cylinder", "DistanceGrid", "HalfSpace", "Shape", "Sphere"]
+
+Array = NDArray[np.float64]
+#: Corners of a convex mesh, and cells of a grid, at most.
+MAX_VERTICES, MAX_CELLS = 10_000, 50_000_000
+
+
+def _set(shape: Any, **values: Any) -> None:
+    for name, value in values.items():
+        object.__setattr__(shape, name, value)
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """A ball of ``radius`` about ``center`` (3)."""
+
+    radius: float
+    center: ArrayLike = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        checks.positive("sphere", radius=self.radius)
+        _set(self, center=checks.numbers("sphere", "center", self.center, 3))
+
+    @cached_property
+    def solid(self) -> Solid:
+        return solids.sphere(float(self.radius), np.asarray(self.center, float))
+
+
+@dataclass(frozen=True, eq=False)
+class Capsule:
+    """All points within ``radius`` of the line from ``a`` (3) to ``b`` (3)."""
+
+    a: ArrayLike
+    b: ArrayLike
+    radius: float
+
+    def __post_init__(self) -> None:
+        checks.positive("capsule", radius=self.radius)
+        _set(self, a=checks.numbers("capsule", "a", self.a, 3), b=checks.numbers("capsule", "b", self.b, 3))
+
+    @cached_property
+    def solid(self) -> Solid:
+        return solids.along("capsule", np.asarray(self.a, float), np.asarray(self.b, float), float(self.radius))
+
+
+@dataclass(frozen=True, eq=False)
+class Cylinder:
+    """A cylinder of ``radius`` with flat ends about ``a`` (3) and ``b`` (3)."""
+
+    a: ArrayLike
+    b: ArrayLike
+    radius: float
+
+    def __post_init__(self) -> None:
+        checks.positive("cylinder", radius=self.radius)
+        _set(self, a=checks.numbers("cylinder", "a", self.a, 3), b=checks.numbers("cylinder", "b", self.b, 3))
+        if np.linalg.norm(np.subtract(self.b, self.a)) < 1e-6:
+            raise InputError("cylinder: 'a' and 'b' are the same point; valid: the centers of its two ends")
+
+    @cached_property
+    def solid(self) -> Solid:
+        return solids.along("cylinder", np.asarray(self.a, float), np.asarray(self.b, float), float(self.radius))
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box of ``half`` lengths (3) about ``center`` (3), turned by ``orientation`` (4, quaternion w, x, y, z)."""
+
+    half: ArrayLike
+    center: ArrayLike = (0.0, 0.0, 0.0)
+    orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        half = checks.numbers("box", "half", self.half, 3)
+        if not (half > 0.0).all():
+            raise InputError(f"box: 'half' needs three positive numbers, got {half.tolist()}")
+        _set(self, half=half, center=checks.numbers("box", "center", self.center, 3))
+        _set(self, orientation=unit_quaternion("box", "orientation", self.orientation))
+
+    @cached_property
+    def solid(self) -> Solid:
+        turn = lie.quaternion_to_rotation(np.asarray(self.orientation, float))
+        return Solid("box", np.asarray(self.half, float), np.asarray(self.center, float), turn)
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpace:
+    """Everything on the other side of a plane: points p with ``normal`` · p < ``offset``; ``normal`` (3) points to where it is free."""
+
+    normal: ArrayLike
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        checks.finite("half-space", offset=self.offset)
+        normal = checks.numbers("half-space", "normal", self.normal, 3)
+        length = float(np.linalg.norm(normal))
+        if length < 1e-9:
+            raise InputError("half-space: 'normal' has no direction, got zeros")
+        _set(self, normal=normal / length, offset=float(self.offset) / length)
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexMesh:
+    """The convex hull of ``vertices`` (n, 3), which do not lie in a plane."""
+
+    vertices: ArrayLike
+    solid: Solid = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        try:
+            points = np.asarray(self.vertices, float)
+        except (TypeError, ValueError):
+            raise InputError("convex mesh: 'vertices' needs rows of 3 numbers") from None
+        if points.ndim != 2 or points.shape[1] != 3 or not 4 <= len(points) <= MAX_VERTICES:
+            raise InputError(
+                f"convex mesh: 'vertices' needs 4 to {MAX_VERTICES} rows of 3 numbers, got shape {points.shape}"
+            )
+        if not np.isfinite(points).all():
+            raise InputError("convex mesh: 'vertices' must be finite")
+        try:
+            _set(self, vertices=points, solid=solids.mesh(points))
+        except ValueError as error:
+            raise InputError(f"convex mesh: 'vertices': {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceGrid:
+    """Distances to everything that is solid: ``values`` (nx, ny, nz) at ``origin`` (3) + ``cell`` · (i, j, k), negative inside; linear
+    in between, and nothing is known outside.
+
+    ``error``: what is taken off the values; left out, half a cell's diagonal, which a transform of occupied cells may be too large by.
+    """
+
+    origin: ArrayLike
+    cell: float
+    values: ArrayLike
+    error: float | None = None
+
+    def __post_init__(self) -> None:
+        checks.positive("distance grid", cell=self.cell)
+        error = 0.5 * np.sqrt(3.0) * self.cell if self.error is None else self.error
+        checks.not_negative("distance grid", error=error)
+        values = np.ascontiguousarray(self.values, float)
+        if values.ndim != 3 or min(values.shape) < 2 or values.size > MAX_CELLS:
+            raise InputError(
+                f"distance grid: 'values' needs three dimensions of 2 or more and {MAX_CELLS} cells at most, got {values.shape}"
+            )
+        if not np.isfinite(values).all():
+            raise InputError("distance grid: 'values' must be finite")
+        _set(self, origin=checks.numbers("distance grid", "origin", self.origin, 3), values=values, error=float(error))
+
+    def sample(self, points: Array) -> tuple[Array, Array]:
+        """Distance (n), ``error`` taken off, and its gradient (n, 3) at points (n, 3); infinite and 0 outside of the grid."""
+        values, shape = np.asarray(self.values), np.array(np.shape(self.values))
+        place = (points - np.asarray(self.origin, float)) / self.cell
+        inside = ((place >= 0.0) & (place <= shape - 1)).all(axis=1)
+        low = np.clip(np.floor(place).astype(int), 0, shape - 2)
+        f = place - low
+        corners = np.empty((len(points), 2, 2, 2))
+        for i, j, k in np.ndindex(2, 2, 2):
+            corners[:, i, j, k] = values[low[:, 0] + i, low[:, 1] + j, low[:, 2] + k]
+        wx, wy, wz = (np.stack([1.0 - f[:, a], f[:, a]], axis=1) for a in range(3))
+        slope = np.array([-1.0, 1.0])
+        found = np.einsum("nijk,ni,nj,nk->n", corners, wx, wy, wz) - float(self.error or 0.0)
+        gradient = np.stack([
+            np.einsum("nijk,i,nj,nk->n", corners, slope, wy, wz),
+            np.einsum("nijk,ni,j,nk->n", corners, wx, slope, wz),
+            np.einsum("nijk,ni,nj,k->n", corners, wx, wy, slope),
+        ], axis=1) / self.cell  # fmt: skip
+        return np.where(inside, found, np.inf), np.where(inside[:, None], gradient, 0.0)
+
+
+Shape = Sphere | Capsule | Cylinder | Box | HalfSpace | ConvexMesh | DistanceGrid
+
+
+def unit_quaternion(who: str, name: str, value: ArrayLike) -> Array:
+    """A quaternion (4) of length 1. Raises :class:`InputError` naming what it is of."""
+    q = checks.numbers(who, name, value, 4)
+    length = float(np.linalg.norm(q))
+    if not 0.99 < length < 1.01:
+        raise InputError(f"{who}: '{name}' needs a unit quaternion (w, x, y, z), got {q.tolist()}")
+    return q / length

@@ -1,0 +1,223 @@
+"""What stands and moves around the robot: set, moved and removed by name at any time, from any thread."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc import checks, lie
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.obstacles.scene import read_scene
+from wbmpc.obstacles.shapes import (
+    Box,
+    Capsule,
+    ConvexMesh,
+    Cylinder,
+    DistanceGrid,
+    HalfSpace,
+    Shape,
+    Sphere,
+    unit_quaternion,
+)
+
+Array = NDArray[np.float64]
+_SHAPES = {c.__name__: c for c in (Sphere, Capsule, Cylinder, Box, HalfSpace, ConvexMesh, DistanceGrid)}
+#: The frame of the robot's own plans: that of :meth:`wbmpc.model.robot.RobotModel.pose`.
+WORLD = "world"
+#: Obstacles at once, at most.
+MAX_OBSTACLES = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """One obstacle: its ``shape`` at ``position`` (3) [m] and ``orientation`` (4) in ``frame`` at time ``seen`` [s]; it moves with
+    ``velocity`` (3) [m/s]. ``std`` [m] and ``velocity_std`` [m/s]: standard deviations; ``expire`` [s]: how long after ``seen`` it is there.
+    """
+
+    name: str
+    shape: Shape
+    position: Array
+    orientation: Array
+    velocity: Array
+    std: float
+    velocity_std: float
+    seen: float
+    expire: float
+    frame: str
+
+    def age(self, times: Array) -> Array:
+        """How long ago (n) [s] it was seen; 0 before."""
+        return np.maximum(times - self.seen, 0.0)
+
+    def spread(self, times: Array) -> Array:
+        """Standard deviation (n) [m] of its predicted position at ``times`` (n) [s]."""
+        return np.asarray(np.hypot(self.std, self.velocity_std * self.age(times)))
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All obstacles at one moment, sorted by name, and the frames (position (3), quaternion (4)) they are given in."""
+
+    obstacles: tuple[Obstacle, ...] = ()
+    frames: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+
+    def pose(self, obstacle: Obstacle, times: Array) -> tuple[Array, Array]:
+        """Predicted positions (n, 3) [m] and the rotation (3, 3) of an obstacle's axes in the world at ``times`` (n) [s]."""
+        place = obstacle.position + np.multiply.outer(obstacle.age(times), obstacle.velocity)
+        turn = lie.quaternion_to_rotation(obstacle.orientation)
+        if obstacle.frame == WORLD:
+            return place, turn
+        origin, q = self.frames[obstacle.frame]
+        rotation = lie.quaternion_to_rotation(q)
+        return origin + place @ rotation.T, rotation @ turn
+
+
+class Obstacles:
+    """Obstacles by name, for an MPC that has clearance rows: ``MPC(ocp, obstacles=world)``.
+
+    Every call holds a lock for some microseconds; a solve works with a :meth:`snapshot`. Coordinates are those of
+    :meth:`wbmpc.model.robot.RobotModel.pose`, or of a frame whose pose in them :meth:`set_frame` keeps ("map", a camera).
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._obstacles: dict[str, Obstacle] = {}
+        self._frames: dict[str, tuple[Array, Array]] = {}
+
+    def set(
+        self,
+        name: str,
+        shape: Shape,
+        *,
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        std: float = 0.0,
+        velocity_std: float = 0.0,
+        seen: float | None = None,
+        expire: float = np.inf,
+        frame: str = WORLD,
+    ) -> None:
+        """Add an obstacle, or replace the one of that name.
+
+        ``shape`` stands at ``position`` (3) [m] and ``orientation`` (4, w, x, y, z) of ``frame`` at time ``seen`` [s] (left out: when the
+        next solve begins), and goes on with ``velocity`` (3) [m/s]. Margins grow by twice the standard deviation of where it is
+        predicted: ``std`` [m], and ``velocity_std`` [m/s] times the time since. It is gone ``expire`` [s] after ``seen``. Raises
+        :class:`InputError` naming the obstacle.
+        """
+        who = _named(name)
+        if not isinstance(shape, tuple(_SHAPES.values())):
+            raise InputError(f"{who}: a shape is needed, got {type(shape).__name__}; valid: {', '.join(_SHAPES)}")
+        checks.not_negative(who, std=std, velocity_std=velocity_std)
+        if not expire > 0.0:
+            raise InputError(f"{who}: 'expire' must be positive [s] (inf: never), got {expire}")
+        if seen is not None:
+            checks.finite(who, seen=seen)
+        elif np.isfinite(expire):
+            raise InputError(f"{who}: 'expire' counts from 'seen', which is left out")
+        found = Obstacle(
+            name, shape, checks.numbers(who, "position", position, 3).copy(), unit_quaternion(who, "orientation", orientation),
+            checks.numbers(who, "velocity", velocity, 3).copy(), float(std), float(velocity_std),
+            np.nan if seen is None else float(seen), float(expire), frame,
+        )  # fmt: skip
+        if isinstance(shape, DistanceGrid) and found.velocity.any():
+            raise InputError(f"{who}: a distance grid does not move; valid: a velocity of zeros")
+        with self._lock:
+            self._check_frame(who, frame)
+            if len(self._obstacles) >= MAX_OBSTACLES and name not in self._obstacles:
+                raise InputError(f"{who}: there are {MAX_OBSTACLES} obstacles already; at most so many are possible")
+            self._obstacles[name] = found
+
+    def move(
+        self,
+        name: str,
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
+        *,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        seen: float | None = None,
+    ) -> None:
+        """Put an obstacle somewhere else; its shape, standard deviations and frame stay. Raises :class:`InputError` naming it."""
+        with self._lock:
+            if name not in self._obstacles:
+                raise unknown_name("obstacle", name, sorted(self._obstacles))
+            old = self._obstacles[name]
+        turn = old.orientation if orientation is None else orientation
+        self.set(
+            name, old.shape, position=position, orientation=turn, velocity=velocity, std=old.std,
+            velocity_std=old.velocity_std, seen=seen, expire=old.expire, frame=old.frame,
+        )  # fmt: skip
+
+    def set_frame(self, name: str, position: ArrayLike, orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
+        """Where the axes of ``frame=name`` are in the world: position (3) [m] and quaternion (4)."""
+        who = f"frame '{name}'"
+        if name == WORLD or not isinstance(name, str):
+            raise InputError(f"{who}: another name than '{WORLD}' is needed")
+        pose = (
+            checks.numbers(who, "position", position, 3).copy(),
+            unit_quaternion(who, "orientation", orientation),
+        )
+        with self._lock:
+            self._frames[name] = pose
+
+    def load(self, path: str | Path) -> None:
+        """Set the obstacles of a YAML file (:func:`wbmpc.obstacles.scene.read_scene`); nothing of a file with a mistake. Raises
+        :class:`InputError` naming file, obstacle and key."""
+        scene, trial = list(read_scene(path)), Obstacles()
+        for where, name, shape, place in scene:
+            try:
+                trial.set(name, shape, **place)
+            except InputError as error:
+                raise InputError(f"{where}: {error}") from error
+        for _, name, shape, place in scene:
+            self.set(name, shape, **place)
+
+    def remove(self, name: str) -> None:
+        """Take an obstacle away. Raises :class:`InputError` naming the valid choices where there is none."""
+        with self._lock:
+            if self._obstacles.pop(name, None) is None:
+                raise unknown_name("obstacle", name, sorted(self._obstacles))
+
+    def clear(self) -> None:
+        """Take all obstacles away."""
+        with self._lock:
+            self._obstacles.clear()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all obstacles, sorted."""
+        with self._lock:
+            return tuple(sorted(self._obstacles))
+
+    def __contains__(self, name: str) -> bool:
+        with self._lock:
+            return name in self._obstacles
+
+    def __len__(self) -> int:
+        with self._lock:
+            return len(self._obstacles)
+
+    def snapshot(self, t: float) -> Snapshot:
+        """What is there at time ``t`` [s]. Obstacles without a time are seen now; expired ones are dropped for good."""
+        with self._lock:
+            for name, obstacle in list(self._obstacles.items()):
+                if np.isnan(obstacle.seen):
+                    self._obstacles[name] = replace(obstacle, seen=float(t))
+                elif t > obstacle.seen + obstacle.expire:
+                    del self._obstacles[name]
+            return Snapshot(tuple(self._obstacles[n] for n in sorted(self._obstacles)), dict(self._frames))
+
+    def _check_frame(self, who: str, frame: str) -> None:
+        if frame != WORLD and frame not in self._frames:
+            raise unknown_name("frame", frame, [WORLD, *sorted(self._frames)], where=who)
+
+
+def _named(name: str) -> str:
+    if not isinstance(name, str) or not name:
+        raise InputError(f"obstacle: a name is needed, got {name!r}")
+    return f"obstacle '{name}'"

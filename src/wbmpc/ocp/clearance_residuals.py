@@ -1,0 +1,134 @@
+"""Distances of a robot to obstacles, and of its own parts to each other, linearised at every node by an MPC."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from wbmpc import checks
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.model.kinematics import Chain, constant
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.tree import Frame
+from wbmpc.obstacles.geometry import common_link, robot_geometry
+from wbmpc.obstacles.pairs import self_pairs
+from wbmpc.obstacles.rows import SELF_WIDTH, WIDTH, ObstacleRows, SelfRows
+from wbmpc.ocp.symbols import Symbols
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Distance of each of the robot's ``frames`` (None: all with shapes) to its ``slots`` nearest obstacles, minus ``margin`` [m] (None: the
+    robot file's ``collision.margin``), all to be at least zero: a hard constraint with a slack.
+
+    ``MPC(ocp, obstacles=world)`` sets the rows before every solve.
+    """
+
+    robot: RobotModel
+    frames: Sequence[str] | None = None
+    slots: int = 2
+    margin: float | None = None
+    rows: ObstacleRows = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        geometry = robot_geometry(self.robot)
+        frames = geometry.frames if self.frames is None else tuple(self.frames)
+        for name in frames:
+            if name not in geometry.frames:
+                raise unknown_name("frame with shapes", name, geometry.frames, where="clearance, frames")
+        if not frames or len(set(frames)) < len(frames):
+            raise InputError(f"clearance, frames: every frame once, and at least one, got {list(frames)}")
+        if isinstance(self.slots, bool) or not isinstance(self.slots, (int, np.integer)) or self.slots < 1:
+            raise InputError(f"clearance: slots must be a whole number from 1 on, got {self.slots!r}")
+        margin = self.robot.description.collision.margin if self.margin is None else self.margin
+        checks.not_negative("clearance", margin=margin)
+        object.__setattr__(self, "frames", frames)
+        object.__setattr__(self, "rows", ObstacleRows(geometry, frames, int(self.slots), float(margin)))
+
+    @property
+    def size(self) -> int:
+        return self.rows.size
+
+    @property
+    def reference(self) -> int:
+        return WIDTH * self.size
+
+    @property
+    def groups(self) -> Mapping[str, slice]:
+        """The rows of each frame."""
+        return {name: slice(i * self.slots, (i + 1) * self.slots) for i, name in enumerate(self.frames or ())}
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        chain, out = self.robot.base.chain(s.x), []
+        for i, name in enumerate(self.frames or ()):
+            pose = chain.frame_pose(self.robot.tree.frames[name])
+            for k in range(i * self.slots, (i + 1) * self.slots):
+                row = s.reference[WIDTH * k : WIDTH * (k + 1)]
+                gap = ca.dot(row[:3], pose.position + pose.rotation @ row[3:6]) - row[6]
+                out.append(gap + _absent(row))
+        return ca.vertcat(*out)
+
+
+@dataclass(frozen=True)
+class SelfClearance:
+    """Distance of each pair of the robot's frames minus ``margin`` [m] (None: the robot file's ``collision.self.margin``), all to be at least
+    zero. ``pairs``: None for those of the robot file, or the ones that sampling proposes (:func:`wbmpc.obstacles.pairs.propose_pairs`)."""
+
+    robot: RobotModel
+    pairs: Sequence[Pair] | None = None
+    margin: float | None = None
+    rows: SelfRows = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        geometry = robot_geometry(self.robot)
+        pairs = self_pairs(self.robot) if self.pairs is None else tuple((str(a), str(b)) for a, b in self.pairs)
+        for name in (n for pair in pairs for n in pair):
+            if name not in geometry.frames:
+                raise unknown_name("frame with shapes", name, geometry.frames, where="self-clearance, pairs")
+        if not pairs or any(a == b for a, b in pairs):
+            raise InputError(f"self-clearance, pairs: at least one pair of two frames is needed, got {list(pairs)}")
+        margin = self.robot.description.collision.self.margin if self.margin is None else self.margin
+        checks.not_negative("self-clearance", margin=margin)
+        object.__setattr__(self, "pairs", pairs)
+        object.__setattr__(self, "rows", SelfRows(geometry, pairs, float(margin)))
+
+    @property
+    def size(self) -> int:
+        return self.rows.size
+
+    @property
+    def reference(self) -> int:
+        return SELF_WIDTH * self.size
+
+    @property
+    def groups(self) -> Mapping[str, slice]:
+        """One row for each pair."""
+        return {f"{a}-{b}": slice(i, i + 1) for i, (a, b) in enumerate(self.pairs or ())}
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        chain, frames, out = self.robot.base.chain(s.x), self.robot.tree.frames, []
+        for k, (a, b) in enumerate(self.pairs or ()):
+            row = s.reference[SELF_WIDTH * k : SELF_WIDTH * (k + 1)]
+            top = common_link(self.robot, frames[a].link, frames[b].link)
+            gap = _below(chain, frames[a], row[3:6], top) - _below(chain, frames[b], row[6:9], top)
+            out.append(ca.dot(row[:3], gap) - row[9] + _absent(row))
+        return ca.vertcat(*out)
+
+
+def _absent(row: ca.SX) -> ca.SX:
+    """1 where the parameters are zeros, a row without an obstacle; 0 for unit normals."""
+    return 1.0 - ca.dot(row[:3], row[:3])
+
+
+def _below(chain: Chain, frame: Frame, point: ca.SX, top: int) -> ca.SX:
+    """A point of a frame (3) in the axes of a link above it: only the joints in between are part of it."""
+    found, link = constant(frame.position) + constant(frame.rotation) @ point, frame.link
+    while link != top:
+        place = chain.places[link]
+        found, link = place.offset + place.rotation @ found, chain.links[link].parent
+    return found

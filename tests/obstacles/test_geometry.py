@@ -1,0 +1,144 @@
+"""Shapes of robots. Truth: MuJoCo's own kinematics and contacts of the robot's file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from clearing import TrueDistance, write_arm
+from wbmpc.errors import InputError
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.obstacles.geometry import RobotGeometry, _cover, robot_geometry
+from wbmpc.obstacles.pairs import diagnose, draw_states, propose_pairs, self_pairs
+from wbmpc.obstacles.solids import Solid
+
+ROBOTS = ("differential-ur10", "rezero", "swerve-ur10")
+
+
+def lowest(geometry: RobotGeometry, x: np.ndarray, direction: np.ndarray) -> float:
+    """How far the robot reaches against a direction."""
+    positions, rotations = geometry.kinematics(x[None])
+    centers, axes = geometry.at(positions, rotations)
+    ends = [c - a @ s.solid.support((direction @ a)[None])[0] for c, a, s in zip(centers[0], axes[0], geometry.shapes)]
+    return float(min(e @ direction for e in ends))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_shapes_are_where_the_file_has_them(name: str) -> None:
+    """Truth: distances of MuJoCo's geoms to a wall, from six sides."""
+    robot = load_robot(name)
+    geometry = robot_geometry(robot)
+    truth = TrueDistance(robot, [(mujoco.mjtGeom.mjGEOM_SPHERE, [0.01])])
+    x = robot.home.copy()
+    rng = np.random.default_rng(0)
+    arm = robot.state["arm"]
+    x[arm] += rng.uniform(-0.5, 0.5, x[arm].size)
+    for direction in np.concatenate([np.eye(3), -np.eye(3)]):
+        # a far ball in that direction sees the extreme point, but for the robot's width over its distance
+        far = 1.5 * direction + robot.pose(x, robot.description.base.body)[0] * (1.0 - np.abs(direction))
+        found = truth(x, [far])
+        if found < 1.99:
+            assert lowest(geometry, x, -direction) <= -(far @ direction - found - 0.01) + 1e-6
+
+
+def test_a_spinning_wheel_is_what_it_sweeps_on_the_body_that_carries_it() -> None:
+    """Truth: the radius in the robot file."""
+    geometry = robot_geometry(load_robot("swerve-ur10"))
+    assert not [f for f in geometry.frames if f.startswith("wheel")]
+    (wheel,) = [s for s in geometry.shapes if s.frame == "steer_LF" and s.solid.kind == "cylinder"]
+    assert wheel.solid.size[0] == pytest.approx(0.10, abs=1e-5) and wheel.solid.position[2] == pytest.approx(-0.2746)
+
+
+def test_a_part_that_rolls_is_a_ball_on_the_base() -> None:
+    robot = load_robot("rezero")
+    geometry = robot_geometry(robot)
+    assert lowest(geometry, robot.home, np.array([0, 0, 1.0])) == pytest.approx(-0.1255, abs=1e-3)  # the ball's radius
+
+
+@pytest.mark.parametrize("kind", ["capsule", "cylinder", "box", "ellipsoid"])
+def test_balls_cover_a_solid(kind: str) -> None:
+    """Truth: random points of the solid."""
+    rng = np.random.default_rng(0)
+    solid = Solid(kind, np.array([0.1, 0.25, 0.15]), np.array([0.3, 0.0, -0.1]))
+    d = rng.normal(size=(4000, 3))
+    d /= np.linalg.norm(d, axis=1)[:, None]
+    points = solid.position + solid.support(d)  # the surface's extreme points
+    points = np.concatenate([points, solid.position + rng.uniform(0, 1, (4000, 1)) * (points - solid.position)])
+    gaps = np.min([np.linalg.norm(points - c, axis=1) - r for c, r in _cover(solid)], axis=0)
+    assert gaps.max() < 1e-9
+
+
+def test_shapes_by_hand(tmp_path: Path) -> None:
+    section = """collision:
+  shapes:
+    - {frame: tip, kind: sphere, radius: 0.05}
+    - {frame: upper, kind: capsule, radius: 0.05, a: [0, 0, 0], b: [0.4, 0, 0]}
+    - {frame: foot, kind: box, half: [0.1, 0.1, 0.1], center: [0, 0, 0.1]}
+  margin: 0.04
+  self: {margin: 0.01, pairs: [[foot, tip]]}
+"""
+    robot = load_robot(write_arm(tmp_path, section))
+    geometry = robot_geometry(robot)
+    assert geometry.frames == ("tip", "upper", "foot") and robot.description.collision.margin == 0.04
+    assert self_pairs(robot) == (("foot", "tip"),)
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        (
+            "collision: {shapes: [{frame: nose, kind: sphere, radius: 0.1}]}",
+            ("collision.shapes.0.frame", "nose", "tip"),
+        ),
+        ("collision: {shapes: [{frame: tip, kind: cone, radius: 0.1}]}", ("collision.shapes.0.kind", "sphere")),
+        ("collision: {shapes: [{frame: tip, kind: sphere}]}", ("collision.shapes", "'radius'")),
+        (
+            "collision: {shapes: [{frame: tip, kind: sphere, radius: 0.1, half: [1, 1, 1]}]}",
+            ("'half'", "valid: radius"),
+        ),
+        ("collision: {margin: -1}", ("collision.margin", "-1")),
+        ("collision: {margins: 1}", ("collision.margins", "margin")),
+        ("collision: {self: {pairs: [[foot, nose]]}}", ("collision.self.pairs", "nose", "fore")),
+        ("collision: {self: {ignore: [[foot]]}}", ("collision.self.ignore",)),
+        ("collision: {shapes: []}", ("collision.shapes", "no shapes")),
+    ],
+)
+def test_a_wrong_section_names_file_and_key(tmp_path: Path, section: str, words: tuple[str, ...]) -> None:
+    with pytest.raises(InputError) as error:
+        robot_geometry(load_robot(write_arm(tmp_path, section)))
+    assert all(word in str(error.value) for word in ("arm.yaml", *words)), str(error.value)
+
+
+def touching(robot: RobotModel, states: np.ndarray) -> set[frozenset[str]]:
+    """Pairs of bodies in contact at any state, by MuJoCo's own collision detection."""
+    truth = TrueDistance(robot, [(mujoco.mjtGeom.mjGEOM_SPHERE, [0.01])])
+    m, d = truth.model, truth.data
+    m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+    found = set()
+    for x in states:
+        truth(x, [np.array([50.0, 0, 0])])
+        mujoco.mj_comPos(m, d)
+        mujoco.mj_collision(m, d)
+        bodies = [m.geom_bodyid[list(d.contact[c].geom)] for c in range(d.ncon)]
+        found |= {frozenset(str(m.body(int(b)).name) for b in pair) for pair in bodies}
+    return found
+
+
+def test_pairs_that_touch_are_proposed_or_adjacent(tmp_path: Path) -> None:
+    robot = load_robot(write_arm(tmp_path))
+    proposal = propose_pairs(robot, 300)
+    known = {frozenset(p) for p in (*proposal.pairs, *proposal.adjacent, *proposal.always)}
+    seen = touching(robot, draw_states(robot, 300))
+    assert seen and seen <= known
+    assert ("foot", "fore") in proposal.pairs and ("upper", "fore") in proposal.adjacent
+    assert {frozenset(p) for p in proposal.never}.isdisjoint(seen)
+
+
+def test_pairs_to_ignore_are_left_out_and_the_rest_is_shown(tmp_path: Path) -> None:
+    robot = load_robot(write_arm(tmp_path, "collision: {self: {ignore: [[fore, foot]]}}"))
+    assert ("foot", "fore") in propose_pairs(robot).pairs and ("foot", "fore") not in self_pairs(robot)
+    text = " ".join(f.message for f in diagnose(robot))
+    assert "4 shapes on 4 frames" in text and "confirm them" in text and "[shoulder, fore]" in text
