@@ -70,7 +70,9 @@ CONDITIONS = {**SWERVE, **BALL, **{n: settings for n, (_, settings, _) in VARIAN
 def conditions_of(name: str) -> dict[str, tuple[str, ...]]:
     """Conditions of an experiment's robot, and variants of the experiment."""
     own = {n: settings for n, (experiment, settings, _) in VARIANTS.items() if experiment == name}
-    more = BALL if name.startswith("rezero") else {} if name in PROTOCOL_ONLY else SWERVE
+    more = (
+        BALL if name.startswith("rezero") else SWERVE if name.startswith("swerve") and name not in PROTOCOL_ONLY else {}
+    )
     return {"protocol": (), **more, **own}
 
 

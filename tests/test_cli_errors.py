@@ -175,7 +175,7 @@ REAL = {
     ("run", "swerve-track", "--set", "mpc.first_interval=1e-30"): "first_interval: 1e-30 s is too short",
     ("run", "swerve-track", "--set", "cost.state.arm=1e308"): "cost.state.arm=1e308: the value must be a finite number",
     ("run", "rezero-steps", "--set", "hold_time=1"): "hold_time=1",
-    ("run", "rezero-steps", "--set", "hold_time=2"): "hold_time=2: a step needs 2.3 s",
+    ("run", "rezero-steps", "--set", "hold_time=2", "--set", "preview=true"): "hold_time=2: a step needs 2.3 s",
     (
         "run",
         "rezero-steps",

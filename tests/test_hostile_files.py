@@ -366,7 +366,7 @@ def test_generated_cases_are_accepted_or_rejected_as_their_generators_know(
     assert [line for t in tallies.values() for line in t.bad] == []
     assert (
         all(t.rejected for kind, t in tallies.items() if kind != "problems")
-        and sum(t.accepted for t in tallies.values()) > 50
+        and sum(t.accepted for t in tallies.values()) > 40
     )
 
 

@@ -35,12 +35,10 @@ def test_another_answer_is_reported() -> None:
 
 
 def test_a_limit_of_state_and_input_with_a_slack_is_not_infeasible() -> None:
-    """Seed 3 ends at the iteration limit with a row x and u give way to; IPOPT's slack is as large."""
+    """Of seed 3 a row of x and u has to give way; IPOPT's slack is as large."""
     drawn = random_problems.draw(3)
     solver, ours = random_problems.attempt(drawn, drawn.settings)
-    assert (
-        ours.status is Status.ITERATION_LIMIT and "mixed" in ours.detail and "a limit that may give way" in ours.detail
-    )
+    assert ours.status is Status.RELAXED
     other = IpoptBaseline(solver, drawn.x0)
     assert other.solve(other.vector(ours.x, ours.u), near=False).slack > 0.1
 

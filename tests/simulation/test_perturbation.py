@@ -42,9 +42,10 @@ def test_draws_fill_their_ranges():
         assert maximum - 0.05 * width < high <= maximum, name
 
 
-def test_the_radius_factor_is_common_unless_asked_otherwise():
-    assert all(np.ptp(d.radius) == 0.0 for d in draws(5))
-    assert all(np.ptp(d.radius) > 0.0 for d in draws(5, wheel_radius_each=0.002))
+def test_radii_differ_wheel_by_wheel_and_a_common_factor_is_a_setting_of_its_own():
+    assert all(np.ptp(d.radius) > 0.0 for d in draws(5))
+    common = list(draws(5, wheel_radius_each=0.0, wheel_radius=0.002))
+    assert all(np.ptp(d.radius) == 0.0 and d.radius[0] != 1.0 for d in common)
 
 
 def test_bodies_change_as_drawn_and_balanced_ones_keep_their_centre():

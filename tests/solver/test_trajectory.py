@@ -59,8 +59,8 @@ def _touches_memory(path: Path) -> bool:
 
 
 def test_the_solvers_memory_is_private() -> None:
-    """Nothing but the solver, the kernels and their tests reads or writes ``Solver.ws``."""
-    own = ("src/wbmpc/solver", "src/wbmpc/kernel", "tests/solver", "tests/kernel")
+    """Nothing but the solver, the kernels, exports and their tests reads or writes ``Solver.ws``."""
+    own = ("src/wbmpc/solver", "src/wbmpc/kernel", "src/wbmpc/embedded", "tests/solver", "tests/kernel")
     files = [
         p.relative_to(ROOT).as_posix()
         for d in ("src", "tests", "benchmarks", "examples")

@@ -54,7 +54,7 @@ def test_impedance_is_found_while_the_door_opens(result) -> None:  # type: ignor
     log = result.log
     inertia, damping, resistance = log.array("impedance_high")[-1]
     door = rezero_door.drawn_door(LOADED, (0.0, 0.0), 1)
-    assert inertia == pytest.approx(door.inertia, rel=0.7)
+    assert 0.5 < inertia / door.inertia < 2.0  # beside a load that has not been weighed
     rate = log.array("door_high")[:, 1].max()
     assert damping * rate + resistance == pytest.approx(door.damping * rate + door.friction + door.closer, rel=0.2)
 

@@ -33,7 +33,9 @@ class InputLimits:
         self.matrix = np.zeros((0, lower.size)) if matrix is None else matrix
         self.offset = np.zeros(len(self.matrix)) if offset is None else offset
         inside = self.matrix != 0.0
-        alone = np.where(inside.sum(axis=1) == 1, inside.argmax(axis=1), -1.0)
+        alone = (inside.sum(axis=1) == 1) * (
+            inside.argmax(axis=1) + 1.0
+        ) - 1.0  # np.where would let go of the interpreter
         parts = (lower, upper, self.matrix.ravel(), self.offset, _groups(inside).ravel(), alone)
         #: all of it in one array, as :mod:`wbmpc.solver.feedback` reads it
         self.table = np.concatenate([np.asarray(part, float) for part in parts])

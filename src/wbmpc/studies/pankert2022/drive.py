@@ -135,8 +135,9 @@ class _Run:
 
         controller = RollingController(
             robot, plant.truth().pose, timing.period, goals,
-            RollingGains(s.baseline_base_gain, s.baseline_leg_gain, s.baseline_steer_gain, s.baseline_lead, s.baseline_look_ahead),
-            brakes.commanded, estimation=self.estimation, delay=s.mpc.computation_delay,
+            RollingGains(s.baseline_base_gain, s.baseline_leg_gain, s.baseline_steer_gain, s.baseline_lead, s.baseline_look_ahead,
+                s.mpc.computation_delay),
+            brakes.commanded, estimation=self.estimation,
         )  # fmt: skip
         part = robot.state["arm"]
         controller.posture = lambda t: tuple(way[0] for way in ramps(robot.home[part], mission.arm, t))  # type: ignore[return-value, assignment]

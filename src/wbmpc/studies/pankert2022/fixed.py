@@ -73,7 +73,7 @@ def baseline(kind: type[RollingController], **gains: float) -> Make:
         r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion, known: EstimatorSettings
     ) -> SwerveController:
         aims = lambda t: goals(p, t, legs_at_home(r))
-        return kind(r, pose, period, aims, RollingGains(**gains), estimation=known, delay=s.mpc.computation_delay)
+        return kind(r, pose, period, aims, RollingGains(**gains, delay=s.mpc.computation_delay), estimation=known)
 
     return make
 

@@ -41,33 +41,34 @@ def scale_wheels(wheel: np.ndarray, limit: float) -> np.ndarray:
 @dataclass(frozen=True)
 class RollingGains:
     """Gains [1/s] of base pose, legs and steering; ``lead`` [s] by which the goals are read ahead, for the drives' lag;
-    ``look_ahead`` [s]: a base at rest turns its wheels to the motion that begins so soon (0: it does not)."""
+    ``look_ahead`` [s]: a base at rest turns its wheels to the motion that begins so soon (0: it does not); ``delay`` [s]: by which a
+    command acts after the measurement that it is made of."""
 
     base_gain: float = 1.5
     leg_gain: float = 2.0
     steer_gain: float = 8.0
     lead: float = 0.0
     look_ahead: float = 0.0
+    delay: float = 0.0
 
     def __post_init__(self) -> None:
         not_negative("rolling controller", **asdict(self))
 
 
 class RollingController(SwerveController):
-    """``goals``: what base and legs shall do. The arm stands still, or follows ``posture`` (t) -> (angles (m), rates (m)). ``delay`` [s]:
-    by which a command acts after the measurement that it is made of. The other arguments are those of :class:`SwerveController`."""
+    """``goals``: what base and legs shall do. The arm stands still, or follows ``posture`` (t) -> (angles (m), rates (m)). The other
+    arguments are those of :class:`SwerveController`."""
 
     posture: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = None
 
     def __init__(
         self, robot: RobotModel, pose: np.ndarray, period: float, goals: Goals, gains: RollingGains | None = None,
         brakes: Brakes | None = None, *, estimation: EstimatorSettings | None = None,
-        supervision: SupervisionSettings | None = None, delay: float = 0.0,
+        supervision: SupervisionSettings | None = None,
     ) -> None:  # fmt: skip
         super().__init__(robot, pose, period, brakes, estimation=estimation, supervision=supervision)
         self.goals, self.gains = goals, gains or RollingGains()
-        not_negative("rolling controller", delay=delay)
-        self._waiting: deque[SwerveCommand] = deque(maxlen=round(delay / period) + 1)
+        self._waiting: deque[SwerveCommand] = deque(maxlen=round(self.gains.delay / period) + 1)
 
     def command(self, t: float, plans: PolicyQueue) -> SwerveCommand:
         """What :meth:`drive` made of the measurement before the delay; plans are not looked at."""
