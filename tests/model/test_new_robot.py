@@ -17,6 +17,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.robots.doctor import examine_robot
 from wbmpc.robots.mechanism import read_mechanism
 from wbmpc.robots.model_file import read_model
+from wbmpc.robots.wheel_search import find_wheels
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
 #: Radius of wheels [m].
@@ -136,6 +137,24 @@ def test_a_model_becomes_a_robot(wheels: str, base: str, count: int, tmp_path: P
         assert abs(robot.pose(robot.home)[0][2] - 0.8) < 0.35  # the working height, among 2 000 postures
     result = examine_robot(str(path))
     assert result.count("error") == 0 and result.count("warning") == 0, result.findings
+
+
+@pytest.mark.parametrize("powered", [False, True])
+def test_rear_wheels_without_limits_are_no_casters(powered: bool, tmp_path: Path) -> None:
+    """A URDF demands limits of a steering axis: they do not make casters of the tyres on a fixed axle behind it."""
+    free = '<limit velocity="10.0" effort="5"/>'
+    fork = link("fork") + joint(
+        "steer", "hull", "fork", (0.4, 0, 0.1), "0 0 1", 'lower="-1" upper="1" velocity="3" effort="5"'
+    )
+    front = wheel("front", (0, 0, 0), "fork")
+    rear = "".join(wheel(n, (-0.3, y, 0.1)) for n, y in (("left", 0.3), ("right", -0.3))).replace(free, "")
+    path = model(tmp_path, fork + (front if powered else front.replace(free, "")) + rear + ARM)
+    found = {w.joint: w for w in find_wheels(read_mechanism(read_model(path)))}
+    assert [found[f"{n}_joint"].passive for n in ("front", "left", "right")] == [False] * 3
+    assert [found[f"{n}_joint"].driven for n in ("front", "left", "right")] == [True, not powered, not powered]
+    base = load_robot(new(path)).description.base
+    assert base.type == "wheels"
+    assert base.wheel_joints() == (["front_joint"] if powered else ["front_joint", "left_joint", "right_joint"])
 
 
 def test_a_home_is_better_than_most_postures(tmp_path: Path) -> None:

@@ -18,7 +18,10 @@ def _table(results: list[RunResult]) -> None:
     from wbmpc.report import goal_notes, metric_cells
     from wbmpc.units import number
 
-    table = plain_table("Simulated in MuJoCo, plant perturbed; the paper's figures are of the real robot.")
+    exact = [r.settings.get("physics") == "kinematic" for r in results]
+    own, physics = "Simulated by the planner's own model", "Simulated in MuJoCo, plant perturbed"
+    title = own if all(exact) else f"{own} or in MuJoCo, plant perturbed" if any(exact) else physics
+    table = plain_table(f"{title}; the paper's figures are of the real robot.")
     for column in ("experiment", "metric"):
         table.add_column(column, overflow="fold")
     table.add_column("unit", no_wrap=True)

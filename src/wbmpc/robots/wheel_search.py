@@ -23,7 +23,8 @@ CASTER = re.compile(r"cast[eo]r|passive|idler", re.IGNORECASE)
 class Wheel:
     """``center`` (3) [m] and ``axle`` (3) in the world of the file, at zero; ``radius`` [m] as the shapes show it, or else the height of
     the center above the file's world (``assumed``); ``steer``, ``hinge``: vertical axes above it, the second one that of a leg;
-    ``offset`` [m]: from the steering axis; ``passive``: a caster's; ``held``: its rollers and its suspension."""
+    ``offset`` [m]: from the steering axis; ``passive``: a caster's; ``held``: its rollers and its suspension; ``driven``: False for a
+    tyre without a drive."""
 
     joint: str
     center: Array
@@ -35,6 +36,7 @@ class Wheel:
     offset: float
     passive: bool
     held: tuple[str, ...]
+    driven: bool = True
 
     @property
     def heading(self) -> Array:
@@ -53,14 +55,30 @@ def find_wheels(mechanism: Mechanism) -> list[Wheel]:
     found = [w for j in mechanism.joints.values() if (w := _wheel(mechanism, j)) is not None]
     lowest = min((w.center[2] for w in found), default=0.0)
     low = [w for w in found if w.center[2] <= lowest + _LOW]
-    limited = {w.joint for w in low if _has_limits(mechanism, w)}
-    return [w if not limited or w.joint in limited else replace(w, passive=True) for w in low]
+    limited = [w for w in low if _has_limits(mechanism, w)]
+    if not limited:
+        return low
+    names, steered = {w.joint for w in limited}, all(w.steer for w in limited)
+    powered = any(_says_something(mechanism, w.joint) for w in limited)
+    return [w if w.joint in names else _unlimited(w, steered, powered) for w in low]
+
+
+def _unlimited(wheel: Wheel, steered: bool, powered: bool) -> Wheel:
+    """A wheel of whose drive the file says nothing, beside others of which it does: a caster, but beside wheels that are all
+    ``steered`` a tyre on a fixed axle is no caster: it keeps the base from moving sideways (a tricycle's, a car's rear wheels)."""
+    if wheel.passive or wheel.rollers or wheel.steer or not steered:
+        return replace(wheel, passive=True)
+    return replace(wheel, driven=not powered)
 
 
 def _has_limits(mechanism: Mechanism, wheel: Wheel) -> bool:
     """Whether the file says anything of its drives; where it does of some wheels, the others are casters."""
-    drives = [mechanism.joints[n].drive for n in (wheel.joint, wheel.steer) if n]
-    return any(d.driven or d.velocity is not None or d.effort is not None for d in drives)
+    return any(_says_something(mechanism, n) for n in (wheel.joint, wheel.steer) if n)
+
+
+def _says_something(mechanism: Mechanism, joint: str) -> bool:
+    drive = mechanism.joints[joint].drive
+    return drive.driven or drive.velocity is not None or drive.effort is not None
 
 
 def _wheel(mechanism: Mechanism, joint: Joint) -> Wheel | None:

@@ -40,7 +40,10 @@ class WheelsBaseType(PlanarBaseType):
         known = [w.radius for w in wheels if w.radius is not None]
         radius = float(np.median(known)) if known else RADIUS
         section = {
-            "wheels": [{"joint": w.joint, **({"steer": w.steer} if w.steer else {})} for w in wheels],
+            "wheels": [
+                {"joint": w.joint} | ({"steer": w.steer} if w.steer else {}) | ({} if w.driven else {"driven": False})
+                for w in wheels
+            ],
             **(
                 {}
                 if len(known) == len(wheels) and not any(w.assumed for w in wheels)
