@@ -16,9 +16,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import wbmpc as wb
 from fake_experiment import FakeSettings, run
 from wbmpc.log import Log
-from wbmpc.report import MAX_POINTS, _colours, _legend_rows, _thin, goal_text, page, to_json, versions, write_run
+from wbmpc.report import (
+    MAX_POINTS,
+    _colours,
+    _legend_rows,
+    _thin,
+    goal_text,
+    page,
+    plots_page,
+    to_json,
+    versions,
+    write_run,
+)
 from wbmpc.result import Metric, MpcStatistics, Series
 from wbmpc.units import number, scale
 
@@ -276,3 +288,10 @@ def test_a_run_that_did_not_complete_reaches_no_goal() -> None:
     assert any(result.metrics[name].met for name in judged)  # as far as the run went
     assert f"0 of {len(judged)} goals reached" in text
     assert '<span class="met">' not in text
+
+
+def test_names_of_axes_make_no_links() -> None:
+    line = wb.Series("a", np.arange(3.0), np.arange(3.0))
+    text = plots_page("t", "a", [wb.Plot("t", "<a href='http://x'>", "<b>", [line])])
+    assert "\\u003ca href" not in text
+    assert "\\u003cb\\u003e" not in text

@@ -84,8 +84,8 @@ def numbers(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.flo
     """``values`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
     try:
         value = values if type(values) is np.ndarray and values.dtype is _FLOAT else np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {values!r}") from None
+    except (TypeError, ValueError, OverflowError):  # the last: a whole number beyond all floats
+        raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {str(values)[:80]}") from None
     if value.shape != (size,):
         raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {value}")
     # few numbers are checked several times as fast one by one

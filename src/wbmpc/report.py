@@ -292,7 +292,7 @@ def _figure(plot: Plot | Drawing) -> str:
         # plain lists: browsers draw them the same, and the page stays readable
         figure.add_scatter(x=_short(x), y=_short(y), name=html.escape(line.name), mode="lines", line=style)
     figure.update_layout(
-        xaxis_title=plot.x_label, yaxis_title=plot.y_label,
+        xaxis_title=html.escape(plot.x_label), yaxis_title=html.escape(plot.y_label),
         template=_template(), height=320 + 20 * _legend_rows([line.name for line in plot.series]),
         margin={"l": 60, "r": 16, "t": 36, "b": 88},
         legend={"orientation": "h", "y": -0.25, "yanchor": "top"}, font={"family": "system-ui, sans-serif", "size": 12},

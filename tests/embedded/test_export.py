@@ -268,3 +268,22 @@ def test_other_targets_agree_with_python(tmp_path: Path, target: str, capsys: py
     file.write_text(PROGRAM.format(tests=str(Path(__file__).parents[1])))
     assert call("export", f"{file}", "--out", str(tmp_path / "out"), "--target", target, "--check", "--json") == 0
     assert json.loads(capsys.readouterr().out)["check"]["passed"]
+
+
+@pytest.mark.parametrize("name", ["README.md", "CMakeLists.txt", "example.c", "controller.h"])
+def test_a_file_that_is_there_is_not_replaced(tmp_path: Path, name: str) -> None:
+    (tmp_path / "problem.py").write_text("from exported import trolley as make_mpc\n")
+    (tmp_path / name).write_text("mine")
+    assert call("export", str(tmp_path / "problem.py"), "--out", str(tmp_path)) == 2
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_names_of_states_cannot_end_a_comment(tmp_path: Path) -> None:
+    names = {"x": ["a */ int evil; /*"]}, {"u": ["b\n*/"]}
+    dynamics = wb.Ode(*names, lambda x, u: u)
+    ocp = wb.OptimalControlProblem(dynamics, horizon=1.0, intervals=5)
+    ocp.add(wb.Cost("effort", wb.residuals.Expression(1, lambda s: s.u), 1.0))
+    made = wb.export(wb.MPC(ocp, rate=10.0), tmp_path)
+    text = (made.directory / "controller.h").read_text()
+    assert "evil;" not in text
+    assert text.count("/*") == text.count("*/")

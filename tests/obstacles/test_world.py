@@ -156,3 +156,72 @@ def test_a_scene_with_a_mistake_names_file_and_key_and_sets_nothing(tmp_path: Pa
 def test_a_missing_scene_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such file"):
         list(read_scene(tmp_path / "none.yaml"))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"position": [1e308, 0.0, 0.0]}, {"velocity": [0.0, 1e150, 0.0]}, {"std": 1e308}, {"velocity_std": 1e308}, {"seen": 1e308},
+        {"position": [10**400, 0, 0]}, {"expire": "long"}, {"expire": None}, {"frame": []}, {"frame": None}, {"frame": 3},
+    ],
+)  # fmt: skip
+def test_what_no_robot_meets_is_rejected(arguments) -> None:  # type: ignore[no-untyped-def]
+    world = wb.Obstacles()
+    with pytest.raises(InputError, match="obstacle 'a'"):
+        world.set("a", wb.shapes.Sphere(0.1), **arguments)
+    assert len(world) == 0
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: wb.shapes.Sphere(1e308), lambda: wb.shapes.Sphere(1e-320), lambda: wb.shapes.Sphere(0.1, [1e200, 0, 0]),
+        lambda: wb.shapes.Box([1e308] * 3), lambda: wb.shapes.Box([1e-200] * 3), lambda: wb.shapes.HalfSpace([0, 0, 1], 1e308),
+        lambda: wb.shapes.HalfSpace([1e200] * 3), lambda: wb.shapes.Capsule([0] * 3, [1e200] * 3, 1.0),
+        lambda: wb.shapes.Cylinder([0] * 3, [1e200] * 3, 1.0), lambda: wb.shapes.ConvexMesh(1e-200 * np.eye(4, 3)),
+    ],
+)  # fmt: skip
+def test_shapes_of_no_size_or_beyond_all_are_rejected(make) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError):
+        make()
+
+
+@pytest.mark.parametrize("name", [None, 3, [], ""])
+def test_a_name_is_a_text(name) -> None:  # type: ignore[no-untyped-def]
+    world = wb.Obstacles()
+    for call in (world.remove, lambda n: world.move(n, [0.0, 0.0, 0.0])):
+        with pytest.raises(InputError, match="a name is needed"):
+            call(name)
+
+
+def test_names_of_a_scene_that_become_the_same_are_an_error(tmp_path: Path) -> None:
+    path, world = tmp_path / "scene.yaml", wb.Obstacles()
+    path.write_text('obstacles: {1: {sphere: {radius: 0.1}}, "1": {sphere: {radius: 0.2}}}')
+    with pytest.raises(InputError, match="is there twice"):
+        world.load(path)
+
+
+def test_a_scene_for_which_there_is_no_room_sets_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wbmpc.obstacles.world.MAX_OBSTACLES", 2)
+    path, world = tmp_path / "scene.yaml", wb.Obstacles()
+    world.set("own", wb.shapes.Sphere(0.1))
+    path.write_text("obstacles: {a: {sphere: {radius: 0.1}}, b: {sphere: {radius: 0.2}}}")
+    with pytest.raises(InputError, match="at most so many"):
+        world.load(path)
+    assert world.names == ("own",)
+
+
+def test_what_is_moved_while_another_thread_removes_it_does_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = wb.Obstacles()
+    world.set("a", wb.shapes.Sphere(0.1))
+    put, other = world.set, threading.Thread(target=lambda: world.remove("a"))
+
+    def between(*arguments, **keys):  # type: ignore[no-untyped-def]
+        other.start()
+        other.join(0.2)
+        put(*arguments, **keys)
+
+    monkeypatch.setattr(world, "set", between)
+    world.move("a", [1.0, 0.0, 0.0])
+    other.join()
+    assert "a" not in world

@@ -36,11 +36,12 @@ def export(
     from wbmpc.embedded.check import check as compare
     from wbmpc.embedded.check import tools
     from wbmpc.embedded.exporter import export as write
+    from wbmpc.embedded.exporter import files
     from wbmpc.registry import load_mpc
 
     if check:
         tools(target)
-    reject_existing("--out", [out / f"{prefix}.o", out / f"{prefix}.h"], force)
+    reject_existing("--out", [out / name for name in files(prefix, check)], force)
     mpc = load_mpc(problem)
     writable_directory("--out", out)
     done = write(mpc, out, prefix=prefix, target=target, samples=samples)

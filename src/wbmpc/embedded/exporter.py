@@ -107,6 +107,12 @@ def export(
     return done
 
 
+def files(prefix: str, checked: bool = False) -> tuple[str, ...]:
+    """Names of all files that an export writes; ``checked``: with those of :func:`wbmpc.embedded.check.check`."""
+    records = ("observations.txt", "expected.txt") if checked else ()
+    return (f"{prefix}.o", f"{prefix}.h", "example.c", "CMakeLists.txt", "README.md", *records)
+
+
 def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
     with generating_for(target):
         problem, _ = emit_problem(mpc.solver.problem)

@@ -52,7 +52,8 @@ def _members(prefix: str, kind: str, members: type[IntEnum]) -> str:
 
 
 def _layout(title: str, layout: Layout) -> str:
-    rows = [f" * {i:3d} {name}" for i, name in enumerate(layout.names)]
+    # a name may be anything, an end of this comment too
+    rows = [f" * {i:3d} {re.sub('[^A-Za-z0-9_.-]', '_', name)}" for i, name in enumerate(layout.names)]
     return "\n".join([f"/* {title}", *rows, " */"]) + "\n"
 
 

@@ -36,8 +36,11 @@ def read_scene(path: str | Path) -> Iterator[tuple[str, str, Shape, dict[str, An
     section = data.get("obstacles") if isinstance(data, Mapping) and set(data) == {"obstacles"} else None
     if not isinstance(section, Mapping):
         raise InputError(f"{path}: one key is needed, 'obstacles', with a mapping of names")
+    names = [str(name) for name in section]
     for name, entry in section.items():
         where = f"{path}: key 'obstacles.{name}'"
+        if names.count(str(name)) > 1:  # 1 and "1" are two keys
+            raise InputError(f"{where}: is there twice")
         if not isinstance(entry, Mapping):
             raise InputError(f"{where}: a mapping with a shape is needed, got {entry!r}")
         yield where, str(name), _shape(where, entry), {k: v for k, v in entry.items() if k in _PLACES}

@@ -19,6 +19,23 @@ __all__ = ["Box", "Capsule", "ConvexMesh", "Cylinder", "DistanceGrid", "HalfSpac
 Array = NDArray[np.float64]
 #: Corners of a convex mesh, and cells of a grid, at most.
 MAX_VERTICES, MAX_CELLS = 10_000, 50_000_000
+#: Lengths [m] and speeds [m/s] of what a robot may meet: squares of larger ones are no longer distances. Less is no solid.
+LARGEST, SMALLEST = 1e6, 1e-6
+
+
+def limited(who: str, **values: ArrayLike) -> None:
+    """Raise :class:`InputError` of ``who`` for finite numbers beyond :data:`LARGEST`, by their name."""
+    for name, value in values.items():
+        if (np.abs(np.asarray(value, float)) > LARGEST).any():
+            raise InputError(f"{who}: '{name}' must be at most {LARGEST:g}, got {str(value)[:80]}")
+
+
+def _size(who: str, **values: ArrayLike) -> None:
+    """The same, and for what is below :data:`SMALLEST`."""
+    limited(who, **values)
+    for name, value in values.items():
+        if (np.asarray(value, float) < SMALLEST).any():
+            raise InputError(f"{who}: '{name}' must be at least {SMALLEST:g}, got {str(value)[:80]}")
 
 
 def _set(shape: Any, **values: Any) -> None:
@@ -36,6 +53,8 @@ class Sphere:
     def __post_init__(self) -> None:
         checks.positive("sphere", radius=self.radius)
         _set(self, center=checks.numbers("sphere", "center", self.center, 3))
+        _size("sphere", radius=self.radius)
+        limited("sphere", center=self.center)
 
     @cached_property
     def solid(self) -> Solid:
@@ -53,6 +72,8 @@ class Capsule:
     def __post_init__(self) -> None:
         checks.positive("capsule", radius=self.radius)
         _set(self, a=checks.numbers("capsule", "a", self.a, 3), b=checks.numbers("capsule", "b", self.b, 3))
+        _size("capsule", radius=self.radius)
+        limited("capsule", a=self.a, b=self.b)
 
     @cached_property
     def solid(self) -> Solid:
@@ -70,6 +91,8 @@ class Cylinder:
     def __post_init__(self) -> None:
         checks.positive("cylinder", radius=self.radius)
         _set(self, a=checks.numbers("cylinder", "a", self.a, 3), b=checks.numbers("cylinder", "b", self.b, 3))
+        _size("cylinder", radius=self.radius)
+        limited("cylinder", a=self.a, b=self.b)
         if np.linalg.norm(np.subtract(self.b, self.a)) < 1e-6:
             raise InputError("cylinder: 'a' and 'b' are the same point; valid: the centers of its two ends")
 
@@ -91,6 +114,8 @@ class Box:
         if not (half > 0.0).all():
             raise InputError(f"box: 'half' needs three positive numbers, got {half.tolist()}")
         _set(self, half=half, center=checks.numbers("box", "center", self.center, 3))
+        _size("box", half=half)
+        limited("box", center=self.center)
         _set(self, orientation=unit_quaternion("box", "orientation", self.orientation))
 
     @cached_property
@@ -109,10 +134,12 @@ class HalfSpace:
     def __post_init__(self) -> None:
         checks.finite("half-space", offset=self.offset)
         normal = checks.numbers("half-space", "normal", self.normal, 3)
+        limited("half-space", normal=normal)
         length = float(np.linalg.norm(normal))
         if length < 1e-9:
             raise InputError("half-space: 'normal' has no direction, got zeros")
         _set(self, normal=normal / length, offset=float(self.offset) / length)
+        limited("half-space", offset=self.offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,10 +160,12 @@ class ConvexMesh:
             )
         if not np.isfinite(points).all():
             raise InputError("convex mesh: 'vertices' must be finite")
+        limited("convex mesh", vertices=points)
         try:
             _set(self, vertices=points, solid=solids.mesh(points))
         except ValueError as error:
             raise InputError(f"convex mesh: 'vertices': {error}") from error
+        _size("convex mesh", size=self.solid.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +193,8 @@ class DistanceGrid:
         if not np.isfinite(values).all():
             raise InputError("distance grid: 'values' must be finite")
         _set(self, origin=checks.numbers("distance grid", "origin", self.origin, 3), values=values, error=float(error))
+        _size("distance grid", cell=self.cell)
+        limited("distance grid", origin=self.origin, error=error)
 
     def sample(self, points: Array) -> tuple[Array, Array]:
         """Distance (n), ``error`` taken off, and its gradient (n, 3) at points (n, 3); infinite and 0 outside of the grid."""

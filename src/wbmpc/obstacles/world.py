@@ -22,6 +22,7 @@ from wbmpc.obstacles.shapes import (
     HalfSpace,
     Shape,
     Sphere,
+    limited,
     unit_quaternion,
 )
 
@@ -85,7 +86,7 @@ class Obstacles:
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._obstacles: dict[str, Obstacle] = {}
         self._frames: dict[str, tuple[Array, Array]] = {}
 
@@ -114,10 +115,11 @@ class Obstacles:
         if not isinstance(shape, tuple(_SHAPES.values())):
             raise InputError(f"{who}: a shape is needed, got {type(shape).__name__}; valid: {', '.join(_SHAPES)}")
         checks.not_negative(who, std=std, velocity_std=velocity_std)
-        if not expire > 0.0:
-            raise InputError(f"{who}: 'expire' must be positive [s] (inf: never), got {expire}")
+        limited(who, std=std, velocity_std=velocity_std)
+        if not isinstance(expire, (int, float, np.integer, np.floating)) or not expire > 0.0:
+            raise InputError(f"{who}: 'expire' must be positive [s] (inf: never), got {str(expire)[:80]}")
         if seen is not None:
-            checks.finite(who, seen=seen)
+            checks.absolute_time(f"{who}: 'seen'", seen)
         elif np.isfinite(expire):
             raise InputError(f"{who}: 'expire' counts from 'seen', which is left out")
         found = Obstacle(
@@ -125,6 +127,7 @@ class Obstacles:
             checks.numbers(who, "velocity", velocity, 3).copy(), float(std), float(velocity_std),
             np.nan if seen is None else float(seen), float(expire), frame,
         )  # fmt: skip
+        limited(who, position=found.position, velocity=found.velocity)
         if isinstance(shape, DistanceGrid) and found.velocity.any():
             raise InputError(f"{who}: a distance grid does not move; valid: a velocity of zeros")
         with self._lock:
@@ -143,25 +146,27 @@ class Obstacles:
         seen: float | None = None,
     ) -> None:
         """Put an obstacle somewhere else; its shape, standard deviations and frame stay. Raises :class:`InputError` naming it."""
-        with self._lock:
+        _named(name)
+        with self._lock:  # as a whole: another thread may remove or replace it
             if name not in self._obstacles:
                 raise unknown_name("obstacle", name, sorted(self._obstacles))
             old = self._obstacles[name]
-        turn = old.orientation if orientation is None else orientation
-        self.set(
-            name, old.shape, position=position, orientation=turn, velocity=velocity, std=old.std,
-            velocity_std=old.velocity_std, seen=seen, expire=old.expire, frame=old.frame,
-        )  # fmt: skip
+            turn = old.orientation if orientation is None else orientation
+            self.set(
+                name, old.shape, position=position, orientation=turn, velocity=velocity, std=old.std,
+                velocity_std=old.velocity_std, seen=seen, expire=old.expire, frame=old.frame,
+            )  # fmt: skip
 
     def set_frame(self, name: str, position: ArrayLike, orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
         """Where the axes of ``frame=name`` are in the world: position (3) [m] and quaternion (4)."""
         who = f"frame '{name}'"
-        if name == WORLD or not isinstance(name, str):
+        if not isinstance(name, str) or name == WORLD:
             raise InputError(f"{who}: another name than '{WORLD}' is needed")
         pose = (
             checks.numbers(who, "position", position, 3).copy(),
             unit_quaternion(who, "orientation", orientation),
         )
+        limited(who, position=pose[0])
         with self._lock:
             self._frames[name] = pose
 
@@ -169,16 +174,18 @@ class Obstacles:
         """Set the obstacles of a YAML file (:func:`wbmpc.obstacles.scene.read_scene`); nothing of a file with a mistake. Raises
         :class:`InputError` naming file, obstacle and key."""
         scene, trial = list(read_scene(path)), Obstacles()
-        for where, name, shape, place in scene:
-            try:
-                trial.set(name, shape, **place)
-            except InputError as error:
-                raise InputError(f"{where}: {error}") from error
-        for _, name, shape, place in scene:
-            self.set(name, shape, **place)
+        with self._lock:
+            trial._obstacles.update(self._obstacles)
+            for where, name, shape, place in scene:
+                try:
+                    trial.set(name, shape, **place)
+                except InputError as error:
+                    raise InputError(f"{where}: {error}") from error
+            self._obstacles = trial._obstacles
 
     def remove(self, name: str) -> None:
         """Take an obstacle away. Raises :class:`InputError` naming the valid choices where there is none."""
+        _named(name)
         with self._lock:
             if self._obstacles.pop(name, None) is None:
                 raise unknown_name("obstacle", name, sorted(self._obstacles))
@@ -213,6 +220,8 @@ class Obstacles:
             return Snapshot(tuple(self._obstacles[n] for n in sorted(self._obstacles)), dict(self._frames))
 
     def _check_frame(self, who: str, frame: str) -> None:
+        if not isinstance(frame, str):
+            raise InputError(f"{who}: 'frame' needs a name, got {str(frame)[:80]}")
         if frame != WORLD and frame not in self._frames:
             raise unknown_name("frame", frame, [WORLD, *sorted(self._frames)], where=who)
 
