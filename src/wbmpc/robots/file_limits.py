@@ -34,7 +34,7 @@ _REPEAT = {"replicate": "count", "composite": "count", "flexcomp": "count"}
 #: Attributes whose product is the size of an image or a field.
 _AREAS = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
 #: Attributes whose every number is a count of what is made, and its largest value.
-_COUNTS = {("mesh", "params"): 300.0, ("numeric", "size"): 10_000.0, ("texture", "width"): 2048.0} | {
+_COUNTS = {("mesh", "params"): 100.0, ("numeric", "size"): 10_000.0, ("texture", "width"): 2048.0} | {
     ("size", name): 10_000.0
     for name in (
         "nkey",
