@@ -175,3 +175,15 @@ def test_pictures_and_fields_have_one_limit_together(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM.format(top=f"<asset>{top}</asset>", world=""))
     with pytest.raises(InputError, match="more than 16000000 pixels of pictures and points of fields"):
         check_size(tmp_path / "arm.xml")
+
+
+def test_a_picture_is_counted_by_its_own_head(tmp_path: Path) -> None:
+    """The XML says nothing of its size; a few kilobytes unpack to hundreds of megabytes."""
+    head = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+    model = tmp_path / "robot.xml"
+    model.write_text('<mujoco><asset><texture name="t" type="2d" file="big.png"/></asset><worldbody/></mujoco>')
+    (tmp_path / "big.png").write_bytes(head + (20_000).to_bytes(4, "big") + (10_000).to_bytes(4, "big"))
+    with pytest.raises(InputError, match=r"big\.png: a picture of 20000 x 10000 pixels"):
+        check_size(model)
+    (tmp_path / "big.png").write_bytes(head + (200).to_bytes(4, "big") * 2)
+    assert tmp_path / "big.png" in check_size(model)

@@ -7,6 +7,7 @@ terabyte; the simulator's parser would build them all.
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass, field
 from os.path import exists, isdir, isfile
 from pathlib import Path
@@ -71,7 +72,21 @@ def check_size(path: Path, text: bytes | None = None) -> tuple[Path, ...]:
                 raise InputError(f"{where}: '{place}' is no regular file")
             if isfile(place):
                 found[place] = None
+    for picture in found:
+        width, height = _picture(picture)
+        if width * height > MAX_PIXELS:
+            raise InputError(f"{picture}: a picture of {width} x {height} pixels; valid: at most {MAX_PIXELS} pixels")
     return tuple(found)
+
+
+def _picture(path: Path) -> tuple[int, int]:
+    """Width and height [pixels] that the head of a PNG file says; (0, 0) for another file."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(24)
+    except OSError:  # its reader says so
+        return 0, 0
+    return struct.unpack(">II", head[16:]) if head[:8] == b"\x89PNG\r\n\x1a\n" and len(head) == 24 else (0, 0)
 
 
 #: What walks found, by file and text, with the states of all files that they read: a robot is read several times.
