@@ -99,6 +99,13 @@ def each(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.float6
     return numbers(who, name, np.full(size, values) if np.ndim(values) == 0 else values, size)
 
 
+def at_most(who: str, largest: float, **values: ArrayLike) -> None:
+    """Raise :class:`InputError` of ``who`` for finite numbers of a magnitude beyond ``largest``, by their name."""
+    for name, value in values.items():
+        if (np.abs(np.asarray(value, float)) > largest).any():
+            raise InputError(f"{who}: '{name}' must be at most {largest:g}, got {str(value)[:80]}")
+
+
 def finite(who: str, **values: float) -> None:
     """Raise :class:`NotFinite` for the first number that is not finite, :class:`InputError` for what is none, by its name."""
     for name, value in values.items():

@@ -23,16 +23,9 @@ MAX_VERTICES, MAX_CELLS = 10_000, 50_000_000
 LARGEST, SMALLEST = 1e6, 1e-6
 
 
-def limited(who: str, **values: ArrayLike) -> None:
-    """Raise :class:`InputError` of ``who`` for finite numbers beyond :data:`LARGEST`, by their name."""
-    for name, value in values.items():
-        if (np.abs(np.asarray(value, float)) > LARGEST).any():
-            raise InputError(f"{who}: '{name}' must be at most {LARGEST:g}, got {str(value)[:80]}")
-
-
 def _size(who: str, **values: ArrayLike) -> None:
-    """The same, and for what is below :data:`SMALLEST`."""
-    limited(who, **values)
+    """Raise :class:`InputError` of ``who`` for sizes beyond :data:`LARGEST` or below :data:`SMALLEST`, by their name."""
+    checks.at_most(who, LARGEST, **values)
     for name, value in values.items():
         if (np.asarray(value, float) < SMALLEST).any():
             raise InputError(f"{who}: '{name}' must be at least {SMALLEST:g}, got {str(value)[:80]}")
@@ -54,7 +47,7 @@ class Sphere:
         checks.positive("sphere", radius=self.radius)
         _set(self, center=checks.numbers("sphere", "center", self.center, 3))
         _size("sphere", radius=self.radius)
-        limited("sphere", center=self.center)
+        checks.at_most("sphere", LARGEST, center=self.center)
 
     @cached_property
     def solid(self) -> Solid:
@@ -73,7 +66,7 @@ class Capsule:
         checks.positive("capsule", radius=self.radius)
         _set(self, a=checks.numbers("capsule", "a", self.a, 3), b=checks.numbers("capsule", "b", self.b, 3))
         _size("capsule", radius=self.radius)
-        limited("capsule", a=self.a, b=self.b)
+        checks.at_most("capsule", LARGEST, a=self.a, b=self.b)
 
     @cached_property
     def solid(self) -> Solid:
@@ -92,7 +85,7 @@ class Cylinder:
         checks.positive("cylinder", radius=self.radius)
         _set(self, a=checks.numbers("cylinder", "a", self.a, 3), b=checks.numbers("cylinder", "b", self.b, 3))
         _size("cylinder", radius=self.radius)
-        limited("cylinder", a=self.a, b=self.b)
+        checks.at_most("cylinder", LARGEST, a=self.a, b=self.b)
         if np.linalg.norm(np.subtract(self.b, self.a)) < 1e-6:
             raise InputError("cylinder: 'a' and 'b' are the same point; valid: the centers of its two ends")
 
@@ -115,7 +108,7 @@ class Box:
             raise InputError(f"box: 'half' needs three positive numbers, got {half.tolist()}")
         _set(self, half=half, center=checks.numbers("box", "center", self.center, 3))
         _size("box", half=half)
-        limited("box", center=self.center)
+        checks.at_most("box", LARGEST, center=self.center)
         _set(self, orientation=unit_quaternion("box", "orientation", self.orientation))
 
     @cached_property
@@ -134,12 +127,12 @@ class HalfSpace:
     def __post_init__(self) -> None:
         checks.finite("half-space", offset=self.offset)
         normal = checks.numbers("half-space", "normal", self.normal, 3)
-        limited("half-space", normal=normal)
+        checks.at_most("half-space", LARGEST, normal=normal)
         length = float(np.linalg.norm(normal))
         if length < 1e-9:
             raise InputError("half-space: 'normal' has no direction, got zeros")
         _set(self, normal=normal / length, offset=float(self.offset) / length)
-        limited("half-space", offset=self.offset)
+        checks.at_most("half-space", LARGEST, offset=self.offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +153,7 @@ class ConvexMesh:
             )
         if not np.isfinite(points).all():
             raise InputError("convex mesh: 'vertices' must be finite")
-        limited("convex mesh", vertices=points)
+        checks.at_most("convex mesh", LARGEST, vertices=points)
         try:
             _set(self, vertices=points, solid=solids.mesh(points))
         except ValueError as error:
@@ -194,7 +187,7 @@ class DistanceGrid:
             raise InputError("distance grid: 'values' must be finite")
         _set(self, origin=checks.numbers("distance grid", "origin", self.origin, 3), values=values, error=float(error))
         _size("distance grid", cell=self.cell)
-        limited("distance grid", origin=self.origin, error=error)
+        checks.at_most("distance grid", LARGEST, origin=self.origin, error=error)
 
     def sample(self, points: Array) -> tuple[Array, Array]:
         """Distance (n), ``error`` taken off, and its gradient (n, 3) at points (n, 3); infinite and 0 outside of the grid."""

@@ -14,6 +14,7 @@ from wbmpc import checks, lie
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.obstacles.scene import read_scene
 from wbmpc.obstacles.shapes import (
+    LARGEST,
     Box,
     Capsule,
     ConvexMesh,
@@ -22,7 +23,6 @@ from wbmpc.obstacles.shapes import (
     HalfSpace,
     Shape,
     Sphere,
-    limited,
     unit_quaternion,
 )
 
@@ -115,7 +115,7 @@ class Obstacles:
         if not isinstance(shape, tuple(_SHAPES.values())):
             raise InputError(f"{who}: a shape is needed, got {type(shape).__name__}; valid: {', '.join(_SHAPES)}")
         checks.not_negative(who, std=std, velocity_std=velocity_std)
-        limited(who, std=std, velocity_std=velocity_std)
+        checks.at_most(who, LARGEST, std=std, velocity_std=velocity_std)
         if not isinstance(expire, (int, float, np.integer, np.floating)) or not expire > 0.0:
             raise InputError(f"{who}: 'expire' must be positive [s] (inf: never), got {str(expire)[:80]}")
         if seen is not None:
@@ -127,7 +127,7 @@ class Obstacles:
             checks.numbers(who, "velocity", velocity, 3).copy(), float(std), float(velocity_std),
             np.nan if seen is None else float(seen), float(expire), frame,
         )  # fmt: skip
-        limited(who, position=found.position, velocity=found.velocity)
+        checks.at_most(who, LARGEST, position=found.position, velocity=found.velocity)
         if isinstance(shape, DistanceGrid) and found.velocity.any():
             raise InputError(f"{who}: a distance grid does not move; valid: a velocity of zeros")
         with self._lock:
@@ -166,7 +166,7 @@ class Obstacles:
             checks.numbers(who, "position", position, 3).copy(),
             unit_quaternion(who, "orientation", orientation),
         )
-        limited(who, position=pose[0])
+        checks.at_most(who, LARGEST, position=pose[0])
         with self._lock:
             self._frames[name] = pose
 
