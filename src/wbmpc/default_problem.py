@@ -66,9 +66,14 @@ def default_mpc(robot: RobotModel, settings: MpcSettings | None = None, cost: De
     """The MPC of that problem with its real-time settings, whose goal is the robot's home."""
     settings = settings or default_settings()
     mpc = MPC(default_problem(robot, settings, cost), settings.solver(), settings.rate)
+    stay_at_home(robot, mpc)
+    return mpc
+
+
+def stay_at_home(robot: RobotModel, mpc: MPC) -> None:
+    """Begin at home, with references of end effector, state and input that rest there."""
     position, orientation = robot.pose(robot.home)
     mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     mpc.reset(robot.home)
-    return mpc

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from wbmpc.bases.base import System
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.goal_guess import GoalGuess
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
+from wbmpc.default_problem import stay_at_home
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing
 
@@ -32,11 +30,7 @@ def make_mpc(robot: RobotModel, **changes: Any) -> MPC:
     """The MPC whose goal is home; ``changes`` of its settings."""
     settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})
     mpc = swerve_mpc(robot, settings, SwerveCost(state=StateCost(leg=LEG_WEIGHT)), GoalGuess(robot))
-    position, orientation = robot.pose(robot.home)
-    mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)
-    mpc.reference["state"] = Reference.constant(robot.home)
-    mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
-    mpc.reset(robot.home)
+    stay_at_home(robot, mpc)
     return mpc
 
 
