@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,11 +38,17 @@ def test_ctrl_c_ends_the_map_with_a_message_and_keeps_what_is_done(
     monkeypatch.setattr(push_map, "simulated", made_up)
     file, point = tmp_path / "pushes.json", Point("hand", 0.0, 0.2, 0)
     workers = Workers(1, "fork")  # spawned ones would import everything
+    first_reported = threading.Event()
+
+    def reported_line(*words: object, **how: Any) -> None:
+        print(*words, **how)
+        first_reported.set()
+
+    monkeypatch.setattr(push_map, "print", reported_line, raising=False)
 
     def interrupt() -> None:
-        while not file.exists():
-            time.sleep(0.01)
-        os.kill(os.getpid(), number)
+        if first_reported.wait(30.0):  # the file alone comes before its line on the terminal
+            os.kill(os.getpid(), number)
 
     thread = threading.Thread(target=interrupt)
     thread.start()
