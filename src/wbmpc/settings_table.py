@@ -52,7 +52,10 @@ def _texts(model: type[BaseModel]) -> dict[str, tuple[str, str]]:
             named = rf"``{name}``(?:\s*\[(?P<unit>[^\]]*)\])?"
             place = re.search(named + ":", text) or re.search(named, text)  # what a colon follows explains it
             if place and name not in found:
-                found[name] = (place["unit"] or "", re.sub(rf"^{name}( \[[^\]]*\])?: ", "", _clause(text, place.start())))
+                found[name] = (
+                    place["unit"] or "",
+                    re.sub(rf"^{name}( \[[^\]]*\])?: ", "", _clause(text, place.start())),
+                )
     return found
 
 
