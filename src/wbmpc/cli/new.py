@@ -13,8 +13,7 @@ import typer
 from wbmpc.cli.directories import Force, new_file
 from wbmpc.cli.doctor import Arguments, Packages, pairs
 from wbmpc.cli.recordings import AsJson
-from wbmpc.cli.terminal import printable
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, printable
 
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
