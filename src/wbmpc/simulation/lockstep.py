@@ -51,8 +51,9 @@ class Ending:
 
 
 def contacts_of(*plants: Any) -> tuple[Contacts, ...]:
-    """What is known of the contacts of simulated robots."""
-    found = [getattr(getattr(plant, "world", None), "contacts", None) for plant in plants]
+    """What is known of the contacts of simulated robots, of those that have physics."""
+    worlds = [getattr(plant, "world", None) for plant in plants if getattr(plant, "has_physics", True)]
+    found = [getattr(world, "contacts", None) for world in worlds]
     return tuple(contacts for contacts in found if contacts is not None)
 
 

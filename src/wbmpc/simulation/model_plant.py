@@ -29,6 +29,9 @@ class ModelPlant:
     ``start`` (nx of the problem).
     """
 
+    #: Whether bodies touch each other: contacts and clearances are none of this plant's.
+    has_physics = False
+
     def __init__(self, robot: RobotModel, mpc: MPC, start: Array, timestep: float = TIMESTEP) -> None:
         self.robot, self.description, self.mpc, self.timestep = robot, robot.description, mpc, timestep
         layout = mpc.ocp.dynamics.state

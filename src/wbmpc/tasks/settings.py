@@ -17,7 +17,7 @@ from wbmpc.simulation.perturbation import Perturbation
 
 
 class SimulationSettings(Settings):
-    """``physics``: MuJoCo with the perturbed ``plant``, noise and lag, or the planner's own model (kinematic: exact and fast);
+    """``physics``: mujoco with the perturbed ``plant``, noise and lag, or kinematic: the planner's own model, exact and fast;
     ``computation_delay`` [s]: modelled time of a solve; ``settle_time`` [s]: before the task begins, at rest."""
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"
@@ -27,8 +27,9 @@ class SimulationSettings(Settings):
 
 
 class TaskMpcSettings(Settings):
-    """Of the MPC; left out (none): as the robot's base type has them. ``rate`` [Hz], ``horizon`` [s] in ``intervals``, ``first_interval`` [s]
-    of a geometric grid (0: uniform), ``iterations`` per update, ``limits``: hard or soft."""
+    """Of the MPC; left out (none): as the robot's base type has them. ``rate`` [Hz]: of its updates; ``horizon`` [s]: how far it plans;
+    ``intervals``: of the horizon; ``first_interval`` [s]: of a geometric grid, 0: a uniform one; ``iterations``: per update; ``limits``:
+    whether they are kept as hard constraints."""
 
     rate: float | None = Field(None, ge=1e-3, le=10_000)
     horizon: float | None = Field(None, gt=0, le=1000)
