@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.clearance.rows import Clearance as LeastClearance
+from wbmpc.clearance.rows import ObstacleRows, SelfRows
 from wbmpc.errors import InputError
 from wbmpc.mpc.braking import BrakingPlan, braking_plan, braking_time
-from wbmpc.obstacles.rows import Clearance as LeastClearance
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import OptimalControlProblem, Reference, residuals
 from wbmpc.solver import Solver
@@ -36,8 +37,8 @@ class ClearanceRows:
     def __init__(self, ocp: OptimalControlProblem, solver: Solver, obstacles: Obstacles | None) -> None:
         self._solver, self._obstacles = solver, obstacles
         terms = {name: term.residual for name, term in ocp.terms.items()}
-        self._around = {n: r for n, r in terms.items() if isinstance(r, residuals.Clearance)}
-        self._within = {n: r for n, r in terms.items() if isinstance(r, residuals.SelfClearance)}
+        self._around = {n: ObstacleRows(r) for n, r in terms.items() if isinstance(r, residuals.Clearance)}
+        self._within = {n: SelfRows(r) for n, r in terms.items() if isinstance(r, residuals.SelfClearance)}
         self.active = bool(self._around or self._within)
         self.last = LeastClearance()
         #: when the stop ends [s] that the last plan is; None: it is none
@@ -70,18 +71,18 @@ class ClearanceRows:
     def refresh(self, t: float, delta: float) -> None:
         """Set all rows for a solve at ``t`` [s] that goes on from a plan which is ``delta`` [s] old."""
         times, states = self.predicted(t, delta)
-        for name, term in self._around.items():
-            self._solver.set_reference(name, Reference(times, term.rows.refresh(self._snapshot, times, states)))
+        for name, rows in self._around.items():
+            self._solver.set_reference(name, Reference(times, rows.refresh(self._snapshot, times, states)))
         for name, own in self._within.items():
-            self._solver.set_reference(name, Reference(times, own.rows.refresh(states)))
+            self._solver.set_reference(name, Reference(times, own.refresh(states)))
 
     # ------------------------------------------------------------------ after a solve
     def measure(self, t: float) -> None:
         """Measure the plan of a solve at ``t`` [s]: the pair that lacks most of its margin is ``last``."""
         plan = self._solver.trajectory(copy=False)
         times, states = t + plan.grid, plan.x
-        found = [r.rows.clearance(self._snapshot, times, states) for r in self._around.values()]
-        found += [r.rows.clearance(times, states) for r in self._within.values()]
+        found = [r.clearance(self._snapshot, times, states) for r in self._around.values()]
+        found += [r.clearance(times, states) for r in self._within.values()]
         self.last = min(found, key=lambda c: c.excess)
 
     def unsafe(self, times: Array, states: Array, until: float) -> LeastClearance | None:
@@ -89,10 +90,8 @@ class ClearanceRows:
         count = max(int(np.searchsorted(times, until, side="right")), 2)
         times, states = times[:count], states[:count]
         share = 1.0 - TOLERATED
-        found = [
-            r.rows.deepest(self._snapshot, times, states, share * r.rows.margin, DEEPER) for r in self._around.values()
-        ]
-        found += [r.rows.deepest(times, states, share * r.rows.margin, DEEPER) for r in self._within.values()]
+        found = [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self._around.values()]
+        found += [r.deepest(times, states, share * r.margin, DEEPER) for r in self._within.values()]
         return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)
 
     # ------------------------------------------------------------------ solves that end clear, or in a stop
