@@ -32,10 +32,11 @@ REACTION = 0.2
 
 
 class ClearanceRows:
-    """The clearance terms of a problem. ``active``: whether there are any; ``last``: the least clearance of the last plan."""
+    """The clearance terms of a problem. ``obstacles``: what they keep clear of; ``active``: whether there are any terms; ``last``: the
+    least clearance of the last plan."""
 
     def __init__(self, ocp: OptimalControlProblem, solver: Solver, obstacles: Obstacles | None) -> None:
-        self._solver, self._obstacles = solver, obstacles
+        self._solver, self.obstacles = solver, obstacles
         terms = {name: term.residual for name, term in ocp.terms.items()}
         self._around = {n: ObstacleRows(r) for n, r in terms.items() if isinstance(r, residuals.Clearance)}
         self._within = {n: SelfRows(r) for n, r in terms.items() if isinstance(r, residuals.SelfClearance)}
@@ -57,8 +58,8 @@ class ClearanceRows:
     # ------------------------------------------------------------------ before a solve
     def look(self, t: float) -> None:
         """Take the obstacles as they are at ``t`` [s]."""
-        if self._obstacles is not None:
-            self._snapshot = self._obstacles.snapshot(t)
+        if self.obstacles is not None:
+            self._snapshot = self.obstacles.snapshot(t)
 
     def predicted(self, t: float, delta: float) -> tuple[Array, Array]:
         """Times (N + 1) [s] of the next solve's nodes, and where the last plan, ``delta`` [s] old, is then (N + 1, nx)."""

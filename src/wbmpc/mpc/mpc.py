@@ -115,6 +115,11 @@ class MPC:
             guess.bind(self)
 
     @property
+    def obstacles(self) -> Obstacles | None:
+        """What plans keep clear of; None: nothing."""
+        return self._clear.obstacles
+
+    @property
     def period(self) -> float:
         """Time between two updates [s]."""
         return 1.0 / self.rate
