@@ -68,11 +68,17 @@ def default_problem(
 def keep_clear(
     ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
 ) -> OptimalControlProblem:
-    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is)."""
-    if obstacles is not None:
-        rows = residuals.Clearance(robot)
-        free = Constraint("clearance", rows, sets.NonNegative(), at="path+terminal", hard=True, slack=slack)
-        ocp.add(free)
+    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is), and accelerations within their
+    limits: who evades at the last moment must be able to."""
+    if obstacles is None:
+        return ocp
+    free = sets.NonNegative()
+    rows = Constraint("clearance", residuals.Clearance(robot), free, at="path+terminal", hard=True, slack=slack)
+    ocp.add(rows)
+    rates = robot.limits.input_rate
+    limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
+    if limited and "accelerations" not in ocp.terms:
+        ocp.add(Constraint("accelerations", residuals.AccelerationLimit(robot, limited), free, hard=True))
     return ocp
 
 

@@ -87,7 +87,7 @@ def closed_loop(
     around = SimulatedObstacles(scene, robot.description.base.ground) if scene is not None else None
     system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
     every = max(1, round(RECORDED / system.timing.period))
-    watch = SceneWatch(around, system, log, since) if around else None
+    watch = SceneWatch(around, system, log, since, robot.description.collision.margin) if around else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:

@@ -16,15 +16,19 @@ from wbmpc.simulation.obstacles import SimulatedObstacles
 Array = NDArray[np.float64]
 #: How often [s] true distances are measured.
 MEASURED = 0.02
+#: What may be missing [m] of the margin in the world: odometry and drives are not exact.
+TOLERATED = 0.01
 #: A robot is stuck while its end effector is farther [m] than this from its reference and slower [m/s], for so long [s].
 BEHIND, SLOW, LONG = 0.05, 0.02, 1.0
 
 
 class SceneWatch:
-    """Moves the obstacles of a simulated world, shows them to the MPC, and measures how near the robot comes."""
+    """Moves the obstacles of a simulated world, shows them to the MPC, and measures how near the robot comes; ``margin`` [m]: what is
+    asked for."""
 
-    def __init__(self, around: SimulatedObstacles, system: System, log: Log, since: float) -> None:
+    def __init__(self, around: SimulatedObstacles, system: System, log: Log, since: float, margin: float) -> None:
         self._around, self._system, self._log, self._since = around, system, log, since
+        self._margin = margin
         self._every = max(1, round(MEASURED / system.timing.period))
         around.bind(system.plant.model)
         self._waits, self._stuck, self._last = 0.0, 0.0, np.zeros(3)
@@ -68,7 +72,7 @@ class SceneWatch:
         """Least true distance, contacts, and how long the robot stood away from its goal."""
         around = self._around
         return {
-            "obstacle_clearance_min": Metric(around.least, "m"),
+            "obstacle_clearance_min": Metric(around.least, "m", least=self._margin - TOLERATED),
             "obstacle_contacts": Metric(float(around.contacts), "1", goal=0.0),
             "contact_speed_max": Metric(around.contact_speed, "m/s"),
             "stuck_time": Metric(self._stuck, "s"),
