@@ -54,7 +54,7 @@ class SimulatedObstacles:
             if isinstance(one.shape, DistanceGrid):
                 raise InputError(f"{one.where or one.name}: a distance grid cannot be simulated; valid: other shapes")
             world.set(one.name, one.shape, seen=one.appears, **one.place)
-        self._by_name = {o.name: o for o in world.snapshot(-np.inf).obstacles}
+        self._by_name = {o.name: o for o in world.snapshot(0.0).obstacles}
         self.least, self.contacts, self.contact_speed = FAR, 0, 0.0
         self._model: mujoco.MjModel | None = None
         self._known: set[str] = set()
