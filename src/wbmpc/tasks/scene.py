@@ -31,6 +31,9 @@ class SceneWatch:
         self._margin = margin
         self._every = max(1, round(MEASURED / system.timing.period))
         around.bind(system.plant.model)
+        if system.mpc.obstacles is not None:  # the first plan knows them
+            pose = system.plant.truth().pose
+            around.show(system.mpc.obstacles, 0.0, pose, pose)
         self._waits, self._stuck, self._last = 0.0, 0.0, np.zeros(3)
 
     def tick(self, t: float, plans: Any) -> None:
