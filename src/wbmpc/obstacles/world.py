@@ -176,11 +176,11 @@ class Obstacles:
         scene, trial = list(read_scene(path)), Obstacles()
         with self._lock:
             trial._obstacles.update(self._obstacles)
-            for where, name, shape, place in scene:
+            for one in scene:
                 try:
-                    trial.set(name, shape, **place)
+                    trial.set(one.name, one.shape, **one.place)
                 except InputError as error:
-                    raise InputError(f"{where}: {error}") from error
+                    raise InputError(f"{one.where}: {error}") from error
             self._obstacles = trial._obstacles
 
     def remove(self, name: str) -> None:

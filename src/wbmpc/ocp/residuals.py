@@ -190,12 +190,12 @@ class AccelerationLimit:
             last = ca.fmin(ca.fmax(s.reference[k], low), high)
             change = maximum * since + ((since <= 0.0) + self._braked(s, name)) * (high - low)
             upper, lower = ca.fmin(high, last + change), ca.fmax(low, last - change)
-            j = self.robot.state.index(name)
-            stops = not name.startswith("steer.")
-            if stops and np.isfinite(limits.state_upper[j]):
-                upper = ca.fmin(upper, maximum / high * (float(limits.state_upper[j]) - s.x[j]))
-            if stops and np.isfinite(limits.state_lower[j]):
-                lower = ca.fmax(lower, maximum / low * (s.x[j] - float(limits.state_lower[j])))
+            if not name.startswith("steer.") and name in self.robot.state.names:
+                j = self.robot.state.index(name)
+                if np.isfinite(limits.state_upper[j]):
+                    upper = ca.fmin(upper, maximum / high * (float(limits.state_upper[j]) - s.x[j]))
+                if np.isfinite(limits.state_lower[j]):
+                    lower = ca.fmax(lower, maximum / low * (s.x[j] - float(limits.state_lower[j])))
             above.append((upper - s.u[i]) / (high - low))
             below.append((s.u[i] - lower) / (high - low))
         return ca.vertcat(*above, *below)
