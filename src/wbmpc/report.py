@@ -252,7 +252,7 @@ def _short(values: np.ndarray) -> list[float | None]:
     return [float(f"{v:.6g}") if math.isfinite(v) else None for v in values]
 
 
-def _template() -> Any:
+def template() -> Any:
     """Plots on the page's own ground, with inks that are seen on light and dark."""
     import plotly.graph_objects as go
 
@@ -293,7 +293,7 @@ def _figure(plot: Plot | Drawing) -> str:
         figure.add_scatter(x=_short(x), y=_short(y), name=html.escape(line.name), mode="lines", line=style)
     figure.update_layout(
         xaxis_title=html.escape(plot.x_label), yaxis_title=html.escape(plot.y_label),
-        template=_template(), height=320 + 20 * _legend_rows([line.name for line in plot.series]),
+        template=template(), height=320 + 20 * _legend_rows([line.name for line in plot.series]),
         margin={"l": 60, "r": 16, "t": 36, "b": 88},
         legend={"orientation": "h", "y": -0.25, "yanchor": "top"}, font={"family": "system-ui, sans-serif", "size": 12},
     )  # fmt: skip
