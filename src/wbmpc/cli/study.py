@@ -95,6 +95,33 @@ def study(
         raise typer.Exit(1)
 
 
+def tune(
+    context: typer.Context,
+    name: File,
+    out: Out = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search settings on tuning seeds; write the best for --config, and the reporting seeds before and after."""
+    opened = _open(name, out)
+    with _progress(opened, opened.definition.title, not (as_json or context.obj.quiet)) as progress:
+        found = opened.tune(workers, scheduler, progress)
+    best = opened.out / "best.yaml"
+    if as_json:
+        files = {"best": str(best) if found.settings else None, "page": str(opened.out / "index.html")}
+        typer.echo(json.dumps({**found.to_json(), "files": files}, allow_nan=False))
+    else:
+        if found.report is not None:
+            _print(found.report)
+        for key, value in found.settings.items():
+            typer.echo(printable(f"{key}: {value}"))
+        typer.echo(f"the best settings are in {best}" if found.settings else "no trial keeps the constraints")
+        typer.echo(f"the page is {opened.out / 'index.html'}")
+    if not found.settings:
+        raise typer.Exit(1)
+
+
 def _files(study: Study) -> dict[str, str]:
     return {
         k: str(study.out / f)

@@ -209,6 +209,10 @@ class Definition(Section):
                 f"tune.seeds: {', '.join(map(str, both[:5]))} are in 'seeds' too: what is tuned on a seed cannot be reported on it; "
                 "give other tuning seeds"
             )
+        layers = {"vary": self.vary, **{f"conditions.{n}": c.settings for n, c in self.conditions.items()}}
+        for place, layer in layers.items():
+            if fixed := [key for key in self.tune.search if key in layer]:
+                raise ValueError(f"tune.search: '{fixed[0]}' is in {place} too, which would win; it can be in one only")
         for term in self.tune.minimize:
             if term.experiment and term.experiment not in self.experiments:
                 raise ValueError(str(unknown_name("experiment", term.experiment, self.experiments, "tune.minimize")))

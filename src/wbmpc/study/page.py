@@ -160,7 +160,8 @@ def _number(value: Any) -> Any:
     return value if isinstance(value, int | float | str) else str(value)
 
 
-def _html(figure: Any, x: str, y: str) -> str:
+def figure_html(figure: Any, x: str, y: str) -> str:
+    """A figure on the page's ground, with titles of its axes."""
     figure.update_layout(
         template=template(), height=360, margin={"l": 60, "r": 16, "t": 12, "b": 60}, xaxis_title=html.escape(x), yaxis_title=html.escape(y),
         hovermode="closest", showlegend=False, font={"family": "system-ui, sans-serif", "size": 12},
@@ -182,7 +183,7 @@ def _distribution(cells: Sequence[Cell], values: Sequence[np.ndarray], label: st
         )  # fmt: skip
     if goal is not None:
         figure.add_hline(y=goal, line={"dash": "dash", "width": 1, "color": "#7a7a7a"})
-    return _html(figure, "", label)
+    return figure_html(figure, "", label)
 
 
 def _pairs(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str) -> str:
@@ -199,7 +200,7 @@ def _pairs(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str) -> s
         figure.add_scatter(
             x=names, y=line, name=f"seed {seed}", mode="lines+markers", line={"width": 1}, marker={"size": 4}
         )
-    return _html(figure, "", label)
+    return figure_html(figure, "", label)
 
 
 def _heat_map(cells: Sequence[Cell], values: Sequence[np.ndarray], keys: Sequence[str], label: str) -> str:
@@ -221,7 +222,7 @@ def _heat_map(cells: Sequence[Cell], values: Sequence[np.ndarray], keys: Sequenc
     )
     figure.update_xaxes(type="category")
     figure.update_yaxes(type="category")
-    return _html(figure, keys[0], keys[1])
+    return figure_html(figure, keys[0], keys[1])
 
 
 def _scatter(cells: Sequence[Cell], values: Sequence[np.ndarray], key: str, label: str) -> str:
@@ -234,4 +235,4 @@ def _scatter(cells: Sequence[Cell], values: Sequence[np.ndarray], key: str, labe
     figure = go.Figure(go.Scatter(x=x, y=y, mode="markers", text=seeds, marker={"color": "#1f5fa8", "size": 6}))
     if min(x) > 0.0 and max(x) > 50.0 * min(x):
         figure.update_xaxes(type="log")
-    return _html(figure, key, label)
+    return figure_html(figure, key, label)

@@ -16,7 +16,7 @@ from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment
 from wbmpc.registry import load, load_file
-from wbmpc.study.definition import MAX_COMBINATIONS, Definition, Random, Range
+from wbmpc.study.definition import MAX_COMBINATIONS, Condition, Definition, Random, Range
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def combinations(definition: Definition, folder: Path, where: str) -> list[Combi
 
     Raises :class:`InputError` naming ``where`` (the file), the experiment, the condition and the key.
     """
-    conditions = definition.conditions or {"": None}
+    conditions: dict[str, Condition | None] = {**definition.conditions} or {"": None}
     points = [(draw, varied) for draw in range(definition.draws) for varied in _points(definition, draw)]
     count = len(definition.experiments) * len(conditions) * max(len(definition.robots), 1) * len(points)
     if count > MAX_COMBINATIONS:
@@ -126,7 +126,10 @@ def _combination(
     changes = {key: value for layer in layers for key, value in layer.items()}
     if robot:
         changes["robot"] = str((folder / robot).resolve()) if (folder / robot).is_file() else robot
-    experiment = open_experiment(source)
+    try:
+        experiment = open_experiment(source)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
     place = f"{where}: experiment '{name}'" + (f", condition '{condition}'" if condition else "")
     settings = settings_of(experiment, changes, place).model_dump(mode="json")
     return Combination(experiment.name, source, condition, robot, varied, changes, settings, draw)

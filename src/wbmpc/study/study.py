@@ -14,13 +14,16 @@ from typing import TYPE_CHECKING, Any, Self
 from wbmpc.errors import InputError
 from wbmpc.json_file import load_json
 from wbmpc.output_file import write_text
-from wbmpc.study.definition import Definition, load_definition
+from wbmpc.robots.robot_yaml import write_yaml
+from wbmpc.study.definition import Condition, Definition, load_definition
 from wbmpc.study.page import study_page
 from wbmpc.study.plan import Combination, Run, combinations, runs
 from wbmpc.study.store import FILE, Store
 from wbmpc.study.summary import Summary, summarize
+from wbmpc.study.tune_page import tune_page
+from wbmpc.study.tuning import TRIALS, Tuner, settings_of_trial
 from wbmpc.study.work import ERROR, LOST, execute
-from wbmpc.study.workers import Pool, Row, Task, completed, pool
+from wbmpc.study.workers import Later, Pool, Row, Task, completed
 
 if TYPE_CHECKING:
     import pyarrow
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
 #: ``progress(share, note)``.
 Progress = Callable[[float, str], None]
 #: Files of a study's folder beside its rows: what it is, what its runs say.
-ABOUT, STATISTICS, PAGE = "study.json", "statistics.json", "index.html"
+ABOUT, STATISTICS, PAGE, BEST = "study.json", "statistics.json", "index.html", "best.yaml"
 
 
 @dataclass(frozen=True)
@@ -73,21 +76,23 @@ class Study:
 
         Raises :class:`InputError` for settings that do not exist, and where ``out`` has runs of other settings.
         """
-        found = self.combinations  # settings are checked before anything is written
+        self.combinations  # noqa: B018 - settings are checked before any process starts
+        with Later(workers, scheduler) as there:
+            return self._run_in(there, progress)
+
+    def _run_in(self, there: Pool, progress: Progress | None = None) -> Summary:
+        """Do the runs in a pool that is there; see :meth:`run`."""
+        found = self.combinations
         with Store(self.out) as store:
             reject_others(self.out, found, store.outcomes())
             remember(self.out, self.definition.title, found)
-            done = store.done()
-            if any(run.key not in done for run in self.runs()):
-                try:
-                    with pool(workers, scheduler) as there:
-                        self.go_on(there, store, done, progress)
-                finally:
-                    store.finish()
-            store.finish()
+            try:
+                self._go_on(there, store, store.done(), progress)
+            finally:
+                store.finish()
         return self.report()
 
-    def go_on(self, there: Pool, store: Store, done: set[str], progress: Progress | None) -> None:
+    def _go_on(self, there: Pool, store: Store, done: set[str], progress: Progress | None) -> None:
         """Do the runs that are not ``done`` in a pool, and keep their rows."""
         going: dict[str, Run] = {}
         clock = Clock(self.runs(), done, store.outcomes())
@@ -96,7 +101,7 @@ class Study:
             for run in self.runs():
                 if run.key not in done:
                     going[run.key] = run
-                    yield self.task(run)
+                    yield self._task(run)
 
         for task, row in completed(there, execute, tasks()):
             run = going.pop(task["key"])
@@ -105,7 +110,54 @@ class Study:
             if progress is not None:
                 progress(clock.share, clock.text(there.threads))
 
-    def task(self, run: Run) -> Task:
+    def tune(self, workers: int | None = None, scheduler: str | None = None, progress: Progress | None = None) -> Tuned:
+        """Search the settings that ``tune`` in the file says, on its seeds; then run the study's own seeds before and after. Goes on
+        where it was interrupted.
+
+        Raises :class:`InputError` without ``tune``, and where ``out`` has another search.
+        """
+        if self.definition.tune is None:
+            raise InputError(f"{self.path}: there is no 'tune', which says what to search")
+        tuner = Tuner(self.definition, self.definition.tune, self.path.resolve().parent, self.out, str(self.path))
+        with Later(workers, scheduler) as there:
+            with Store(self.out / TRIALS) as store:
+                try:
+                    tuner.run(there, store, progress)
+                finally:
+                    store.finish()
+            trials, best = list(tuner.trials()), tuner.best()
+            settings = settings_of_trial(best[0]) if best else {}
+            summary = self._before_and_after(settings, there, progress) if settings else None
+        tuned = Tuned(
+            settings, next((t for t in trials if best and t["trial"] == best[0].number), None), trials, summary
+        )
+        self._write_tuned(tuned)
+        return tuned
+
+    def _before_and_after(self, settings: Mapping[str, Any], there: Pool, progress: Progress | None) -> Summary:
+        """The study's seeds with the settings as they were and as they were found, as conditions."""
+        was = self.definition.conditions or {"": Condition()}
+        join = lambda name, when: f"{name}, {when}" if name else when
+        before = {join(n, "before"): c for n, c in was.items()}
+        after = {
+            join(n, "after"): c.model_copy(update={"settings": {**settings, **c.settings}}) for n, c in was.items()
+        }
+        more = {"conditions": {**before, **after}, "compare_with": next(iter(before)), "tune": None}
+        compared = Study(self.definition.model_copy(update=more), self.path, self.out / "report")
+        return compared._run_in(there, progress)
+
+    def _write_tuned(self, tuned: Tuned) -> None:
+        """best.yaml, trials.json, and the page."""
+        tune, title = self.definition.tune, self.definition.title
+        if tuned.settings:
+            assert tune is not None
+            about = f"{title}: the best of {len(tuned.trials)} trials on seeds {', '.join(map(str, tune.seeds))}"
+            found = {**self.definition.settings, **tuned.settings}
+            write_text(self.out / BEST, write_yaml(nested(found), {"": about}))
+        write_text(self.out / "trials.json", json.dumps(tuned.trials, indent=1) + "\n")
+        write_text(self.out / PAGE, tune_page(title, tuned.trials, tuned.best, tuned.report is not None))
+
+    def _task(self, run: Run) -> Task:
         """What a worker gets: names and settings, some hundred bytes."""
         keep, c = self.definition.files, run.combination
         files = None if keep == "none" else str((self.out / "files" / run.key).resolve())
@@ -118,11 +170,11 @@ class Study:
             "keep": keep,
         }
 
-    def table(self) -> pyarrow.Table:
-        """A row for each run. Raises :class:`InputError` where nothing has been run."""
+    def table(self, columns: list[str] | None = None) -> pyarrow.Table:
+        """A row for each run; ``columns``: only those. Raises :class:`InputError` where nothing has been run."""
         if not (self.out / FILE).is_file():
             raise InputError(f"{self.out}: there are no finished runs")
-        return Store(self.out).table()
+        return Store(self.out).table(columns)
 
     def report(self) -> Summary:
         """Statistics of what is finished, as data; ``statistics.json`` and the page ``index.html`` are written anew."""
@@ -140,6 +192,22 @@ def row_about(run: Run) -> Row:
         "key": run.key, "experiment": c.experiment, "condition": c.condition, "robot": c.robot, "draw": c.draw, "seed": run.seed,
         "varied": dict(c.varied), "changes": dict(c.changes),
     }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What a search found: the ``settings`` of the ``best`` trial (empty, None: none keeps the constraints), all ``trials``, and the
+    study's own seeds before and after (``report``)."""
+
+    settings: dict[str, Any]
+    best: dict[str, Any] | None
+    trials: list[dict[str, Any]]
+    report: Summary | None
+
+    def to_json(self) -> dict[str, Any]:
+        """The object that ``--json`` prints."""
+        report = None if self.report is None else self.report.to_json()
+        return {"settings": self.settings, "best": self.best, "trials": self.trials, "report": report}
 
 
 class Clock:
@@ -236,6 +304,18 @@ def _difference(out: Path, key: str, found: list[Combination]) -> str:
 
 def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
     return {k: (before.get(k), after.get(k)) for k in {**before, **after} if before.get(k) != after.get(k)}
+
+
+def nested(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by dotted key as sections."""
+    out: dict[str, Any] = {}
+    for key, value in settings.items():
+        *sections, last = key.split(".")
+        inner = out
+        for section in sections:
+            inner = inner.setdefault(section, {})
+        inner[last] = value
+    return out
 
 
 def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

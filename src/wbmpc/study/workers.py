@@ -7,7 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
@@ -22,7 +22,7 @@ Task = dict[str, Any]
 Row = dict[str, Any]
 Work = Callable[[Task], Row]
 #: A run that ends its process is given to others so often before it counts as lost.
-RETRIES = 1
+RETRIES = 2
 #: How long [s] a scheduler may be silent, at first and while runs go on.
 SILENCE = 30.0
 _THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
@@ -91,6 +91,36 @@ class Cluster:
             self._done.add(future)  # its result was lost with its worker: another one does it again
 
 
+class Later:
+    """The pool of :func:`pool`, which begins with its first task: where nothing is left to do no process starts. A context."""
+
+    def __init__(self, count: int | None, scheduler: str | None) -> None:
+        self._make = count, scheduler
+        self._pool: Pool | None = None
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def _there(self) -> Pool:
+        if self._pool is None:
+            self._pool = self._stack.enter_context(pool(*self._make))
+        return self._pool
+
+    @property
+    def threads(self) -> int:
+        return 1 if self._pool is None else self._pool.threads
+
+    def submit(self, work: Work, task: Task) -> None:
+        self._there().submit(work, task)
+
+    def next(self) -> tuple[Task, Row]:
+        return self._there().next()
+
+
 @contextmanager
 def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
     """``count`` processes of this machine (None: as many as it has cores; 0: this process alone), or the workers of the scheduler at an
@@ -104,6 +134,7 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise InputError(MISSING) from error
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it reports of lost workers comes as rows
     dask.config.set({"distributed.scheduler.allowed-failures": RETRIES, "distributed.comm.timeouts.connect": SILENCE})
     if scheduler is not None:
         try:
@@ -161,11 +192,11 @@ def _threads_pinned() -> Iterator[None]:
 
 
 def completed(pool: Pool, work: Work, tasks: Iterator[Task]) -> Iterator[tuple[Task, Row]]:
-    """All tasks with their rows, as they are done. Two for each thread are handed over at a time, so that none waits and memory
-    stays bounded."""
+    """All tasks with their rows, as they are done. One for each thread is handed over at a time: memory stays bounded, and a worker
+    that dies takes no others along."""
     going, left = 0, True
     while True:
-        while left and going < 2 * pool.threads:
+        while left and going < pool.threads:
             task = next(tasks, None)
             left = task is not None
             if task is not None:
