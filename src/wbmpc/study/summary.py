@@ -66,6 +66,7 @@ class Summary:
     lost: Mapping[str, int]
     sources: Mapping[str, tuple[str, ...]]
     compare_with: str = ""
+    larger_is_better: tuple[str, ...] = ()
 
     @property
     def finished(self) -> int:
@@ -75,9 +76,9 @@ class Summary:
         return self.targets.get(experiment, {}).get(metric, _NONE)
 
     def large_is_bad(self, experiment: str, metric: str) -> bool:
-        """Whether a large figure is a bad one: but for goals that are a smallest value alone."""
+        """Whether a large figure is a bad one: but for those that are named, and for goals that are a smallest value alone."""
         target = self.target(experiment, metric)
-        return target["least"] is None or target["goal"] is not None
+        return metric not in self.larger_is_better and (target["least"] is None or target["goal"] is not None)
 
     def spread(self, cell: Cell, metric: str) -> Spread:
         bad = self.large_is_bad(cell.experiment, metric)
@@ -149,6 +150,7 @@ def summarize(
     planned: int,
     metrics: Sequence[str] = (),
     compare_with: str = "",
+    larger_is_better: Sequence[str] = (),
 ) -> Summary:
     """Of a study's table. ``metrics``: those that are shown (when empty: with a goal or a paper's figure, or else all)."""
     columns = [name for name in table.column_names if name.startswith("metric.")]
@@ -174,7 +176,7 @@ def summarize(
     sources = {n: tuple(dict.fromkeys(t for t in table[n].to_pylist() if t)) for n in ("version", "commit", "code")}
     shown = {e: _shown(cells, e, targets.get(e, {}), metrics) for e in dict.fromkeys(c.experiment for c in cells)}
     first = next(iter(dict.fromkeys(c.condition for c in cells)), "")
-    return Summary(title, tuple(cells), units, targets, shown, planned, lost, sources, compare_with or first)
+    return Summary(title, tuple(cells), units, targets, shown, planned, lost, sources, compare_with or first, tuple(larger_is_better))
 
 
 def _shown(
