@@ -179,7 +179,9 @@ class Study:
     def report(self) -> Summary:
         """Statistics of what is finished, as data; ``statistics.json`` and the page ``index.html`` are written anew."""
         d = self.definition
-        found = summarize(d.title, self.combinations, self.table(), self.planned, d.metrics, d.compare_with, d.larger_is_better)
+        found = summarize(
+            d.title, self.combinations, self.table(), self.planned, d.metrics, d.compare_with, d.larger_is_better
+        )
         write_text(self.out / STATISTICS, json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
         write_text(self.out / PAGE, study_page(found, self.out))
         return found

@@ -176,7 +176,18 @@ def summarize(
     sources = {n: tuple(dict.fromkeys(t for t in table[n].to_pylist() if t)) for n in ("version", "commit", "code")}
     shown = {e: _shown(cells, e, targets.get(e, {}), metrics) for e in dict.fromkeys(c.experiment for c in cells)}
     first = next(iter(dict.fromkeys(c.condition for c in cells)), "")
-    return Summary(title, tuple(cells), units, targets, shown, planned, lost, sources, compare_with or first, tuple(larger_is_better))
+    return Summary(
+        title,
+        tuple(cells),
+        units,
+        targets,
+        shown,
+        planned,
+        lost,
+        sources,
+        compare_with or first,
+        tuple(larger_is_better),
+    )
 
 
 def _shown(

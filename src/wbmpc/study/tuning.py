@@ -109,7 +109,7 @@ class Tuner:
         }
         pruner = optuna.pruners.MedianPruner(n_startup_trials=10) if t.prune else optuna.pruners.NopPruner()
         sqlite = f"sqlite:///{(self.out / DATABASE).resolve()}"
-        found: optuna.Study = optuna.create_study(
+        found = optuna.create_study(
             storage=sqlite, study_name="tune", sampler=makers[t.sampler](), pruner=pruner, load_if_exists=True,
             directions=["minimize"] * (len(t.minimize) if t.pareto else 1),
         )  # fmt: skip
