@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc import lie
+from wbmpc import checks, lie
 from wbmpc.bases import base_type
 from wbmpc.bases.base import System
 from wbmpc.control.direct import DirectController
@@ -17,7 +17,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.result import Metric, Plot
-from wbmpc.simulation.lockstep import Timing
+from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
 from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.tasks.figures import general_metrics, general_plots
 from wbmpc.tasks.settings import SimulationSettings
@@ -41,7 +41,8 @@ def make_system(robot: RobotModel, mpc: MPC, settings: SimulationSettings, seed:
         plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate)
         timing = Timing.of(plant.timestep, rate, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
-    if mpc.ocp.dynamics.state.names != robot.state.names:
+    own = mpc.ocp.dynamics
+    if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError(
             "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
         )
@@ -70,7 +71,8 @@ def closed_loop(
     period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
     ones. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
     """
-    settings = settings or SimulationSettings()
+    settings = SimulationSettings() if settings is None else settings
+    check_loop(robot, mpc, duration, seed, since, settings)
     _start_at_home(robot, mpc)
     system, log = make_system(robot, mpc, settings, seed), Log()
     every = max(1, round(RECORDED / system.timing.period))
@@ -89,6 +91,24 @@ def closed_loop(
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
     return Scenario.single(log, loop.run, measured, drawn, IDEALISATIONS[settings.physics])
+
+
+def check_loop(
+    robot: RobotModel, mpc: MPC, duration: float, seed: int, since: float, settings: SimulationSettings
+) -> None:
+    """Raise :class:`InputError` for arguments of :func:`closed_loop` that cannot be meant."""
+    for name, value, kind in (
+        ("robot", robot, RobotModel),
+        ("mpc", mpc, MPC),
+        ("settings", settings, SimulationSettings),
+    ):
+        if not isinstance(value, kind):
+            raise InputError(f"closed loop: '{name}': {kind.__name__} is needed, got {type(value).__name__}")
+    checks.whole_number("closed loop: 'seed'", seed, 0)
+    for name, time in (("duration", duration), ("since", since)):
+        checks.real_number(f"closed loop: '{name}'", time, LONGEST_RUN)
+    checks.positive("closed loop", duration=duration)
+    checks.not_negative("closed loop", since=since)
 
 
 def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
