@@ -45,6 +45,8 @@ def read_scene(path: str | Path, simulated: bool = False) -> Iterator[SceneObsta
     capsule, cylinder, box, half_space, convex_mesh), and position, orientation, velocity, std, velocity_std; of a ``simulated`` scene
     also ``appears`` [s]. Raises :class:`InputError` naming file, obstacle and key.
     """
+    if not isinstance(path, str | Path):
+        raise InputError(f"obstacles: the path of a file is needed, got {path!r}")
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")

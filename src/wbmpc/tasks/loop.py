@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc import lie
+from wbmpc import checks, lie
 from wbmpc.bases import base_type
 from wbmpc.bases.base import System
 from wbmpc.control.direct import DirectController
@@ -18,7 +18,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.result import Metric, Plot
-from wbmpc.simulation.lockstep import Timing
+from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
 from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 from wbmpc.simulation.world import Edit
@@ -48,7 +48,8 @@ def make_system(
         plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate, edit)
         timing = Timing.of(plant.timestep, rate, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
-    if mpc.ocp.dynamics.state.names != robot.state.names:
+    own = mpc.ocp.dynamics
+    if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError(
             "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
         )
@@ -80,7 +81,8 @@ def closed_loop(
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
     ``mpc`` has obstacles. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
     """
-    settings = settings or SimulationSettings()
+    settings = SimulationSettings() if settings is None else settings
+    check_loop(robot, mpc, duration, seed, since, settings)
     _start_at_home(robot, mpc)
     if scene is None and settings.obstacles is not None:
         scene = load_scene(settings.obstacles)
@@ -106,6 +108,24 @@ def closed_loop(
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
     return Scenario.single(log, loop.run, measured, drawn, IDEALISATIONS[settings.physics])
+
+
+def check_loop(
+    robot: RobotModel, mpc: MPC, duration: float, seed: int, since: float, settings: SimulationSettings
+) -> None:
+    """Raise :class:`InputError` for arguments of :func:`closed_loop` that cannot be meant."""
+    for name, value, kind in (
+        ("robot", robot, RobotModel),
+        ("mpc", mpc, MPC),
+        ("settings", settings, SimulationSettings),
+    ):
+        if not isinstance(value, kind):
+            raise InputError(f"closed loop: '{name}': {kind.__name__} is needed, got {type(value).__name__}")
+    checks.whole_number("closed loop: 'seed'", seed, 0)
+    for name, time in (("duration", duration), ("since", since)):
+        checks.real_number(f"closed loop: '{name}'", time, LONGEST_RUN)
+    checks.positive("closed loop", duration=duration)
+    checks.not_negative("closed loop", since=since)
 
 
 def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
