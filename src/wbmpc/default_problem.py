@@ -17,6 +17,8 @@ from wbmpc.settings import MpcSettings, Settings, Weight
 Array = NDArray[np.float64]
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a metre from where it should be.
 CLEARANCE_SLACK = 3e4
+#: Of the accelerations, for plans among obstacles: wheels of a base are limited together, and feedback needs some.
+ACCELERATION_SHARE = 0.6
 
 
 class DefaultCost(Settings):
@@ -78,7 +80,11 @@ def keep_clear(
     rates = robot.limits.input_rate
     limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
     if limited and "accelerations" not in ocp.terms:
-        ocp.add(Constraint("accelerations", residuals.AccelerationLimit(robot, limited), free, hard=True))
+        ocp.add(
+            Constraint(
+                "accelerations", residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE), free, hard=True
+            )
+        )
     return ocp
 
 

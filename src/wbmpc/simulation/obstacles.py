@@ -16,7 +16,7 @@ from wbmpc.obstacles.scene import SceneObstacle, read_scene
 from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
 from wbmpc.obstacles.solids import axes_along
 from wbmpc.obstacles.world import Obstacle, Obstacles, Snapshot
-from wbmpc.simulation.contacts import APART, FAR, OBSTACLE
+from wbmpc.simulation.contacts import APART, FAR, FIXED, OBSTACLE
 
 Array = NDArray[np.float64]
 #: The frame in which the planner sees the scene.
@@ -95,8 +95,7 @@ class SimulatedObstacles:
         self._mocap = {name: int(model.body_mocapid[b]) for name, b in bodies.items()}
         self._name_of = {b: name for name, b in bodies.items()}
         others = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in self._name_of]
-        first, last = model.geom_contype, model.geom_conaffinity
-        own = [g for g in range(model.ngeom) if g not in others and model.geom_bodyid[g] > 0 and (first[g] or last[g])]
+        own = np.flatnonzero(model.geom_conaffinity & FIXED)
         self._pairs = np.array([(g, o) for g in own for o in others], int).reshape(-1, 2)
         self._others = np.array(others, int)
         self._reach = model.geom_rbound[self._pairs].sum(axis=1)
