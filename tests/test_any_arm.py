@@ -48,7 +48,7 @@ def test_the_hand_is_where_six_turns_put_it(seed: int) -> None:
 
 
 def test_it_drives_and_its_hand_rides_along() -> None:
-    result = drive(Motion((0.15, 0.12, 0.2), 3.0, start=1.5), "swerve-mabi", perturbation=Perturbation(), seed=2)
+    result = drive(Motion((0.15, 0.12, 0.2), 2.0, start=1.0), "swerve-mabi", perturbation=Perturbation(), seed=2)
     assert result.reason == ""
     way = np.linalg.norm(result.reference * [1, 1, 0.8])
     assert np.linalg.norm((result.truth - result.reference) * [1, 1, 0.8]) < 0.05 * way

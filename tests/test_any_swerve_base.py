@@ -36,13 +36,13 @@ SWING = 0.15
 
 @pytest.mark.parametrize("base", some(["3 fixed", "4 on hinges", "6 fixed"], [0, 1]))
 def test_it_drives_forward_sideways_and_turns(base: str, tmp_path: Path) -> None:
-    """Body twist (0.15, 0.12 m/s, 0.2 rad/s) for 3 s from rest; the odometry says the same within 1 %."""
+    """Body twist (0.15, 0.12 m/s, 0.2 rad/s) for 2 s from rest; the odometry says the same within 1.5 %."""
     path = write_base(tmp_path, *BASES[base])
-    motion = Motion((0.15, 0.12, 0.2), 3.0, start=1.5)
+    motion = Motion((0.15, 0.12, 0.2), 2.0, start=1.0)
     result = drive(motion, str(path), perturbation=Perturbation(), seed=2)
     assert result.reason == ""
     way = np.linalg.norm(result.reference * [1, 1, 0.8])
-    assert way > 0.6
+    assert way > 0.35
     missing = np.linalg.norm((result.truth - result.reference) * [1, 1, 0.8])
     assert missing <= 0.05 * way, f"{result.truth} instead of {result.reference}"
     lost = np.linalg.norm((result.truth - result.odometry) * [1, 1, 0.8])

@@ -36,6 +36,8 @@ CODE = (
     "told", "teller", "tells", "refuse", "refuses", "refused", "refusal", "sentence", "sentences", "rival", "rivals", "verdict", "burden",
     "wish", "wishes", "zoo", "agent", "agents", "pilot", "inbox", "breathe", "leaning",
 )  # fmt: skip
+#: Every match of the following contains one of them.
+STEMS = (*CODE, "tell", "died of")
 PRIVATE_IN_CODE = re.compile(
     "|".join(rf"(?<![A-Za-z])(?:{w}|{w.upper()})(?![A-Za-z])|(?<![A-Z]){w.capitalize()}(?![a-z])" for w in CODE)
     + r"|(?<![.\w])[Tt]ell\b(?!\()|(?<![A-Za-z])_tell(?![a-z])|\bdied of\b"
@@ -91,8 +93,12 @@ def test_words_are_the_fields(page: Path) -> None:
 
 
 def private_words(text: str) -> list[str]:
-    lines = (NOT_PRIVATE.sub("", line) for line in text.splitlines())
-    return [f"{i}: {m[0]}" for i, line in enumerate(lines, start=1) for m in PRIVATE_IN_CODE.finditer(line)]
+    found = []
+    for i, line in enumerate(text.splitlines(), start=1):
+        lower = line.lower()
+        if any(w in lower for w in STEMS):  # an expression that looks behind every letter takes long
+            found += [f"{i}: {m[0]}" for m in PRIVATE_IN_CODE.finditer(NOT_PRIVATE.sub("", line))]
+    return found
 
 
 @pytest.mark.parametrize("folder", ["src", "examples", "benchmarks", "scripts", "tests"])

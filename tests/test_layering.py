@@ -152,6 +152,8 @@ environment, directory = dict(os.environ), set(os.listdir())
 import wbmpc, wbmpc.cli, wbmpc.errors, wbmpc.configuration, wbmpc.log, wbmpc.result, wbmpc.report
 heavy = [m for m in ('casadi', 'mujoco', 'llvmlite', 'plotly', 'scipy') if m in sys.modules]
 assert not heavy, heavy
+import wbmpc.experiment, wbmpc.tasks, wbmpc.simulation.lockstep
+assert 'scipy' not in sys.modules  # a third of the start of every run
 import wbmpc.studies, wbmpc.benchmark
 assert dict(os.environ) == environment, set(os.environ.items()) ^ set(environment.items())
 assert set(os.listdir()) == directory, os.listdir()

@@ -24,14 +24,12 @@ from wbmpc.reproduce import Job, parse_seeds, plan, run_all, summarise, write_si
 
 HERE = Path(__file__).parent
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(HERE.parent / "src")}
-FAKE = (
-    f"import os, sys; sys.path[:0] = [{str(HERE)!r}, {str(HERE.parent / 'src')!r}]\n"
-    "from fake_experiment import REGISTRY; from wbmpc.cli import main\n"
-)
+PATHS = f"import os, sys; sys.path[:0] = [{str(HERE)!r}, {str(HERE.parent / 'src')!r}]"
 
 
 def fake(job: Job, previous: str = "", *more: str) -> list[str]:
-    code = f"{FAKE}{previous}\nsys.exit(main(sys.argv[1:], REGISTRY))"
+    run = "from fake_experiment import REGISTRY; from wbmpc.cli import main; sys.exit(main(sys.argv[1:], REGISTRY))"
+    code = f"{PATHS}\n{previous}\n{run}"
     arguments = ["run", "fake", "--seed", str(job.seed), "--out", str(job.directory), "--json"]
     return [sys.executable, "-c", code, *arguments, "--set", "duration=0.2", *more]
 
@@ -94,7 +92,9 @@ def test_ctrl_c_ends_what_goes_on(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     pid = tmp_path / "pid"
-    slow = f"import time, pathlib\nif '1' in sys.argv: pathlib.Path({str(pid)!r}).write_text(str(os.getpid())); time.sleep(300)"
+    # the file is there as a whole or not at all, whenever the process is ended
+    note = f"new = pathlib.Path({str(pid)!r} + str(os.getpid())); new.write_text(str(os.getpid())); new.rename({str(pid)!r})"
+    slow = f"import time, pathlib\nif '1' in sys.argv: {note}; time.sleep(300)"
     jobs = plan(["fake"], [0, 1], tmp_path)
     with pytest.raises(KeyboardInterrupt):
         run_all(jobs, 2, interrupt, lambda job: fake(job, slow))

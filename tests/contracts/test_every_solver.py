@@ -99,7 +99,7 @@ def truth(name: str, refined: bool = False) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     ("name", "solver"),
     [
-        pytest.param(n, s, marks=thorough if (n, s) == ("ball-robot-force", "sqp-exact") else ())
+        pytest.param(n, s, marks=thorough if s == "sqp-exact" and n in ("ball-robot-force", "torque-arm") else ())
         for n in PROBLEMS
         for s in SOLVERS
         if goes_with(n, s)

@@ -29,7 +29,7 @@ def swing() -> OptimalControlProblem:
 def test_a_warm_start_takes_fewer_iterations_and_finds_the_same(backend: str) -> None:
     rng, solver = np.random.default_rng(4), Solver(swing(), SQP(backend=backend))  # type: ignore[arg-type]
     counts = []
-    for _ in range(8 if backend == "compiled" else 2):
+    for _ in range(8 if backend == "compiled" else 1):
         x0 = rng.normal(size=2) * [0.3, 0.5]
         solver.reset()
         solver.warm_start(x0)

@@ -168,7 +168,7 @@ def test_the_robot_tips_when_the_margin_is_negative(configuration: str, directio
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
     of = lambda size: assess(SWERVE, configuration, [*(size * along), 0.0, 0.0, 0.0]).stance.polygon_margin
     low, high = 0.0, 3000.0
-    for _ in range(40):
+    for _ in range(20):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if of(middle) > 0.0 else (low, middle)
     tilts = []

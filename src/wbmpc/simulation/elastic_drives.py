@@ -17,7 +17,6 @@ twist goes with the wheel, which has no inertia of its own: k δ + d δ̇ = ± T
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
@@ -69,8 +68,10 @@ class ElasticDrives:
 
     def _exact(self, k: float, j: float, d: float) -> Array:
         """One step of (δ, θ̇) for held (τ_m, ψ̇), (2, 4): the exponential of the linear equations."""
+        from scipy.linalg import expm  # slow to import
+
         a, b = np.array([[0.0, 1.0], [-k / j, -d / j]]), np.array([[0.0, -1.0], [1.0 / j, d / j]])
-        whole = scipy.linalg.expm(self._h * np.block([[a, b], [np.zeros((2, 4))]]))
+        whole = expm(self._h * np.block([[a, b], [np.zeros((2, 4))]]))
         return np.asarray(whole[:2])
 
     def reset(self, torque: ArrayLike, speed: ArrayLike) -> None:

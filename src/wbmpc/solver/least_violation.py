@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from wbmpc.ocp import Constraint
 from wbmpc.solver.certificate import step_ends
 
 if TYPE_CHECKING:
+    import scipy.sparse as sp
+
     from wbmpc.solver.solver import Solver
 
 #: Steps at most; cosine from which on a gradient has vanished; largest damping, as a share of the largest curvature.
@@ -77,6 +77,8 @@ class _Misses:
 
     def jacobian(self, x: np.ndarray, u: np.ndarray) -> sp.csc_matrix:
         """By (x_0, u_0, x_1, …, x_N), by differences: one component of all nodes at a time."""
+        import scipy.sparse as sp  # slow to import, and few solves need it
+
         nx, nz, n = self.problem.nx, self.problem.nx + self.problem.nu, len(u)
         here, last = self.node(x[:-1], u), self.end(x[-1])
         z, blocks = np.hstack([x[:-1], u]), np.zeros((n, here.shape[1], nz))
@@ -108,6 +110,9 @@ def _split(z: np.ndarray, n: int, nx: int) -> tuple[np.ndarray, np.ndarray]:
 
 def least_violation(solver: Solver, rows: Mapping[str, np.ndarray], feasibility: float) -> Finding:
     """Whether constraints contradict each other near the present iterate. ``rows``: which rows of which constraints must hold."""
+    import scipy.sparse as sp
+    from scipy.sparse.linalg import splu
+
     misses, n, nx = _Misses(solver, rows), len(solver.ws.u), solver.problem.nx
     x, u = solver.ws.x.copy(), solver.ws.u.copy()
     x[0] = solver.x0

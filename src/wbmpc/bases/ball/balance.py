@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import schur
 
 from wbmpc.bases.ball.model import BallBase, ball_base
 from wbmpc.errors import InputError
@@ -91,6 +90,8 @@ def divergent(a: Array, offset: Array) -> tuple[float, Array]:
 
     By an invariant subspace, not by eigenvectors: of two poles that are (nearly) the same, those are any pair.
     """
+    from scipy.linalg import schur  # slow to import
+
     fastest = float(np.linalg.eigvals(a).real.max())
     form, basis, count = schur(a.T, sort=lambda real, _: real > 0.5 * fastest)
     if count != 2:

@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtri
 
 from wbmpc import lie
 from wbmpc.bases.ball.filter_memory import FilterMemory
@@ -65,6 +64,8 @@ class BallFilter:
         self.covariance = p
         self.freedom, self.surprise = n + 1, 0.0
         self.faults: tuple[str, ...] = ()
+        from scipy.special import chdtri  # slow to import
+
         self._gate = float(chdtri(self.freedom, GATE))
         self._inertial = InertialGate(unit or InertialDescription(), start.rotation.T @ GRAVITY)
         self._still = STILL * np.sqrt(12.0) * noise.encoder
