@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import casadi as ca
 import mujoco
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from planar_driving import write_robot
 from test_tasks import WHEELS, run
 from wbmpc.errors import InputError
 from wbmpc.obstacles.scene import SceneObstacle
+from wbmpc.ocp.symbols import Symbols
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 
 BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
@@ -91,3 +93,24 @@ def test_only_simulated_scenes_have_what_appears(tmp_path: Path) -> None:
         wb.Obstacles().load(path)
     with pytest.raises(InputError, match=r"scene.yaml.*box.*'appears'.*number"):
         load_scene(scene(tmp_path, "1, 0, 0", "appears: soon"))
+
+
+def test_bases_on_wheels_know_how_fast_their_speeds_may_change() -> None:
+    """Truth: a wheel turns by (v ± w b) / r."""
+    robot = wb.load_robot("differential-ur10")
+    base, radius, half = robot.description.base, 0.1, 0.29
+    most = min(robot.description.limits.acceleration[n] for n in base.wheel_joints())
+    np.testing.assert_allclose(robot.limits.input_rate[:2], [most * radius, most * radius / half])
+
+
+def test_plans_among_obstacles_use_a_share_of_the_accelerations() -> None:
+    robot = wb.load_robot("differential-ur10")
+    rows = wb.residuals.AccelerationLimit(robot, ["base"], 0.5)
+    x, u, p = ca.SX.sym("x", robot.state.size), ca.SX.sym("u", robot.input.size), ca.SX.sym("p", rows.reference)
+    found = ca.Function("rows", [x, u, p], [rows(Symbols(x, u, ca.SX(0, 1), ca.SX(robot.mode.size, 1), p, x, u))])
+    rate, last = robot.limits.input_rate[:2], np.array([0.2, -0.1])
+    for sign, which in ((1.0, slice(0, 2)), (-1.0, slice(2, 4))):
+        given = np.zeros(robot.input.size)
+        given[:2] = last + sign * 0.5 * rate * 0.1  # what half of the acceleration reaches in 0.1 s
+        h = np.array(found(robot.home, given, [*last, 0.1])).ravel()
+        np.testing.assert_allclose(h[which], 0.0, atol=1e-12)

@@ -25,8 +25,6 @@ DEEPER = 0.003
 #: Solves from a braking plan, and the barriers of the interior point: with a small one from the start its steps are cut where many
 #: rows become active at once.
 BRAKING_SOLVES, FIRST_BARRIER, BARRIER_SHARE = 5, 0.1, 0.4
-#: So many plans in a row may go through something that is not near yet.
-PATIENCE = 5
 #: What is left [s] of a stop that should have ended.
 ENDING = 0.01
 #: A plan has to be clear from now on for the duration of a stop and so much longer [s].
@@ -47,8 +45,6 @@ class ClearanceRows:
         #: when the stop ends [s] that the last plan is; None: it is none
         self._stops_at: float | None = None
         self._snapshot = Snapshot()
-        #: plans in a row that go through something
-        self._through = 0
         if self._around and obstacles is None:
             raise InputError(
                 f"mpc: term '{next(iter(self._around))}' needs obstacles: MPC(ocp, obstacles=wb.Obstacles())"
@@ -120,24 +116,12 @@ class ClearanceRows:
         if cause is None:
             run(delta, passes)
             cause = self._runs_into(t, until)
-        if cause is None and self._lost(t):
-            until = np.inf
-            cause = self.last
         if cause is not None and self._avoided(t, stop(), until, run, unusable):
             cause = None
         if cause is not None:
             self._stops_at = t + duration
         self.measure(t)
         return cause
-
-    def _lost(self, t: float) -> bool:
-        """Whether the last plans all go through something later on: from where they are, iterations do not find a way around it."""
-        self.measure(t)
-        self._through = self._through + 1 if self.last.distance < 0.0 else 0
-        if self._through < PATIENCE:
-            return False
-        self._through = 0
-        return True
 
     def _runs_into(self, t: float, until: float) -> LeastClearance | None:
         plan = self._solver.trajectory(copy=False)
