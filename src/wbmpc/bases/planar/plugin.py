@@ -16,9 +16,9 @@ from wbmpc.robots.findings import Finding
 
 if TYPE_CHECKING:
     from wbmpc.bases.planar.controller import PlanarController
-    from wbmpc.bases.planar.ros_plant import PlanarRosPlant
-    from wbmpc.bases.planar.ros_settings import PlanarRosSettings
     from wbmpc.mpc.mpc import MPC
+    from wbmpc.ros2.plants import RosPlant
+    from wbmpc.ros2.settings import RosSettings
     from wbmpc.simulation.perturbation import Perturbation
 
 #: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modelled to take [s].
@@ -67,7 +67,7 @@ class PlanarBaseType(BaseType):
         controller = self.controller()(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
         return System(plant, controller, mpc, timing)
 
-    def ros_settings(self, description: RobotDescription) -> type[PlanarRosSettings]:
+    def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
         """Weights that scale with the robot, and the gyro."""
         from wbmpc.bases.planar.ros_settings import PlanarRosSettings
 
@@ -85,7 +85,7 @@ class PlanarBaseType(BaseType):
 
         return PlanarController
 
-    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> PlanarRosPlant:
+    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
         """Follows speeds."""
         from wbmpc.bases.planar.ros_plant import PlanarRosPlant
 

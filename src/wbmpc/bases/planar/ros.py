@@ -177,11 +177,11 @@ class PlanarRosAdapter:
         self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
     ) -> BusMeasurement:
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock, whose zero is at ``origin`` [s]."""
-        joints = {g: sample.groups[g] for g in ("wheel", "arm", "steer")}
+        wheel, arm, steer = (sample.groups[g] for g in ("wheel", "arm", "steer"))
         if imu is None:
-            return BusMeasurement(at, **joints, origin=origin)
+            return BusMeasurement(at, wheel, arm, steer=steer, origin=origin)
         turning = None if imu.turning is None or not self.settings.use_gyro else float(imu.turning[2])
-        return BusMeasurement(at, **joints, gyro=imu.gyro, accel=imu.accel, turning=turning, origin=origin)
+        return BusMeasurement(at, wheel, arm, imu.gyro, imu.accel, steer, turning, origin)
 
     def stand(self, measurement: BusMeasurement) -> None:
         """Follow the wheels, and the gyro's bias, while nobody commands them."""
