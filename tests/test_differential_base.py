@@ -128,8 +128,10 @@ def test_a_perturbation_that_the_plant_does_not_read_is_an_error():
 
 
 def test_what_the_plug_in_leaves_out_is_named_as_of_other_base_types():
-    with pytest.raises(InputError, match=r"'differential-ur10' .* offers no controller for ROS 2 \('ros'\)"):
-        base_type("differential").ros(ROBOT, None, 0.0025)
+    with pytest.raises(
+        InputError, match=r"'differential-ur10' .* offers no calibration of steered wheels \('calibrator'\)"
+    ):
+        base_type("differential").calibrator(ROBOT)
 
 
 # ---------------------------------------------------------------------- odometry and controller

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from wbmpc.bases.base import Footprint
     from wbmpc.robots import RobotDescription
 
+#: Base types with a controller on a ROS 2 bus.
+ON_BUSES = "ball, differential, omnidirectional, swerve, wheels"
 GROUPS = ("rail", "arm")
 FILE = """
 <mujoco>
@@ -377,9 +379,9 @@ def test_parts_that_it_does_not_offer_are_named(gantry: Path, plugin: str) -> No
     robot = load_robot(gantry)
     rail = bases.base_type("rail")
     lacking = r"'gantry' has a base of type 'rail', whose plug-in offers no {} \('{}'\); valid: {}$"
-    with pytest.raises(InputError, match=lacking.format("controller for ROS 2", "ros_settings", "ball, swerve")):
+    with pytest.raises(InputError, match=lacking.format("controller for ROS 2", "ros_settings", ON_BUSES)):
         rail.ros_settings(robot.description)
-    with pytest.raises(InputError, match=lacking.format("simulated robot for ROS 2", "ros_plant", "ball, swerve")):
+    with pytest.raises(InputError, match=lacking.format("simulated robot for ROS 2", "ros_plant", ON_BUSES)):
         rail.ros_plant(robot, None, 1)
     with pytest.raises(InputError, match=lacking.format("calibration of steered wheels", "calibrator", "swerve")):
         rail.calibrator(robot)
@@ -389,7 +391,7 @@ def test_parts_that_it_does_not_offer_are_named(gantry: Path, plugin: str) -> No
             match=lacking.format(
                 "simulated robot with a controller",
                 "system",
-                "ball, differential, fixed, omnidirectional, swerve, wheels",
+                "ball, differential, fixed, omnidirectional, planar, swerve, wheels",
             ),
         ):
             rail.system(robot, 1)

@@ -178,7 +178,7 @@ def test_commands_reject_other_robots_and_missing_files(tmp_path: Path, capsys: 
     assert main(["ros2", "control", str(tmp_path / "r.yaml")]) == 2
     assert capsys.readouterr().err == (
         "wbmpc: 'r' has a base of type 'fixed', whose plug-in offers no controller for ROS 2 ('ros_settings'); valid: ball, "
-        "swerve\n"
+        "differential, omnidirectional, swerve, wheels\n"
     )
     assert main(["ros2", "check", "swerve-ur10", "--config", "nowhere.yaml"]) == 2
     assert capsys.readouterr().err == "wbmpc: --config: there is no file 'nowhere.yaml'\n"

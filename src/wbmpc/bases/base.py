@@ -130,6 +130,10 @@ class BaseDescription(Section):
         """The same names in the order of the file's section."""
         return [name for names in self.joint_groups().values() for name in names]
 
+    def wheel_joints(self) -> list[str]:
+        """Joints with drives whose angles are no part of the model's state."""
+        return []
+
     def parts(self) -> dict[str, str]:
         """Bodies beside ``body``, by the key that names them, whose joints are moved by the base's own equations. They turn about
         the origin of ``body``."""

@@ -24,6 +24,8 @@ STEP, LEASH = 0.02, 0.3
 _MAX_SAMPLES = 2000
 #: Ways that take less than this [s] are none.
 _ROUNDING = 1e-4
+#: A base that cannot go sideways does not turn for a way up to this [m].
+_SHORT = 0.005
 #: A speed is held for longer than the horizon [s], and changes within this acceleration [m/s², rad/s²].
 HOLD, ACCELERATION = 12.0, 1.0
 #: The reference of a speed is at most so far from the robot [m, rad]: who is held or leans first has little to catch up.
@@ -88,6 +90,8 @@ class Planner:
         self.lift = -robot.base.ground
         self.base_height = robot.base.body_height
         self.shoulder, self.reach = _arm(robot)
+        #: (3, m): the twists of the base's frame that its speeds make, the last of which is the turn
+        self.twist = np.asarray(getattr(robot.base, "twist", np.eye(3)), float)
 
     # ------------------------------------------------------------------ tasks
     def hold(self, x: Array, t: float) -> Task:
@@ -99,6 +103,9 @@ class Planner:
         start = self._base(x)
         self._check_far("base", goal[None, :2], start[:2])
         goal = np.array([goal[0], goal[1], nearest_angle(goal[2], start[2])])
+        if self.twist.shape[1] < 3:
+            times, poses = self._turn_and_drive(start, goal)
+            return self._carry(Track(t + times, poses), self._held(x), "base to a goal")
         way = float(np.hypot(*(goal - start)[:2])) / self.speeds.base
         times, share = _profile(max(way, abs(goal[2] - start[2]) / self.speeds.turn))
         poses = start + share[:, None] * (goal - start)
@@ -135,8 +142,11 @@ class Planner:
         return task if end_effector is None else replace(task, end_effector=end_effector, carried=False)
 
     def drive(self, x: Array, t: float, twist: Array, going: Task | None = None) -> Task:
-        """The base goes on with a body twist (3); the end effector is carried. ``going``: the task under way. A stream of speeds does not
-        begin anew with every message where the robot is by then, always somewhat behind: it would be as slow as that."""
+        """The base goes on with a body twist (3), or what of it its speeds can make; the end effector is carried. ``going``: the task under
+        way. A stream of speeds does not begin anew with every message where the robot is by then, always somewhat behind: it would
+        be as slow as that."""
+        if self.twist.shape[1] < 3:
+            twist = self.twist @ np.array([twist[0], twist[2]])
         return self._change(x, t, twist, HOLD, going, "base at a speed")
 
     def slow_down(self, x: Array, t: float, going: Task | None) -> Task:
@@ -144,6 +154,28 @@ class Planner:
         return self._change(x, t, np.zeros(3), 0.0, going, "base to rest")
 
     # ------------------------------------------------------------------ parts
+    def _turn_and_drive(self, start: Array, goal: Array) -> tuple[Array, Array]:
+        """Times (n) and poses (n, 3) of a base that cannot go sideways: it turns about the middle of its axle, drives there forward or
+        backward, and turns again."""
+        middle = np.array([-self.twist[1, -1], self.twist[0, -1]])  # what does not move in a turn, in axes of the base
+        at = lambda pose: pose[:2] + _turned(pose[2]) @ middle
+        way = at(goal) - at(start)
+        heading, length = nearest_angle(float(np.arctan2(way[1], way[0])), start[2]), float(np.hypot(*way))
+        if abs(heading - start[2]) > 0.5 * np.pi:
+            heading = nearest_angle(heading + np.pi, start[2])
+        heading = heading if length > _SHORT else start[2]
+        end = nearest_angle(goal[2], heading)
+        times, share, yaw = [np.zeros(1)], [np.zeros(1)], [np.array([start[2]])]
+        for turn, part in ((heading - start[2], 0.0), (0.0, 1.0), (end - heading, 0.0)):
+            long, risen = _profile(max(abs(turn) / self.speeds.turn, part * length / self.speeds.base))
+            if long.size > 1:
+                times.append(times[-1][-1] + long[1:])
+                yaw.append(yaw[-1][-1] + turn * risen[1:])
+                share.append(share[-1][-1] + part * risen[1:])
+        yaws, places = np.concatenate(yaw), at(start) + np.concatenate(share)[:, None] * way
+        poses = np.array([[*(p - _turned(a) @ middle), a] for p, a in zip(places, yaws, strict=True)])
+        return np.concatenate(times), poses
+
     def _base(self, x: Array) -> Array:
         return np.array(x[self.robot.state["base"]][:3])
 
@@ -262,6 +294,12 @@ def end_effector_track(
 def planar_path(positions: Array, orientations: Array) -> Array:
     """Planar poses (n, 3) of poses."""
     return np.array([planar(p, q) for p, q in zip(positions, orientations, strict=True)])
+
+
+def _turned(yaw: float) -> Array:
+    """(2, 2): from the axes of a base to those of the world."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s], [s, c]])
 
 
 def _integrated(start: Array, twists: Array, intervals: Array) -> Array:

@@ -241,16 +241,20 @@ class RosSettings(Settings):
         speeds, limits = self.speeds, self.cmd_vel
         target = np.array([limits.base, limits.base, limits.turn], float)  # None: not a number
         if "base" in robot.input:
-            return np.fmin(target, robot.limits.input_upper[robot.input["base"]])
+            upper = dict(zip(robot.input.groups["base"], robot.limits.input_upper[robot.input["base"]], strict=True))
+            ahead = upper.get("vx", upper.get("v", np.inf))
+            return np.fmin(target, [ahead, upper.get("vy", ahead), upper["wz"]])
         return np.where(np.isnan(target), [speeds.base, speeds.base, speeds.turn], target)
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
         """Speed limits [rad/s] of the joints of a group of the model, beyond which joint states cannot be true."""
+        if group not in robot.input:
+            return np.array([robot.description.limits.velocity.get(n, np.inf) for n in joint_groups(robot)[group]])
         return robot.limits.input_upper[robot.input[group]]
 
     def command_topics(self, robot: RobotModel) -> dict[str, Controller]:
         """Controllers by name, checked: every drive of the robot once. Raises :class:`InputError` naming the joint."""
-        drives = {g: list(robot.input.groups.get("leg" if g == "brake" else g, ())) for g in GROUPS}
+        drives = drive_groups(robot)
         brakes = {n: f"brake/{n}" for n in drives["brake"]}
         drives["brake"] = list(brakes.values())
         if not self.controllers:
@@ -288,7 +292,14 @@ def settings_of(robot: RobotModel) -> type[RosSettings]:
 def joint_groups(robot: RobotModel) -> dict[str, tuple[str, ...]]:
     """Our names of the joints in /joint_states by group: all that have an encoder."""
     groups = {g: robot.state.groups.get(g, ()) for g in ("leg", "steer", "wheel", "arm")}
-    return groups | {"wheel": groups["wheel"] or robot.input.groups.get("wheel", ())}
+    wheels = robot.input.groups.get("wheel", ()) or tuple(robot.description.base.wheel_joints())
+    return groups | {"wheel": groups["wheel"] or wheels}
+
+
+def drive_groups(robot: RobotModel) -> dict[str, list[str]]:
+    """Our names of the drives by :data:`GROUPS`; brakes are called like their legs."""
+    drives = {g: list(robot.input.groups.get("leg" if g == "brake" else g, ())) for g in GROUPS}
+    return drives | {"wheel": drives["wheel"] or robot.description.base.wheel_joints()}
 
 
 def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:

@@ -10,7 +10,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import header, stamp
-from wbmpc.ros2.settings import GROUPS, Controller, RosSettings
+from wbmpc.ros2.settings import Controller, RosSettings, drive_groups
 
 Place = tuple[str, int]
 #: How far trajectories look ahead [s] before they brake: if the node dies, the robot is at rest after that. A stop takes the other
@@ -34,8 +34,8 @@ class Sender:
 
 def places_of(robot: RobotModel) -> dict[str, Place]:
     """Group and number of every drive by its name."""
-    groups = robot.input.groups
-    names = {g: list(groups.get(g, ())) for g in GROUPS} | {"brake": [f"brake/{n}" for n in groups.get("leg", ())]}
+    drives = drive_groups(robot)
+    names = drives | {"brake": [f"brake/{n}" for n in drives["brake"]]}
     return {n: (g, i) for g, part in names.items() for i, n in enumerate(part)}
 
 

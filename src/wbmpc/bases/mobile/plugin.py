@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.base import Base, Proposal, Question
+from wbmpc.bases.base import Base, BaseType, Proposal, Question
 from wbmpc.bases.planar.description import PlanarBaseDescription
 from wbmpc.bases.planar.model import PlanarBase
 from wbmpc.bases.planar.plugin import PlanarBaseType
@@ -124,3 +124,6 @@ class MobileBaseType(PlanarBaseType):
         from wbmpc.bases.mobile.plant import MobilePlant
 
         return MobilePlant(robot, perturbation=perturbation, seed=seed, edit=edit)
+
+    # nobody knows its drives: what its driver takes and says on a bus is not described
+    ros_settings, ros, ros_plant = BaseType.ros_settings, BaseType.ros, BaseType.ros_plant

@@ -43,8 +43,11 @@ class PlanarController:
         """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
         numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
         previous, self.measured = self.measured or measurement, measurement
-        turning = 0.5 * float(previous.gyro[2] + measurement.gyro[2]) if self.use_gyro else None
-        self.odometry.update(measurement.time, measurement.wheel, turning)
+        self.odometry.update(measurement.time, measurement.wheel, self.turning(previous, measurement))
+
+    def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
+        """Mean yaw rate [rad/s] of the gyro between two messages; None where the odometry takes the wheels' alone."""
+        return 0.5 * float(previous.gyro[2] + now.gyro[2]) if self.use_gyro else None
 
     @property
     def pose(self) -> Array:

@@ -56,6 +56,10 @@ class PlanarOdometry:
         self.pose = lie.se2_step(self.pose, self._twist @ moved)
         return self.pose
 
+    def restart(self) -> None:
+        """The encoders begin anew: the next update moves nobody."""
+        self._last = None
+
     def _learn_bias(self, h: float, yaw_rate: float) -> None:
         """From what the gyro shows while the base stands."""
         self._rested = min(self._rested + h, AVERAGED)

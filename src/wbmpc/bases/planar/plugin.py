@@ -15,8 +15,11 @@ from wbmpc.robots import RobotDescription
 from wbmpc.robots.findings import Finding
 
 if TYPE_CHECKING:
+    from wbmpc.bases.planar.controller import PlanarController
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
+    from wbmpc.ros2.plants import RosPlant
+    from wbmpc.ros2.settings import RosSettings
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
@@ -64,10 +67,33 @@ class PlanarBaseType(BaseType):
         edit: Edit | None = None,
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
-        from wbmpc.bases.planar.controller import PlanarController
         from wbmpc.simulation.lockstep import Timing
 
         plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
-        controller = PlanarController(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
+        controller = self.controller()(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
         return System(plant, controller, mpc, timing)
+
+    def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
+        """Weights that scale with the robot, and the gyro."""
+        from wbmpc.bases.planar.ros_settings import PlanarRosSettings
+
+        return PlanarRosSettings
+
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+        """The adapter that reads joint states and publishes speeds."""
+        from wbmpc.bases.planar.ros import PlanarRosAdapter
+
+        return PlanarRosAdapter(robot, settings, period, self.controller())
+
+    def controller(self) -> type[PlanarController]:
+        """What drives this base type."""
+        from wbmpc.bases.planar.controller import PlanarController
+
+        return PlanarController
+
+    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
+        """Follows speeds."""
+        from wbmpc.bases.planar.ros_plant import PlanarRosPlant
+
+        return PlanarRosPlant(robot, self.plant(robot, perturbation, seed))

@@ -57,6 +57,11 @@ class WheelsOdometry(PlanarOdometry):
             self.covariance = self.covariance + turned @ turned.T
         return self.update(time, self._shown, yaw_rate)
 
+    def restart(self) -> None:
+        """Also the steering's."""
+        super().restart()
+        self._before = None
+
 
 class WheelsController(PlanarController):
     """The MPC's state has the **planned** steering angles, so that its rows agree with each other; a loop closes the difference to the
@@ -77,7 +82,7 @@ class WheelsController(PlanarController):
         """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
         numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
         previous, self.measured = self.measured or measurement, measurement
-        turning = 0.5 * float(previous.gyro[2] + measurement.gyro[2]) if self.use_gyro else None
+        turning = self.turning(previous, measurement)
         self.odometry.turn(measurement.time, measurement.wheel, measurement.steer, turning)
         if not self._placed:
             self.planned, self._placed = np.array(measurement.steer, float), True

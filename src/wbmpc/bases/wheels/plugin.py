@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from wbmpc.bases.base import Proposal, System
-from wbmpc.bases.planar.plugin import COMPUTATION_DELAY, CONTROL_RATE, DRIVE_LAG, PlanarBaseType
+from wbmpc.bases.base import Proposal
+from wbmpc.bases.planar.plugin import PlanarBaseType
 from wbmpc.bases.planar.proposal import RADIUS, RIM_ACCELERATION, RIM_SPEED
 from wbmpc.bases.wheels.description import WheelsBaseDescription
 from wbmpc.bases.wheels.model import WheelsBase
@@ -17,8 +17,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
+    from wbmpc.bases.wheels.control import WheelsController
     from wbmpc.bases.wheels.plant import WheelsPlant
-    from wbmpc.mpc.mpc import MPC
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
@@ -70,18 +70,8 @@ class WheelsBaseType(PlanarBaseType):
 
         return WheelsPlant(robot, perturbation=perturbation, seed=seed, edit=edit)
 
-    def system(
-        self,
-        robot: RobotModel,
-        seed: int,
-        perturbation: Perturbation | None = None,
-        mpc: MPC | None = None,
-        edit: Edit | None = None,
-    ) -> System:
-        """A perturbed plant at home with its controller and MPC, whose goal is home."""
+    def controller(self) -> type[WheelsController]:
+        """Of wheels that steer."""
         from wbmpc.bases.wheels.control import WheelsController
-        from wbmpc.simulation.lockstep import Timing
 
-        plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
-        timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
-        return System(plant, WheelsController(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG), mpc, timing)
+        return WheelsController

@@ -1,0 +1,253 @@
+"""A robot on wheels of a base, on a ROS 2 bus: speeds out, odometry from wheels and gyro."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.bases.planar.controller import PlanarController
+from wbmpc.bases.planar.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.planar.ros_settings import PlanarRosSettings
+from wbmpc.default_problem import DefaultCost, default_problem, stay_at_home
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.ocp import Cost, OptimalControlProblem, Reference
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges, Weights
+from wbmpc.ros2.convert import nearest_angle
+from wbmpc.ros2.goals import Planner, Task
+from wbmpc.ros2.joints import Inertial, JointSample
+from wbmpc.ros2.settings import drive_groups
+
+Array = np.ndarray
+#: Without messages for longer than this [s] there is a gap; encoders that moved by more than their largest speed over it, and this
+#: [rad] besides, have begun anew.
+GAP, REST = 0.1, 0.5
+#: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that begin anew.
+SLIP, TURN, UNSEEN = 0.01, 0.02, np.array([0.02, 0.02, 0.05])
+#: Of what a planar odometry says nothing about.
+_UNKNOWN = 1e6
+
+
+@dataclass(frozen=True)
+class BusMeasurement(PlanarMeasurement):
+    """``turning`` [rad/s]: mean yaw rate since the measurement before, None where the gyro does not cover that
+    time; ``origin`` [s]: where on the bus's clock the zero of the runner's is."""
+
+    turning: float | None = None
+    origin: float = 0.0
+
+
+class References(dict[str, Reference]):
+    """Of a task; ``carried``: whether the base leads and the end effector goes along."""
+
+    carried = False
+
+
+def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
+    """The same controller with what a bus brings along: gaps, encoders that begin anew, poses of another localization.
+
+    ``seen``: the newest measurement with the pose that belongs to it, for other threads; ``covariance`` (3, 3) of the pose in the world.
+    """
+
+    class BusController(kind):  # type: ignore[valid-type, misc]
+        seen: tuple[BusMeasurement, Array, Array] | None = None
+        fix: Callable[[], Fix | None] | None = None
+        placed = False
+
+        def __init__(self, *args: Any, **keys: Any) -> None:
+            super().__init__(*args, **keys)
+            self.covariance: Array = np.zeros((3, 3))
+            self.speed: Array = np.zeros(3)
+
+        def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
+            """As the inertial unit's messages between the two say."""
+            return getattr(now, "turning", None) if self.use_gyro else None
+
+        def measure(self, measurement: BusMeasurement) -> None:
+            """Take in the message of this tick, and another localization's pose if there is a new one."""
+            before, last = self.pose.copy(), self.measured
+            lasting = replace(
+                measurement, time=measurement.time + measurement.origin
+            )  # the runner's clock starts anew with each run
+            interval = 0.0 if last is None else lasting.time - last.time
+            if last is not None and self._began_anew(last, measurement, interval):
+                self.odometry.restart()
+                self.covariance = self.covariance + np.diag(UNSEEN**2)
+            super().measure(lasting)
+            self._note_motion(before, interval)
+            fix = self.fix() if self.fix is not None else None
+            if fix is not None:
+                self._correct(fix[1], fix[2])
+            self.seen = measurement, self.pose.copy(), self.speed
+
+        def _began_anew(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
+            upper = np.where(np.isfinite(self.robot.base.wheel_upper), self.robot.base.wheel_upper, 1e3)
+            return bool(np.any(np.abs(now.wheel - last.wheel) > 2.0 * upper * max(interval, 0.0) + REST))
+
+        def _note_motion(self, before: Array, interval: float) -> None:
+            moved = lie.se2_log(before, self.pose)
+            way, turn = float(np.hypot(*moved[:2])), abs(float(moved[2]))
+            spread = np.array([SLIP * way, SLIP * way, TURN * turn])
+            if interval > GAP:
+                spread = spread + UNSEEN * interval
+            self.covariance = self.covariance + np.diag(spread**2)
+            self.speed = moved / interval if 0.0 < interval <= GAP else np.zeros(3)
+
+        def _correct(self, pose: Array, covariance: Array) -> None:
+            """By both covariances; a pose without one is exact, and the first one says where the robot is."""
+            ours, exact = self.pose, not covariance.any()
+            error = np.array([*(pose[:2] - ours[:2]), nearest_angle(pose[2], ours[2]) - ours[2]])
+            sure = exact or not self.placed
+            gain = np.eye(3) if sure else self.covariance @ np.linalg.pinv(self.covariance + covariance)
+            self.placed = True
+            self.odometry.pose = ours + gain @ error
+            self.covariance = covariance.copy() if sure else (np.eye(3) - gain) @ self.covariance
+
+    return BusController
+
+
+class PlanarRosAdapter:
+    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. ``kind``: the controller of the base type."""
+
+    must_keep_running = needs_imu = False
+    watches = "wheels"
+    parameters = None
+    brakes = None
+    legs: Array | None = None
+    fix: Callable[[], Fix | None] | None = None
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        settings: PlanarRosSettings,
+        period: float,
+        kind: type[PlanarController] = PlanarController,
+    ) -> None:
+        self.robot, self.settings = robot, settings
+        self.planner = Planner(robot, settings.speeds, settings.goals)
+        self.pending = PendingChanges()
+        problem = self.problem(settings.cost)
+        self.mpc = MPC(problem, settings.mpc.solver(), settings.mpc.rate, guess=self.pending)
+        stay_at_home(robot, self.mpc)
+        self.pending.bind(self.mpc)
+        self._led = self._weights_of_base(problem)
+        self.controller: Any = on_bus(kind)(robot, np.zeros(3), period, lag=settings.actuator_time_constant)
+        self._rest = {g: np.zeros(len(names)) for g, names in drive_groups(robot).items()}
+        robot.pose(robot.home)  # builds the function: not in a tick
+
+    def _weights_of_base(self, problem: OptimalControlProblem) -> dict[bool, Weights]:
+        """Of the states where the base leads, with the weight of the end effector, and where it does not."""
+        cost, effector = cast(Cost, problem.term("state")), cast(Cost, problem.term("end_effector"))
+        plain, pose = list(cost.expand(cost.weight)), effector.expand(effector.weight)
+        part, led = self.robot.state["base"].start, list(plain)
+        led[part : part + 3] = [float(pose[0]), float(pose[1]), float(pose[5])]
+        return {False: {("state", "path"): plain}, True: {("state", "path"): led}}
+
+    @property
+    def faults(self) -> list[str]:
+        """Nothing is watched."""
+        return []
+
+    def inspect(self) -> None:
+        """Nothing takes long."""
+
+    def problem(self, cost: DefaultCost) -> OptimalControlProblem:
+        """The controller's problem with other weights."""
+        return default_problem(self.robot, self.settings.mpc, cost)
+
+    def leg_commands(self, node: Any, ready: Any, now: Any) -> None:
+        """There are no legs."""
+
+    # ------------------------------------------------------------------ commands
+    def rest(self) -> Groups:
+        """Everything at rest."""
+        return self._rest
+
+    def groups(self, command: PlanarCommand) -> Groups:
+        """A command by groups."""
+        steer = command.steer if command.steer.size else self._rest["steer"]
+        return {"wheel": command.wheel, "steer": steer, "arm": command.arm, "brake": self._rest["brake"]}
+
+    # ------------------------------------------------------------------ states
+    def measurement(
+        self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
+    ) -> BusMeasurement:
+        """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock, whose zero is at ``origin`` [s]."""
+        wheel, arm, steer = (sample.groups[g] for g in ("wheel", "arm", "steer"))
+        if imu is None:
+            return BusMeasurement(at, wheel, arm, steer=steer, origin=origin)
+        turning = None if imu.turning is None or not self.settings.use_gyro else float(imu.turning[2])
+        return BusMeasurement(at, wheel, arm, imu.gyro, imu.accel, steer, turning, origin)
+
+    def stand(self, measurement: BusMeasurement) -> None:
+        """Follow the wheels, and the gyro's bias, while nobody commands them."""
+        self.controller.fix = self.fix
+        self.controller.measure(measurement)
+
+    def snapshot(self) -> tuple[float, Array] | None:
+        """Time [s] of the runner's clock and the state (nx) estimated for it; from any thread. None before the first."""
+        seen = self.controller.seen
+        if seen is None:
+            return None
+        m, pose, _ = seen
+        parts = {"base": pose, "steer": m.steer, "arm": m.arm}
+        return m.time, self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
+
+    def begin(self, x: Array) -> None:
+        """A new run; the odometry goes on."""
+        self.controller.stop()
+        self.mpc.reset(x)
+
+    def swing(self, legs: Array) -> None:
+        """There are no legs."""
+
+    def push(self, wrench: Array) -> None:
+        """Drives that follow speeds cannot exert a wrench."""
+
+    def relocate(self) -> None:
+        """The next pose of another localization counts whatever was known before."""
+        self.controller.placed = False
+
+    # ------------------------------------------------------------------ tasks
+    def references(self, task: Task, x: Array) -> References:
+        """For the terms ``end_effector``, ``state`` and ``input``; the arm likes its home."""
+        base, effector = task.base, task.end_effector
+        states = np.tile(self.robot.home, (base.times.size, 1))
+        states[:, self.robot.state["base"]] = base.poses
+        inputs = np.zeros((base.times.size, self.robot.input.size))
+        inputs[:, self.robot.input["base"]] = base.twists @ np.linalg.pinv(self.robot.base.twist).T
+        found = References(
+            end_effector=Reference.poses(effector.times, effector.positions, effector.orientations),
+            state=Reference(base.times, states), input=Reference(base.times, inputs),
+        )  # fmt: skip
+        found.carried = task.carried
+        return found
+
+    def follow(self, references: dict[str, Reference]) -> None:
+        """Put a task into force."""
+        self.pending.reweigh(self._led[getattr(references, "carried", False)])
+        self.pending.set(references)
+
+    # ------------------------------------------------------------------ what is reported
+    def estimate(self) -> Estimate | None:
+        """Planar pose and twist; the rest is unknown."""
+        seen = self.controller.seen
+        if seen is None:
+            return None
+        x, y, yaw = seen[1]
+        v = seen[2]
+        return Estimate(
+            np.array([x, y, self.robot.base.body_height]), np.asarray(lie.quaternion_about((0, 0, 1), yaw)),
+            np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), _spatial(self.controller.covariance), _spatial(1e-4 * np.eye(3)),
+        )  # fmt: skip
+
+
+def _spatial(planar: Array) -> Array:
+    """A covariance (3, 3) of x, y and yaw in six dimensions."""
+    out = np.diag([0.0, 0.0, _UNKNOWN, _UNKNOWN, _UNKNOWN, 0.0])
+    out[np.ix_([0, 1, 5], [0, 1, 5])] = planar
+    return out

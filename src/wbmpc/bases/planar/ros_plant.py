@@ -1,0 +1,35 @@
+"""The simulated robot on wheels of a base, on a ROS 2 bus: speeds in, encoders and inertial unit out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.bases.planar.messages import PlanarCommand
+from wbmpc.ros2.convert import upright
+from wbmpc.ros2.plants import Reading, RosPlant
+from wbmpc.ros2.settings import drive_groups
+from wbmpc.types import Truth
+
+Array = np.ndarray
+
+
+class PlanarRosPlant(RosPlant):
+    """Of speeds."""
+
+    def rest(self) -> dict[str, Array]:
+        """Everything at rest."""
+        return {g: np.zeros(len(names)) for g, names in drive_groups(self.robot).items()}
+
+    def command(self, groups: dict[str, Array]) -> PlanarCommand:
+        """What the drives get."""
+        return PlanarCommand(groups["wheel"], groups["arm"], groups["steer"])
+
+    def read(self) -> Reading:
+        """What the sensors say."""
+        m = self.plant.measure()
+        self.last = Reading({"leg": np.zeros(0), "steer": m.steer, "wheel": m.wheel, "arm": m.arm}, m.gyro, m.accel)
+        return self.last
+
+    def base(self, truth: Truth) -> tuple[Array, Array]:
+        """Position and quaternion of the base."""
+        return upright(truth.pose, self.robot.base.body_height)

@@ -1,0 +1,141 @@
+"""Robots on wheels of a base, on a bus. Truth: rolling and rigid motion by hand, the simulated robot's own pose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from needs import needs_dds, private
+
+from planar_driving import RADIUS, write_robot
+from wbmpc.bases.planar.controller import PlanarController
+from wbmpc.bases.planar.ros import UNSEEN, BusMeasurement, on_bus
+from wbmpc.errors import InputError
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.ros2.goals import Planner
+from wbmpc.ros2.settings import Speeds, joint_groups, settings_of
+
+#: Half the track [m] of the robot.
+HALF = 0.2
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
+    """Two wheels and an arm of two joints."""
+    wheels = [((0.1, HALF), (0.0, 1.0, 0.0)), ((0.1, -HALF), (0.0, 1.0, 0.0))]
+    return load_robot(write_robot(tmp_path_factory.mktemp("wheels"), wheels, {"type": "differential"}))
+
+
+def test_drives_and_encoders_are_the_files(robot: RobotModel) -> None:
+    settings = settings_of(robot)()
+    topics = settings.command_topics(robot)
+    wheels, arm = tuple(robot.description.base.wheel_joints()), robot.description.arm.joints
+    assert {n: c.joints for n, c in topics.items()} == {"wheel_controller": wheels, "arm_controller": arm}
+    assert joint_groups(robot)["wheel"] == wheels and settings.joint_speeds(robot, "wheel").shape == (2,)
+    assert settings.fastest(robot).shape == (3,)
+
+
+def test_what_takes_speeds_of_its_own_is_on_no_bus(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="offers no"):
+        settings_of(load_robot("pr2"))
+
+
+@pytest.mark.parametrize("goal", [(1.0, 0.5, 0.0), (-1.0, 0.0, 0.3), (0.0, 0.8, -2.0), (0.0, 0.0, 1.0)])
+def test_a_base_that_cannot_go_sideways_gets_ways_that_it_can_drive(
+    goal: tuple[float, float, float], robot: RobotModel
+) -> None:
+    """What stands on the axle's middle, 0.1 m ahead of the body's frame, moves along the heading only."""
+    planner = Planner(robot, Speeds(base=0.4, turn=0.5))
+    task = planner.to_base(robot.home, 2.0, np.array(goal))
+    times, poses = task.base.times, task.base.poses
+    np.testing.assert_allclose(poses[0], np.zeros(3), atol=1e-12)
+    np.testing.assert_allclose([*poses[-1][:2], np.cos(poses[-1][2] - goal[2])], [goal[0], goal[1], 1.0], atol=1e-9)
+    ahead = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    axle, middle = poses[:, :2] + 0.1 * ahead, 0.5 * (ahead[1:] + ahead[:-1])
+    moved = np.diff(axle, axis=0)
+    assert np.abs(moved[:, 0] * middle[:, 1] - moved[:, 1] * middle[:, 0]).max() < 1e-9
+    assert np.all(np.diff(times) > 0.0) and times[0] == 2.0
+    assert np.linalg.norm(moved, axis=1).max() <= 0.41 * np.diff(times).max()
+    assert np.abs(np.diff(poses[:, 2]) / np.diff(times)).max() <= 0.51
+
+
+def test_speeds_to_the_side_are_left_out(robot: RobotModel) -> None:
+    planner = Planner(robot, Speeds())
+    across, ahead = (planner.drive(robot.home, 0.0, np.array(v)).base.poses for v in ([0.2, 0.3, 0.0], [0.2, 0.0, 0.0]))
+    np.testing.assert_allclose(across, ahead)
+
+
+def message(t: float, wheels: float, **keys: Any) -> BusMeasurement:
+    return BusMeasurement(t, np.full(2, wheels), np.zeros(2), **keys)
+
+
+def follower(robot: RobotModel) -> Any:
+    return on_bus(PlanarController)(robot, np.zeros(3), 0.0025)
+
+
+def test_the_estimate_goes_on_over_runs_and_gaps(robot: RobotModel) -> None:
+    """Wheels that turn by an angle a move the base by a times their radius, on whatever clock, also over a gap; the covariance grows."""
+    c = follower(robot)
+    c.measure(message(0.0, 0.0, origin=5.0))
+    c.measure(message(0.01, 0.1, origin=5.0))
+    np.testing.assert_allclose(c.pose, [0.1 * RADIUS, 0.0, 0.0], atol=1e-12)
+    before = c.covariance.copy()
+    c.measure(message(0.0, 0.2, origin=5.02))  # another run: the runner's clock starts anew
+    np.testing.assert_allclose(c.pose, [0.2 * RADIUS, 0.0, 0.0], atol=1e-12)
+    assert c.covariance[0, 0] > before[0, 0]
+    c.measure(message(1.0, 2.0, origin=5.02))
+    np.testing.assert_allclose(c.pose, [2.0 * RADIUS, 0.0, 0.0], atol=1e-12)
+    assert c.covariance[0, 0] >= UNSEEN[0] ** 2
+    assert c.seen[0].time == 1.0
+
+
+def test_encoders_that_begin_anew_move_nobody(robot: RobotModel) -> None:
+    c = follower(robot)
+    for k, wheels in enumerate((100.0, 100.1, 0.0, 0.1)):
+        c.measure(message(0.01 * k, wheels))
+    np.testing.assert_allclose(c.pose, [0.2 * RADIUS, 0.0, 0.0], atol=1e-12)
+
+
+def test_poses_of_another_localization(robot: RobotModel) -> None:
+    """The first one says where the robot is; later ones count by their covariance (0: exact)."""
+    c, fixes = (
+        follower(robot),
+        [(0.0, np.array([2.0, 1.0, 0.5]), np.eye(3)), None, (0.0, np.array([3.0, 1.0, 0.5]), np.eye(3))],
+    )
+    c.fix = lambda: fixes.pop(0) if fixes else None
+    c.measure(message(0.0, 0.0))
+    np.testing.assert_allclose(c.pose, [2.0, 1.0, 0.5])
+    c.measure(message(0.01, 0.0))
+    c.measure(message(0.02, 0.0))  # as sure as the estimate: half way
+    np.testing.assert_allclose(c.pose, [2.5, 1.0, 0.5])
+    np.testing.assert_allclose(c.covariance, 0.5 * np.eye(3))
+    fixes.append((0.0, np.array([4.0, 0.0, 0.0]), np.zeros((3, 3))))
+    c.measure(message(0.03, 0.0))
+    np.testing.assert_allclose(c.pose, [4.0, 0.0, 0.0])
+
+
+@pytest.fixture
+def simulated(robot: RobotModel) -> Iterator[Any]:
+    from simulated import Simulated
+
+    from wbmpc.ros2.network import Network
+
+    made = Simulated(robot, Network.of(private()))
+    yield made
+    made.close()
+
+
+@needs_dds
+def test_a_goal_over_the_bus(simulated: Any) -> None:
+    s = simulated
+    s.ready()
+    start = s.truth()
+    s.end_effector(dx=0.05)
+    s.run(0.8)
+    assert s.control.running, s.control.state
+    assert s.truth().tool[0] - start.tool[0] == pytest.approx(0.05, abs=0.01)
+    np.testing.assert_allclose(s.control.adapter.estimate().position[:2], s.truth().pose[:2], atol=0.005)
+    assert not s.messages(2)
