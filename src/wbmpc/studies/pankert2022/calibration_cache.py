@@ -25,8 +25,8 @@ def kept(robot: RobotModel, settings: BaseModel, seed: int, make: Callable[[], W
     found = cache.load(key)
     if found is not None:
         values = np.frombuffer(found[0])
-        zeros = (part.copy() for part in np.split(values[: 3 * n], 3))
-        return WheelCalibration(*zeros, values[3 * n :].reshape(2 * n, 2 * n).copy())
+        steer, leg, radius = (part.copy() for part in np.split(values[: 3 * n], 3))
+        return WheelCalibration(steer, leg, radius, values[3 * n :].reshape(2 * n, 2 * n).copy())
     made = make()
     parts = (made.steer_offset, made.leg_offset, made.wheel_radius, made.covariance.ravel())
     cache.save(key, np.concatenate(parts).tobytes(), {"calibration": robot.description.name, "seed": seed})
