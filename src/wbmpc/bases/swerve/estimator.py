@@ -101,8 +101,10 @@ class SwerveEstimator:
     def _weights(self) -> Array | None:
         """Weights (n) of the wheels in the odometry; None: all count in full."""
         left = [0.0] * self.robot.base.geometry.modules
-        for times in (self._side_slip and self._side_slip.left, self._odd and self._odd.odd):
-            left = left if times is None else [max(pair) for pair in zip(left, times.tolist(), strict=True)]
+        if self._odd is not None:
+            left = self._odd.odd.tolist()
+        if self._side_slip is not None:
+            left = [max(pair) for pair in zip(left, self._side_slip.left.tolist(), strict=True)]
         # one sound wheel alone does not determine the motion
         if not any(left) or left.count(0.0) < 2:
             return None
