@@ -19,9 +19,11 @@ class Log:
 
     def add(self, channel: str, t: float, value: object) -> None:
         """Append a row."""
-        if channel not in self._times:
-            self._times[channel], self._rows[channel] = [], []
-        self._times[channel].append(float(t))
+        times = self._times.get(channel)
+        if times is None:
+            times = self._times[channel] = []
+            self._rows[channel] = []
+        times.append(float(t))
         self._rows[channel].append(np.array(value, float))
 
     def extend(self, other: Log, suffix: str, channels: Sequence[str] | None = None) -> None:

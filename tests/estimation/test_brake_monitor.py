@@ -205,3 +205,18 @@ def test_a_clock_that_starts_anew() -> None:
     slips = lambda t: turned * (1.0 + min(t, 1.0))
     reported = [[m.update(t, slips(t), CLOSED, STILL) for t in np.arange(0.0, 2.0, 0.01)] for m in (monitor, twin)]
     assert reported[0] == reported[1] and len(monitor.faults) == 1
+
+
+def test_brakes_at_rest_are_judged_like_all_others() -> None:
+    """Truth: a planned rate far below what counts takes the way of all others, and must give the same faults."""
+    rng, one, other = np.random.default_rng(0), BrakeMonitor(list("abcd")), BrakeMonitor(list("abcd"))
+    leg, brake, found = np.zeros(4), np.zeros(4), 0
+    for k in range(1500):
+        if rng.random() < 0.02:
+            brake = np.zeros(4) if rng.random() < 0.7 else (rng.random(4) < 0.3).astype(float)
+        rate = np.where(brake > 0.5, 0.2 * rng.normal(size=4), 0.0)
+        leg = leg + 0.01 * rate + (rng.random() < 0.01) * 0.012 * rng.normal(size=4)
+        faults = one.update(0.01 * k, leg, brake, rate)
+        assert faults == other.update(0.01 * k, leg, brake, rate + 1e-300)
+        found += len(faults)
+    assert found > 5

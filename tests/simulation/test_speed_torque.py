@@ -25,11 +25,11 @@ def test_torque_falls_on_a_line_to_the_no_load_speed_and_brakes_in_full(
 ) -> None:
     model = mujoco.MjModel.from_xml_string(ROTOR)
     data = mujoco.MjData(model)
-    drives = SpeedTorque(model, {"m": 10.0})
+    drives = SpeedTorque(model, data, {"m": 10.0})
     for v in (15.0, speed):  # what was reduced is given back
         data.qvel[0], data.ctrl[0] = v, asked
         mujoco.mj_step1(model, data)
-        drives.apply(model, data)
+        drives.apply()
         mujoco.mj_fwdActuation(model, data)
     assert NO_LOAD == 1.25 and data.actuator_force[0] == pytest.approx(given)
 

@@ -24,7 +24,7 @@ from wbmpc.estimation.odometry_filter import LegEvidence, OdometryNoise, State
 from wbmpc.estimation.odometry_memory import Moment, OdometryMemory, state_of
 from wbmpc.estimation.odometry_step import BIAS, LATE, WHEELS, Interval, Way
 from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import Increment, Mask, WheelOdometry
+from wbmpc.estimation.wheel_odometry import Increment, Mask, Sample, WheelOdometry
 from wbmpc.estimation.wheel_slip import Slip
 from wbmpc.kernel.step import Backend
 from wbmpc.model.wheels import ModuleGeometry
@@ -122,7 +122,7 @@ class FusedOdometry:
     @property
     def gyro_bias(self) -> float:
         """[rad/s]."""
-        return float(self._state.mean[BIAS])
+        return float(self._memory.arrays["mean"][BIAS])
 
     @property
     def slip(self) -> float:
@@ -205,14 +205,25 @@ class FusedOdometry:
         way over it moves the pose, the covariance grows (:data:`GAP_SHARE`, :data:`GAP_SPEED`), and global poses from before
         its end no longer count. Raises :class:`InputError` for numbers that are not finite or time that goes back.
         """
-        now, arrays, time = self._reader.checked(leg, steer, wheel), self._memory.arrays, self.time
+        return self.advance(t, self._reader.checked(leg, steer, wheel), gyro, brake, weights)
+
+    def advance(
+        self,
+        t: float,
+        sample: Sample,
+        gyro: float | None = None,
+        brake: ArrayLike | None = None,
+        weights: ArrayLike | None = None,
+    ) -> Array:
+        """As :meth:`update`, after true positions that :class:`WheelOdometry` with the same zeros has checked."""
+        arrays, time = self._memory.arrays, self.time
         if not math.isfinite(t) or t < time or (gyro is not None and not math.isfinite(gyro)):
             raise InputError(
                 f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s"
             )
         weighed = None if weights is None else self._checked_weights(weights)
         h, is_open = t - time, self._opened(brake)
-        np.concatenate(now, out=arrays["now"])
+        np.concatenate(sample, out=arrays["now"])
         if not self._started:
             self._start(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:

@@ -137,13 +137,22 @@ class WheelOdometry:
 
         The first call only stores them.
         """
-        now, memory = self.checked(leg, steer, wheel), self._fit.memory
-        np.concatenate(now, out=memory["now"])
+        return self.advance(self.checked(leg, steer, wheel))
+
+    def advance(self, sample: Sample) -> Array:
+        """As :meth:`update`, after true positions that are :meth:`checked`."""
+        memory = self._fit.memory
+        np.concatenate(sample, out=memory["now"])
         if self._started:
             self._run()
         memory["before"][:] = memory["now"]
         self._started = True
         return self.pose
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """``twist`` (3) and ``residual`` (2n) of the last update, as arrays that go on."""
+        return {name: self._fit.memory[name] for name in ("twist", "residual")}
 
     @property
     def slip(self) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import deepcopy
+from functools import partial
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -78,6 +79,17 @@ class Step:
         self._several = isinstance(result, tuple)
         self._table, self._code = table, f.by_table
         self._address = table.ctypes.data
+
+    @property
+    def call(self) -> Callable[[], None]:
+        """The step as a function without arguments and results, for the innermost loops; :class:`KernelError` where it has some."""
+        if self._free or self._function.signature.result != NONE:
+            raise KernelError(f"{self._function.signature.symbol}: it has arguments that are not bound, or results")
+        if self._backend != "compiled":
+            return self.__call__
+        call = partial(self._code, self._address)
+        vars(call)["step"] = self  # whose arrays live as long as the function
+        return call
 
     def __call__(self, *numbers: float) -> Any:
         if self._backend == "interpreted":

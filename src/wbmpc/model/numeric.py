@@ -22,7 +22,7 @@ class Numeric:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self.function = function
+        self.function, self._name = function, function.name()
         self._own = threading.local()
 
     def __call__(self, *values: ArrayLike) -> list[Array]:
@@ -30,9 +30,9 @@ class Numeric:
         if not hasattr(own, "run"):
             self._open()
         for place, value in zip(own.arguments, values, strict=True):
-            array = real_numbers(self.function.name(), value)
+            array = real_numbers(self._name, value)
             if array.size != place.size:
-                raise InputError(f"{self.function.name()}: {place.size} numbers are needed, got {array.size}")
+                raise InputError(f"{self._name}: {place.size} numbers are needed, got {array.size}")
             place[:] = array.ravel(order="F") if array.ndim > 1 else array
         own.run()
         return [place.copy() for place in own.found]

@@ -48,21 +48,29 @@ class QuickWriter(Writer):
         if not self._quick:
             super().add_message(channel_id, log_time, data, publish_time, sequence)
             return
-        chunk, seen = self._chunk, self._statistics
-        for part, count in ((seen, seen.message_count), (chunk, chunk.num_messages)):
-            if not count or log_time < part.message_start_time:
-                part.message_start_time = log_time
-            if log_time > part.message_end_time:
-                part.message_end_time = log_time
+        chunk, seen, size = self._chunk, self._statistics, len(data)
+        if not seen.message_count or log_time < seen.message_start_time:
+            seen.message_start_time = log_time
+        if log_time > seen.message_end_time:
+            seen.message_end_time = log_time
+        if not chunk.num_messages or log_time < chunk.message_start_time:
+            chunk.message_start_time = log_time
+        if log_time > chunk.message_end_time:
+            chunk.message_end_time = log_time
         seen.channel_message_counts[channel_id] += 1
         seen.message_count += 1
         chunk.num_messages += 1
         index = chunk.message_indices.get(channel_id)
         if index is None:
             index = chunk.message_indices[channel_id] = _Index(channel_id=channel_id, records=[])
-        at = chunk.record_writer.count
+        records = chunk.record_writer
+        at = records.count
         index.records.append((log_time, at))
-        head = _HEAD.pack(_OPCODE, _INSIDE + len(data), channel_id, sequence, log_time, publish_time)
-        chunk.record_writer.write(head + data)
-        if at + _HEAD.size + len(data) > self._size:
+        records.write(_HEAD.pack(_OPCODE, _INSIDE + size, channel_id, sequence, log_time, publish_time) + data)
+        if at + _HEAD.size + size > self._size:
             self._finalize()
+
+    @property
+    def chunks(self) -> int | None:
+        """How many chunks went to the file; None: unknown."""
+        return self._statistics.chunk_count if self._quick else None

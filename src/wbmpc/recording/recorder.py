@@ -119,16 +119,16 @@ class Recorder:
         self._last = self._start + t
         tick = round(t / self.running.timing.period)
         self._solver()
-        due = {name for name, every in self._every.items() if tick % every == 0}
-        if due & {"states", "links"}:
+        states, links, plan = (tick % self._every[name] == 0 for name in ("states", "links", "plans"))
+        if states or links:
             moment = self._observer.see()
-        if "states" in due:
+        if states:
             self._states(moment)
             self._numbers("/command", command)
             self._numbers("/measured", getattr(self.running.controller, "measured", None))
-        if "links" in due:
+        if links:
             self._links(moment)
-        if "plans" in due:
+        if plan:
             self._plans(plans)
 
     def end(self, ending: Ending) -> None:

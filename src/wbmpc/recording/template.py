@@ -27,7 +27,9 @@ class Template:
         stamps: list[int] = []
         floats: list[int] = []
         _places(kind, message, 0, stamps, floats)
-        self._stamps, self._size = np.array(stamps, int) // 4, len(floats)
+        seconds = np.array(stamps, int) // 4
+        self._stamped, self._size = len(stamps) > 0, len(floats)
+        self._seconds, self._nanoseconds = _slice(seconds), _slice(seconds + 1)
         self._words, self._doubles = self._body.view("<u4"), self._body.view("<f8")
         self._floats = _slice(np.array(floats, int) // 8)
 
@@ -35,9 +37,9 @@ class Template:
         """Time [s, ns] and numbers; raises :class:`InputError` if there are more or fewer of these than places."""
         if values.size != self._size:
             raise InputError(f"message: needs {self._size} numbers, got {values.size}")
-        if self._stamps.size:
-            self._words[self._stamps] = seconds
-            self._words[self._stamps + 1] = nanoseconds
+        if self._stamped:
+            self._words[self._seconds] = seconds
+            self._words[self._nanoseconds] = nanoseconds
         self._doubles[self._floats] = values.ravel()
         return self._header + self._body.data[: self._length]
 

@@ -56,7 +56,9 @@ class McapFile:
             self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         self._writer.start(profile="ros2", library=f"wbmpc {__version__}")
-        self._size = 0  # of the file, as of its last message
+        self._size = 0  # of the file, as of its last chunk
+        self._chunks = self._writer.chunks
+        self._time, self._now = -math.inf, 0  # of the last message [s], and in nanoseconds
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._end = self._half  # from which size on the next file begins
@@ -98,12 +100,17 @@ class McapFile:
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._channel(topic, kind, latched)
-        at = nanoseconds(t)
-        self._writer.add_message(channel, at, data, at)
-        size = self._file.tell()
-        if size != self._size:  # a chunk went to the file
-            self._file.flush()
-            self._size = size
+        if t != self._time:
+            self._time, self._now = t, nanoseconds(t)
+        self._writer.add_message(channel, self._now, data, self._now)
+        if self._chunks is None or self._writer.chunks != self._chunks:
+            self._chunks = self._writer.chunks
+            self._flush()
+
+    def _flush(self) -> None:
+        """What went to the file goes to the system."""
+        self._file.flush()
+        self._size = self._file.tell()
 
     def _channel(self, topic: str, kind: str, latched: bool) -> int:
         if kind not in self._schemas:
@@ -118,13 +125,13 @@ class McapFile:
         """A named table of texts."""
         self._about[name] = {k: str(v) for k, v in values.items()}
         self._writer.add_metadata(name, self._about[name])
-        self._file.flush()
+        self._flush()
 
     def attach(self, name: str, value: Any, t: float = 0.0) -> None:
         """A JSON file inside the file, as it is from time ``t`` [s] on."""
         self._attached[name] = (t, json.dumps(value).encode())
         self._writer.add_attachment(0, nanoseconds(t), name, "application/json", self._attached[name][1])
-        self._file.flush()
+        self._flush()
         self._make_room()
 
     def close(self) -> None:

@@ -6,13 +6,15 @@ the weight off what carries the robot).
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription
+from wbmpc.simulation.arm_step import carry, keep
 from wbmpc.simulation.payloads import PAYLOAD, add_payload
 from wbmpc.simulation.perturbation import Perturbation, PlantSample
 from wbmpc.simulation.world import Array, Edit, WorldAccess, add_drive
@@ -80,31 +82,41 @@ class ArmPlant(WorldAccess):
         self._exact = counts == 0
         self._count = 2.0 * np.pi / np.where(self._exact, 1, counts)
         self._ages = round(p.encoder_jitter / self.timestep)
-        self._history: deque[Array] = deque(maxlen=1 + self._ages)
         self._last = None
+        self._bind_steps()
+
+    def _bind_steps(self) -> None:
+        """What every physics step calls: ``_control`` before it, ``_keep`` after it."""
+        m, d = self.model, self.data
+        dofs = np.array([m.joint(n).dofadr[0] for n in self._names["arm"]], dtype=np.int64)
+        arrays = {"dofs": dofs, "qfrc_bias": d.qfrc_bias, "qfrc_applied": d.qfrc_applied}
+        plain: Callable[[], None] = bind(carry, arrays, m=len(dofs)).call
+        self._carry = plain if self._payload is None else self._carry_unloaded
+        n, rows = len(self._all), 1 + self._ages
+        self._history, self._newest = np.zeros((rows, n)), np.zeros(2, dtype=np.int64)
+        ring = {"places": self._all.astype(np.int64), "qpos": d.qpos, "history": self._history, "newest": self._newest}
+        self._keep: Callable[[], None] = bind(keep, ring, n=n, rows=rows).call
 
     def settle(self, seconds: float) -> None:
         """Come to rest before time 0."""
-        for _ in range(round(seconds / self.timestep)):
-            self.world.advance(self.carry_arm)
+        self.world.advance(self._carry, round(seconds / self.timestep))
         self.world.restart()
-        self._history.append(self.data.qpos[self._all])
+        self._keep()
 
     # ------------------------------------------------------------------ running
-    def carry_arm(self) -> None:
-        """Feed the arm's weight forward to its joints; that of a payload, which nobody knows of, is not."""
+    def _carry_unloaded(self) -> None:
+        """Feed the arm's weight forward to its joints without that of a payload, which nobody knows of."""
         d, m, dofs = self.data, self.model, self._arm_dofs
-        weight: Array = d.qfrc_bias[dofs]
-        if self._payload is not None:
-            jacobian = np.zeros((3, m.nv))
-            mujoco.mj_jacBody(m, d, jacobian, None, self._payload)
-            weight = weight + m.body_mass[self._payload] * m.opt.gravity @ jacobian[:, dofs]
+        jacobian = np.zeros((3, m.nv))
+        mujoco.mj_jacBody(m, d, jacobian, None, self._payload)
+        weight: Array = d.qfrc_bias[dofs] + m.body_mass[self._payload] * m.opt.gravity @ jacobian[:, dofs]
         d.qfrc_applied[dofs] = weight
 
     def encoders(self) -> Array:
         """Positions of all joints by group, with their zero errors, all of one age up to the jitter, before they are quantised."""
-        age = int(self._noise.integers(0, self._ages + 1))
-        return np.asarray(self._history[max(len(self._history) - 1 - age, 0)] + self._offsets)
+        age, (newest, kept) = int(self._noise.integers(0, self._ages + 1)), self._newest.tolist()
+        read: Array = self._history[(newest - min(age, kept - 1)) % len(self._history)] + self._offsets
+        return read
 
     def quantised(self, angles: Array) -> Array:
         """Angles of all joints [rad] as their encoders report them."""

@@ -15,8 +15,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.kernel.step import bind
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.model_import import SHAPE
+from wbmpc.simulation.contact_step import near
 
 Array = NDArray[np.float64]
 
@@ -37,6 +39,8 @@ DRAGS = 0.002
 APART, INTERVAL = 0.1, 0.01
 #: Distances beyond this [m] are not looked for.
 FAR = 1.0
+#: Distances are looked for up to the smallest so far and this [m] more.
+NARROW = 0.001
 
 
 def enable(spec: mujoco.MjSpec, home: Mapping[str, float], source: object) -> None:
@@ -104,55 +108,56 @@ class Contacts:
     with its hull is a contact.) It is :data:`FAR` where nothing came nearer. ``grounded``: whether the hull touches the floor now."""
 
     model: mujoco.MjModel
+    data: mujoco.MjData
     touches: list[Touch] = field(default_factory=list)
     clearance: float = FAR
     grounded: bool = False
 
     def __post_init__(self) -> None:
         m = self.model
-        self._class = m.geom_contype.copy()
+        self._class = m.geom_contype.tolist()
         self._part = m.body_weldid[m.geom_bodyid]
         self._last: dict[tuple[int, int], float] = {}
         self._looked = -np.inf
-        self._pairs = np.array(_pairs(m), dtype=int).reshape(-1, 2)
-        self._reach = m.geom_rbound[self._pairs].sum(axis=1)
+        self._pairs = np.array(_pairs(m), dtype=np.int64).reshape(-1, 2)
+        self._found = np.zeros(len(self._pairs), dtype=np.int64)
         self._ends = np.zeros(6)
+        arrays = {
+            "pairs": self._pairs, "centers": self.data.geom_xpos, "found": self._found,
+            "reach": m.geom_rbound[self._pairs].sum(axis=1),
+        }  # fmt: skip
+        self._near = bind(near, arrays, n=len(self._pairs))
 
-    def update(self, data: mujoco.MjData, time: float) -> None:
+    def update(self, time: float) -> None:
         """Take in the contacts of the present step at ``time`` [s]."""
+        data = self.data
         if time - self._looked >= INTERVAL - 1e-9:
             self._looked = time
-            self._look(data)
+            self._look()
         self.grounded = False
         if not data.ncon:
             return
-        pairs = data.contact.geom
-        classes = np.sort(self._class[pairs], axis=1)
-        strange = ~((classes[:, 0] == FLOOR) & (classes[:, 1] == ROLLS)) & ~(
-            (classes[:, 0] == TOUCHES) & (classes[:, 1] == TOUCHED)
-        )
-        strange &= data.contact.dist < 0.0
-        if strange.any():
-            self.grounded = bool(np.any((classes[strange, 0] == FLOOR) & (classes[strange, 1] == BODY)))
-            self._count(pairs[strange], time)
+        contact, kind = data.contact, self._class
+        for geoms, distance in zip(contact.geom.tolist(), contact.dist.tolist(), strict=True):
+            classes = tuple(sorted((kind[geoms[0]], kind[geoms[1]])))
+            if distance < 0.0 and classes not in ALLOWED:
+                self.grounded |= classes == (FLOOR, BODY)
+                self._count(geoms, time)
 
-    def _count(self, pairs: NDArray[np.int32], time: float) -> None:
-        for geoms in pairs.tolist():
-            first, second = sorted(int(self._part[g]) for g in geoms)
-            if time - self._last.get((first, second), -np.inf) > APART:
-                names = sorted(str(self.model.body(int(self.model.geom_bodyid[g])).name) for g in geoms)
-                self.touches.append(Touch(time, names[0], names[1]))
-            self._last[first, second] = time
+    def _count(self, geoms: list[int], time: float) -> None:
+        first, second = sorted(int(self._part[g]) for g in geoms)
+        if time - self._last.get((first, second), -np.inf) > APART:
+            names = sorted(str(self.model.body(int(self.model.geom_bodyid[g])).name) for g in geoms)
+            self.touches.append(Touch(time, names[0], names[1]))
+        self._last[first, second] = time
 
-    def _look(self, data: mujoco.MjData) -> None:
-        if not len(self._pairs):
-            return
-        at = data.geom_xpos[self._pairs]
-        between = np.linalg.norm(at[:, 0] - at[:, 1], axis=1) - self._reach
-        for k in np.flatnonzero(between < self.clearance):
+    def _look(self) -> None:
+        for k in self._found[: self._near(self.clearance)].tolist():
             first, second = self._pairs[k].tolist()
-            near = mujoco.mj_geomDistance(self.model, data, first, second, FAR, self._ends)
-            self.clearance = min(self.clearance, near)
+            # what is farther than the smallest clearance so far need not be known
+            far = max(self.clearance, 0.0) + NARROW
+            distance = mujoco.mj_geomDistance(self.model, self.data, first, second, far, self._ends)
+            self.clearance = min(self.clearance, distance)
 
 
 def _pairs(m: mujoco.MjModel) -> list[tuple[int, int]]:

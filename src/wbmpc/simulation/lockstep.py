@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -304,6 +305,8 @@ def _because(plant: Any, mpc: Any) -> str:
 def _check(command: Any) -> None:
     """Raise :class:`NotFinite` naming the part of a command that is not finite: it must not reach the drives."""
     for name, values in vars(command).items():
-        if not np.isfinite(values).all():
+        # what is infinite or no number stays so in a sum
+        few = type(values) is np.ndarray and values.ndim == 1
+        if not (math.isfinite(sum(values.tolist())) if few else np.isfinite(values).all()):
             bad = np.flatnonzero(~np.isfinite(values))
             raise NotFinite(f"command: '{name}' of drive {bad[0]} is not finite")

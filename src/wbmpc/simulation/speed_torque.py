@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+from wbmpc.kernel.step import bind
+from wbmpc.simulation.speed_torque_step import limit
 
 Array = NDArray[np.float64]
 #: No-load speed over rated speed, where a robot's file says nothing else.
@@ -15,22 +18,18 @@ NO_LOAD = 1.25
 
 
 class SpeedTorque:
-    """The drives ``rated`` [rad/s] by name of actuator; those without a finite force limit in the ``model`` have none at speed either."""
+    """The drives ``rated`` [rad/s] by name of actuator; those without a finite force limit in the ``model`` have none at speed either.
 
-    def __init__(self, model: mujoco.MjModel, rated: Mapping[str, float]) -> None:
+    ``apply()`` sets the force limits of the ``model`` by the speeds in ``data``, of a physics step whose first half is done.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rated: Mapping[str, float]) -> None:
         found = {model.actuator(name).id: speed for name, speed in rated.items() if np.isfinite(speed)}
         found = {k: speed for k, speed in found.items() if model.actuator_forcelimited[k]}
-        self._index, self._rated = np.array(list(found), dtype=int), np.array(list(found.values()))
-        self._torque = model.actuator_forcerange[self._index, 1].copy()
-        self._reduced = False
-
-    def apply(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Set the force limits of this physics step."""
-        speed = data.actuator_velocity[self._index]
-        fast = bool((np.abs(speed) > self._rated).any())
-        if not (fast or self._reduced):
-            return
-        left = (NO_LOAD * self._rated - np.array([-speed, speed])) / ((NO_LOAD - 1.0) * self._rated)
-        low, high = np.clip(left, 0.0, 1.0) * self._torque
-        model.actuator_forcerange[self._index] = np.column_stack([-low, high])
-        self._reduced = fast
+        drives = np.array(list(found), dtype=np.int64)
+        arrays = {
+            "drives": drives, "rated": np.array(list(found.values()), float), "velocity": data.actuator_velocity,
+            "torque": model.actuator_forcerange[drives, 1].copy(), "force_range": model.actuator_forcerange,
+            "reduced": np.zeros(1, dtype=np.int64),
+        }  # fmt: skip
+        self.apply: Callable[[], None] = bind(limit, arrays, n=len(drives), no_load=NO_LOAD).call

@@ -7,6 +7,7 @@ softness is that of tyres.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import mujoco
@@ -61,27 +62,23 @@ class WheeledPlant(ArmPlant):
         """Also sensors."""
         super().index()
         m = self.model
-        self._imu = {n: slice(int(m.sensor(n).adr[0]), int(m.sensor(n).adr[0]) + 3) for n in ("gyro", "accel")}
+        self._imu = np.concatenate([m.sensor(n).adr[0] + np.arange(3) for n in ("gyro", "accel")])
         self._forces = np.array([m.sensor(f"contact_{n}").adr[0] + 2 for n in self._names["wheel"]], dtype=int)
 
     def start_sensors(self, offsets: dict[str, Array]) -> None:
         """Also the inertial unit."""
         super().start_sensors(offsets)
         p, draw = self.perturbation, self.draw
-        self._bias = {"gyro": draw.gyro_bias.copy(), "accel": draw.accel_bias.copy()}
-        self._density = {"gyro": (p.gyro_noise, p.gyro_walk), "accel": (p.accel_noise, p.accel_walk)}
+        self._bias = np.concatenate([draw.gyro_bias, draw.accel_bias])
+        self._density = np.repeat([p.gyro_noise, p.accel_noise], 3), np.repeat([p.gyro_walk, p.accel_walk], 3)
 
     # ------------------------------------------------------------------ running
     def inertial(self) -> dict[str, Array]:
         """ "gyro" [rad/s] and "accel" [m/s²] (3 each) with walking biases and the noise of a sample that stands for the time since the
         last message."""
         interval = _IMU_INTERVAL if self._last is None else self.time - self._last.time
-        return {name: self._reading(name, interval) for name in ("gyro", "accel")}
-
-    def _reading(self, name: str, interval: float) -> Array:
-        noise, walk = self._density[name]
-        draws = self._noise.normal(size=(2, 3))
-        self._bias[name] = self._bias[name] + walk * np.sqrt(interval) * draws[0]
-        true: Array = self.data.sensordata[self._imu[name]]
-        reading: Array = true + self._bias[name] + noise / np.sqrt(interval) * draws[1]
-        return reading
+        (noise, walk), root = self._density, math.sqrt(interval)
+        draws = self._noise.normal(size=(2, 2, 3))
+        self._bias = self._bias + walk * root * draws[:, 0].ravel()
+        reading: Array = self.data.sensordata[self._imu] + self._bias + noise / root * draws[:, 1].ravel()
+        return {"gyro": reading[:3], "accel": reading[3:]}

@@ -132,7 +132,7 @@ class World:
         self.timestep = float(self.model.opt.timestep)
         self.external: Hook | None = None
         m = self.model
-        self.contacts, self._drives = Contacts(m), SpeedTorque(m, rated)
+        self.contacts, self._drives = Contacts(m, self.data), SpeedTorque(m, self.data, rated)
         self.body, self.site = m.body(description.base.body).id, self._tool(description.arm.tool)
         self._root, self._mount = self._free_root()
         self._joints = {name: (int(m.joint(name).qposadr[0]), int(m.joint(name).dofadr[0])) for name in joints}
@@ -190,28 +190,33 @@ class World:
             mujoco.mj_step1(self.model, self.data)
             self._fresh = True
 
-    def advance(self, control: Callable[[], None] | None = None) -> None:
-        """One physics step; ``control`` may write what depends on the present state."""
-        self._steps += 1
-        if self._lost:
-            return
-        if not self._fresh:
-            mujoco.mj_step1(self.model, self.data)
-        if control is not None:
-            control()
-        self._drives.apply(self.model, self.data)
-        if self._pushes:
-            self._apply_pushes()
-        if self.external is not None:
-            self.external(self.model, self.data)
-        mujoco.mj_step2(self.model, self.data)
-        self._fresh = False
+    def advance(
+        self, control: Callable[[], None] | None = None, steps: int = 1, after: Callable[[], None] | None = None
+    ) -> None:
+        """So many physics steps; ``control`` may write what depends on the present state, ``after`` reads the new one."""
+        model, data, limit_drives = self.model, self.data, self._drives.apply
+        for _ in range(steps):
+            self._steps += 1
+            if not self._lost:
+                if not self._fresh:
+                    mujoco.mj_step1(model, data)
+                if control is not None:
+                    control()
+                limit_drives()
+                if self._pushes:
+                    self._apply_pushes()
+                if self.external is not None:
+                    self.external(model, data)
+                mujoco.mj_step2(model, data)
+                self._fresh = False
+            if after is not None:
+                after()
 
     def check(self) -> None:
         """After a command's steps: note whether numbers are still finite, count the turns of the base."""
         self._lost = self.diverged
         if not self._lost:
-            self.contacts.update(self.data, self.time)
+            self.contacts.update(self.time)
             self._yaw = unwrap(self._wrapped_yaw(), self._yaw)
 
     # ------------------------------------------------------------------ pushes
@@ -274,7 +279,8 @@ class World:
     @property
     def diverged(self) -> bool:
         """Whether positions are not finite: the physics cannot go on."""
-        return self._lost or not all(map(math.isfinite, self.data.qpos.tolist()))
+        # what is infinite or no number stays so in a sum
+        return self._lost or not math.isfinite(sum(self.data.qpos.tolist()))
 
     @property
     def fell(self) -> bool:

@@ -78,9 +78,7 @@ class FixedPlant(ArmPlant):
         """Hold a command for ``steps`` physics steps. Drives clip at their speed limits, one by one."""
         speed = numbers("command", "arm", command.input, len(self._control))
         self.data.ctrl[self._control] = np.clip(speed, -self._speed, self._speed)
-        for _ in range(steps):
-            self.world.advance(self.carry_arm)
-            self._history.append(self.data.qpos[self._all])
+        self.world.advance(self._carry, steps, self._keep)
         self.world.check()
 
     def measure(self) -> StateMeasurement:

@@ -128,9 +128,7 @@ class PlanarPlant(WheeledPlant):
             speed = numbers("command", group, getattr(command, group), len(names))
             self.data.ctrl[self._control[group]] = np.clip(speed, -self._speed[group], self._speed[group])
         self.world.refresh()
-        for _ in range(steps):
-            self.world.advance(self.carry_arm)
-            self._history.append(self.data.qpos[self._all])
+        self.world.advance(self._carry, steps, self._keep)
         self.world.check()
 
     def measure(self) -> PlanarMeasurement:

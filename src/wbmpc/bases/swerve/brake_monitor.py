@@ -110,6 +110,9 @@ class BrakeMonitor:
         if self._open is None:
             self._open, self._anchor, self.time = is_open, angle.copy(), t
             self._since[:] = t - self.settle
+        stands = not any(flags.any() for flags in (is_open, self._open, planned, self._reported))
+        if stands and t - float(self._since.max(initial=-np.inf)) >= self.settle - 1e-9:
+            return self._stand(t, angle)
         changed = is_open != self._open
         self._since[changed], self._reported[changed], self._open = t, False, is_open
         h, self.time = t - self.time, t
@@ -127,7 +130,11 @@ class BrakeMonitor:
         self._planned = np.where(afresh, 0.0, np.exp(-h / self.window) * self._planned + h * counted)
         self._resting = np.where(afresh, 0.0, self._resting + h)
         self._gone = angle - self._anchor
-        withdrawn, new = self._withdraw(t, angle), []
+        return self._withdraw(t, angle) + self._judged(t, angle, settled)
+
+    def _judged(self, t: float, angle: Array, settled: NDArray[np.bool_]) -> list[BrakeFault]:
+        """New faults of brakes that have ``settled`` (n)."""
+        new = []
         for i in np.flatnonzero(settled & ~self._reported):
             fault = self._judge(t, int(i))
             if fault is not None:
@@ -136,7 +143,17 @@ class BrakeMonitor:
                 self._unsettled = t
         self.faults += new
         self.real += new
-        return withdrawn + new
+        return new
+
+    def _stand(self, t: float, angle: Array) -> list[BrakeFault]:
+        """What :meth:`update` finds in the commonest case: brakes that have been closed for long, and nothing planned."""
+        h, self.time = t - self.time, t
+        self._anchor = self._anchor + np.minimum(np.maximum(angle - self._anchor, -h * self.creep), h * self.creep)
+        self._planned, self._resting = np.exp(-h / self.window) * self._planned, self._resting + h
+        self._gone = angle - self._anchor
+        if max(map(abs, self._gone.tolist()), default=0.0) <= self.moved:
+            return []
+        return self._judged(t, angle, np.ones(len(self.names), bool))
 
     def _checked(
         self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike

@@ -21,27 +21,28 @@ _STUCK = {"open": 0.0, "closed": 1.0}
 
 
 class Brakes:
-    """n brakes, closed at the start. ``delay`` [s] from open to closed and back; ``engaged`` (n): 0 open to 1 closed."""
+    """n brakes, closed at the start. ``delay`` [s] from open to closed and back; ``engaged`` (n): 0 open to 1 closed; ``held`` (n) [N m]:
+    what they can hold now; ``rests``: whether all are what they shall be."""
 
     def __init__(self, n: int, delay: float = 0.0, torque: float = BRAKE_TORQUE) -> None:
         self.delay, self.torque = delay, torque
         self.engaged: Array = np.ones(n)
         self._target: Array = np.ones(n)
         self._stuck: dict[int, float] = {}
-        self._held: Array = torque * self.engaged
-        self._rests = False  # whether all brakes are what they shall be
+        self.held: Array = torque * self.engaged
+        self.rests = False
 
     def command(self, brake: ArrayLike) -> None:
         """What each brake (n) shall be: 1 open, 0 closed."""
         target = np.where(np.asarray(brake, float) > 0.5, 0.0, 1.0)
         if (target != self._target).any():
-            self._target, self._rests = target, False
+            self._target, self.rests = target, False
 
     def fail(self, leg: int, kind: str | None) -> None:
         """A brake that no longer answers: "open" or "closed" for good; None repairs it."""
         if not 0 <= leg < self.engaged.size:
             raise InputError(f"brakes: there is no leg {leg}; valid: 0 to {self.engaged.size - 1}")
-        self._rests = False
+        self.rests = False
         if kind is None:
             self._stuck.pop(leg, None)
             return
@@ -51,15 +52,15 @@ class Brakes:
 
     def advance(self, h: float) -> Array:
         """Torques (n) [N m] that the brakes can hold after h [s]."""
-        if self._rests:
-            return self._held
+        if self.rests:
+            return self.held
         target = self._target.copy()
         for leg, value in self._stuck.items():
             target[leg] = value
         step = h / self.delay if self.delay > h else 1.0
         self.engaged = self.engaged + np.clip(target - self.engaged, -step, step)
-        self._held, self._rests = self.torque * self.engaged, bool((target == self.engaged).all())
-        return self._held
+        self.held, self.rests = self.torque * self.engaged, bool((target == self.engaged).all())
+        return self.held
 
     @property
     def states(self) -> list[State]:

@@ -4,5 +4,8 @@ from __future__ import annotations
 
 from wbmpc.kernel.library import Library
 
-LIBRARY = Library("swerve robot", rooms=("bases/swerve", "kernel"), modules=("wbmpc.bases.swerve.tracking_step",))
+_STEPS = ("slip_step", "tracking_step")
+LIBRARY = Library(
+    "swerve robot", rooms=("bases/swerve", "kernel"), modules=tuple(f"wbmpc.bases.swerve.{m}" for m in _STEPS)
+)
 compiled, step = LIBRARY.compiled, LIBRARY.step

@@ -66,7 +66,7 @@ class SwerveEstimator:
             leg_offset=wheels.leg_offset,
             steer_offset=wheels.steer_offset,
         )
-        self._odd = SlippingWheels(geometry) if settings.reject_slipping_wheels else None
+        self._odd = SlippingWheels(geometry, self.wheels_alone) if settings.reject_slipping_wheels else None
         self._arm_offset = settings.arm_offset
         self._smoothing = Smoothing(settings.smoothing) if settings.smoothing > 0.0 else None
         self._mean_age = (settings.noise or OdometryNoise()).mean_age
@@ -83,11 +83,12 @@ class SwerveEstimator:
         m = measurement
         h = m.time - previous.time
         turning = self.mean_rate(previous, m) if self.use_gyro else None
-        self.wheels_alone.update(m.leg, m.steer, m.wheel)
+        sample = self._sample = self.wheels_alone.checked(m.leg, m.steer, m.wheel)
+        self.wheels_alone.advance(sample)
         if self._odd is not None:
             turn = None if turning is None else (turning - self.odometry.gyro_bias) * h
-            self._odd.update(h, self.wheels_alone, self.hinge_angles, turn)
-        self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning, weights=self._weights())
+            self._odd.update(h, sample[0], turn)
+        self.odometry.advance(m.time, sample, turning, weights=self._weights())
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
         if self._smoothing is not None:
@@ -99,15 +100,15 @@ class SwerveEstimator:
 
     def _weights(self) -> Array | None:
         """Weights (n) of the wheels in the odometry; None: all count in full."""
-        if self._side_slip is None and self._odd is None:
-            return None
-        slips = np.zeros(self.robot.base.geometry.modules, bool)
-        if self._side_slip is not None:
-            slips |= self._side_slip.left > 0.0
+        left = [0.0] * self.robot.base.geometry.modules
         if self._odd is not None:
-            slips |= self._odd.odd > 0.0
+            left = self._odd.odd.tolist()
+        if self._side_slip is not None:
+            left = [max(pair) for pair in zip(left, self._side_slip.left.tolist(), strict=True)]
         # one sound wheel alone does not determine the motion
-        return np.where(slips, SLIP_WEIGHT, 1.0) if slips.any() and np.sum(~slips) > 1 else None
+        if not any(left) or left.count(0.0) < 2:
+            return None
+        return np.where(np.array(left) > 0.0, SLIP_WEIGHT, 1.0)
 
     def _smooth(self, smoothing: Smoothing, h: float) -> None:
         """Positions of the base and of the arm at the moment of the message."""
@@ -151,14 +152,14 @@ class SwerveEstimator:
     @property
     def hinge_angles(self) -> Array:
         """As ``leg``; zeros (n) for fixed legs."""
-        leg = self.leg
-        return leg if leg.size else np.zeros(self.robot.base.geometry.modules)
+        assert self.measured is not None
+        return self._sample[0]
 
     @property
     def steer(self) -> Array:
         """Measured steering angles (n) less their zeros."""
         assert self.measured is not None
-        return self.measured.steer - self.calibration.steer_offset
+        return self._sample[1]
 
     def state(self) -> Array:
         """Estimated state (nx), with the measured steering angles."""

@@ -6,6 +6,7 @@ settings. The rest is of :mod:`wbmpc.simulation.wheeled`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import mujoco
@@ -29,6 +30,8 @@ from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
+#: Three numbers.
+Vector = list[float]
 #: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
 WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0
 #: Speed limits [rad/s] of the wheel and steer drives.
@@ -149,6 +152,7 @@ class SwervePlant(WheeledPlant):
         self._arm_speed = np.array([speed.get(n, np.inf) for n in names["arm"]])
         self._wheel_geoms = [m.geom(f"contact_{n}").id for n in names["wheel"]]
         self._wheel_of = {geom: i for i, geom in enumerate(self._wheel_geoms)}
+        self._velocity = np.zeros(6)
         self._wheel_bodies = [int(m.geom_bodyid[geom]) for geom in self._wheel_geoms]
         for dof in self._v["leg"]:
             m.dof_solref[dof], m.dof_solimp[dof] = _BRAKE_SOLREF, _BRAKE_SOLIMP
@@ -239,11 +243,10 @@ class SwervePlant(WheeledPlant):
         p = self.perturbation
         if p.brake_fault != "none" and self.time >= p.brake_fault_time:
             self.brakes.fail(p.brake_fault_leg, p.brake_fault)
-        advance, keep, positions = self.world.advance, self._history.append, d.qpos
-        for _ in range(steps):
+        rest = self.brakes.rests and self.brakes.held is self._held
+        for part in (steps,) if rest else (1,) * steps:
             self._advance_brakes()
-            advance(self.carry_arm)
-            keep(positions[self._all])
+            self.world.advance(self._carry, part, self._keep)
         self.world.check()
 
     def measure(self) -> SwerveMeasurement:
@@ -289,25 +292,33 @@ class SwervePlant(WheeledPlant):
 
         Of several contacts of one wheel the deepest counts; a wheel in the air has none.
         """
-        d, contacts = self.data, self.data.contact
-        n = len(self._wheel_geoms)
-        slip, depth, velocity = np.zeros((n, 2)), np.full(n, np.inf), np.zeros(6)
-        geoms, distance, at, frame = contacts.geom, contacts.dist, contacts.pos, contacts.frame
-        for c in range(d.ncon):
-            i = self._wheel_of.get(int(geoms[c, 0]), self._wheel_of.get(int(geoms[c, 1])))
-            if i is None or distance[c] >= depth[i]:
-                continue
-            depth[i] = distance[c]
-            body = self._wheel_bodies[i]
-            mujoco.mj_objectVelocity(self.model, d, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
-            normal, arm = frame[c, :3], at[c] - d.xpos[body]
-            point = velocity[3:] + _cross(velocity[:3], arm)
-            along = _cross(d.xmat[body, 1::3], normal)
-            along /= max(float(np.sqrt(along @ along)), 1e-9)
-            slip[i] = point @ along, point @ _cross(normal, along)
+        contacts, n = self.data.contact, len(self._wheel_geoms)
+        slip, depth = np.zeros((n, 2)), [math.inf] * n
+        rows = (part.tolist() for part in (contacts.geom, contacts.dist, contacts.pos, contacts.frame))
+        for geoms, distance, at, frame in zip(*rows, strict=True):
+            i = self._wheel_of.get(geoms[0], self._wheel_of.get(geoms[1]))
+            if i is not None and distance < depth[i]:
+                depth[i] = distance
+                slip[i] = self._contact_slip(self._wheel_bodies[i], at, frame[:3])
         return slip
 
+    def _contact_slip(self, body: int, at: Vector, normal: Vector) -> tuple[float, float]:
+        """Velocity [m/s] of a wheel's point ``at`` a contact with this ``normal``."""
+        d, velocity = self.data, self._velocity
+        mujoco.mj_objectVelocity(self.model, d, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
+        v, center = velocity.tolist(), d.xpos[body].tolist()
+        turned = _cross(v[:3], [p - c for p, c in zip(at, center, strict=True)])
+        point = [a + b for a, b in zip(v[3:], turned, strict=True)]
+        along = _cross(d.xmat[body].tolist()[1::3], normal)
+        length = max(math.sqrt(_dot(along, along)), 1e-9)
+        along = [a / length for a in along]
+        return _dot(point, along), _dot(point, _cross(normal, along))
 
-def _cross(a: Array, b: Array) -> Array:
-    """Cross product of two vectors (np.cross is slow for single ones)."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    """Cross product (of lists: several times as fast as of arrays)."""
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.swerve.slip_step import contradict
 from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
+from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
@@ -18,41 +20,38 @@ SHARE, FEWEST = 0.8, 4
 
 
 class SlippingWheels:
-    """Finds the wheels that go elsewhere than most do. ``odd`` (n): for how long [s] each is not believed yet.
+    """Finds the ``wheels`` that go elsewhere than most do. ``odd`` (n): for how long [s] each is not believed yet. ``backend``: machine
+    code, or the same source as ordinary Python.
 
     With a gyro every wheel gives a velocity of the base, its own less what the turn does at its place; the largest group of
     wheels that agree is right, of groups of one size the one that agrees best. So two of four wheels may be wrong. Without a gyro one
     wheel may be, the one without which the others agree.
     """
 
-    def __init__(self, geometry: ModuleGeometry) -> None:
+    def __init__(self, geometry: ModuleGeometry, wheels: WheelOdometry, backend: Backend = "compiled") -> None:
         n = geometry.modules
-        self._geometry, self.odd = geometry, np.zeros(n)
-        self._contradiction, self._velocity = np.zeros((n, 2)), np.zeros((n, 2))
+        self._geometry, self.odd, self._leg = geometry, np.zeros(n), np.zeros(n)
+        self._contradiction, self._velocity = np.zeros(2 * n), np.zeros(2 * n)
+        arrays = {
+            "hinge": np.array(geometry.hinge, float).ravel(), "length": np.array(geometry.leg_length, float),
+            "leg_heading": np.array(geometry.leg_heading, float), "leg": self._leg, "odd": self.odd,
+            "contradiction": self._contradiction, "velocity": self._velocity, **wheels.arrays,
+        }  # fmt: skip
+        self._contradict = bind(contradict, arrays, backend, n=n, over=OVER, threshold=CONTRADICTS)
 
-    def update(self, h: float, wheels: WheelOdometry, leg: Array, turn: float | None) -> None:
-        """After the last update of ``wheels``, over h [s]; ``leg`` (n) [rad]; ``turn`` [rad]: the gyro's over it."""
-        self.odd = np.maximum(self.odd - h, 0.0)
-        if h <= 0.0:
-            return
-        new, residual = 1.0 - np.exp(-h / OVER), wheels.residual
-        self._contradiction += new * (residual / h - self._contradiction)
-        axes = self._geometry.steer_axes(leg)
-        if turn is not None:
-            dx, dy, dyaw = wheels.increment
-            across = np.stack([-axes[:, 1], axes[:, 0]], axis=1)
-            velocity = (residual + [dx, dy] + (dyaw - turn) * across) / h
-            self._velocity += new * (velocity - self._velocity)
-        if np.sum(self._contradiction**2) > CONTRADICTS**2:
-            self.odd[self._find(axes, turn is not None)] = HOLD
+    def update(self, h: float, leg: Array, turn: float | None) -> None:
+        """After the last update of the ``wheels``, over h [s]; ``leg`` (n) [rad]; ``turn`` [rad]: the gyro's over it."""
+        self._leg[:] = leg
+        if self._contradict(h, 0.0 if turn is None else turn, turn is not None):
+            self.odd[self._find(self._geometry.steer_axes(leg), turn is not None)] = HOLD
 
     def _find(self, axes: Array, gyro: bool) -> Array:
         """Which wheels (n) bool contradict the others; none where no two agree."""
-        n = len(axes)
+        n, velocity = len(axes), self._velocity.reshape(-1, 2)
         if not gyro:
-            i, share = odd_one_out(self._contradiction, axes)
+            i, share = odd_one_out(self._contradiction.reshape(-1, 2), axes)
             return (np.arange(n) == i) & (share > SHARE) & (n >= FEWEST)
-        apart = np.linalg.norm(self._velocity[:, None] - self._velocity[None], axis=2)
+        apart = np.linalg.norm(velocity[:, None] - velocity[None], axis=2)
         near = apart < NEAR
         count = near.sum(axis=1)
         spread = np.where(near, apart, 0.0).sum(axis=1) / count

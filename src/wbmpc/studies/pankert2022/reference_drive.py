@@ -25,6 +25,7 @@ from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LidarSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation, quantise
+from wbmpc.studies.pankert2022.calibration_cache import kept
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 
@@ -194,6 +195,15 @@ def track_arm(robot: RobotModel, settings: Perturbation, poses: int, seed: int, 
         log.add("tracked", float(k), np.concatenate([read, seen, [TRACKER]]))
 
 
+def _driven(robot: RobotModel, settings: SwerveCalibrateSettings, seed: int) -> WheelCalibration:
+    """The calibration from a reference drive; :class:`RunAborted` for a drive that did not come to its end."""
+    log = Log()
+    *_, reason = drive(robot, settings, seed, log)
+    if reason:
+        raise RunAborted(f"the reference drive for the calibration: {reason}")
+    return calibrate(robot.base.geometry, record_of(log))
+
+
 def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSettings, seed: int) -> WheelCalibration:
     """What an experiment knows of its wheels: ``how`` is "none", "drive" (a reference drive of this plant first), or a file."""
     geometry = robot.base.geometry
@@ -201,9 +211,6 @@ def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSet
         return WheelCalibration.unknown(geometry)
     if how == "drive":
         sound = plant.model_copy(update={"brake_fault": "none"})  # a brake fails in the run, not before it
-        log = Log()
-        *_, reason = drive(robot, SwerveCalibrateSettings(plant=sound, lidar=lidar), seed, log)
-        if reason:
-            raise RunAborted(f"the reference drive for the calibration: {reason}")
-        return calibrate(geometry, record_of(log))
+        settings = SwerveCalibrateSettings(plant=sound, lidar=lidar)
+        return kept(robot, settings, seed, lambda: _driven(robot, settings, seed))
     return WheelCalibration.load(how, geometry, steer_joints(robot))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wbmpc import lie
 from wbmpc.checks import positive
 from wbmpc.estimation.wheel_fit import WheelFit
 from wbmpc.estimation.wheel_odometry import Array, WheelOdometry
@@ -20,6 +21,7 @@ class ReleaseOdometry:
         positive("odometry", period=period, refresh=refresh)
         self._reader = WheelOdometry(geometry, pose0)
         self._wheels = WheelFit(geometry, self._reader.radius)
+        self._before, self._now = (np.split(self._wheels.memory[name], 3) for name in ("before", "now"))
         self.pose = self._reader.pose
         self._every, self._count = max(1, round(refresh / period)), 0
         self._held: tuple[Array, Array] | None = None
@@ -34,13 +36,14 @@ class ReleaseOdometry:
         if self._last is not None:
             held_leg, held_steer = self._held
             leg0, wheel0 = self._last
-            swing = now_leg - leg0
-            memory = self._wheels.memory
-            np.concatenate([held_leg - 0.5 * swing, held_steer + 0.5 * swing, wheel0], out=memory["before"])
-            np.concatenate([held_leg + 0.5 * swing, held_steer - 0.5 * swing, now_wheel], out=memory["now"])
+            half = 0.5 * (now_leg - leg0)
+            (leg, steering, rolled), (next_leg, next_steering, next_rolled) = self._before, self._now
+            leg[:], steering[:], rolled[:] = held_leg - half, held_steer + half, wheel0
+            next_leg[:], next_steering[:], next_rolled[:] = held_leg + half, held_steer - half, now_wheel
             self._wheels.run()
-            dx, dy, turn = memory["twist"]
-            c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
-            self.pose = self.pose + np.array([c * dx - s * dy, s * dx + c * dy, turn])
+            dx, dy, turn = self._wheels.memory["twist"].tolist()
+            x, y, yaw = self.pose.tolist()
+            c, s = lie.cos_sin(yaw)
+            self.pose = np.array([x + (c * dx - s * dy), y + (s * dx + c * dy), yaw + turn])
         self._last = (now_leg, now_wheel)
         return self.pose

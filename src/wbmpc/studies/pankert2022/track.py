@@ -23,6 +23,8 @@ from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, Trac
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, swerve_robot
 
 NAME = "swerve-track"
+#: One row of the log for so many ticks.
+ROWS = 4
 SUMMARY = "the end effector follows a 20.53 m sine while the swerve base drives (Pankert et al. 2022, Fig. 9)"
 
 IDEALISATIONS = [
@@ -57,6 +59,8 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
     mpc.reset(robot.home)
     log = Log()
+    every = timing.period * np.arange(round(references.duration / timing.period))
+    positions, turns = references.pose(every[::ROWS])
     wheels, driven = WheelLog(log), [n for g in SPEEDS for n in robot.input.groups.get(g, ())]
 
     def record(t: float, command: Any, plans: Any) -> None:
@@ -64,7 +68,8 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         assert m is not None
         release.update(m.leg, m.steer, m.wheel)
         wheels.add(t, m)
-        if round(t / timing.period) % 4:
+        k, left = divmod(round(t / timing.period), ROWS)
+        if left:
             return
         truth = plant.truth()
         pose = controller.pose
@@ -76,11 +81,10 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         log.add("base_release", t, release.pose)
         log.add("hand", t, truth.tool)
         log.add("hand_odometry", t, in_frame(pose, truth.tool_in_base, truth.tool[2]))
-        position, turn = (part[0] for part in references.pose(np.array([t])))
-        target = lie.quaternion_to_rotation(turn)
+        target = lie.quaternion_to_rotation(turns[k])
         log.add("hand_rotation", t, lie.rotation_angle(rotation_about_z(pose[2]) @ truth.tool_rotation_in_base, target))
         log.add("hand_rotation_world", t, lie.rotation_angle(truth.tool_rotation, target))
-        log.add("hand_reference", t, position)
+        log.add("hand_reference", t, positions[k])
         log.add("input", t, plans.current.feedforward(t))
         log.add("wheel_command", t, command.wheel)
         log.add("arm", t, m.arm)

@@ -1,0 +1,36 @@
+"""What wheels contradict each other, message by message, compiled: see :class:`wbmpc.bases.swerve.slipping_wheels.SlippingWheels`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.bases.swerve.compilation import step
+from wbmpc.kernel.ir import Floats
+
+
+@step
+def contradict(
+    n: int, hinge: Floats, length: Floats, leg_heading: Floats, leg: Floats, residual: Floats, twist: Floats,
+    contradiction: Floats, velocity: Floats, odd: Floats, over: float, threshold: float, h: float, turn: float,
+    gyro: bool,
+) -> bool:  # fmt: skip
+    """After h [s] in which the wheels' ``twist`` (3) left a ``residual`` (n, 2) [m] and the gyro turned by ``turn`` [rad]: ``odd`` (n) [s],
+    the averaged ``contradiction`` and each wheel's ``velocity`` (n, 2) of the base [m/s]. Whether they contradict each other by more
+    than the ``threshold`` [m/s]."""
+    for i in range(n):
+        odd[i] = max(odd[i] - h, 0.0)
+    if h <= 0.0:
+        return False
+    share, square = 1.0 - np.exp(-h / over), 0.0
+    for i in range(n):
+        x, y = 2 * i, 2 * i + 1
+        contradiction[x] += share * (residual[x] / h - contradiction[x])
+        contradiction[y] += share * (residual[y] / h - contradiction[y])
+        square += contradiction[x] * contradiction[x] + contradiction[y] * contradiction[y]
+        if gyro:
+            heading = leg_heading[i] + leg[i]
+            axis_x, axis_y = hinge[x] + length[i] * np.cos(heading), hinge[y] + length[i] * np.sin(heading)
+            more = twist[2] - turn
+            velocity[x] += share * ((residual[x] + twist[0] - more * axis_y) / h - velocity[x])
+            velocity[y] += share * ((residual[y] + twist[1] + more * axis_x) / h - velocity[y])
+    return square > threshold * threshold

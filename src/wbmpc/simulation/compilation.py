@@ -1,0 +1,13 @@
+"""The library of what compiled code does in a physics step."""
+
+from __future__ import annotations
+
+from wbmpc.kernel.library import Library
+
+_STEPS = ("arm_step", "contact_step", "speed_torque_step")
+LIBRARY = Library(
+    "simulation",
+    rooms=("simulation", "kernel"),
+    modules=tuple(f"wbmpc.simulation.{m}" for m in _STEPS),
+)
+step = LIBRARY.step

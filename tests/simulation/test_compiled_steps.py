@@ -1,0 +1,48 @@
+"""What compiled code does in a physics step, against the same source as ordinary Python and NumPy's indexing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.kernel.step import Backend, bind
+from wbmpc.simulation.arm_step import carry, keep
+from wbmpc.simulation.contact_step import near
+
+BACKENDS: list[Backend] = ["compiled", "interpreted"]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_arm_s_weight_goes_to_its_joints_alone(backend: Backend) -> None:
+    rng = np.random.default_rng(0)
+    bias, applied, dofs = rng.normal(size=9), rng.normal(size=9), np.array([7, 2, 4])
+    expected = applied.copy()
+    expected[dofs] = bias[dofs]
+    bind(carry, {"dofs": dofs, "qfrc_bias": bias, "qfrc_applied": applied}, backend, m=3).call()
+    assert np.array_equal(applied, expected)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_last_positions_are_kept_in_a_ring(backend: Backend) -> None:
+    rng, places, newest, qpos = np.random.default_rng(1), np.array([3, 0]), np.zeros(2, dtype=np.int64), np.zeros(5)
+    history = np.zeros((4, 2))
+    arrays = {"places": places, "qpos": qpos, "history": history.reshape(-1), "newest": newest}
+    step, seen = bind(keep, arrays, backend, n=2, rows=4).call, []
+    for k in range(11):
+        qpos[:] = rng.normal(size=5)
+        seen.append(qpos[places])
+        step()
+        assert newest[1] == min(k + 1, 4)
+        for age in range(newest[1]):
+            assert np.array_equal(history[(newest[0] - age) % 4], seen[-1 - age])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_shapes_that_may_be_near_are_found(backend: Backend) -> None:
+    rng = np.random.default_rng(2)
+    pairs, centers = rng.integers(0, 8, (30, 2)), rng.normal(size=(8, 3))
+    reach, found = rng.uniform(0.0, 1.0, 30), np.zeros(30, dtype=np.int64)
+    arrays = {"pairs": pairs.ravel(), "centers": centers.ravel(), "reach": reach, "found": found}
+    count = bind(near, arrays, backend, n=30)(0.7)
+    apart = np.linalg.norm(centers[pairs[:, 0]] - centers[pairs[:, 1]], axis=1) - reach
+    assert 3 < count < 27 and np.array_equal(found[:count], np.flatnonzero(apart < 0.7))
