@@ -23,7 +23,12 @@ PACKAGES = (
     "model", "bases", "ocp", "solver", "mpc", "embedded", "runtime", "estimation", "control", "simulation", "tasks", "robots", "recording",
     "stability", "study", "ros2",
 )  # fmt: skip
-ONLY = {"embedded": ("exporter",), "study": ("study",), "solver": ("settings", "solution", "solver"), "ros2": ("bus", "settings", "network")}
+ONLY = {
+    "embedded": ("exporter",),
+    "study": ("study",),
+    "solver": ("settings", "solution", "solver"),
+    "ros2": ("bus", "settings", "network"),
+}
 #: Modules beside the packages.
 MODULES = ("types", "errors", "lie", "trajectory", "result", "log")
 
