@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.obstacles.collider import Collider
+from wbmpc.clearance.kinematics import CompiledKinematics
+from wbmpc.clearance.table import SolidTable
 from wbmpc.obstacles.geometry import RobotGeometry
 from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
 from wbmpc.obstacles.solids import Solid
 from wbmpc.obstacles.world import Obstacle, Snapshot
 
 Array = NDArray[np.float64]
-#: Closer than this [m] nearest points do not show a direction.
-_TOUCH = 1e-7
 
 
 @dataclass
@@ -54,7 +53,9 @@ class Finder:
 
     def __init__(self, geometry: RobotGeometry, reach: float) -> None:
         self.geometry, self.reach, self.pairs = geometry, reach, 0
-        self._collider = Collider([s.solid for s in geometry.shapes])
+        self._table = SolidTable(geometry)
+        #: poses of the geometry's frames
+        self.kinematics = CompiledKinematics(geometry.robot, [geometry.robot.tree.frames[f] for f in geometry.frames])
 
     def find(self, snapshot: Snapshot, poses: Poses, limit: Array | None = None) -> Nearest:
         """``limit`` (n, F, O) [m]: distances that are not smaller are of no interest; the reach where it is left out."""
@@ -82,43 +83,21 @@ class Finder:
     def _solids(
         self, solids: Sequence[tuple[int, Solid, Array, Array]], poses: Poses, below: Array, out: Nearest
     ) -> None:
-        g, own = self.geometry, len(self.geometry.shapes)
-        centers, axes = g.at(poses.position, poses.rotation)
-        places = np.stack([s[2] for s in solids], axis=1)
-        others, which = np.array([s[3] for s in solids]), np.array([s[0] for s in solids])
-        bound = np.stack(
-            [solid.distance((centers - place[:, None]) @ turn) - g.radius for _, solid, place, turn in solids], axis=2
+        which = [s[0] for s in solids]
+        found = self._table.nearest(
+            poses.position, poses.rotation, [s[1] for s in solids], np.stack([s[2] for s in solids], axis=1),
+            np.array([s[3] for s in solids]), below[:, :, which],
+        )  # fmt: skip
+        self.pairs = found.compared
+        there = found.distance < below[:, :, which]
+        k, f, i = np.nonzero(there)
+        o = np.array(which)[i]
+        n, p, q = found.normal[k, f, i], found.own[k, f, i], found.other[k, f, i]
+        out.distance[k, f, o], out.normal[k, f, o], out.level[k, f, o] = (
+            found.distance[k, f, i],
+            n,
+            np.sum(n * q, axis=1),
         )
-        best = below[:, :, which].copy()
-        near = bound < best[:, g.frame_of]
-        points = np.zeros((*best.shape, 6))
-        self._collider.load([s[1] for s in solids])
-        for k in np.flatnonzero(near.any(axis=(1, 2))):
-            self._collider.place(np.concatenate([centers[k], places[k]]), np.concatenate([axes[k], others]))
-            shapes, found = np.nonzero(near[k])
-            order = np.argsort(bound[k, shapes, found], kind="stable")  # near ones first: they rule out others
-            for s, i in zip(shapes[order].tolist(), found[order].tolist(), strict=True):
-                f = g.frame_of[s]
-                if bound[k, s, i] < best[k, f, i]:
-                    self.pairs += 1
-                    d = self._collider.distance(s, own + i, best[k, f, i])
-                    if d < best[k, f, i]:
-                        best[k, f, i], points[k, f, i] = d, self._collider.points
-        self._take(best, points, best < below[:, :, which], which, places, poses, out)
-
-    def _take(
-        self, best: Array, points: Array, found: NDArray[np.bool_], which: NDArray[np.int_], places: Array, poses: Poses,
-        out: Nearest,
-    ) -> None:  # fmt: skip
-        """Normals and points of the nearest pairs (n, F, i) of obstacles ``which`` (i)."""
-        k, f, i = np.nonzero(found)
-        d, p, q = best[k, f, i], points[k, f, i, :3], points[k, f, i, 3:]
-        touch = np.abs(d) <= _TOUCH  # no direction: from the obstacle's center
-        away = np.where(touch[:, None], p - places[k, i], np.where(d < 0.0, -1.0, 1.0)[:, None] * (p - q))
-        length = np.linalg.norm(away, axis=1)[:, None]
-        n = np.where(length > 0.0, away / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
-        o = which[i]
-        out.distance[k, f, o], out.normal[k, f, o], out.level[k, f, o] = d, n, np.sum(n * q, axis=1)
         out.point[k, f, o] = np.einsum("mi,mij->mj", p - poses.position[k, f], poses.rotation[k, f])
 
     def along(

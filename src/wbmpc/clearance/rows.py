@@ -7,25 +7,26 @@ distance at the prediction, exactly. Rows without an obstacle are zeros, for whi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.obstacles.collider import Collider
-from wbmpc.obstacles.geometry import Kinematics, RobotGeometry, common_link, link_frames
-from wbmpc.obstacles.nearest import Finder, Nearest, Poses
-from wbmpc.obstacles.sweep import between, keep_sides
+from wbmpc.clearance.kinematics import CompiledKinematics
+from wbmpc.clearance.nearest import Finder, Nearest, Poses
+from wbmpc.clearance.sweep import between, keep_sides
+from wbmpc.clearance.table import SolidTable
+from wbmpc.obstacles.geometry import common_link, link_frames, robot_geometry
 from wbmpc.obstacles.world import Snapshot
+from wbmpc.ocp.clearance_residuals import SELF_WIDTH, WIDTH
+from wbmpc.ocp.clearance_residuals import Clearance as ObstacleTerm
+from wbmpc.ocp.clearance_residuals import SelfClearance as SelfTerm
 
 Array = NDArray[np.float64]
 #: Obstacles farther than this [m] beyond the margin have no rows.
 REACH = 0.5
 #: Parts of the robot farther from each other than this [m] have none.
 SELF_REACH = 0.25
-#: Numbers of a row's parameters: normal, point, offset; of two bodies: normal, both points, offset.
-WIDTH, SELF_WIDTH = 7, 10
 #: Plans with less than this [m] beyond their margins are measured exactly, others by the rows of their solve.
 EXACT = 0.1
 #: Standard deviations by which a margin grows.
@@ -57,12 +58,13 @@ class Clearance:
 
 
 class ObstacleRows:
-    """Rows of some ``frames`` of a robot with the ``slots`` nearest obstacles each."""
+    """Rows of some frames of a robot with the nearest obstacles of each."""
 
-    def __init__(self, geometry: RobotGeometry, frames: Sequence[str], slots: int, margin: float) -> None:
-        self.geometry, self.slots, self.margin = geometry, slots, margin
-        self.finder = Finder(geometry, REACH + margin)
-        self.index = [geometry.frames.index(f) for f in frames]
+    def __init__(self, term: ObstacleTerm) -> None:
+        self.geometry = geometry = robot_geometry(term.robot)
+        self.slots, self.margin = int(term.slots), float(term.margin or 0.0)
+        self.finder = Finder(geometry, REACH + self.margin)
+        self.index = [geometry.frames.index(f) for f in term.frames or ()]
         self._asked = np.zeros(len(geometry.frames), bool)
         self._asked[self.index] = True
         self._near: Nearest | None = None
@@ -74,7 +76,7 @@ class ObstacleRows:
 
     def refresh(self, snapshot: Snapshot, times: Array, states: Array) -> Array:
         """Parameters (n, size · :data:`WIDTH`) at ``times`` (n) [s] for predicted ``states`` (n, nx)."""
-        poses = Poses(times, *self.geometry.kinematics(states))
+        poses = Poses(times, *self.finder.kinematics(states))
         near, margin = self.measure(snapshot, poses)
         if snapshot.obstacles:
             inner = between(self.finder, snapshot, poses, near, states, float(margin.max()))
@@ -118,11 +120,11 @@ class ObstacleRows:
 
     def clearance(self, snapshot: Snapshot, times: Array, states: Array) -> Clearance:
         """The least excess over its margins of the plan that a solve made of what :meth:`refresh` set."""
-        poses, near = Poses(times, *self.geometry.kinematics(states)), self._near
+        poses, near = Poses(times, *self.finder.kinematics(states)), self._near
         if near is None or near.distance.shape[0] != len(times) or not np.isfinite(near.distance).any():
             return Clearance()
-        at = poses.position[:, :, None] + np.einsum("nfij,nfoj->nfoi", poses.rotation, near.point)
-        gap = np.where(np.isfinite(near.distance), np.einsum("nfoi,nfoi->nfo", near.normal, at) - near.level, np.inf)
+        at = poses.position[:, :, None] + near.point @ np.swapaxes(poses.rotation, 2, 3)
+        gap = np.where(np.isfinite(near.distance), np.sum(near.normal * at, axis=3) - near.level, np.inf)
         margin = self.base_margin(snapshot, poses)
         least = float((gap - margin).min())
         if least < EXACT:
@@ -135,7 +137,7 @@ class ObstacleRows:
     def deepest(self, snapshot: Snapshot, times: Array, states: Array, limit: float, deeper: float) -> Clearance | None:
         """Where states (n, nx) come nearer to an obstacle than ``limit`` [m], and by ``deeper`` [m] nearer than at the first one; None:
         nowhere."""
-        poses = Poses(times, *self.geometry.kinematics(states))
+        poses = Poses(times, *self.finder.kinematics(states))
         shape = (len(times), len(self.geometry.frames), len(snapshot.obstacles))
         asked = np.broadcast_to(np.where(self._asked, limit, -np.inf)[None, :, None], shape)
         found = self.finder.find(snapshot, poses, asked).distance
@@ -155,18 +157,20 @@ class ObstacleRows:
 class SelfRows:
     """Rows of pairs of a robot's frames: the nearest points of their shapes."""
 
-    def __init__(self, geometry: RobotGeometry, pairs: Sequence[tuple[str, str]], margin: float) -> None:
-        self.geometry, self.margin = geometry, margin
-        self.pairs = [(geometry.frames.index(a), geometry.frames.index(b)) for a, b in pairs]
-        self._collider = Collider([s.solid for s in geometry.shapes])
+    def __init__(self, term: SelfTerm) -> None:
+        self.geometry = geometry = robot_geometry(term.robot)
+        self.margin = float(term.margin or 0.0)
+        self.pairs = [(geometry.frames.index(a), geometry.frames.index(b)) for a, b in term.pairs or ()]
+        self._table = SolidTable(geometry)
         of = [np.flatnonzero(geometry.frame_of == f) for f in range(len(geometry.frames))]
         listed = [(row, i, j) for row, (a, b) in enumerate(self.pairs) for i in of[a] for j in of[b]]
-        self._row, self._first, self._second = (np.array([p[c] for p in listed], int) for c in range(3))
-        self._sum = geometry.radius[self._first] + geometry.radius[self._second]
+        self._row, self._first, self._second = (np.array([p[c] for p in listed], np.int64) for c in range(3))
         links = [geometry.robot.tree.frames[f].link for f in geometry.frames]
         #: link in whose axes each pair is compared: no joint above it moves one against the other
         self.common = [common_link(geometry.robot, links[a], links[b]) for a, b in self.pairs]
-        self._common = Kinematics(geometry.robot, link_frames(self.common))
+        frames = [geometry.robot.tree.frames[f] for f in geometry.frames]
+        self._kinematics = CompiledKinematics(geometry.robot, frames)
+        self._common = CompiledKinematics(geometry.robot, link_frames(self.common))
 
     @property
     def size(self) -> int:
@@ -176,35 +180,23 @@ class SelfRows:
     def measure(self, states: Array, reach: float) -> tuple[Array, Array, Array, Array]:
         """By node and pair: distance (n, p) [m], infinite beyond ``reach``; normal (n, p, 3) in the world; both points (n, p, 3) in the
         axes of their frames."""
-        n, position, rotation = len(states), *self.geometry.kinematics(states)
-        centers, axes = self.geometry.at(position, rotation)
-        bound = np.linalg.norm(centers[:, self._first] - centers[:, self._second], axis=2) - self._sum
-        distance, normal = np.full((n, self.size), np.inf), np.zeros((n, self.size, 3))
-        first, second = np.zeros((n, self.size, 3)), np.zeros((n, self.size, 3))
-        for k in range(n):
-            near = np.flatnonzero(bound[k] < reach)
-            if not near.size:
-                continue
-            self._collider.place(centers[k], axes[k])
-            for i in near:
-                row = int(self._row[i])
-                best = min(float(distance[k, row]), reach)
-                d = self._collider.distance(int(self._first[i]), int(self._second[i]), best)
-                if d >= best or abs(d) < 1e-9:
-                    continue
-                p, q = self._collider.points[:3], self._collider.points[3:]
-                a, b = self.pairs[row]
-                distance[k, row], normal[k, row] = d, (p - q) / d
-                first[k, row] = (p - position[k, a]) @ rotation[k, a]
-                second[k, row] = (q - position[k, b]) @ rotation[k, b]
-        return distance, normal, first, second
+        n, position, rotation = len(states), *self._kinematics(states)
+        found = self._table.nearest_own(
+            position, rotation, self._row, self._first, self._second, np.full((n, self.size), reach)
+        )
+        a, b = np.array(self.pairs).T
+        first = ((found.own - position[:, a])[..., None, :] @ rotation[:, a])[..., 0, :]
+        second = ((found.other - position[:, b])[..., None, :] @ rotation[:, b])[..., 0, :]
+        there = found.distance < reach
+        first, second = (np.where(there[..., None], v, 0.0) for v in (first, second))
+        return np.where(there, found.distance, np.inf), found.normal, first, second
 
     def refresh(self, states: Array) -> Array:
         """Parameters (n, size · :data:`SELF_WIDTH`) for predicted ``states`` (n, nx)."""
         distance, normal, first, second = self.measure(states, SELF_REACH + self.margin)
         out = np.zeros((len(states), self.size, SELF_WIDTH))
         there = np.isfinite(distance)
-        own = np.einsum("npij,npi->npj", self._common(states)[1], normal)
+        own = (normal[..., None, :] @ self._common(states)[1])[..., 0, :]
         out[..., :3], out[..., 3:6], out[..., 6:9] = own, first, second
         out[..., 9] = np.where(there, self.margin, 0.0)
         return out.reshape(len(states), -1)

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.clearance.nearest import Finder, Nearest, Poses, turned
 from wbmpc.obstacles.geometry import RobotGeometry
-from wbmpc.obstacles.nearest import Finder, Nearest, Poses, turned
 from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
 from wbmpc.obstacles.world import Snapshot
 
@@ -22,18 +22,10 @@ STEP, MOST = 0.08, 8
 SLOW = 0.02
 
 
-def sizes(geometry: RobotGeometry) -> Array:
-    """Of each frame the farthest point of its shapes from its origin (F) [m]."""
-    far = np.zeros(len(geometry.frames))
-    for s, f in zip(geometry.shapes, geometry.frame_of, strict=True):
-        far[f] = max(far[f], float(np.linalg.norm(s.solid.position)) + s.solid.radius)
-    return far
-
-
 def motion(geometry: RobotGeometry, snapshot: Snapshot, poses: Poses) -> Array:
     """How far (N, F, O) [m] at most a point of each frame moves relative to each obstacle in each interval."""
     shift = np.linalg.norm(np.diff(poses.position, axis=0), axis=2)
-    turn = turned(poses.rotation[:-1], poses.rotation[1:]) * sizes(geometry)
+    turn = turned(poses.rotation[:-1], poses.rotation[1:]) * geometry.extent
     own = np.array(
         [np.linalg.norm(np.diff(snapshot.pose(o, poses.times)[0], axis=0), axis=1) for o in snapshot.obstacles]
     )
@@ -57,7 +49,7 @@ def between(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, sta
     inner = (1.0 - share[:, None]) * states[which] + share[:, None] * states[which + 1]
     times = (1.0 - share) * poses.times[which] + share * poses.times[which + 1]
     limit = np.where(flagged, np.minimum(ends[:-1], ends[1:]), -np.inf)[which]
-    found = finder.find(snapshot, Poses(times, *finder.geometry.kinematics(inner)), limit)
+    found = finder.find(snapshot, Poses(times, *finder.kinematics(inner)), limit)
     np.minimum.at(least, which, found.distance)
     return least
 

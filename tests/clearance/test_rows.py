@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import wbmpc as wb
+from wbmpc.clearance.nearest import Poses
+from wbmpc.clearance.rows import ObstacleRows, SelfRows
 from wbmpc.model.robot import RobotModel
-from wbmpc.obstacles.nearest import Poses
-from wbmpc.obstacles.rows import ObstacleRows
 from wbmpc.obstacles.world import Snapshot
 from wbmpc.ocp.symbols import Symbols
 
@@ -26,6 +26,10 @@ def evaluate(robot: RobotModel, residual: wb.residuals.Residual) -> ca.Function:
     return ca.Function("rows", [x, p], [h, ca.jacobian(h, x)])
 
 
+def rows_of(residual: wb.residuals.Residual) -> ObstacleRows | SelfRows:
+    return (ObstacleRows if isinstance(residual, wb.residuals.Clearance) else SelfRows)(residual)
+
+
 def world_about(x: float) -> Snapshot:
     world = wb.Obstacles()
     world.set("pillar", wb.shapes.Cylinder((x, 0.9, 0), (x, 0.9, 1.5), 0.1))
@@ -39,7 +43,7 @@ def world_about(x: float) -> Snapshot:
 
 def distances(rows: ObstacleRows, snapshot: Snapshot, t: float, x: np.ndarray) -> np.ndarray:
     """(F, O) beyond the margins."""
-    near, margin = rows.measure(snapshot, Poses(np.array([t]), *rows.geometry.kinematics(x[None])))
+    near, margin = rows.measure(snapshot, Poses(np.array([t]), *rows.finder.kinematics(x[None])))
     return (near.distance - margin)[0]
 
 
@@ -47,7 +51,7 @@ def distances(rows: ObstacleRows, snapshot: Snapshot, t: float, x: np.ndarray) -
 def test_rows_have_the_value_and_the_slope_of_the_distance(name: str) -> None:
     robot = wb.load_robot(name)
     residual = wb.residuals.Clearance(robot, slots=4, margin=0.04)
-    rows, function = residual.rows, evaluate(robot, residual)
+    rows, function = rows_of(residual), evaluate(robot, residual)
     snapshot, compared = world_about(0.6), 0
     for k, seed in ((0, 1), (4, 2), (8, 3)):
         x = robot.home.copy()
@@ -68,10 +72,10 @@ def test_rows_have_the_value_and_the_slope_of_the_distance(name: str) -> None:
 def test_the_nearest_obstacles_beyond_their_margins_take_the_slots() -> None:
     robot = wb.load_robot("rezero")
     residual, snapshot = wb.residuals.Clearance(robot, slots=2), world_about(0.6)
-    parameters = residual.rows.refresh(snapshot, GRID[:2], np.tile(robot.home, (2, 1)))
+    parameters = rows_of(residual).refresh(snapshot, GRID[:2], np.tile(robot.home, (2, 1)))
     h = np.array(evaluate(robot, residual)(robot.home, parameters[0])[0]).ravel()
-    truth = distances(residual.rows, snapshot, 0.0, robot.home)
-    for f in range(len(residual.rows.index)):
+    truth = distances(rows_of(residual), snapshot, 0.0, robot.home)
+    for f in range(len(rows_of(residual).index)):
         expected = np.sort(np.minimum(truth[f], 1.0))[:2]
         np.testing.assert_allclose(np.sort(h[2 * f : 2 * f + 2]), expected, atol=1e-6)
 
@@ -83,7 +87,7 @@ def test_margins_grow_with_the_spread_of_the_prediction() -> None:
     values = []
     for spread in ({}, {"std": 0.01, "velocity_std": 0.05}):
         world.set("ball", wb.shapes.Sphere(0.1, (0.6, 0, 0.3)), seen=0.0, **spread)
-        parameters = residual.rows.refresh(world.snapshot(0.0), GRID, np.tile(robot.home, (len(GRID), 1)))
+        parameters = rows_of(residual).refresh(world.snapshot(0.0), GRID, np.tile(robot.home, (len(GRID), 1)))
         values.append([np.array(evaluate(robot, residual)(robot.home, p)[0])[0, 0] for p in parameters])
     # twice the standard deviation of the position at each time
     np.testing.assert_allclose(values[0] - np.array(values[1]), 2.0 * np.hypot(0.01, 0.05 * GRID), atol=1e-9)
@@ -105,14 +109,14 @@ def test_rows_of_two_bodies_do_not_depend_on_where_the_base_is() -> None:
     states = np.tile(robot.home, (4, 1))
     states[:, robot.state["base"]] = 0.3 * rng.normal(size=(4, 5))
     states[:, robot.state["arm"]] = [[0.0, 1.9, 0.9], [1.0, 1.7, 1.0], [-1.0, -1.9, -0.8], [2.0, 1.8, 1.2]]
-    parameters, function = residual.rows.refresh(states), evaluate(robot, residual)
-    distance, checked = residual.rows.measure(states, 2.0)[0], 0
+    parameters, function = rows_of(residual).refresh(states), evaluate(robot, residual)
+    distance, checked = rows_of(residual).measure(states, 2.0)[0], 0
     for k in range(len(states)):
         h, slope = (np.array(v) for v in function(states[k], parameters[k]))
         near = (distance[k] < 0.25) & (distance[k] > 0.0)
         np.testing.assert_allclose(h[near, 0], distance[k][near] - 0.02, atol=1e-6)
         step = 1e-4 * rng.normal(size=robot.state.size)
-        ends = [residual.rows.measure((states[k] + s * step)[None], 2.0)[0][0] for s in (1, -1)]
+        ends = [rows_of(residual).measure((states[k] + s * step)[None], 2.0)[0][0] for s in (1, -1)]
         np.testing.assert_allclose((slope @ step)[near], 0.5 * (ends[0] - ends[1])[near], atol=3e-6)
         checked += int(near.sum())
     assert checked >= 4
@@ -129,11 +133,11 @@ def test_what_happens_between_two_nodes_counts() -> None:
     world = wb.Obstacles()
     world.set("post", wb.shapes.Cylinder((0, 0.45, 0), (0, 0.45, 0.3), 0.05))
     snapshot, grid, function = world.snapshot(0.0), np.array([0.0, 1.5]), evaluate(robot, residual)
-    parameters = residual.rows.refresh(snapshot, grid, states)
+    parameters = rows_of(residual).refresh(snapshot, grid, states)
     middle = min(
-        distances(residual.rows, snapshot, 0.0, np.r_[s, robot.home[1:]])[0, 0] for s in np.linspace(-0.6, 0.6, 9)
+        distances(rows_of(residual), snapshot, 0.0, np.r_[s, robot.home[1:]])[0, 0] for s in np.linspace(-0.6, 0.6, 9)
     )
-    ends = [distances(residual.rows, snapshot, 0.0, x)[0, 0] for x in states]
+    ends = [distances(rows_of(residual), snapshot, 0.0, x)[0, 0] for x in states]
     assert middle < min(ends) - 0.02
     for x, p in zip(states, parameters):
         # states between the nodes are at most 0.08 m apart
@@ -148,7 +152,7 @@ def test_a_thin_wall_that_a_plan_jumps_over_keeps_it_on_its_side() -> None:
     states[:, 0] = [0.0, 0.3, 0.6, 2.5, 2.6, 2.7]  # the wall is at 1.5: nodes 3 to 5 are behind it
     world = wb.Obstacles()
     world.set("wall", wb.shapes.Box((0.01, 3, 1)), position=(1.5, 0, 0.5))
-    parameters = residual.rows.refresh(world.snapshot(0.0), np.linspace(0, 3, 6), states)
+    parameters = rows_of(residual).refresh(world.snapshot(0.0), np.linspace(0, 3, 6), states)
     function = evaluate(robot, residual)
     for x, p in zip(states[2:], parameters[2:]):
         h, slope = function(x, p)
@@ -166,7 +170,7 @@ def test_a_grid_keeps_the_robot_from_what_is_in_it() -> None:
     world.set("map", wb.shapes.DistanceGrid((-1.0, -1.0, -0.2), 0.05, values))
     states = np.tile(robot.home, (2, 1))
     states[:, 0] = [0.7, 0.9]
-    parameters = residual.rows.refresh(world.snapshot(0.0), np.array([0.0, 1.0]), states)
+    parameters = rows_of(residual).refresh(world.snapshot(0.0), np.array([0.0, 1.0]), states)
     for state, p in zip(states, parameters):
         h, slope = evaluate(robot, residual)(state, p)
         true = 1.5 - 0.4 - state[0]
