@@ -21,9 +21,14 @@ from wbmpc import settings_table as table
 #: Sub-packages with an API page; of ``solver`` what users hold, the other files are the compiled driver.
 PACKAGES = (
     "model", "bases", "ocp", "solver", "mpc", "embedded", "runtime", "estimation", "control", "simulation", "tasks", "robots", "recording",
-    "stability", "ros2",
+    "stability", "study", "ros2",
 )  # fmt: skip
-ONLY = {"embedded": ("exporter",), "solver": ("settings", "solution", "solver"), "ros2": ("bus", "settings", "network")}
+ONLY = {
+    "embedded": ("exporter",),
+    "study": ("study",),
+    "solver": ("settings", "solution", "solver"),
+    "ros2": ("bus", "settings", "network"),
+}
 #: Modules beside the packages.
 MODULES = ("types", "errors", "lie", "trajectory", "result", "log")
 

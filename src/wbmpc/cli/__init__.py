@@ -60,21 +60,8 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(log)
 app.add_typer(ros2)
-for _command in (
-    new,
-    doctor,
-    stability,
-    calibrate,
-    view,
-    replay,
-    render,
-    runs,
-    compare,
-    reproduce,
-    study,
-    tune,
-    export,
-):
+_COMMANDS = (new, doctor, stability, calibrate, view, replay, render, runs, compare, reproduce, study, tune, export)
+for _command in _COMMANDS:
     app.command()(_command)
 
 

@@ -128,7 +128,8 @@ class Term(Section):
 class Tuning(Section):
     """A search: ``search`` (ranges by key) on ``seeds`` of its own, ``trials`` with a ``sampler``. One objective is the sum of
     ``minimize``; with ``pareto`` each term is one. ``constraints``: largest values of metrics in every run; ``allow_failures``:
-    runs that do not complete break no constraint. ``prune``: trials that are worse than the median are ended between seeds."""
+    runs that do not complete break no constraint. ``prune``: trials that are worse than the median are ended between seeds. ``storage``: address
+    of Optuna's database (left out: SQLite beside the results)."""
 
     seeds: Seeds
     search: dict[str, Searched] = Field(min_length=1)
@@ -140,6 +141,7 @@ class Tuning(Section):
     sampler_seed: int = Field(0, ge=0)
     pareto: bool = False
     prune: bool = False
+    storage: str = ""
 
     @model_validator(mode="after")
     def _one_objective(self) -> Self:

@@ -126,7 +126,7 @@ class Study:
                 finally:
                     store.finish()
             trials, best = list(tuner.trials()), tuner.best()
-            settings = settings_of_trial(best[0]) if best else {}
+            settings = settings_of_trial(best[0], self.definition.tune) if best else {}
             summary = self._before_and_after(settings, there, progress) if settings else None
         tuned = Tuned(
             settings, next((t for t in trials if best and t["trial"] == best[0].number), None), trials, summary

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     import optuna
 
 DATABASE, TRIALS = "trials.db", "trials"
-#: Where a trial keeps its settings.
-_SETTINGS = "settings"
 #: Trials in a row whose settings the experiments may reject.
 MAX_REJECTED = 100
 
@@ -108,9 +106,9 @@ class Tuner:
             "random": lambda: optuna.samplers.RandomSampler(seed=t.sampler_seed),
         }
         pruner = optuna.pruners.MedianPruner(n_startup_trials=10) if t.prune else optuna.pruners.NopPruner()
-        sqlite = f"sqlite:///{(self.out / DATABASE).resolve()}"
+        storage = t.storage or f"sqlite:///{(self.out / DATABASE).resolve()}"
         found = optuna.create_study(
-            storage=sqlite, study_name="tune", sampler=makers[t.sampler](), pruner=pruner, load_if_exists=True,
+            storage=storage, study_name=self.definition.title or "tune", sampler=makers[t.sampler](), pruner=pruner, load_if_exists=True,
             directions=["minimize"] * (len(t.minimize) if t.pareto else 1),
         )  # fmt: skip
         self._check_searched(found)
@@ -118,7 +116,7 @@ class Tuner:
 
     def _check_searched(self, found: optuna.Study) -> None:
         """Trials of other ranges or seeds do not go with these."""
-        what = self.tuning.model_dump(mode="json", by_alias=True, exclude={"trials"})
+        what = self.tuning.model_dump(mode="json", by_alias=True, exclude={"trials", "storage"})
         what |= {"experiments": self.definition.experiments, "settings": self.definition.settings}
         was = found.user_attrs.get("search")
         if was is None:
@@ -177,7 +175,6 @@ class Tuner:
         for _ in range(MAX_REJECTED):
             trial = self._found.ask()
             changes = {key: _suggested(trial, key, s) for key, s in self.tuning.search.items()}
-            trial.set_user_attr(_SETTINGS, changes)
             try:
                 tried = combinations(with_settings(self.definition, changes), self.folder, self.where)
             except InputError as error:
@@ -242,15 +239,14 @@ class Tuner:
         for t in self.finished:
             whole = t.state != pruned
             yield {
-                "trial": t.number, "values": list(t.values or ()) if whole else [], "settings": settings_of_trial(t),
+                "trial": t.number, "values": list(t.values or ()) if whole else [], "settings": settings_of_trial(t, self.tuning),
                 "pruned": not whole, "feasible": whole and feasible(t),
             }  # fmt: skip
 
 
-def settings_of_trial(trial: optuna.trial.FrozenTrial) -> dict[str, Any]:
+def settings_of_trial(trial: optuna.trial.FrozenTrial, tuning: Tuning) -> dict[str, Any]:
     """What a trial was run with."""
-    found: dict[str, Any] = trial.user_attrs[_SETTINGS]
-    return found
+    return {key: _setting(search, trial.params[key]) for key, search in tuning.search.items()}
 
 
 def with_settings(definition: Definition, changes: Mapping[str, Any]) -> Definition:
@@ -261,8 +257,15 @@ def with_settings(definition: Definition, changes: Mapping[str, Any]) -> Definit
 
 def _suggested(trial: optuna.trial.Trial, key: str, search: Any) -> Any:
     if not isinstance(search, Search):
-        # names: Optuna keeps numbers, texts and truths, no lists
-        return json.loads(trial.suggest_categorical(key, [json.dumps(v) for v in search]))
+        # Optuna keeps numbers, texts and truths, no lists
+        return _setting(search, trial.suggest_categorical(key, [json.dumps(v) for v in search]))
     if search.whole:
-        return trial.suggest_int(key, round(search.low), round(search.high), log=search.log)
-    return float(f"{trial.suggest_float(key, search.low, search.high, log=search.log):.4g}")
+        return _setting(search, trial.suggest_int(key, round(search.low), round(search.high), log=search.log))
+    return _setting(search, trial.suggest_float(key, search.low, search.high, log=search.log))
+
+
+def _setting(search: Any, suggested: Any) -> Any:
+    """A setting as the experiment gets it: numbers to four digits, within their range."""
+    if not isinstance(search, Search):
+        return json.loads(suggested)
+    return suggested if search.whole else min(max(float(f"{suggested:.4g}"), search.low), search.high)
