@@ -86,7 +86,8 @@ class SwerveEstimator:
         self.wheels_alone.update(m.leg, m.steer, m.wheel)
         if self._odd is not None:
             turn = None if turning is None else (turning - self.odometry.gyro_bias) * h
-            self._odd.update(h, self.wheels_alone, self.hinge_angles, turn)
+            known = None if self._side_slip is None else self._side_slip.left > 0.0
+            self._odd.update(h, self.wheels_alone, self.hinge_angles, turn, known)
         self.odometry.update(m.time, m.leg, m.steer, m.wheel, turning, weights=self._weights())
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
@@ -99,15 +100,12 @@ class SwerveEstimator:
 
     def _weights(self) -> Array | None:
         """Weights (n) of the wheels in the odometry; None: all count in full."""
-        if self._side_slip is None and self._odd is None:
-            return None
-        slips = np.zeros(self.robot.base.geometry.modules, bool)
-        if self._side_slip is not None:
-            slips |= self._side_slip.left > 0.0
-        if self._odd is not None:
-            slips |= self._odd.odd > 0.0
-        # one sound wheel alone does not determine the motion
-        return np.where(slips, SLIP_WEIGHT, 1.0) if slips.any() and np.sum(~slips) > 1 else None
+        n = self.robot.base.geometry.modules
+        known = np.zeros(n, bool) if self._side_slip is None else self._side_slip.left > 0.0
+        odd = known if self._odd is None else known | (self._odd.odd > 0.0)
+        # one sound wheel alone does not determine the motion: then what is known counts, if that leaves two
+        slips = next((mask for mask in (odd, known) if mask.any() and np.sum(~mask) > 1), None)
+        return None if slips is None else np.where(slips, SLIP_WEIGHT, 1.0)
 
     def _smooth(self, smoothing: Smoothing, h: float) -> None:
         """Positions of the base and of the arm at the moment of the message."""

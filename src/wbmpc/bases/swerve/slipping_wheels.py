@@ -30,8 +30,11 @@ class SlippingWheels:
         self._geometry, self.odd = geometry, np.zeros(n)
         self._contradiction, self._velocity = np.zeros((n, 2)), np.zeros((n, 2))
 
-    def update(self, h: float, wheels: WheelOdometry, leg: Array, turn: float | None) -> None:
-        """After the last update of ``wheels``, over h [s]; ``leg`` (n) [rad]; ``turn`` [rad]: the gyro's over it."""
+    def update(
+        self, h: float, wheels: WheelOdometry, leg: Array, turn: float | None, known: NDArray[np.bool_] | None = None
+    ) -> None:
+        """After the last update of ``wheels``, over h [s]; ``leg`` (n) [rad]; ``turn`` [rad]: the gyro's over it; ``known`` (n): wheels
+        that slip, as the controller says, and have no say about the others."""
         self.odd = np.maximum(self.odd - h, 0.0)
         if h <= 0.0:
             return
@@ -44,17 +47,17 @@ class SlippingWheels:
             velocity = (residual + [dx, dy] + (dyaw - turn) * across) / h
             self._velocity += new * (velocity - self._velocity)
         if np.sum(self._contradiction**2) > CONTRADICTS**2:
-            self.odd[self._find(axes, turn is not None)] = HOLD
+            self.odd[self._find(axes, turn is not None, np.zeros(len(axes), bool) if known is None else known)] = HOLD
 
-    def _find(self, axes: Array, gyro: bool) -> Array:
+    def _find(self, axes: Array, gyro: bool, known: NDArray[np.bool_]) -> Array:
         """Which wheels (n) bool contradict the others; none where no two agree."""
         n = len(axes)
         if not gyro:
             i, share = odd_one_out(self._contradiction, axes)
             return (np.arange(n) == i) & (share > SHARE) & (n >= FEWEST)
         apart = np.linalg.norm(self._velocity[:, None] - self._velocity[None], axis=2)
-        near = apart < NEAR
+        near = (apart < NEAR) & ~known & ~known[:, None]
         count = near.sum(axis=1)
-        spread = np.where(near, apart, 0.0).sum(axis=1) / count
+        spread = np.where(near, apart, 0.0).sum(axis=1) / np.maximum(count, 1)
         best = np.lexsort((spread, -count))[0]
         return ~near[best] & (count[best] > 1)
