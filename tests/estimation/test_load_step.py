@@ -15,12 +15,12 @@ HOME = ROBOT.home[:N]
 WEIGHT, INERTIA = ROBOT.base.numeric.tool_weight(HOME), ROBOT.base.numeric.mass_matrix(HOME)
 
 
-def carried(force: np.ndarray, seconds: float, first: float = 0.0) -> PayloadEstimator:
+def carried(force: np.ndarray, seconds: float, first: float = 0.0, learning: float = 1.0) -> PayloadEstimator:
     """The estimator after ``seconds`` of a ``force`` (nq), known masses of which hold the arm, as the model says."""
     estimator, step, velocity = PayloadEstimator(ROBOT.base.numeric.tool_weight, mass=first), LoadStep(), np.zeros(N)
     for _ in range(round(seconds / H)):
         unexplained = force - estimator.mass * WEIGHT
-        by, known = step.update(velocity, np.zeros(N), INERTIA, np.zeros(N), WEIGHT, H)
+        by, known = step.update(velocity, np.zeros(N), INERTIA, np.zeros(N), WEIGHT, learning, H)
         estimator.change(by, known, WEIGHT, np.zeros(N))
         velocity = velocity + H * np.linalg.solve(INERTIA, unexplained)
     return estimator
@@ -29,6 +29,15 @@ def carried(force: np.ndarray, seconds: float, first: float = 0.0) -> PayloadEst
 def test_a_load_is_known_within_a_fifth_of_a_second() -> None:
     assert carried(1.0 * WEIGHT, 0.2).mass == pytest.approx(1.0, abs=0.15)
     assert carried(0.0 * WEIGHT, 0.2, first=1.0).mass == pytest.approx(0.0, abs=0.15)
+
+
+def test_a_robot_that_has_not_been_calm_is_not_sure() -> None:
+    step, velocity = LoadStep(), np.zeros(N)
+    for _ in range(80):
+        step.update(velocity, np.zeros(N), INERTIA, np.zeros(N), WEIGHT, 0.2, H)
+    for _ in range(20):
+        velocity = velocity + H * np.linalg.solve(INERTIA, WEIGHT)
+        assert step.update(velocity, np.zeros(N), INERTIA, np.zeros(N), WEIGHT, 1.0, H) == (0.0, 0.0)
 
 
 def test_what_is_no_weight_is_no_load() -> None:

@@ -184,7 +184,8 @@ class BallController:
         observer, weight = self.observer, payload.weight(q)
         assert observer is not None
         if payload.by_arm(weight):
-            step = self.load_step.update(observer.velocity, observer.acceleration, observer.mass(q), force, weight, h)
+            moved = observer.velocity, observer.acceleration, observer.mass(q)
+            step = self.load_step.update(*moved, force, weight, observer.learning, h)
             if self.load_step.changing:
                 return payload.change(*step, weight, force)
         return payload.update(q, force, observer.learning * h)
