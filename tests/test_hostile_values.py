@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from wbmpc.cli import main
-from wbmpc.cli.terminal import printable
 from wbmpc.configuration import configure
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, RunAborted, printable, unknown_name
 from wbmpc.recording.messages import encode, fields
 from wbmpc.recording.writer import McapFile
 from wbmpc.registry import REGISTRY
@@ -68,6 +67,14 @@ def test_what_steers_a_terminal_is_written_out() -> None:
     shown = printable(ODD + "\u00e9\n")
     assert shown == "\\x1b[2J\\x1b]0;x\\x07\\u202e\\u2028\\x9b31m\u00e9\\n"
     assert all(unicodedata.category(c)[0] != "C" for c in shown)
+
+
+def test_every_message_of_an_error_prints_safely() -> None:
+    """Quoted by us, by a library that we quote, or in a list of what is valid."""
+    for error in (InputError(f"a: {ODD}"), unknown_name(f"{ODD}\n", f"{ODD}\n", [ODD], where=ODD), RunAborted(ODD)):
+        assert all(c.isprintable() or c == "\n" for c in str(error))
+        assert "\\x1b[2J" in str(error)
+    assert str(unknown_name("key", "a\nwbmpc: all is well", ["b"])) == "unknown key 'a\\nwbmpc: all is well'; valid: b"
 
 
 def test_names_of_files_and_topics_do_not_steer_the_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

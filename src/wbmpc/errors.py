@@ -6,8 +6,17 @@ import difflib
 from collections.abc import Iterable
 
 
+def printable(text: str, kept: str = "") -> str:
+    """``text`` with what would steer a terminal (escape sequences, reversed writing, line feeds) written out, but for characters that
+    are ``kept``: names in files come from anybody."""
+    return "".join(c if c.isprintable() or c in kept else c.encode("unicode_escape").decode() for c in text)
+
+
 class WbmpcError(Exception):
-    """Base class of all errors raised on purpose by this library."""
+    """Base class of all errors raised on purpose by this library. Messages quote what comes from outside; they print safely."""
+
+    def __str__(self) -> str:
+        return printable(super().__str__(), kept="\n")
 
 
 class InputError(WbmpcError, ValueError):
@@ -68,7 +77,7 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
 
 def unknown_name(kind: str, name: str, choices: Iterable[str], where: str = "") -> InputError:
     """An :class:`InputError` for a name that is not among ``choices``."""
-    known = list(choices)
+    known, name = list(choices), printable(str(name))
     place = f"{where}: " if where else ""
     return InputError(
         f"{place}unknown {kind} '{name}'{did_you_mean(name, known)}; valid: {', '.join(known) if known else 'none'}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -18,6 +19,9 @@ from effort import draws, thorough
 from exported import LOWER, PERIOD, UPPER, Controller, trolley
 from wbmpc.embedded import check as checks
 from wbmpc.embedded.exporter import Export
+from wbmpc.embedded.interface import public_names
+from wbmpc.embedded.prefix import check_prefix
+from wbmpc.embedded.texts import _names
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.solver.controller import Result
 from wbmpc.solver.controller_data import Figure
@@ -205,8 +209,8 @@ def test_errors_name_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     mpc = trolley()
     for options, text in (
         ({"target": "riscv64"}, r"unknown target 'riscv64'; valid: native, x86-64-v3, aarch64"),
-        ({"prefix": "My-Robot"}, r"prefix 'My-Robot': valid: a lower-case letter"),
-        ({"prefix": "double"}, r"prefix 'double': valid: .* no word of C or C..$"),
+        ({"prefix": "My-Robot"}, r"prefix 'My-Robot' is no beginning of names; valid: a lower-case letter"),
+        ({"prefix": "double"}, r"prefix 'double' is a word of C or C..; valid: .*as 'my_robot'$"),
         ({"samples": 0}, r"samples: a whole number from 1 on is needed, got 0"),
     ):
         with pytest.raises(InputError, match=text):
@@ -225,6 +229,41 @@ def test_errors_name_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(InputError, match="none of cc, gcc and clang found"):
         checks.tools("native")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "prefix",
+    [
+        "size_t",
+        "printf",
+        "test",
+        "linux",
+        "main",
+        "int",
+        "errno",
+        "stdio",
+        "string",
+        "example",
+        "m",
+        "pthread",
+        "timer",
+        "sin",
+        "all",
+    ],
+)
+def test_a_prefix_with_which_nothing_could_be_built_is_an_error(prefix: str) -> None:
+    """Truth: ISO C, POSIX (pthread_create, timer_create), CMake's policy CMP0037."""
+    with pytest.raises(InputError, match=rf"prefix '{prefix}' .*; valid: a lower-case letter.*as 'my_robot'"):
+        check_prefix(prefix, public_names(prefix).values())
+
+
+def test_enumerators_are_unique_however_names_are_spelled() -> None:
+    """Truth: C compares identifiers letter by letter."""
+    names = ["a-b", "a_b", "a_b_0", "A.B", "a b_1_", "a_b_1", "c", "", "_"]
+    found = re.findall(r"(\w+) = (\d+)", _names("P", "MODE_", names))
+    assert [int(number) for _, number in found] == list(range(len(names)))
+    assert len({name for name, _ in found}) == len(names)
+    assert ("P_MODE_C", "6") in found and ("P_MODE_A_B_1", "5") in found
 
 
 PROGRAM = "import sys; sys.path.insert(0, {tests!r})\nfrom exported import trolley\nmpc = trolley()\nnumber = 3\n"
@@ -287,3 +326,12 @@ def test_names_of_states_cannot_end_a_comment(tmp_path: Path) -> None:
     text = (made.directory / "controller.h").read_text()
     assert "evil;" not in text
     assert text.count("/*") == text.count("*/")
+    check_symbols(made)
+
+
+def check_symbols(done: Export) -> None:
+    """Others see the functions of the header and nothing else. The solver's own begin with its modules' names, as with "controller"."""
+    text = subprocess.run(["nm", "-g", str(done.directory / f"{done.prefix}.o")], capture_output=True, text=True)
+    rows = [line.split() for line in text.stdout.splitlines()]
+    functions = re.findall(rf"int ({done.prefix}_\w+)\(", (done.directory / f"{done.prefix}.h").read_text())
+    assert sorted(name for *_, kind, name in rows if kind != "U") == sorted(functions) == done.symbols.defined

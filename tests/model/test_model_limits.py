@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -62,6 +63,46 @@ def test_what_is_left_without_comments_is_what_expat_reads(text: str) -> None:
     assert ElementTree.tostring(ElementTree.fromstring(plain)) == ElementTree.tostring(ElementTree.fromstring(text))
 
 
+@pytest.mark.parametrize(
+    ("top", "says"),
+    [
+        (f'\n<asset><mesh name="m" vertex="{"1 2 3 " * 33_334}"/></asset>', "line 2: <mesh>: 'vertex' has 100002 words; at most 100000"),
+        ('<asset>' + f'<mesh vertex="{"1 2 3 " * 33_333}"/>' * 4 + '</asset>', "<mesh>: more than 300000 words of attributes"),
+        ('<asset><mesh file="large.obj"/></asset>', "<mesh>: 'file': .*large.obj' has 5000001 bytes; at most 5000000 are read"),
+        ('<asset><mesh file="meshes/large.obj"/></asset><compiler meshdir="."/>', "<mesh>: 'file': .*large.obj' has 5000001 bytes"),
+        ('<include file="."/>', "line 1: <include>: 'file': .* is a directory; a file is needed"),
+        ('<asset><mesh file="meshes"/></asset>', "<mesh>: 'file': .*meshes' is a directory"),
+    ],
+    ids=range(6),
+)  # fmt: skip
+def test_meshes_that_take_long_are_an_error_by_their_size(
+    top: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo computes hull and volume of each. Truth: the numbers that are written here."""
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "large.obj").write_bytes(b"#" * 5_000_001)
+    (tmp_path / "arm.xml").write_text(ARM.format(top=top, world=""))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=rf"arm\.xml: .*{says}"):
+        parse(read_model(tmp_path / "arm.xml"))
+
+
+def test_warnings_of_mujoco_are_logged_and_leave_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Truth: MuJoCo's own way with a warning, which writes MUJOCO_LOG.TXT beside the user."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.xml").write_text(ARM.format(top="", world=""))
+    parse(read_model(tmp_path / "arm.xml"))
+    with pytest.raises(ValueError, match="Empty file"):
+        mujoco.MjSpec.from_string('<mujoco><include file="."/></mujoco>')
+    assert [p.name for p in tmp_path.iterdir()] == ["arm.xml"]
+    assert "MuJoCo: " in caplog.text
+    order = {"text": '<mujoco><include file="."/></mujoco>'}
+    limited_process.run_limited(order)
+    assert [p.name for p in tmp_path.iterdir()] == ["arm.xml"]
+
+
 def test_comments_that_do_not_end_take_no_time(tmp_path: Path) -> None:
     """A search for the end of each would be quadratic in them."""
     (tmp_path / "arm.xml").write_bytes(b"<a>" + b"<!--" * 2_000_000)
@@ -95,7 +136,7 @@ def slow_model(folder: Path, points: int) -> Path:
 def test_a_model_that_compiles_slowly_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limited_process, "PROCESSOR", 0.0)
     with pytest.raises(InputError, match=r"ball\.xml: MuJoCo does not compile it within 0 s of the processor; smaller"):
-        parse(read_model(slow_model(tmp_path, 100_000)))
+        parse(read_model(slow_model(tmp_path, 90_000)))
 
 
 def test_plain_models_and_those_of_the_package_need_no_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,7 +171,7 @@ def test_a_model_is_tried_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGKILL, -9)])
 def test_signals_end_a_command_and_its_trial(number: signal.Signals, status: int, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "wbmpc", "doctor", str(slow_model(tmp_path, 200_000))]
+    command = [sys.executable, "-m", "wbmpc", "doctor", str(slow_model(tmp_path, 90_000))]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     child = wait_for(lambda: compiling_child(process.pid))
     os.kill(process.pid, number)

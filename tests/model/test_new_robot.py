@@ -199,6 +199,44 @@ def test_options_instead_of_answers(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "wheel_radius" not in before  # the shapes show it
 
 
+#: Another ARM, named to the right of the first.
+TWIN = (
+    "".join(ARM.split(link("palm"))[:1])
+    .replace('name="', 'name="right_')
+    .replace('link="', 'link="right_')
+    .replace("right_hull", "hull")
+    .replace("0.1 0 0.3", "0.1 -0.4 0.3")
+)
+
+
+def test_two_arms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What the robot has beside the chosen arm is said with the option that takes it, and both can be taken: each with its tool and its
+    own joints, homes within their ranges."""
+    path = model(tmp_path, DIFFERENTIAL + ARM + TWIN)
+    one = load_robot(new(path)).description
+    shown = capsys.readouterr().out
+    assert not one.arms and "other arms: right; to use them: --arm pan,right" in shown
+    out = new(path, "--arm", "pan,right")
+    assert "other arms" not in capsys.readouterr().out
+    robot = load_robot(out)
+    arms = robot.description.arms
+    assert {n: (len(a.joints), a.tool) for n, a in arms.items()} == {
+        "pan": (3, "grasp_frame"),
+        "right": (3, "right_fore"),
+    }
+    assert {"right_pan", "right_lift", "right_elbow"} <= robot.description.home.keys()
+    assert np.all(robot.home >= robot.limits.state_lower) and np.all(robot.home <= robot.limits.state_upper)
+    assert main(["new", str(path), "--yes", "--arm", "pan,pan", "--out", str(tmp_path / "b.yaml")]) == 2
+
+
+def test_a_file_that_does_not_load_is_named_as_it_was_ordered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine.yaml"
+    assert main(["new", str(model(tmp_path, ARM)), "--yes", "--out", str(out), "--set", "home.nobody=1"]) == 2
+    assert f"{out}: " in (shown := capsys.readouterr().err) and ".part" not in shown
+
+
 class Terminal(io.StringIO):
     """Somebody who answers."""
 
@@ -312,6 +350,14 @@ def test_a_robots_yaml_is_examined(keys: tuple[str, str], check: str, words: tup
     path.write_text(text.replace(*keys))
     seen = found(path, check)
     assert all(w in seen for w in words), seen
+
+
+@pytest.mark.parametrize(("base", "count"), [("wheels", 0), ("planar", 1)])
+def test_wheels_beside_their_axes_are_no_trap_where_the_base_type_describes_them(
+    base: str, count: int, tmp_path: Path
+) -> None:
+    path = new(model(tmp_path, BESIDE + ARM), "--base", base)
+    assert sum(f.check == "steering" for f in examine_robot(str(path)).findings) == count
 
 
 def test_wheels_that_hardly_hold_the_base(tmp_path: Path) -> None:

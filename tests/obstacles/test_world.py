@@ -34,6 +34,16 @@ def test_without_a_time_it_is_seen_when_the_next_solve_begins() -> None:
     assert snapshot.pose(snapshot.obstacles[0], np.array([9.0]))[0][0, 0] == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize("t", [np.nan, np.inf, "1", None, True])
+def test_a_moment_that_is_none_is_an_error_and_drops_nothing(t: object) -> None:
+    world = wb.Obstacles()
+    world.set("ball", BALL)
+    with pytest.raises(InputError, match="obstacles: the time"):
+        world.snapshot(t)  # type: ignore[arg-type]
+    assert np.isnan(world._obstacles["ball"].seen)
+    assert [] not in world and 3 not in world and "ball" in world
+
+
 def test_a_frame_moves_all_that_is_given_in_it() -> None:
     world = wb.Obstacles()
     world.set_frame("map", (1, 0, 0), (np.sqrt(0.5), 0, 0, np.sqrt(0.5)))  # turned by 90° about z

@@ -108,6 +108,8 @@ class BaseDescription(Section):
     moves: ClassVar[bool] = True
     #: Whether the planner's equations have masses and inertias: then a link whose inertia cannot be is an error, else it is replaced.
     uses_inertia: ClassVar[bool] = True
+    #: Whether it describes wheels beside their steering axes, and steering axes that point down.
+    describes_offsets: ClassVar[bool] = False
     #: The key of the section that names joints; "" where none does. Error messages say it.
     joint_key: ClassVar[str] = ""
     #: Keys of other base types that do not apply to this one, and why: the error of a file that has them.

@@ -40,14 +40,13 @@ from wbmpc.cli.terminal import (
     interrupted,
     logged,
     open_streams,
-    printable,
     progress_bar,
     silent,
     terminable,
     unread_allowed,
 )
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
-from wbmpc.errors import InputError, RunAborted, WbmpcError, unknown_name
+from wbmpc.errors import InputError, RunAborted, WbmpcError, printable, unknown_name
 
 if TYPE_CHECKING:
     from wbmpc.experiment import Experiment

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wbmpc.cli.recordings import AsJson
-from wbmpc.cli.terminal import BAD_INPUT, printable, robot_names
-from wbmpc.errors import InputError
+from wbmpc.cli.terminal import BAD_INPUT, robot_names
+from wbmpc.errors import InputError, printable
 
 if TYPE_CHECKING:
     from wbmpc.robots.findings import Finding

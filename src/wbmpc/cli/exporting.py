@@ -10,7 +10,8 @@ import typer
 
 from wbmpc.cli.directories import Force, reject_existing, writable_directory
 from wbmpc.cli.recordings import AsJson
-from wbmpc.cli.terminal import ABORTED, printable
+from wbmpc.cli.terminal import ABORTED
+from wbmpc.errors import printable
 
 
 def export(

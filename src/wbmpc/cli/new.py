@@ -13,8 +13,7 @@ import typer
 from wbmpc.cli.directories import Force, new_file
 from wbmpc.cli.doctor import Arguments, Packages, pairs
 from wbmpc.cli.recordings import AsJson
-from wbmpc.cli.terminal import printable
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, printable
 
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
@@ -27,7 +26,9 @@ def new(
     out: Annotated[Path | None, typer.Option(help="The YAML to write (default: the model's name beside you).")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Take the proposals, ask nothing.")] = False,
     base: Annotated[str | None, typer.Option(help="Base type.")] = None,
-    arm: Annotated[str | None, typer.Option(help="Name of the arm, or of its last joint.")] = None,
+    arm: Annotated[
+        str | None, typer.Option(help="Name of the arm, or of its last joint; of several with commas: left,right.")
+    ] = None,
     tool: Annotated[str | None, typer.Option(help="Frame of the end effector.")] = None,
     height: Annotated[
         float | None, typer.Option(help="Height (m) of the end effector above the ground at home.")
@@ -94,7 +95,7 @@ def _choose(
     if arm is None and ask and len(draft.arms) > 1:
         for found in draft.arms:
             typer.echo(f"  {found.name}: {len(found.joints)} joints, {found.length:.2f} m")
-        arm = typer.prompt("arm", default=draft.arm.name)
+        arm = typer.prompt("arm (several with commas between them)", default=draft.arm.name)
     if arm is not None:
         draft.choose_arm(arm)
     if tool is None and ask and len(draft.arm.tools) > 1:
@@ -138,7 +139,10 @@ def _write(path: Path, data: dict[str, Any], draft: Draft, home: Home) -> RobotM
     comments = _comments(draft, home)
     with whole_file(path) as partial:  # what was there before stays until the robot loads
         partial.write_text(write_yaml(data, comments), encoding="utf-8")
-        robot = load_robot(partial)
+        try:
+            robot = load_robot(partial)
+        except InputError as error:
+            raise InputError(str(error).replace(str(partial), str(path))) from error
         comments["limits"] += "\n" + _weights(robot)
         partial.write_text(write_yaml(data, comments), encoding="utf-8")
     return robot
@@ -153,11 +157,12 @@ def _comments(draft: Draft, home: Home) -> dict[str, str]:
         home.free
     ]
     speeds = "as the model has them" + (f"; assumed: {', '.join(assumed)}" if assumed else "")
-    others = [a.name for a in draft.arms if a is not draft.arm]
+    others = [a.name for a in draft.arms if a not in draft.chosen]
+    key = "arms" if draft.beside else "arm"
     return {
         "": f"Written by wbmpc new from {draft.mechanism.file.path.name}. Units: SI and radians. Check it with: wbmpc doctor FILE",
         "base": f"{draft.base}: {draft.proposal.reason}",
-        "arm": f"{draft.arm.length:.2f} m along {len(draft.arm.joints)} joints"
+        key: "; ".join(f"{a.name}: {a.length:.2f} m along {len(a.joints)} joints" for a in draft.chosen)
         + (f"; others: {', '.join(others)}" if others else ""),
         "fixed_joints": "held: joints that neither base nor arm moves",
         "home": f"best of random postures: end effector at x = {x:.2f}, z = {z:.2f} m{free}",
@@ -186,7 +191,11 @@ def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel) -> Iterato
 
     yield f"{path}: {robot.description.name}, {robot.state.size} states"
     yield f"  base: {draft.base} ({draft.proposal.reason})"
-    yield f"  arm: {', '.join(draft.arm.joints)}"
+    for arm in draft.chosen:
+        yield f"  arm{f' {arm.name}' if draft.beside else ''}: {', '.join(arm.joints)}"
+    others = [a.name for a in draft.arms if a not in draft.chosen and len(a.joints) >= len(draft.arm.joints) // 2]
+    if others:
+        yield f"  other arms: {', '.join(others)}; to use them: --arm {','.join([*(a.name for a in draft.chosen), *others])}"
     yield f"  end effector: {draft.tool}, at home {home.tool[2]:.2f} m high" + (
         "" if home.free is not False else "; shapes touch there"
     )

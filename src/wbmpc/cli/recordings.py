@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wbmpc.cli.directories import Force, new_directory, new_file, reject_existing, writable_directory
-from wbmpc.cli.terminal import printable
+from wbmpc.errors import printable
 from wbmpc.output_file import write_text
 
 if TYPE_CHECKING:

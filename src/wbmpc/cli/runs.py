@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wbmpc.cli.directories import Force, new_file
-from wbmpc.cli.terminal import console, printable
+from wbmpc.cli.terminal import console
 from wbmpc.cli.terminal import table as plain_table
+from wbmpc.errors import printable
 
 if TYPE_CHECKING:
     from wbmpc.run_index import Entry

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import TYPE_CHECKING, Any
 
+from wbmpc.errors import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -38,12 +40,6 @@ def terminated() -> bool:
     """Whether SIGTERM has come, for commands that end as wanted by Ctrl-C but not by SIGTERM."""
     handler = signal.getsignal(signal.SIGTERM)
     return isinstance(handler, Termination) and handler.came
-
-
-def printable(text: str) -> str:
-    """``text`` with what would steer a terminal (escape sequences, reversed writing, line feeds) written out: names in files come
-    from anybody."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class _Printable(logging.Formatter):

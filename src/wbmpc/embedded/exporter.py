@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from wbmpc.embedded.image import Image, check_exportable, make_image
-from wbmpc.embedded.interface import interface
+from wbmpc.embedded.interface import interface, public_names
+from wbmpc.embedded.prefix import check_prefix
 from wbmpc.embedded.texts import write_texts
 from wbmpc.errors import InputError, KernelError
 from wbmpc.kernel.codegen_target import Target, find_target, generating_for, register_width
@@ -44,17 +44,6 @@ ALLOWED = frozenset(
 )
 
 
-#: Of C and C++, as far as a prefix could be one.
-KEYWORDS = frozenset(
-    """alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl concept const const_cast consteval
-    constexpr constinit continue co_await co_return co_yield decltype default delete do double dynamic_cast else enum explicit export
-    extern false float for friend goto if inline int long mutable namespace new noexcept not not_eq nullptr operator or or_eq private
-    protected public register reinterpret_cast requires restrict return short signed sizeof static static_assert static_cast struct
-    switch template this thread_local throw true try typedef typeid typename typeof union unsigned using virtual void volatile wchar_t
-    while xor xor_eq main""".split()  # noqa: SIM905
-)
-
-
 @dataclass(frozen=True)
 class Export:
     """What :func:`export` wrote: the object file, what it defines and needs, and what it has room for."""
@@ -80,16 +69,13 @@ def export(
     The files: ``PREFIX.o`` and ``PREFIX.h``, ``example.c``, ``CMakeLists.txt``, ``README.md``. The object file has everything from
     observation to input: :meth:`MPC.update` and :class:`Policy`, weights, references and the mode schedule as they are in ``mpc``,
     and the trajectories of :meth:`MPC.reset` to start from. It allocates nothing and keeps its state in one block of the caller's.
-    All its symbols begin with ``prefix``. ``target``: "native", "x86-64-v3" or "aarch64". ``samples``: of each reference, and
-    events, that there is room for.
+    Its only symbols are the functions of the header, which begin with ``prefix``. ``target``: "native", "x86-64-v3" or
+    "aarch64". ``samples``: of each reference, and events, that there is room for.
 
     Raises :class:`InputError` for another target or prefix, and for an MPC of which a part runs in Python alone.
     """
+    check_prefix(prefix, public_names(prefix).values())
     check_exportable(mpc)
-    if not re.fullmatch("[a-z][a-z0-9_]*", prefix) or prefix in KEYWORDS:
-        raise InputError(
-            f"export: prefix '{prefix}': valid: a lower-case letter, then lower-case letters, digits and '_', no word of C or C++"
-        )
     if samples < 1:
         raise InputError(f"export: samples: a whole number from 1 on is needed, got {samples}")
     chosen, folder = find_target(target), Path(directory)
@@ -121,7 +107,7 @@ def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
     magic = int.from_bytes(
         hashlib.sha256(problem.encode() + image.words().tobytes()).digest()[:8], "little", signed=True
     )
-    return link([interface(image, prefix, magic, features), problem, *libraries], target, f"{prefix}_")
+    return link([interface(image, prefix, magic, features), problem, *libraries], target, public_names(prefix))
 
 
 def _features(target: Target, width: int) -> tuple[str, ...] | None:
@@ -136,8 +122,8 @@ def _features(target: Target, width: int) -> tuple[str, ...] | None:
 
 def _checked(code: bytes, prefix: str) -> Symbols:
     found = symbols(code)
-    foreign = [name for name in found.defined if not name.startswith(f"{prefix}_")]
+    foreign = set(found.defined) ^ set(public_names(prefix).values())
     unknown = [name for name in found.undefined if name not in ALLOWED]
     if foreign or unknown:
-        raise KernelError(f"export: the object file defines {foreign} and needs {unknown}")
+        raise KernelError(f"export: the object file defines {sorted(foreign)} and needs {unknown}")
     return found

@@ -18,6 +18,7 @@ from wbmpc.solver.memory_layout import BASE
 from wbmpc.solver.workspace import ADDRESSES
 
 _LLVM = {"double": "double", "int": "i32"}
+_PUBLIC = "public."
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,11 @@ def declaration(call: Call, prefix: str) -> str:
     return f"int {prefix}_{call.name}({text})"
 
 
+def public_names(prefix: str) -> dict[str, str]:
+    """Names of the functions in C, by those in the LLVM module."""
+    return {f"{_PUBLIC}{name}": f"{prefix}_{name}" for name in ("create", *(call.name for call in CALLS))}
+
+
 def interface(image: Image, prefix: str, magic: int, features: Sequence[str] | None) -> str:
     """The LLVM module. ``magic``: the first word of a block of this controller; ``features``: what of a processor of the x86 family
     is looked at (None: nothing)."""
@@ -125,7 +131,7 @@ def _declarations(prefix: str) -> list[str]:
 def _wrapper(call: Call, image: Image, prefix: str, magic: int) -> list[str]:
     parameters = [f"{_llvm_type(p)} %c.{p[2] if len(p) > 2 else _c_name(p)}" for p in call.parameters]
     given = {p.split("%c.")[1]: p for p in parameters}
-    lines = [f"define i32 @{prefix}_{call.name}({', '.join(['ptr %b', *parameters])}) nounwind {{", "%out = alloca i64"]
+    lines = [f"define i32 @{_PUBLIC}{call.name}({', '.join(['ptr %b', *parameters])}) nounwind {{", "%out = alloca i64"]
     lines += ["%magic = load i64, ptr %b", f"%own = icmp eq i64 %magic, {magic}"]
     lines += ["br i1 %own, label %go, label %no", "no:", f"ret i32 {Result.NOT_CREATED.value}", "go:"]
     offsets, passed = image.offsets(), []
@@ -161,7 +167,7 @@ def _create(image: Image, prefix: str, magic: int, size: int, features: Sequence
         f"define internal void @{prefix}.fill(ptr %b) nounwind noinline {{", "%out = alloca i64",
         f"call void @{controller_data.fill.signature.symbol}.entry(ptr %b, i64 {size}, ptr @{prefix}.runs, ptr @{prefix}.words,"
         f" i64 {runs.size // 2}, ptr %out)", "ret void", "}",
-        f"define i32 @{prefix}_create(ptr %b, i64 %size) nounwind{base} {{",
+        f"define i32 @{_PUBLIC}create(ptr %b, i64 %size) nounwind{base} {{",
         f"%whole = icmp eq i64 %size, {8 * size}", "br i1 %whole, label %align, label %small",
         "small:", f"ret i32 {Result.WRONG_SIZE.value}",
         "align:", "%address = ptrtoint ptr %b to i64", "%rest = and i64 %address, 63", "%good = icmp eq i64 %rest, 0",

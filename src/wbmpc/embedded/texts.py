@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -40,11 +41,21 @@ def _names(prefix: str, kind: str, names: Sequence[str], values: Iterable[int] |
     """An enumeration in C; names that C cannot have are spelled with underscores, and distinguished by their numbers."""
     if not names:
         return ""
-    spelled = [re.sub("[^A-Za-z0-9]", "_", name).upper() for name in names]
-    unique = [s if spelled.count(s) == 1 else f"{s}_{i}" for i, s in enumerate(spelled)]
+    unique = _unique([re.sub("[^A-Za-z0-9]", "_", name).upper() for name in names])
     numbers = list(range(len(names)) if values is None else values)
     lines = [f"    {prefix}_{kind}{name} = {i}" for name, i in zip(unique, numbers, strict=True)]
     return "enum {\n" + ",\n".join(lines) + "\n};\n"
+
+
+def _unique(spelled: Sequence[str]) -> list[str]:
+    """Those that are there once as they are; others with their numbers, and underscores where that is another's name."""
+    once, found = {s for s, count in Counter(spelled).items() if count == 1}, dict[str, None]()
+    for i, s in enumerate(spelled):
+        name = s if s in once else f"{s}_{i}"
+        while name in found or (name in once and name != s):
+            name += "_"
+        found[name] = None
+    return list(found)
 
 
 def _members(prefix: str, kind: str, members: type[IntEnum]) -> str:

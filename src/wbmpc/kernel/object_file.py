@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import llvmlite.binding as llvm
@@ -19,9 +19,9 @@ class Symbols(NamedTuple):
     undefined: list[str]
 
 
-def link(modules: Sequence[str | bytes], target: Target, prefix: str) -> bytes:
-    """Position-independent object code of LLVM modules (text, or bitcode that passes have gone through); what does not begin with
-    ``prefix`` is internal, and dropped if nothing uses it."""
+def link(modules: Sequence[str | bytes], target: Target, names: Mapping[str, str]) -> bytes:
+    """Position-independent object code of LLVM modules (text, or bitcode that passes have gone through). ``names``: of functions that
+    others can link with, by those in the modules; everything else is internal, and dropped if nothing uses it."""
     machine = machine_for(target, 1)
     parts = [parsed(module) for module in modules]
     for part in parts:
@@ -30,11 +30,16 @@ def link(modules: Sequence[str | bytes], target: Target, prefix: str) -> bytes:
     for part in parts[1:]:
         whole.link_in(part)
     for thing in (*whole.functions, *whole.global_variables):
-        if not thing.is_declaration and not thing.name.startswith(prefix):
-            thing.linkage = "internal"
+        if not thing.is_declaration and thing.name not in names:
+            thing.linkage, thing.name = (
+                "internal",
+                f"{thing.name}.internal",
+            )  # no name of theirs is in the way of a public one
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
     passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))
+    for name, public in names.items():
+        whole.get_function(name).name = public
     return bytes(machine.emit_object(whole))
 
 

@@ -201,20 +201,22 @@ class Obstacles:
         with self._lock:
             return tuple(sorted(self._obstacles))
 
-    def __contains__(self, name: str) -> bool:
+    def __contains__(self, name: object) -> bool:
         with self._lock:
-            return name in self._obstacles
+            return isinstance(name, str) and name in self._obstacles
 
     def __len__(self) -> int:
         with self._lock:
             return len(self._obstacles)
 
     def snapshot(self, t: float) -> Snapshot:
-        """What is there at time ``t`` [s]. Obstacles without a time are seen now; expired ones are dropped for good."""
+        """What is there at time ``t`` [s]. Obstacles without a time are seen now; expired ones are dropped for good. Raises
+        :class:`InputError` for what is no time."""
+        t = checks.absolute_time("obstacles", t)
         with self._lock:
             for name, obstacle in list(self._obstacles.items()):
                 if np.isnan(obstacle.seen):
-                    self._obstacles[name] = replace(obstacle, seen=float(t))
+                    self._obstacles[name] = replace(obstacle, seen=t)
                 elif t > obstacle.seen + obstacle.expire:
                     del self._obstacles[name]
             return Snapshot(tuple(self._obstacles[n] for n in sorted(self._obstacles)), dict(self._frames))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ START = 1.0 / 3.0
 @dataclass
 class Draft:
     """What is found in a model, and what is chosen of it: ``base``, a name of ``bases``, ``arm`` one of ``arms``, ``tool`` one of its frames;
-    ``answers`` to the base's questions, by key."""
+    ``beside``: further arms; ``answers`` to the base's questions, by key."""
 
     subject: Subject
     bases: dict[str, Proposal]
@@ -38,7 +38,25 @@ class Draft:
     arms: list[Arm]
     arm: Arm
     tool: str
+    beside: list[Arm] = field(default_factory=list)
     answers: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def chosen(self) -> list[Arm]:
+        """All chosen arms, the one with the robot's end effector first."""
+        return [self.arm, *self.beside]
+
+    @property
+    def torso(self) -> list[str]:
+        """Joints that carry all of several chosen arms."""
+        if not self.beside:
+            return []
+        return [name for name in self.arm.joints if all(name in a.joints for a in self.beside)]
+
+    @property
+    def joints(self) -> list[str]:
+        """Of all chosen arms, each once."""
+        return list(dict.fromkeys(name for arm in self.chosen for name in arm.joints))
 
     @property
     def mechanism(self) -> Mechanism:
@@ -51,11 +69,17 @@ class Draft:
         return self.bases[self.base]
 
     def choose_arm(self, name: str) -> None:
-        """By its name, or by that of its last joint. Raises :class:`InputError` listing the arms."""
+        """By its name, or by that of its last joint; several with commas between them. Raises :class:`InputError` listing the arms."""
+        found = [self._arm(part.strip()) for part in name.split(",")]
+        if len({a.name for a in found}) < len(found):
+            raise InputError(f"arm: every arm once, got '{name}'")
+        self.arm, self.tool, self.beside = found[0], found[0].tool, found[1:]
+
+    def _arm(self, name: str) -> Arm:
         found = next((a for a in self.arms if name in (a.name, a.joints[-1])), None)
         if found is None:
             raise unknown_name("arm", name, [a.name for a in self.arms])
-        self.arm, self.tool = found, found.tool
+        return found
 
     def choose_base(self, name: str) -> None:
         """A base type that can describe the model. Raises :class:`InputError` listing them."""
@@ -106,7 +130,7 @@ def body_of(draft: Draft) -> str:
 
 def held_joints(draft: Draft, body: str) -> dict[str, float]:
     """Joints below the base that neither base nor arm moves, with the values [rad or m] at which they are held."""
-    used = {*draft.arm.joints, *draft.proposal.joints}
+    used = {*draft.joints, *draft.proposal.joints}
     inside = [j for j in draft.mechanism.joints.values() if body in draft.mechanism.path(j.body)[:-1]]
     return {j.name: round(j.rest, 4) for j in inside if j.name not in used}
 
@@ -117,8 +141,15 @@ def home_of(draft: Draft, held: Mapping[str, float], height: float | None) -> Ho
     ground = min((float(w.center[2]) - (w.radius or 0.0) for w in draft.subject.driven), default=0.0)
     if height is None and moves:
         height = WORKING_HEIGHT
-    above = None if height is None else height + ground
-    return find_home(draft.mechanism, draft.arm.joints, draft.tool, dict(held), above, np.array([1.0, 0.0]))
+    above, ahead, held = None if height is None else height + ground, np.array([1.0, 0.0]), dict(held)
+    home = find_home(draft.mechanism, draft.arm.joints, draft.tool, held, above, ahead)
+    for arm in draft.beside:
+        held |= home.angles
+        own = tuple(n for n in arm.joints if n not in held)
+        other = find_home(draft.mechanism, own, arm.tool, held, above, ahead)
+        free = other.free if home.free in (None, True) else home.free
+        home = replace(home, angles=home.angles | other.angles, free=free)
+    return home
 
 
 def speed_of(joint: Joint) -> tuple[float, bool]:
@@ -136,7 +167,7 @@ def limits_of(draft: Draft) -> tuple[dict[str, float], list[str]]:
         given = joints[name].drive.velocity
         speeds[name] = draft.proposal.speed[name] if given is None else given
         assumed += [name] if given is None else []
-    for name in draft.arm.joints:
+    for name in draft.joints:
         speeds[name], known = speed_of(joints[name])
         assumed += [] if known else [name]
     return {n: round(v, 4) for n, v in speeds.items()}, assumed
@@ -144,7 +175,7 @@ def limits_of(draft: Draft) -> tuple[dict[str, float], list[str]]:
 
 def accelerations_of(draft: Draft, speeds: Mapping[str, float]) -> dict[str, float]:
     """By joint [rad/s² or m/s²]: the base type's, and an arm's by its speeds."""
-    return {**draft.proposal.acceleration, **{n: round(speeds[n] / START, 3) for n in draft.arm.joints}}
+    return {**draft.proposal.acceleration, **{n: round(speeds[n] / START, 3) for n in draft.joints}}
 
 
 def base_speed(draft: Draft) -> float | None:
@@ -172,12 +203,24 @@ def description_of(
         "packages": {name: relative(folder, out.parent) for name, folder in packages.items()},
         "xacro_arguments": dict(arguments),
         "base": {"type": draft.base, "body": body, **draft.proposal.section, **draft.answers},
-        "arm": {"joints": list(draft.arm.joints), "tool": draft.tool},
+        **arms_of(draft),
         "fixed_joints": held,
         "home": home.angles,
         "limits": {**limits, "velocity": speeds, "acceleration": accelerations_of(draft, speeds)},
     }
     return {key: value for key, value in data.items() if value != {}}, home
+
+
+def arms_of(draft: Draft) -> dict[str, Any]:
+    """The keys ``arm``, or ``torso`` and ``arms``, of the YAML."""
+    torso, tools = draft.torso, [draft.tool, *(a.tool for a in draft.beside)]
+    arms = {
+        arm.name: {"joints": [n for n in arm.joints if n not in torso], "tool": tool}
+        for arm, tool in zip(draft.chosen, tools, strict=True)
+    }
+    if not draft.beside:
+        return {"arm": arms[draft.arm.name]}
+    return {"torso": torso, "arms": arms} if torso else {"arms": arms}
 
 
 def robot_name(text: str) -> str:

@@ -24,6 +24,9 @@ from wbmpc.robots.xml_text import strict_parser, without_comments
 LARGEST, MAX_ELEMENTS, MAX_BODIES, DEEPEST, MAX_PIXELS = 16 * 1024 * 1024, 5_000, 500, 128, 16_000_000
 #: Elements that are beside the robot's bodies, which are taken out one by one: shapes and lights of the world, sensors, drives.
 MAX_BESIDE = 1_000
+#: Numbers and words of one attribute (a mesh or a field can stand in one), and of all; bytes of a mesh in a file of its own, which is
+#: also too much for a page in a browser. MuJoCo takes seconds for more.
+MAX_WORDS, MAX_ALL_WORDS, LARGEST_MESH = 100_000, 300_000, 5_000_000
 #: Joints that move: what is done for each takes time that grows with their number.
 MAX_JOINTS = 200
 _OF_WORLD, _LISTS = (
@@ -57,6 +60,7 @@ class _Count:
     beside: float = 0.0
     pixels: float = 0.0
     joints: float = 0.0
+    words: float = 0.0
     models: dict[str, Path] = field(default_factory=dict)
 
 
@@ -66,12 +70,8 @@ def check_size(path: Path, text: bytes | None = None) -> tuple[Path, ...]:
 
     Returns the file and those that it names, as far as they are there."""
     known, found = _walked(path, text), {path: None}
-    for where, beside, name in known.named:
-        for place in (folder / n for folder in (beside, *known.folders) for n in (name, name.rpartition("/")[2])):
-            if exists(place) and not (isfile(place) or isdir(place)):
-                raise InputError(f"{where}: '{place}' is no regular file")
-            if isfile(place):
-                found[place] = None
+    for named in known.named:
+        found |= dict.fromkeys(named.files(known.folders))
     for picture in found:
         width, height = _picture(picture)
         if width * height > MAX_PIXELS:
@@ -94,14 +94,43 @@ _KNOWN: dict[tuple[Path, Path, bytes | None], _Found] = {}
 _MOST_KNOWN = 16
 
 
+@dataclass(frozen=True)
+class _Named:
+    """A file that ``attribute`` of ``element`` names; ``beside``: the folder of the file that ``where`` begins with."""
+
+    where: str
+    element: str
+    attribute: str
+    beside: Path
+    name: str
+
+    def files(self, folders: set[Path]) -> list[Path]:
+        """Where it may be, in ``folders`` too. Raises :class:`InputError` for what cannot be read: a pipe, and in an MJCF a directory, or a
+        mesh that is too large; those of a URDF are left out."""
+        places = [folder / n for folder in (self.beside, *folders) for n in (self.name, self.name.rpartition("/")[2])]
+        for place in places:
+            if exists(place) and not (isfile(place) or isdir(place)):
+                raise InputError(f"{self.where}: '{place}' is no regular file")
+        found = [place for place in places if isfile(place)]
+        if self.attribute == "filename":
+            return found
+        if not found and self.name and (directory := next(filter(isdir, places), None)):
+            raise InputError(f"{self.where}: '{directory}' is a directory; a file is needed")
+        for place in found if self.element == "mesh" else ():
+            if (size := place.stat().st_size) > LARGEST_MESH:
+                raise InputError(
+                    f"{self.where}: '{place}' has {size} bytes; at most {LARGEST_MESH} are read: fewer faces are needed"
+                )
+        return found
+
+
 @dataclass
 class _Found:
-    """``states`` of the files that were read; ``folders`` in which files may be; ``named``: files by the element that names them and
-    the folder that it is in."""
+    """``states`` of the files that were read; ``folders`` in which files may be; ``named``: files that elements name."""
 
     states: dict[Path, tuple[int, int]]
     folders: set[Path]
-    named: list[tuple[str, Path, str]]
+    named: list[_Named]
 
 
 def _walked(path: Path, text: bytes | None) -> _Found:
@@ -128,11 +157,11 @@ def _state(file: Path) -> tuple[int, int]:
 class _Walk:
     """One file; ``done``: what other files ask for, ``above``: files that led here.
 
-    Fills in ``folders``, in which files may be, and ``named``: files by the element that names them and the folder that it is in.
+    Fills in ``folders``, in which files may be, and ``named``: files that elements name.
     """
 
     def __init__(
-        self, path: Path, done: dict[Path, _Count], above: tuple[Path, ...], folders: set[Path], named: list[tuple[str, Path, str]]
+        self, path: Path, done: dict[Path, _Count], above: tuple[Path, ...], folders: set[Path], named: list[_Named]
     ) -> None:  # fmt: skip
         self._path, self._done, self._above = path, done, (*above, path.resolve())
         self._folders, self._named = folders, named
@@ -178,13 +207,13 @@ class _Walk:
         moves = name in ("joint", "freejoint") and attributes.get("type") != "fixed" and not beside
         self._add(name, _Count(times, times * (name in _BODIES), times * beside, pixels, times * moves))
         for attribute, value in attributes.items():
+            self._count_words(name, attribute, value)
             self._check_number(name, attribute, value)
             if attribute in _FOLDERS:
                 self._folders.add(self._main / value)
             elif attribute.startswith("file"):
-                self._named.append(
-                    (f"{self._path}: line {self._parser.CurrentLineNumber}: <{name}>", self._path.parent, value)
-                )
+                where = f"{self._path}: line {self._parser.CurrentLineNumber}: <{name}>: '{attribute}'"
+                self._named.append(_Named(where, name, attribute, self._path.parent, value))
             maximum = _COUNTS.get((name, attribute))
             if maximum is not None and max(self._numbers(name, attributes[attribute]), default=0.0) > maximum:
                 self._fail(f"<{name}>: '{attribute}' has a number above {maximum:g}, the largest that is read")
@@ -194,6 +223,12 @@ class _Walk:
             self._count.models[attributes.get("name", "")] = self._found(attributes["file"])
         elif name == "attach" and (model := self._count.models.get(attributes.get("model", ""))) is not None:
             self._add_file(name, model, times)
+
+    def _count_words(self, name: str, attribute: str, value: str) -> None:
+        words = len(value.split())
+        if words > MAX_WORDS:
+            self._fail(f"<{name}>: '{attribute}' has {words} words; at most {MAX_WORDS} are read")
+        self._add(name, _Count(words=words))
 
     def _check_number(self, name: str, attribute: str, value: str) -> None:
         try:
@@ -221,13 +256,14 @@ class _Walk:
         count = self._count
         count.elements, count.bodies = count.elements + more.elements, count.bodies + more.bodies
         count.beside, count.pixels = count.beside + more.beside, count.pixels + more.pixels
-        count.joints += more.joints
+        count.joints, count.words = count.joints + more.joints, count.words + more.words
         for what, value, maximum in (
             ("bodies", count.bodies, MAX_BODIES),
             ("elements", count.elements, MAX_ELEMENTS),
             ("shapes, sensors and drives beside the bodies", count.beside, MAX_BESIDE),
             ("joints", count.joints, MAX_JOINTS),
             ("pixels of pictures and points of fields", count.pixels, MAX_PIXELS),
+            ("words of attributes", count.words, MAX_ALL_WORDS),
         ):
             if not value <= maximum:
                 self._fail(f"<{name}>: more than {maximum} {what}; at most so many are read")
@@ -252,5 +288,7 @@ class _Walk:
         if element == "include":
             self._count.models |= inside.models
         beside = 0.0 if self._in_body() else times * inside.beside
-        more = _Count(times * inside.elements, times * inside.bodies, beside, inside.pixels, times * inside.joints)
+        more = _Count(
+            times * inside.elements, times * inside.bodies, beside, inside.pixels, times * inside.joints, inside.words
+        )
         self._add(element, more)

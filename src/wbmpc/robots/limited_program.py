@@ -69,6 +69,7 @@ def compile_model(order: dict[str, Any]) -> dict[str, str]:
     import mujoco
 
     limit(order["processor"])
+    mujoco.set_mju_user_warning(lambda text: None)  # else it writes a file; the parent warns
     for whole in (True, False):
         try:
             if "text" in order:

@@ -237,7 +237,9 @@ def check_tools(subject: Subject) -> Iterator[Finding]:
 
 # ---------------------------------------------------------------------- wheels
 def check_steering(subject: Subject) -> Iterator[Finding]:
-    """Steering axes that point down, wheels beside their axes."""
+    """Steering axes that point down, wheels beside their axes, where the base type has none."""
+    if subject.description is not None and subject.description.base.describes_offsets:
+        return
     for wheel in subject.driven:
         if wheel.steer is None:
             continue
@@ -249,7 +251,7 @@ def check_steering(subject: Subject) -> Iterator[Finding]:
         if wheel.offset > BESIDE:
             yield Finding(
                 "warning", "", f"wheel '{wheel.joint}'", f"{1e3 * wheel.offset:.3g} mm beside its steering axis: it turns the base as it steers",
-                "a base type for such wheels is needed; those whose wheels stand under their axes reject it",
+                "base type wheels describes it; those whose wheels stand under their axes reject it",
             )  # fmt: skip
 
 

@@ -17,8 +17,9 @@ import numpy as np
 
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError
-from wbmpc.robots.file_limits import check_size
+from wbmpc.robots.file_limits import LARGEST_MESH, check_size
 from wbmpc.robots.limited_program import drop_missing_files
+from wbmpc.robots.mujoco_warnings import log_warnings
 from wbmpc.robots.packages import find_package, locate, package_of
 from wbmpc.robots.trial import try_model
 from wbmpc.robots.xacro_file import expand, has_macros
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 #: Meshes that MuJoCo reads.
 _MESHES = (".stl", ".obj", ".msh")
-#: Larger files [bytes] are too much for a page in a browser.
-_LARGEST_MESH = 5_000_000
 #: Ends of a joint's range [rad, degrees or m] that are none.
 _WIDEST_RANGE = 1e6
 #: Elements of a URDF that MuJoCo reads.
@@ -114,6 +113,7 @@ def parse(
     ``missing``; so are the meshes of a URDF unless ``meshes``. ``collision``: of each link of a URDF only what collides, meshes too, or
     what is seen where nothing of it collides. Raises :class:`InputError` naming the file."""
     missing = [] if missing is None else missing
+    log_warnings()
     if file.root is None:
         try_model(file.path, file.files)
     try:
@@ -195,7 +195,7 @@ def _kept(element: ElementTree.Element, file: ModelFile, meshes: bool) -> bool:
     if mesh is None:
         return True
     found = file.locate(mesh.get("filename", "")) if meshes else None
-    if found is None or found.suffix.lower() not in _MESHES or found.stat().st_size > _LARGEST_MESH:
+    if found is None or found.suffix.lower() not in _MESHES or found.stat().st_size > LARGEST_MESH:
         return False
     mesh.set("filename", str(found.resolve()))
     return True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Mapping
 
@@ -14,10 +13,10 @@ from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.checks import compiled
+from wbmpc.robots.mujoco_warnings import log_warnings
 from wbmpc.simulation.contacts import GROUND, Contacts, enable
 from wbmpc.simulation.speed_torque import SpeedTorque
 
-_LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
 #: Called before every physics step with (model, data): doors, terrain that moves, pushes of any kind.
 Hook = Callable[[mujoco.MjModel, mujoco.MjData], None]
@@ -126,8 +125,7 @@ class World:
         """The robot of a ``description`` with the scene of a ``spec``; ``joints``: those that are read; ``rated`` [rad/s]: speeds up to
         which drives give their whole torque, by actuator. Raises :class:`InputError` naming the robot's file where it cannot be
         simulated: a base without mass."""
-        # MuJoCo's warnings go to the log, not into a file in the working directory
-        mujoco.set_mju_user_warning(lambda text: _LOG.warning("MuJoCo: %s", text))
+        log_warnings()
         enable(spec, description.home, description.model)
         self.model: mujoco.MjModel = compiled(spec, description.model)
         self.data = mujoco.MjData(self.model)

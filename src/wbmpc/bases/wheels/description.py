@@ -26,6 +26,7 @@ class WheelsBaseDescription(PlanarBaseDescription):
     """``wheels``: the wheels; ``casters`` (x, y) [m] in the axes of the body: what else carries the robot in the simulator."""
 
     joint_key: ClassVar[str] = "wheels"
+    describes_offsets: ClassVar[bool] = True
 
     type: Literal["wheels"]
     wheels: tuple[WheelDescription, ...] = Field(min_length=1)  # type: ignore[assignment]

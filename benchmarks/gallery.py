@@ -1,0 +1,162 @@
+"""Public robots with default weights, kinematically: four paths of 5 m and jumps of the goal for each, without tuning.
+
+``python benchmarks/gallery.py [--robots NAME …] [--quick] [--out FILE.json]``. Robots of the package come from their own small files, others from the
+Python packages that provide their descriptions (``pip install example-robot-data hello-robot-stretch-urdf``): these are described by
+`wbmpc new --yes` first, and skipped where their package is not installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wbmpc.cli import main as wbmpc
+from wbmpc.errors import WbmpcError
+from wbmpc.experiment import run_scenario
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.ocp.scaling import reach
+from wbmpc.tasks import goals, track
+
+#: Robots of other people's designs in small files of the package.
+OWN = ("fetch", "ffw-sg2", "panda", "panda-omni", "pr2", "ridgeback-ur5", "tidybot", "ur5", "vega")
+#: Others: distribution, end of the model's path in it, options of `wbmpc new`.
+PACKAGED = {
+    "tiago": ("example-robot-data", "tiago_description/robots/tiago_no_hand.urdf", ()),
+    "tiago-dual": ("example-robot-data", "tiago_description/robots/tiago_dual.urdf", ("--arm", "left")),
+    "stretch": ("hello-robot-stretch-urdf", "SE3/stretch_description_SE3_eoa_wrist_dw3_tool_sg3.urdf", ()),
+}
+#: Goals: mean error of the end effector [m], error at a goal [m], median solve time [ms] of at most so many states.
+MEAN, AT_GOAL, SOLVE_MS, STATES = 2e-4, 5e-3, 0.5, 20
+#: Length [m] of a path; of the short form. Radius of a circle over the reach of a robot whose base stands.
+LENGTH, SHORT, RADIUS = 5.0, 0.3, 0.15
+HEAD = (
+    "robot", "states", "mean error on paths [mm]", "worst path", "jumps reached", "at the goal [mm]", "solve, median [ms]",
+    "solves without a plan", "note",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came out of one robot: mean errors [m] of paths, why runs failed, share of goals that were reached, the largest error [m] at
+    them, median solve time [ms], solves that gave no plan (the one before went on); ``skipped``: why nothing was run."""
+
+    robot: str
+    states: int = 0
+    errors: tuple[float, ...] = ()
+    failures: tuple[str, ...] = ()
+    reached: float = 0.0
+    at_goal: float = 0.0
+    solve_ms: float = 0.0
+    lost: int = 0
+    skipped: str = ""
+
+    @property
+    def missed(self) -> list[str]:
+        """Goals that it misses."""
+        found = [f"failed: {text}" for text in self.failures]
+        found += ["mean error"] if self.errors and np.mean(self.errors) > MEAN else []
+        found += ["jumps"] if self.reached < 1.0 or self.at_goal > AT_GOAL else []
+        return found + (["solve time"] if self.states <= STATES and self.solve_ms > SOLVE_MS else [])
+
+    def cells(self) -> list[str]:
+        """As a row of the table."""
+        if self.skipped:
+            return [self.robot, *["–"] * (len(HEAD) - 2), f"skipped: {self.skipped}"]
+        mean, worst = 1e3 * float(np.mean(self.errors)), 1e3 * max(self.errors)
+        return [
+            self.robot, str(self.states), f"{mean:.3f}", f"{worst:.3f}", f"{100 * self.reached:.0f} %",
+            f"{1e3 * self.at_goal:.2f}", f"{self.solve_ms:.2f}", str(self.lost), "; ".join(self.missed),
+        ]  # fmt: skip
+
+
+def packaged(name: str, folder: Path) -> Path:
+    """The robot file that `wbmpc new --yes` writes for a model of an installed package. Raises ``PackageNotFoundError`` without it."""
+    distribution, ending, options = PACKAGED[name]
+    model = next(f.locate() for f in files(distribution) or () if str(f).endswith(ending))
+    out = folder / f"{name}.yaml"
+    with contextlib.redirect_stdout(io.StringIO()):
+        if wbmpc(["new", str(model), "--yes", "--out", str(out), *options]):
+            raise WbmpcError(f"wbmpc new {model} failed")
+    return out
+
+
+def paths(robot: RobotModel, length: float) -> Iterator[dict[str, Any]]:
+    """Four of a length [m]: of a robot whose base stands, circles in its reach."""
+    if robot.description.base.moves:
+        yield {"kind": "line", "length": length, "direction": 0.7, "climb": 0.05 * length}
+        yield {"kind": "circle", "length": length}
+        yield {"kind": "circle", "length": length, "turn": True, "direction": 1.5}
+        yield {"kind": "sine", "length": length}
+        return
+    laps = max(1.0, length / (2.0 * np.pi * RADIUS * reach(robot)))
+    for vertical in (False, True):
+        for direction in (0.0, np.pi / 2.0):
+            yield {"kind": "circle", "length": length, "laps": laps, "vertical": vertical, "direction": direction}
+
+
+def examine(name: str, robot: str, quick: bool = False, seed: int = 1) -> Row:
+    """All paths and jumps of one robot (its name or file); ``quick``: a short path and one jump."""
+    model = load_robot(robot)
+    fixed = {"robot": robot, "physics": "kinematic"}
+    ways = list(paths(model, SHORT if quick else LENGTH))[: 1 if quick else None]
+    runs = [
+        run_scenario("path", track.build, track.TrackSettings.model_validate({**fixed, "path": p}), seed) for p in ways
+    ]
+    jumps = {"count": 1, "time_per_goal": 4.0, "distance": [0.3, 0.5]} if quick else {}
+    runs.append(run_scenario("jumps", goals.build, goals.GoalsSettings.model_validate({**fixed, **jumps}), seed))
+    tracked = [r.metrics["end_effector_error_mean"].value for r in runs[:-1]]
+    solved = [r.mpc for r in runs if r.mpc is not None]
+    return Row(
+        name, model.state.size, tuple(tracked), tuple(r.reason for r in runs if not r.completed), runs[-1].metrics["goals_reached"].value,
+        runs[-1].metrics["goal_error_max"].value, float(np.median([m.solve_ms["median"] for m in solved])), sum(m.failures for m in solved),
+    )  # fmt: skip
+
+
+def row(name: str, quick: bool) -> Row:
+    """One robot; skipped where its package is not installed."""
+    if name in OWN:
+        return examine(name, name, quick)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            file = packaged(name, Path(folder))
+        except PackageNotFoundError:
+            return Row(name, skipped=f"pip install {PACKAGED[name][0]}")
+        return examine(name, str(file), quick)
+
+
+def line(cells: Sequence[str]) -> str:
+    """A row of a Markdown table."""
+    return "| " + " | ".join(cells) + " |"
+
+
+def main() -> int:
+    """Print the table; 1 where a robot misses a goal."""
+    known = sorted([*OWN, *PACKAGED])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", nargs="+", choices=known, default=known)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    rows = []
+    print(line(HEAD), line(["---"] * len(HEAD)), sep="\n", flush=True)
+    for name in given.robots:
+        rows.append(row(name, given.quick))
+        print(line(rows[-1].cells()), flush=True)
+    if given.out is not None:
+        given.out.write_text(json.dumps([asdict(r) for r in rows], indent=1))
+    return int(any(r.missed for r in rows if not r.skipped))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""Public robots in small files of the package, and the command that runs them. Truth: figures that their makers publish; counts."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from effort import some
+from wbmpc.model.robot import load_robot
+from wbmpc.robots.doctor import examine_robot
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+import gallery
+
+HALF = np.pi / 2.0
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "tool"),
+    [
+        # the ready pose of Franka's own examples: O_T_EE of the hand
+        ("panda", [0.0, -HALF / 2, 0.0, -3 * HALF / 2, 0.0, HALF, HALF / 2], (0.3069, 0.0, 0.4869)),
+        # the data sheet's lengths: 0.425 + 0.39225, 0.10915 + 0.0823, 0.089159 - 0.09465
+        ("ur5", [0.0] * 6, (0.81725, 0.19145, -0.00549)),
+    ],
+)
+def test_end_effectors_of_arms_are_where_their_makers_have_them(
+    name: str, joints: list[float], tool: tuple[float, ...]
+) -> None:
+    np.testing.assert_allclose(load_robot(name).pose(joints)[0], tool, atol=2e-4)
+
+
+@pytest.mark.parametrize("name", gallery.OWN)
+def test_the_doctor_finds_no_error_and_files_name_their_source(name: str) -> None:
+    result = examine_robot(name)
+    assert result.count("error") == 0, result.findings
+    text = load_robot(name).description.model.read_text()
+    assert "licence" in text and "mesh" not in text
+
+
+@pytest.mark.parametrize("name", some(gallery.OWN, [3]))
+def test_a_robot_follows_a_path_and_reaches_a_goal_with_default_weights(name: str) -> None:
+    row = gallery.examine(name, name, quick=True)
+    assert row.failures == () and row.reached == 1.0 and row.at_goal < gallery.AT_GOAL
+    assert len(row.errors) == 1 and row.errors[0] < gallery.MEAN
+
+
+def test_a_robot_whose_package_is_not_installed_is_skipped(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(gallery.PACKAGED, "tiago", ("no-such-distribution", "tiago.urdf", ()))
+    monkeypatch.setattr(sys, "argv", ["gallery.py", "--robots", "tiago"])
+    assert gallery.main() == 0
+    assert "| skipped: pip install no-such-distribution |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["panda", "panda-omni"])
+def test_paths_are_as_long_as_they_are_to_be(name: str) -> None:
+    """By sums over their points; those of an arm that stands are in its reach."""
+    from wbmpc.tasks.track import TrackSettings
+
+    robot = load_robot(name)
+    position, quaternion = robot.pose(robot.home)
+    for path in gallery.paths(robot, 5.0):
+        points = (
+            TrackSettings.model_validate({"robot": name, "path": path}).path.curve(robot, position, quaternion).points
+        )
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        assert 4.99 < length < 6.0
+        assert robot.description.base.moves or np.ptp(points, axis=0).max() < 0.6
