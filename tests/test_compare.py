@@ -35,6 +35,17 @@ def test_metrics_and_settings(runs: list[dict], capsys: pytest.CaptureFixture[st
     assert data["settings"] == {"seed": [1, 2], "mpc.rate": [50.0, 80.0]}
 
 
+def test_outcomes_lead_the_table(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
+    assert main(["run", "fake", "--set", "fall_at=1.0", "--out", "fallen", "--json"], REGISTRY) != 0
+    outcome = json.loads(capsys.readouterr().out)["outcome"]
+    assert outcome != "completed"
+    assert main(["compare", "a", "fallen", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["outcomes"] == ["completed", outcome]
+    assert main(["compare", "a", "fallen", "--out", "page.html"]) == 0
+    row = next(line for line in capsys.readouterr().out.splitlines() if "outcome" in line)
+    assert "completed" in row and outcome in row
+
+
 def test_any_number_of_runs(runs: list[dict], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
     assert main(["run", "fake", "--seed", "3", "--out", "c", "--json"], REGISTRY) == 0
     runs.append(json.loads(capsys.readouterr().out))

@@ -90,6 +90,7 @@ def _recorded(path: Path) -> Run:
         "seed": int(seed) if seed.strip("-") else None,
         "settings": settings,
         "metrics": metrics,
+        "outcome": result.get("outcome"),
     }
     note = f"did not complete: {result['reason']}" if result.get("reason") else ""
     if not metrics:
@@ -127,6 +128,11 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
         unit = max(m["unit"] for m in found if m)  # a recording alone knows none
         rows.append({"metric": name, "unit": unit, "values": values, "change": change, "spread": spread})
     return rows
+
+
+def outcomes(runs: list[dict[str, Any]]) -> list[str | None]:
+    """How each run ended; None where its files do not say it."""
+    return [run.get("outcome") for run in runs]
 
 
 def experiments(runs: list[dict[str, Any]]) -> str:

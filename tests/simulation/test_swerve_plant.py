@@ -242,6 +242,24 @@ def test_drives_follow_with_their_lag_and_stop():
     assert np.abs(p.data.qvel).max() < 1e-3
 
 
+def test_a_wheel_that_slides_carries_what_it_carries_at_rest():
+    """Friction and drive forces lie in the floor and balance each other at constant speed: they shift no load. Statics alone."""
+    fixed = load_robot("swerve-fixed-ur10")
+    geometry, start = fixed.base.geometry, fixed.state.split(fixed.home)
+    ahead = rolling_inverse_kinematics(geometry, np.zeros(4), start["steer"], np.array([0.15, 0.0, 0.0]))[0]
+    ahead[1] += 0.5 * np.pi * (1.0 if ahead[1] < 0.0 else -1.0)  # one wheel across the way, which does not turn
+    p = SwervePlant(fixed.description, start | {"steer": ahead}, NONE)
+    at_rest(p, 0.1)
+    rest = p.truth().wheel_force
+    _, wheel = rolling_inverse_kinematics(geometry, np.zeros(4), ahead, np.array([0.15, 0.0, 0.0]))
+    wheel[1], loads = 0.0, []
+    for k in range(320):
+        p.step(SwerveCommand(wheel * min(k / 120, 1.0), np.zeros(4), np.zeros(6), np.zeros(0)), 5)
+        loads += [p.truth().wheel_force] if k > 200 else []
+    assert p.truth().slip[1] > 0.12  # it slides
+    assert np.abs(np.array(loads) - rest).max() < 0.15 * rest.min()
+
+
 def test_drives_clip_at_their_limits():
     p = plant(lift=0.5, settle=0.0)
     p.step(SwerveCommand(np.full(4, 99.0), np.full(4, -99.0), np.full(6, 99.0), np.zeros(4)), 1)

@@ -47,6 +47,15 @@ def test_the_bases_really_move(result) -> None:  # type: ignore[no-untyped-def]
         assert np.abs(np.diff(steer, axis=0)).max() < 0.2  # turned, not jumped
 
 
+def test_a_base_whose_reference_rests_holds_still_in_the_world(result) -> None:  # type: ignore[no-untyped-def]
+    """By the physics, whatever the odometry says: before the start, and in the last second."""
+    for name in ("mpc", "ik"):
+        t, pose = result.log.times(f"base_{name}"), result.log.array(f"base_{name}")
+        for rest in (t < 0.7, t > t[-1] - 1.0):
+            assert rest.sum() > 50
+            assert np.ptp(pose[rest, :2], axis=0).max() < 5e-4 and np.ptp(pose[rest, 2]) < 1e-3
+
+
 def test_the_figures_are_those_of_the_record(result) -> None:  # type: ignore[no-untyped-def]
     """Truth: the sideways motion integrated from its twist by hand, 0.4 m/s with ramps of 1 s from 1 to 4.5 s, against where the base
     was in the world, and against where the odometry had it."""

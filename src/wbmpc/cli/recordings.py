@@ -128,7 +128,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare runs: their metrics in a table, their signals over each other in a page."""
-    from wbmpc.compare import differences, experiments, load_all, overlay, table, wheels
+    from wbmpc.compare import differences, experiments, load_all, outcomes, overlay, table, wheels
     from wbmpc.report import plots_page
 
     out = new_file("--out", out, Path("compare.html"), force)
@@ -147,11 +147,12 @@ def compare(
     plots = overlay(runs, names, wheels(figures[0]))
     write_text(out, plots_page(" and ".join(names), about, plots))
     if as_json:
-        output = {"runs": [str(path) for path in paths], "metrics": rows, "settings": changed, "notes": notes}
+        output = {"runs": [str(path) for path in paths], "outcomes": outcomes(figures), "metrics": rows}
+        output |= {"settings": changed, "notes": notes}
         typer.echo(json.dumps({**output, "page": str(out)}))
         return
     if rows:
-        _compare_table(rows, names)
+        _compare_table(rows, names, outcomes(figures))
     _print_differences(figures, changed)
     for note in notes:
         typer.echo(printable(note))
@@ -170,7 +171,7 @@ def _print_differences(figures: list[dict[str, Any]], changed: dict[str, list[An
         typer.echo(f"{left} {'more ' if shown else ''}settings differ: --json names them")
 
 
-def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
+def _compare_table(rows: list[dict[str, Any]], names: list[str], ended: list[str | None]) -> None:
     from wbmpc.cli.terminal import console, table
     from wbmpc.units import scale
 
@@ -180,6 +181,7 @@ def _compare_table(rows: list[dict[str, Any]], names: list[str]) -> None:
     last = "change" if len(names) == 2 else "spread"
     for column in (*map(printable, names), last):
         shown.add_column(column, justify="right", no_wrap=True)
+    shown.add_row("outcome", "", *(printable(end or "") for end in ended), "")
     for row in rows:
         unit = scale(row["unit"], *row["values"])
         change = "" if row["change"] is None else f"{100 * row['change']:+.1f} %"

@@ -14,15 +14,41 @@ import mujoco
 import numpy as np
 
 from wbmpc.simulation.arm import ArmPlant
+from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.payloads import add_body_payload, incline
 from wbmpc.simulation.world import Array, Edit, add_floor, add_light, free_body, set_options
 
 #: Contact softness of the tyres (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
 TYRE = [0.01, 1.0]
+#: The same for tyres that slide (:func:`let_tyres_slide`): stiffness [1/s²] and damping [1/s] over the apparent mass, decay [1/s] of what
+#: creeps, impedance, and ratio of friction's impedance to it. Stiffness and creep under a load are those of :data:`TYRE`.
+SLIDING_STIFFNESS, SLIDING_DAMPING, CREEP_DECAY, SLIDING_IMPEDANCE, SLIDING_RATIO = 9e4, 200.0, 222.0, 0.01, 1e4
 #: Gain [N m s/rad] of the wheels' servos.
 WHEEL_GAIN = 100.0
 #: Interval [s] that sets the noise of the inertial unit's first sample.
 _IMU_INTERVAL = 0.0025
+
+
+def let_tyres_slide(spec: mujoco.MjSpec, tyres: list[str]) -> None:
+    """Contacts of the geoms ``tyres`` with all that they roll on, in place, whose load does not depend on how fast they slide.
+
+    MuJoCo's friction cone pushes surfaces apart that slide on each other, by impedance × friction × decay × speed: with usual settings a
+    wheel that turns about at 0.1 m/s would lift its corner of a base on four wheels. A small impedance makes that force small; a stiffer
+    spring and friction of a higher ratio keep everything else.
+    """
+    impedance = SLIDING_IMPEDANCE
+    spec.option.impratio = SLIDING_RATIO
+    ground = [g for g in spec.geoms if g.contype == FLOOR]
+    for k, geom in enumerate(ground):
+        geom.name = geom.name or f"wbmpc_ground_{k}"
+    for tyre in (spec.geom(name) for name in tyres):
+        for geom in ground:
+            slide, spin, roll = np.maximum(geom.friction, tyre.friction)
+            spec.add_pair(
+                geomname1=geom.name, geomname2=tyre.name, condim=3, friction=[slide, slide, spin, roll, roll],
+                solref=[-SLIDING_STIFFNESS, -SLIDING_DAMPING], solreffriction=[-1.0, -CREEP_DECAY * impedance],
+                solimp=[impedance, impedance, 0.001, 0.5, 2.0],
+            )  # fmt: skip
 
 
 class WheeledPlant(ArmPlant):

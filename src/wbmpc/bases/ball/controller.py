@@ -11,6 +11,7 @@ import numpy as np
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.load_step import LoadStep
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
@@ -62,6 +63,7 @@ class BallController:
         self.payload = (
             PayloadEstimator(robot.base.numeric.tool_weight) if observer and "payload" in robot.parameters else None
         )
+        self.load_step = LoadStep()
         self.shoves: PushEstimator | None = None
         self.lean_control: LeanControl | None = None
         self.measured: BallMeasurement | None = None
@@ -172,10 +174,21 @@ class BallController:
         assert observer is not None
         force = self._finite(observer.update(t, x, self.sent.acted(self._late()), h))
         if self.payload is not None:
-            force = observer.force = self.payload.update(x[:n], force, observer.learning * h)
+            force = observer.force = self._weigh(self.payload, x[:n], force, h)
         self.disturbance = force
         if self.lean_control is not None:
             self.lean_control.check(t, self.disturbance, x)
+
+    def _weigh(self, payload: PayloadEstimator, q: np.ndarray, force: np.ndarray, h: float) -> np.ndarray:
+        """The disturbance (nq) without what became mass: at once where a load comes or goes, else as it is learnt."""
+        observer, weight = self.observer, payload.weight(q)
+        assert observer is not None
+        if payload.by_arm(weight):
+            moved = observer.velocity, observer.acceleration, observer.mass(q)
+            step = self.load_step.update(*moved, force, weight, observer.learning, h)
+            if self.load_step.changing:
+                return payload.change(*step, weight, force)
+        return payload.update(q, force, observer.learning * h)
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
         if not all(map(math.isfinite, disturbance.tolist())):

@@ -60,13 +60,21 @@ class PayloadEstimator:
         n = np.size(q)
         q, force = numbers("payload estimator", "q", q, n), numbers("payload estimator", "force", force, n)
         weight = self.weight(q)
+        if not self.by_arm(weight):
+            return force
+        scaled = weight / self._square
+        return self.change(h * self.rate * float(scaled @ force) / float(scaled @ weight), 1.0, weight, force)
+
+    def by_arm(self, weight: Array) -> bool:
+        """Whether the arm observes a mass whose weight of 1 kg is ``weight`` (nq), by itself and better than the base."""
+        n = weight.size
         if self._square.size != n:
             self._square = np.array([self.spread[0]] * 5 + [self.spread[1]] * (n - 5)) ** 2
-        scaled = weight / self._square
-        known, by_arm = float(scaled @ weight), float(scaled[5:] @ weight[5:])
-        if by_arm < max(0.5 * known, self.sure**-2):
-            return force
+        each = weight**2 / self._square
+        return bool(each[5:].sum() >= max(0.5 * each.sum(), self.sure**-2))
+
+    def change(self, by: float, known: float, weight: Array, force: Array) -> Array:
+        """Change the mass ``by`` [kg]; the disturbance ``force`` (nq), which had the ``known`` share of it, without that."""
         previous = self.mass
-        step = h * self.rate * float(scaled @ force) / known
-        self.mass = min(max(previous + step, 0.0), self.maximum)
-        return force - (self.mass - previous) * weight
+        self.mass = min(max(previous + by, 0.0), self.maximum)
+        return np.asarray(force - known * (self.mass - previous) * weight)

@@ -87,7 +87,8 @@ class SwerveEstimator:
         self.wheels_alone.advance(sample)
         if self._odd is not None:
             turn = None if turning is None else (turning - self.odometry.gyro_bias) * h
-            self._odd.update(h, sample[0], turn)
+            known = None if self._side_slip is None else self._side_slip.left > 0.0
+            self._odd.update(h, sample[0], turn, known)
         self.odometry.advance(m.time, sample, turning, weights=self._weights())
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
@@ -100,15 +101,17 @@ class SwerveEstimator:
 
     def _weights(self) -> Array | None:
         """Weights (n) of the wheels in the odometry; None: all count in full."""
-        left = [0.0] * self.robot.base.geometry.modules
-        if self._odd is not None:
-            left = self._odd.odd.tolist()
+        known = [False] * self.robot.base.geometry.modules
         if self._side_slip is not None:
-            left = [max(pair) for pair in zip(left, self._side_slip.left.tolist(), strict=True)]
-        # one sound wheel alone does not determine the motion
-        if not any(left) or left.count(0.0) < 2:
-            return None
-        return np.where(np.array(left) > 0.0, SLIP_WEIGHT, 1.0)
+            known = [left > 0.0 for left in self._side_slip.left.tolist()]
+        odd = known
+        if self._odd is not None:
+            odd = [k or left > 0.0 for k, left in zip(known, self._odd.odd.tolist(), strict=True)]
+        # one sound wheel alone does not determine the motion: then what is known counts, if that leaves two
+        for slips in (odd, known):
+            if any(slips) and slips.count(False) > 1:
+                return np.where(slips, SLIP_WEIGHT, 1.0)
+        return None
 
     def _smooth(self, smoothing: Smoothing, h: float) -> None:
         """Positions of the base and of the arm at the moment of the message."""

@@ -26,7 +26,7 @@ from wbmpc.simulation.arm import span
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localisation
 from wbmpc.simulation.perturbation import Perturbation, clipped
-from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
+from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant, let_tyres_slide
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
@@ -129,6 +129,7 @@ class SwervePlant(WheeledPlant):
             self._servo(spec, module.wheel, WHEEL_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
             self._servo(spec, module.steer, WHEEL_GAIN, STEER_TORQUE, draw.steer_lag[i])
         self.finish(spec, edit)
+        let_tyres_slide(spec, [f"contact_{m.wheel}" for m in self.base.modules])
 
     def _servo(self, spec: mujoco.MjSpec, joint: str, gain: float, limit: float, lag: float) -> None:
         add_drive(spec, joint, joint, mujoco.mjtTrn.mjTRN_JOINT, limit, lag, gain)

@@ -1,4 +1,4 @@
-"""Wheels of a swerve base that slip sideways while they turn about under a plan that lets them (``allow_side_slip``)."""
+"""Wheels of a swerve base of which the controller knows that they slip sideways: they turn about while the base goes on."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import wheel_velocities
 
-#: Sideways speed [m/s] at which a plan lets a wheel slip; for how long [s] after it the wheel does (drives lag).
+#: Sideways speed [m/s] at which a wheel slips; for how long [s] after it the wheel does (drives lag).
 SLIPS_AT, SLIPS_FOR = 0.02, 0.1
 
 
 class SideSlip:
-    """Which wheels slip sideways under a plan with flips: ``left`` (n) [s], for how long each still does. ``period`` [s] of
-    :meth:`update`."""
+    """Which wheels slip sideways, under a plan with flips (:meth:`update`) or where a controller says so (:meth:`announce`), one of them
+    every ``period`` [s]: ``left`` (n) [s], for how long each still does."""
 
     def __init__(self, robot: RobotModel, period: float) -> None:
         self._geometry, self._input, self._period = robot.base.geometry, robot.input, period
@@ -25,4 +25,8 @@ class SideSlip:
         v = wheel_velocities(geometry, leg, u[inputs["base"]], u[inputs["leg"]] if "leg" in inputs else 0.0)
         heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
         side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
+        self.announce(side)
+
+    def announce(self, side: np.ndarray) -> None:
+        """Wheels (n) that slip sideways at ``side`` (n) [m/s] for a period."""
         self.left = np.where(np.abs(side) > SLIPS_AT, SLIPS_FOR, np.maximum(self.left - self._period, 0.0))

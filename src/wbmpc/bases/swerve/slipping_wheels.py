@@ -39,21 +39,23 @@ class SlippingWheels:
         }  # fmt: skip
         self._contradict = bind(contradict, arrays, backend, n=n, over=OVER, threshold=CONTRADICTS)
 
-    def update(self, h: float, leg: Array, turn: float | None) -> None:
-        """After the last update of the ``wheels``, over h [s]; ``leg`` (n) [rad]; ``turn`` [rad]: the gyro's over it."""
+    def update(self, h: float, leg: Array, turn: float | None, known: NDArray[np.bool_] | None = None) -> None:
+        """After the last update of the ``wheels``, over h [s]; ``leg`` (n) [rad]; ``turn`` [rad]: the gyro's over it; ``known`` (n): wheels
+        that slip, as the controller says, and have no say about the others."""
         self._leg[:] = leg
         if self._contradict(h, 0.0 if turn is None else turn, turn is not None):
-            self.odd[self._find(self._geometry.steer_axes(leg), turn is not None)] = HOLD
+            silent = np.zeros(len(leg), bool) if known is None else known
+            self.odd[self._find(self._geometry.steer_axes(leg), turn is not None, silent)] = HOLD
 
-    def _find(self, axes: Array, gyro: bool) -> Array:
+    def _find(self, axes: Array, gyro: bool, known: NDArray[np.bool_]) -> Array:
         """Which wheels (n) bool contradict the others; none where no two agree."""
         n, velocity = len(axes), self._velocity.reshape(-1, 2)
         if not gyro:
             i, share = odd_one_out(self._contradiction.reshape(-1, 2), axes)
             return (np.arange(n) == i) & (share > SHARE) & (n >= FEWEST)
         apart = np.linalg.norm(velocity[:, None] - velocity[None], axis=2)
-        near = apart < NEAR
+        near = (apart < NEAR) & ~known & ~known[:, None]
         count = near.sum(axis=1)
-        spread = np.where(near, apart, 0.0).sum(axis=1) / count
+        spread = np.where(near, apart, 0.0).sum(axis=1) / np.maximum(count, 1)
         best = np.lexsort((spread, -count))[0]
         return ~near[best] & (count[best] > 1)

@@ -56,7 +56,7 @@ class AccurateSettings(RezeroSettings):
     expected_push_time: float = Field(0.0, ge=0, le=1.0)
     cost: RezeroCost = RezeroCost(
         end_effector=EndEffectorCost(weight=1000.0, orientation=2.0, roll=0.0),
-        body=BodyCost(ball=150.0, yaw=20.0),
+        body=BodyCost(ball=400.0, yaw=20.0),
         lean=0.6,
     )
     baseline: BaselineSettings = ACCURATE_BASELINES

@@ -18,6 +18,7 @@ from wbmpc.bases.swerve.brake_supervision import Brakes, SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.checks import not_negative
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
@@ -66,7 +67,10 @@ class RollingController(SwerveController):
         brakes: Brakes | None = None, *, estimation: EstimatorSettings | None = None,
         supervision: SupervisionSettings | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(robot, pose, period, brakes, estimation=estimation, supervision=supervision)
+        announces = TrackingSettings(allow_side_slip=True)
+        super().__init__(
+            robot, pose, period, brakes, tracking=announces, estimation=estimation, supervision=supervision
+        )
         self.goals, self.gains = goals, gains or RollingGains()
         self._waiting: deque[SwerveCommand] = deque(maxlen=round(self.gains.delay / period) + 1)
 
@@ -94,6 +98,8 @@ class RollingController(SwerveController):
         limit = self.robot.limits.actuator_upper
         wheel = scale_wheels(wheel, float(limit[self.robot.input["wheel"]].min()))
         wheel = wheel * float(np.cos(np.minimum(np.abs(target - measured), 0.5 * np.pi)).min())
+        if self.tracking.side_slip is not None:
+            self.tracking.side_slip.announce(wheel * geometry.wheel_radius * np.sin(target - measured))
         steer_limit = limit[self.robot.input["steer"]]
         steer = np.clip(self.gains.steer_gain * (target - measured), -steer_limit, steer_limit)
         self.watch(t, brake, swing)
