@@ -252,7 +252,7 @@ def _short(values: np.ndarray) -> list[float | None]:
     return [float(f"{v:.6g}") if math.isfinite(v) else None for v in values]
 
 
-def _template() -> dict[str, Any]:
+def template() -> dict[str, Any]:
     """Plots on the page's own ground, with inks that are seen on light and dark."""
     axis = {"gridcolor": _GRID, "zerolinecolor": _GRID, "linecolor": _GRID, "automargin": True}
     layout = {"xaxis": axis, "yaxis": axis, "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)"}
@@ -304,7 +304,7 @@ def _layout(plot: Plot) -> dict[str, Any]:
     axis = lambda label: {"title": {"text": html.escape(label)}}
     layout: dict[str, Any] = {
         "xaxis": axis(plot.x_label), "yaxis": axis(plot.y_label),
-        "template": _template(), "height": 320 + 20 * _legend_rows([line.name for line in plot.series]),
+        "template": template(), "height": 320 + 20 * _legend_rows([line.name for line in plot.series]),
         "margin": {"l": 60, "r": 16, "t": 36, "b": 88},
         "legend": {"orientation": "h", "y": -0.25, "yanchor": "top"},
         "font": {"family": "system-ui, sans-serif", "size": 12},
