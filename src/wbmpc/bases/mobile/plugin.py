@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
     Array = NDArray[np.float64]
 
@@ -116,11 +117,13 @@ class MobileBaseType(PlanarBaseType):
         twist = np.eye(3) if base.drive == "omni" else one
         return MobileBase(description, read_tree(spec, base.body), base.height, names, twist)
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> MobilePlant:
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> MobilePlant:
         """The simulated robot at home."""
         from wbmpc.bases.mobile.plant import MobilePlant
 
-        return MobilePlant(robot, perturbation=perturbation, seed=seed)
+        return MobilePlant(robot, perturbation=perturbation, seed=seed, edit=edit)
 
     # nobody knows its drives: what its driver takes and says on a bus is not described
     ros_settings, ros, ros_plant = BaseType.ros_settings, BaseType.ros, BaseType.ros_plant

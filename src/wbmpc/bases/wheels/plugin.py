@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
 #: Steering rate [rad/s] and acceleration [rad/s²] where a file has no limit.
 STEER_RATE, STEER_ACCELERATION = 5.0, 60.0
@@ -61,11 +62,13 @@ class WheelsBaseType(PlanarBaseType):
         """The kinematic model."""
         return WheelsBase(description, *self.read(description, spec))
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> WheelsPlant:
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> WheelsPlant:
         """The simulated robot at home."""
         from wbmpc.bases.wheels.plant import WheelsPlant
 
-        return WheelsPlant(robot, perturbation=perturbation, seed=seed)
+        return WheelsPlant(robot, perturbation=perturbation, seed=seed, edit=edit)
 
     def controller(self) -> type[WheelsController]:
         """Of wheels that steer."""
