@@ -16,13 +16,13 @@ GEOMETRY = load_robot("swerve-fixed-ur10").base.geometry
 H, ZEROS = 0.0025, np.zeros(4)
 
 
-def found(speeds: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
-    """Which wheels are odd after 0.1 s in which all point along one axis and roll at ``speeds`` (4) [m/s]; the gyro sees no turn."""
+def found(speeds: np.ndarray, known: np.ndarray | None = None, turn: float | None = 0.0) -> np.ndarray:
+    """Which wheels are odd after 0.1 s in which all point along one axis and roll at ``speeds`` (4) [m/s]; a gyro sees no turn."""
     steer = -GEOMETRY.wheel_heading - GEOMETRY.leg_angles(ZEROS)
     wheels, slipping, angle = WheelOdometry(GEOMETRY), SlippingWheels(GEOMETRY), np.zeros(4)
     for _ in range(40):
         wheels.update(ZEROS, steer, angle)
-        slipping.update(H, wheels, ZEROS, 0.0, known)
+        slipping.update(H, wheels, ZEROS, turn, known)
         angle = angle + speeds * H / GEOMETRY.wheel_radius
     return slipping.odd > 0.0
 
@@ -30,6 +30,12 @@ def found(speeds: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
 def test_most_wheels_are_right() -> None:
     assert found(np.array([0.2, 0.2, 0.2, 0.4])).tolist() == [False, False, False, True]
     assert not found(np.full(4, 0.2)).any()
+
+
+def test_without_a_gyro_one_wheel_is_found_and_of_two_none() -> None:
+    assert found(np.array([0.2, 0.2, 0.2, 0.4]), turn=None).tolist() == [False, False, False, True]
+    assert not found(np.array([0.2, 0.4, 0.2, 0.4]), turn=None).any()
+    assert not found(np.array([0.2, 0.3, 0.1, 0.4]), turn=None).any()
 
 
 def test_a_wheel_that_is_known_to_slip_has_no_say() -> None:
