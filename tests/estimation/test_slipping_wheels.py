@@ -19,10 +19,11 @@ H, ZEROS = 0.0025, np.zeros(4)
 def found(speeds: np.ndarray, known: np.ndarray | None = None, turn: float | None = 0.0) -> np.ndarray:
     """Which wheels are odd after 0.1 s in which all point along one axis and roll at ``speeds`` (4) [m/s]; a gyro sees no turn."""
     steer = -GEOMETRY.wheel_heading - GEOMETRY.leg_angles(ZEROS)
-    wheels, slipping, angle = WheelOdometry(GEOMETRY), SlippingWheels(GEOMETRY), np.zeros(4)
+    wheels, angle = WheelOdometry(GEOMETRY), np.zeros(4)
+    slipping = SlippingWheels(GEOMETRY, wheels)
     for _ in range(40):
         wheels.update(ZEROS, steer, angle)
-        slipping.update(H, wheels, ZEROS, turn, known)
+        slipping.update(H, ZEROS, turn, known)
         angle = angle + speeds * H / GEOMETRY.wheel_radius
     return slipping.odd > 0.0
 
@@ -52,7 +53,7 @@ def test_what_is_known_counts_where_too_few_wheels_agree() -> None:
     estimator, announced = controller.estimator, controller.tracking.side_slip
     assert announced is not None and estimator._odd is not None and estimator._weights() is None
     announced.announce(np.array([0.0, 0.1, 0.0, 0.0]))
-    estimator._odd.odd = np.array([0.1, 0.0, 0.0, 0.1])
+    estimator._odd.odd[:] = np.array([0.1, 0.0, 0.0, 0.1])
     assert estimator._weights() == pytest.approx([1.0, SLIP_WEIGHT, 1.0, 1.0])
-    estimator._odd.odd = np.array([0.1, 0.0, 0.0, 0.0])
+    estimator._odd.odd[:] = np.array([0.1, 0.0, 0.0, 0.0])
     assert estimator._weights() == pytest.approx([SLIP_WEIGHT, SLIP_WEIGHT, 1.0, 1.0])
