@@ -1,7 +1,7 @@
 # make demo   sets up everything and runs the two main experiments
 # make test   sets up everything and runs the tests
 # make docs   builds the documentation: docs/_build/html/index.html
-# Studies and measurements are commands of their own: benchmarks/README.md.
+# Measurements are commands of their own: benchmarks/README.md.
 PYTHON ?= python3
 VENV ?= .venv
 # at most this many test processes

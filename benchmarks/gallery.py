@@ -39,7 +39,7 @@ PACKAGED = {
 #: Goals: mean error of the end effector [m], error at a goal [m], median solve time [ms] of at most so many states.
 MEAN, AT_GOAL, SOLVE_MS, STATES = 2e-4, 5e-3, 0.5, 20
 #: Length [m] of a path; of the short form. Radius of a circle over the reach of a robot whose base stands.
-LENGTH, SHORT, RADIUS = 5.0, 0.3, 0.15
+LENGTH, SHORT, RADIUS = 5.0, 0.3, 0.2
 HEAD = (
     "robot", "states", "mean error on paths [mm]", "worst path", "jumps reached", "at the goal [mm]", "solve, median [ms]",
     "solves without a plan", "note",

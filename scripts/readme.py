@@ -6,7 +6,7 @@ A mark is a comment that nobody sees, before the figure and after it:
 
 names an experiment, a metric, a unit, and may end in ``median`` or ``worst`` (else both: median and worst in brackets), or in
 ``count`` (in how many runs a metric is not 0). Figures come from sites of `wbmpc reproduce` (--site, may be repeated; a later
-one wins) and from tables of `python benchmarks/seeds.py` (--study FILE, made with --json). The mark ``commit`` takes the commits that the runs of
+one wins) and from the statistics.json of `wbmpc study` (--study FILE). The mark ``commit`` takes the commits that the runs of
 the sites are of. Marks without figures keep what they have; ``kept`` of the output lists them.
 """
 
@@ -36,6 +36,16 @@ def of_sites(sites: list[Path]) -> dict[str, dict[str, dict[str, Any]]]:
             runs = [run["metrics"] for run in entry["runs"].values()]
             values = {m: [r[m]["value"] for r in runs if m in r] for m in entry["metrics"]}
             found[name] = {m: {**figures, "values": values[m]} for m, figures in entry["metrics"].items()}
+    return found
+
+
+def of_study(file: Path) -> dict[str, dict[str, dict[str, Any]]]:
+    """By experiment and metric: median and worst of the study's first combination of it; a figure that is not finite is infinite."""
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for cell in json.loads(file.read_text())["cells"]:
+        known = lambda value: float("inf") if value is None else value
+        own = {m: {key: known(f[key]) for key in ("median", "worst")} for m, f in cell["metrics"].items()}
+        found.setdefault(cell["experiment"], own)
     return found
 
 
@@ -95,14 +105,14 @@ def main() -> None:
     """Figures, then the clip."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--site", type=Path, action="append", help="of wbmpc reproduce (default: reproduced)")
-    parser.add_argument("--study", type=Path, action="append", default=[], help="JSON of benchmarks/seeds.py")
+    parser.add_argument("--study", type=Path, action="append", default=[], help="statistics.json of wbmpc study")
     parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
     parser.add_argument("--clip", type=Path, default=ROOT / "docs" / "images" / "swerve.gif")
     given = parser.parse_args()
     sites = given.site or ([] if given.study else [ROOT / "reproduced"])
     found = of_sites(sites)
     for study in given.study:
-        found = {**found, **json.loads(study.read_text())}
+        found = {**found, **of_study(study)}
     if not found:
         raise SystemExit(f"readme: {', '.join(map(str, sites))} holds no finished runs: wbmpc reproduce")
     filled, left = fill(given.readme.read_text(), found, commits_of(sites))

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import casadi
 import pytest
 
 from command_line import FAKE_MAIN, call, shell
@@ -270,3 +271,55 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
 def test_a_picture_before_the_start_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["render", str(tmp_path), "--png", str(tmp_path / "a.png"), "--start", "-5"]) == 2
     assert capsys.readouterr().err == "wbmpc: --start: must not be negative, got -5\n"
+
+
+def test_sigterm_is_not_lost_in_casadi() -> None:
+    """CasADi calls ``__DM__`` of what it is given, and drops what that raises. Truth: what comes after it is never reached."""
+
+    class Odd:
+        def __DM__(self) -> casadi.DM:
+            os.kill(os.getpid(), signal.SIGTERM)
+            return casadi.DM(1.0)
+
+    with terminable() as asked:
+        with pytest.raises(KeyboardInterrupt):
+            casadi.DM(Odd())
+            signal.sigtimedwait([], 60.0)  # it comes in here
+        assert asked.came
+    assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
+
+
+START = """
+import signal, sys
+import wbmpc.__main__ as command
+assert "wbmpc.cli" not in sys.modules
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "wbmpc.cli":
+            {what}
+sys.meta_path.insert(0, Finder())
+sys.exit(command.main())
+"""
+
+
+def test_ctrl_c_before_the_command_line_is_loaded_is_one_message() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", START.format(what="raise KeyboardInterrupt")], capture_output=True, text=True
+    )
+    assert (run.returncode, run.stdout, run.stderr) == (130, "", "wbmpc: interrupted\n")
+
+
+def test_the_status_of_an_interrupt_is_kept() -> None:
+    """Python ends by SIGINT, whatever the status, once an interrupt came in code that it made of a text (dataclasses are)."""
+    program = """
+import sys, types
+import wbmpc.__main__ as command
+def interrupted():
+    try:
+        exec("raise KeyboardInterrupt")
+    except KeyboardInterrupt:
+        return 143
+sys.modules["wbmpc.cli"] = types.SimpleNamespace(main=interrupted)
+sys.exit(command.main())
+"""
+    assert subprocess.run([sys.executable, "-c", program]).returncode == 143

@@ -52,20 +52,24 @@ def finished_run(site: Path, name: str, seed: int, error: float, commit: str) ->
 
 
 def test_tables_of_goals_name_the_commit(tmp_path: Path) -> None:
-    """Of an experiment without runs the old rows stay, and so does the page of a robot without runs."""
-    for seed, error in ((200, 0.001), (201, 0.003)):
-        finished_run(tmp_path / "site", "swerve-track", seed, error, "abc1234567")
+    """Of an experiment without runs the old rows stay, and so does the page of a robot without a study."""
     (tmp_path / "results").mkdir()
     for robot in ("swerve", "ball"):
         (tmp_path / "results" / f"{robot}.md").write_text(PAGE.format(robot))
+    error: dict[str, Any] = {"unit": "m", "median": 0.002, "p5": 0.001, "p95": 0.003, "worst": None, "goal": 0.002, "least": None,
+                             "paper": 0.0167, "met": False}  # fmt: skip
+    cell = {"experiment": "swerve-track", "condition": "protocol", "seeds": [300, 301], "metrics": {"error": error}}
+    (tmp_path / "runs" / "swerve-goals").mkdir(parents=True)
+    study = json.dumps({"commit": ["abc1234567"], "cells": [cell]})
+    (tmp_path / "runs" / "swerve-goals" / "statistics.json").write_text(study)
     script = [sys.executable, str(ROOT / "scripts" / "figures.py"), "--docs", str(tmp_path)]
-    subprocess.run([*script, "--site", str(tmp_path / "site")], env=ENVIRONMENT, check=True, capture_output=True)
+    subprocess.run([*script, "--runs", str(tmp_path / "runs")], env=ENVIRONMENT, check=True, capture_output=True)
     rows = (tmp_path / "results" / "swerve.md").read_text().splitlines()
-    expected = "| `swerve-track` | `hand_error_mean_odometry` [mm] | ≤ 2 | 16.7 | 2 (3, 3) | abc1234567 | 2 | **no** |"
+    expected = "| `swerve-track` | `error` [mm] | ≤ 2 | 16.7 | 2 (3, ∞) | abc1234567 | 2 | **no** |"
     assert expected in rows and "| `swerve-old` | kept |" in rows and rows[-1] == "more"
     assert (tmp_path / "results" / "ball.md").read_text() == PAGE.format("ball")
-    done = subprocess.run([*script, "--site", str(tmp_path)], env=ENVIRONMENT, capture_output=True, text=True)
-    assert done.returncode == 1 and "holds no finished runs" in done.stderr
+    done = subprocess.run([*script, "--runs", str(tmp_path)], env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 1 and "holds no finished studies" in done.stderr
 
 
 def test_the_readme_names_the_commit(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ them. Truth: NumPy's kinds of arrays; lengths and times that have no meaning for
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -138,3 +139,66 @@ def test_times_of_references_are_of_this_world() -> None:
 def test_angles_of_legs_in_a_text_are_numbers_of_ascii(text: str) -> None:
     with pytest.raises(InputError, match="configuration"):
         leg_angles(wb.load_robot(load_description("swerve-ur10").source), text)
+
+
+# ---------------------------------------------------------------------- closed loops
+@pytest.fixture(scope="module")
+def arm() -> tuple[wb.RobotModel, wb.MPC]:
+    """A robot with an MPC that does nothing."""
+    robot = wb.load_robot("differential-ur10")
+    ocp = wb.OptimalControlProblem(robot.dynamics(), horizon=1.0, intervals=4)
+    ocp.add(wb.Cost("effort", wb.residuals.Input(robot), 1.0))
+    return robot, wb.MPC(ocp, wb.SQP.real_time(backend="interpreted"), rate=50.0)
+
+
+BAD_TIMES = [*TIMES, 1e9, -1.0]
+BAD_ARGUMENTS = [
+    *(("duration", v) for v in [*BAD_TIMES, 0, 0.0]),
+    *(("since", v) for v in BAD_TIMES),
+    *(("seed", v) for v in (-1, 1.0, "1", None, True, [], float("nan"), np.array([1]))),
+    *(("name", v) for v in (3, None, "\x1b[2J", "a\nb", "\ud800")),
+    *(("out", v) for v in (3, [], "\0", "\ud800", "x" * 5000)),
+    *((k, v) for k in ("robot", "mpc") for v in (None, 3, "differential-ur10")),
+    ("computation_delay", float("nan")), ("settle_time", -1), ("physics", "magic"), ("plant", 3),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "value"), BAD_ARGUMENTS, ids=range(len(BAD_ARGUMENTS)))
+def test_arguments_of_a_simulation_are_checked_before_anything_is_made(
+    name: str, value: Any, arm: tuple[wb.RobotModel, wb.MPC], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = {"robot": arm[0], "mpc": arm[1], "duration": 0.1, "out": tmp_path / "run", name: value}
+    with pytest.raises(InputError, match=name):
+        wb.simulate(**arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_simulation_needs_the_mpc_of_its_robot(arm: tuple[wb.RobotModel, wb.MPC]) -> None:
+    """States have the same names; a base that rolls sideways has an input more."""
+    with pytest.raises(InputError, match=r"physics: MuJoCo needs an MPC on the robot's own dynamics"):
+        wb.simulate(wb.load_robot("mecanum-ur10"), arm[1], 0.1)
+    with pytest.raises(InputError, match="closed loop: 'settings': SimulationSettings is needed"):
+        wb.closed_loop(*arm, 0.1, settings=3)  # type: ignore[arg-type]
+
+
+def test_whole_numbers_of_thousands_of_digits_are_an_error() -> None:
+    """Python itself raises an error for their text."""
+    huge = 10**5000
+    for make in (
+        lambda: wb.shapes.Sphere(huge),
+        lambda: wb.shapes.Sphere(1.0, [0, 0, huge]),
+        lambda: wb.shapes.ConvexMesh([[0, 0, huge]] * 4),
+        lambda: wb.shapes.DistanceGrid([0, 0, 0], 0.1, [[[huge]]]),
+        lambda: wb.Obstacles().set("a", wb.shapes.Sphere(1.0), seen=0.0, expire=huge),
+    ):
+        with pytest.raises(InputError):
+            make()
+
+
+@pytest.mark.parametrize("radius", ["1", True, None, b"1", 1j, [1.0]])
+def test_lengths_of_shapes_are_numbers(radius: Any) -> None:
+    with pytest.raises(InputError, match="sphere: 'radius' needs one finite number"):
+        wb.shapes.Sphere(radius)
+    with pytest.raises(InputError, match="sphere: 'center' needs 3 finite numbers"):
+        wb.shapes.Sphere(1.0, ["1", 0, 0])  # type: ignore[list-item]

@@ -19,13 +19,16 @@ SOURCE = ROOT / "src" / "wbmpc"
 ROOMS = (
     "errors", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "json_file", "yaml_file", "configuration", "settings_table",
     "result", "units", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
-    "obstacles", "ocp", "kernel", "solver", "mpc", "embedded", "control", "runtime", "estimation", "simulation", "settings",
-    "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "bases/TYPE", "tasks",
+    "obstacles", "ocp", "kernel", "clearance", "solver", "mpc", "embedded", "control", "runtime", "estimation", "simulation", "settings",
+    "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "study", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
-    "plotly": {"report"},
+    "plotly": {"report", "study"},
+    "distributed": {"study"},
+    "optuna": {"study"},
+    "pyarrow": {"recording", "study"},
     "rich": {"cli", "benchmark"},
     "typer": {"cli"},
     "mcap": {"recording"},

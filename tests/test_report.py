@@ -26,12 +26,13 @@ from wbmpc.report import (
     _thin,
     goal_text,
     page,
+    plotly_figure,
     plots_page,
     to_json,
     versions,
     write_run,
 )
-from wbmpc.result import Metric, MpcStatistics, Series
+from wbmpc.result import Metric, MpcStatistics, Plot, Series
 from wbmpc.units import number, scale
 
 CHROMIUM = shutil.which("chromium")
@@ -107,6 +108,17 @@ def test_page_is_self_contained(html_page: str) -> None:
     Finder().feed(html_page)
     assert outside == []
     assert html_page.count("plotly.js v") == 1  # the library's banner: embedded once
+
+
+def test_figures_are_of_plotlys_schema() -> None:
+    """A page is written without Plotly's own check of names and values, which is made here."""
+    from plotly.graph_objects import Figure
+
+    plots = [p for p in run(FakeSettings(), 3).plots if isinstance(p, Plot)]
+    assert len(plots) == 4 and {p.equal_axes for p in plots} == {True, False}
+    for plot in plots:
+        figure = plotly_figure(plot)
+        assert json.loads(Figure(figure).to_json()) == json.loads(json.dumps(figure))
 
 
 def test_page_shows_everything(html_page: str) -> None:

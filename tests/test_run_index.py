@@ -119,3 +119,33 @@ def test_a_click_sorts_and_words_filter(some: Path, tmp_path: Path) -> None:
     )
     found = re.search(r"<title>(.*?)</title>", out.stdout)
     assert found is not None and found.group(1) == "357|753|5|73|"
+
+
+def test_damaged_runs_hide_no_others(tmp_path: Path) -> None:
+    """A pipe, a device that never ends, links that lead nowhere, numbers beyond all floats. Truth: POSIX, ISO/IEC 60559."""
+    texts = {
+        "good": '{"metrics": {}}',
+        "huge": '{"metrics": {"a": {"value": 1, "unit": "1"}}, "targets": {"a": {"goal": %s}}}' % ("9" * 400),
+    }
+    for name in ("good", "huge", "pipe", "device", "nowhere", "circle"):
+        (tmp_path / name).mkdir()
+    for name, text in texts.items():
+        (tmp_path / name / "metrics.json").write_text(text)
+    os.mkfifo(tmp_path / "pipe" / "metrics.json")
+    for name, target in (("device", "/dev/zero"), ("nowhere", "/no/such/file"), ("circle", "metrics.json")):
+        (tmp_path / name / "metrics.json").symlink_to(target)
+    found = {entry.directory.name: entry.outcome for entry in find_runs(tmp_path)}
+    assert found.pop("good") != "unreadable"
+    assert found == dict.fromkeys(("huge", "pipe", "device", "nowhere", "circle"), "unreadable")
+
+
+def test_names_that_are_no_text_are_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Half of a pair of UTF-16, as JSON may have it, and bytes of a directory's name that are no UTF-8."""
+    run = Path(os.fsdecode(os.fsencode(tmp_path) + b"/runs/a\xff"))
+    run.mkdir(parents=True)
+    (run / "metrics.json").write_text('{"experiment": "\\ud800", "metrics": {}}')
+    made = tmp_path / "page.html"
+    assert main(["runs", str(tmp_path / "runs"), "--page", str(made)]) == 0
+    assert "\\udcff" in made.read_text("utf-8")
+    assert main(["runs", str(tmp_path / "runs")]) == 0
+    assert "\\udcff" in capsys.readouterr().out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +61,13 @@ def test_a_base_that_drives_carries_the_tip_along_a_line(driving: Path) -> None:
     reference = result.log.array("end_effector_reference")
     assert np.linalg.norm(reference[-1] - reference[0]) == pytest.approx(0.3)
     assert m["limit_violation_max"].value < 1e-6
+    assert not {"contacts_unwanted", "clearance_min"} & m.keys()  # nothing looks for contacts without physics
 
 
 def test_a_robot_whose_base_stands_holds_in_mujoco(standing: Path) -> None:
     m = run("hold", standing, POSITION_ONLY, "duration=0.3", physics="mujoco").metrics
     assert m["end_effector_error_max_world"].value < 0.01 and "base_path_length" not in m
+    assert {"contacts_unwanted", "clearance_min"} <= m.keys()
 
 
 def test_the_simulated_arm_moves_as_its_model(standing: Path) -> None:
@@ -273,7 +276,7 @@ def test_every_setting_is_listed_with_what_it_means(capsys: pytest.CaptureFixtur
     assert main(["run", "end-effector-track", "--settings", "--json"]) == 0
     found = {row["key"]: row for row in json.loads(capsys.readouterr().out)["settings"]}
     assert found["path.speed"]["unit"] == "m/s" and found["path.speed"]["default"] == "`0.2`"
-    assert "≥ 0.001" in found["path.speed"]["kind"] and "rises and falls" in found["path.speed"]["help"]
+    assert "≥ 0.001" in found["path.speed"]["kind"] and "along the arc" in found["path.speed"]["help"]
     assert {"robot", "physics", "mpc.horizon", "plant.mass", "path.kind", "path.file", "weights"} <= set(found)
 
 
@@ -303,3 +306,26 @@ def test_weights_of_sliders_are_a_settings_file(tmp_path: Path) -> None:
     files = write_weights({"end_effector": 0.1}, {"input": 2.0}, tmp_path)
     settings = configure(TaskSettings, [], "x", Path(files["weights"]))
     assert settings.weights == {"input": 2.0, "end_effector": 0.1}
+
+
+@pytest.mark.parametrize("name", ["end-effector-track", "hold", "goals", "cmd-vel"])
+def test_every_setting_says_what_it_means(name: str) -> None:
+    """In a text of its own; what is a length, a time, an angle or a mass by its name has a unit."""
+    from wbmpc.settings_table import rows
+
+    found = list(rows(load(name).config_type))
+    assert [r.key for r in found if not r.help] == []
+    texts = [r.help for r in found if r.key.split(".")[-1] not in ("wheel_radius", "spring_damping")]
+    assert len(set(texts)) >= len(texts) - 6  # "of bodies, relative" and the like
+    dimensional = re.compile(r"time|delay|offset|noise|bias|walk|payload|length|speed|horizon|ramp|jitter")
+    assert [r.key for r in found if dimensional.search(r.key) and "spread" not in r.key and not r.unit] == []
+
+
+def test_units_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """Brackets are no markup: [s] would strike the text through."""
+    assert "x, y, z [m]" in _shown("end-effector-track", capsys)
+
+
+def _shown(name: str, capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(["run", name, "--settings"]) == 0
+    return " ".join(capsys.readouterr().out.split())

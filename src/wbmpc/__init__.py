@@ -64,6 +64,7 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.solver import Solver as Solver
     from wbmpc.solver import Status as Status
     from wbmpc.solver import Trajectory as Trajectory
+    from wbmpc.study.study import Study as Study
     from wbmpc.tasks.loop import closed_loop as closed_loop
     from wbmpc.tasks.settings import SimulationSettings as SimulationSettings
     from wbmpc.tasks.settings import TaskSettings as TaskSettings
@@ -132,6 +133,7 @@ _MODULES = {
     "Recorder": "wbmpc.recording.recorder",
     "Recording": "wbmpc.recording.reader",
     "read_recording": "wbmpc.recording.reader",
+    "Study": "wbmpc.study.study",
     "SimulationSettings": "wbmpc.tasks.settings",
     "TaskSettings": "wbmpc.tasks.settings",
     "closed_loop": "wbmpc.tasks.loop",

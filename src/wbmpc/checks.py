@@ -26,6 +26,14 @@ _NUMBER = re.compile(
 )
 
 
+def quoted(value: Any) -> str:
+    """The beginning of a value from outside, for a message."""
+    try:
+        return str(value)[:80]
+    except ValueError:  # Python writes no whole numbers of thousands of digits
+        return "a number of thousands of digits"
+
+
 def parse_number(text: str) -> float:
     """The number that a text from outside is, with nothing around it but blanks; raises ValueError for every other text."""
     if not _NUMBER.fullmatch(text.strip(" \t\r\n")):
@@ -42,10 +50,10 @@ def real_numbers(who: str, values: Any) -> NDArray[np.float64]:
         raise InputError(f"{who}: numbers are needed, got masked ones")
     try:
         array = np.asarray(values)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{who}: numbers are needed ({error})") from error
     if array.dtype.kind not in "biuf":
-        raise InputError(f"{who}: numbers are needed, got {str(values)[:80]!r} ({array.dtype})")
+        raise InputError(f"{who}: numbers are needed, got {quoted(values)!r} ({array.dtype})")
     return array.astype(float)
 
 
@@ -54,7 +62,7 @@ def real_number(who: str, value: Any, largest: float = math.inf) -> float:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise InputError(f"{who}: a number is needed, got {str(value)[:80]!r}")
+        raise InputError(f"{who}: a number is needed, got {quoted(value)!r}")
     try:
         number = float(value)
     except OverflowError:  # a whole number beyond all floats
@@ -64,6 +72,14 @@ def real_number(who: str, value: Any, largest: float = math.inf) -> float:
     if abs(number) > largest:
         raise InputError(f"{who} must be at most {largest:g}, got {number:g}")
     return number
+
+
+def whole_number(who: str, value: Any, minimum: int, largest: float = math.inf) -> int:
+    """``value`` as an int; :class:`InputError` of ``who`` for what is no whole number from ``minimum`` to ``largest``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not minimum <= value <= largest:
+        upper = "on" if largest == math.inf else f"to {largest:g}"
+        raise InputError(f"{who}: a whole number from {minimum} {upper} is needed, got {quoted(value)}")
+    return int(value)
 
 
 def absolute_time(who: str, value: Any) -> float:
@@ -83,9 +99,9 @@ def unit_quaternions(who: str, values: NDArray[np.float64]) -> NDArray[np.float6
 def numbers(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     """``values`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
     try:
-        value = values if type(values) is np.ndarray and values.dtype is _FLOAT else np.asarray(values, float)
-    except (TypeError, ValueError, OverflowError):  # the last: a whole number beyond all floats
-        raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {str(values)[:80]}") from None
+        value = real_numbers(who, values)
+    except InputError:
+        raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {quoted(values)}") from None
     if value.shape != (size,):
         raise InputError(f"{who}: '{name}' needs {size} finite numbers, got {value}")
     # few numbers are checked several times as fast one by one
@@ -103,7 +119,7 @@ def at_most(who: str, largest: float, **values: ArrayLike) -> None:
     """Raise :class:`InputError` of ``who`` for finite numbers of a magnitude beyond ``largest``, by their name."""
     for name, value in values.items():
         if (np.abs(np.asarray(value, float)) > largest).any():
-            raise InputError(f"{who}: '{name}' must be at most {largest:g}, got {str(value)[:80]}")
+            raise InputError(f"{who}: '{name}' must be at most {largest:g}, got {quoted(value)}")
 
 
 def finite(who: str, **values: float) -> None:
@@ -111,8 +127,12 @@ def finite(who: str, **values: float) -> None:
     for name, value in values.items():
         try:
             good = math.isfinite(value)
+        except OverflowError:  # a whole number beyond all floats
+            raise NotFinite(f"{who}: '{name}' must be finite, got {quoted(value)}") from None
         except TypeError:
-            raise InputError(f"{who}: '{name}' needs one finite number, got {value!r}") from None
+            good = None
+        if good is None or isinstance(value, bool | np.bool_):
+            raise InputError(f"{who}: '{name}' needs one finite number, got {value!r}")
         if not good:
             raise NotFinite(f"{who}: '{name}' must be finite, got {value}")
 

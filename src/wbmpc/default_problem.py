@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.ocp.scaling import scaled_weights
 from wbmpc.settings import MpcSettings, Settings, Weight
 
 Array = NDArray[np.float64]
+#: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a metre from where it should be.
+CLEARANCE_SLACK = 3e4
+#: Of the accelerations, for plans among obstacles: wheels of a base are limited together, and feedback needs some.
+ACCELERATION_SHARE = 0.6
 
 
 class DefaultCost(Settings):
@@ -62,10 +67,35 @@ def default_problem(
     return ocp
 
 
-def default_mpc(robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None) -> MPC:
-    """The MPC of that problem with its real-time settings, whose goal is the robot's home."""
+def keep_clear(
+    ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
+) -> OptimalControlProblem:
+    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is), and accelerations within their
+    limits: who evades at the last moment must be able to."""
+    if obstacles is None:
+        return ocp
+    free = sets.NonNegative()
+    rows = Constraint("clearance", residuals.Clearance(robot), free, at="path+terminal", hard=True, slack=slack)
+    ocp.add(rows)
+    rates = robot.limits.input_rate
+    limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
+    if limited and "accelerations" not in ocp.terms:
+        ocp.add(
+            Constraint(
+                "accelerations", residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE), free, hard=True
+            )
+        )
+    return ocp
+
+
+def default_mpc(
+    robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
+    obstacles: Obstacles | None = None,
+) -> MPC:  # fmt: skip
+    """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``."""
     settings = settings or default_settings()
-    mpc = MPC(default_problem(robot, settings, cost), settings.solver(), settings.rate)
+    ocp = keep_clear(default_problem(robot, settings, cost), robot, obstacles)
+    mpc = MPC(ocp, settings.solver(), settings.rate, obstacles=obstacles)
     stay_at_home(robot, mpc)
     return mpc
 

@@ -16,6 +16,8 @@ LARGEST, DEEPEST = 64 * 1024 * 1024, 64
 def load_json(path: Path) -> Any:
     """What a JSON file says. Raises :class:`InputError` naming the file."""
     try:
+        if path.exists() and not path.is_file():  # a pipe or a device may never end
+            raise InputError(f"{path}: is no regular file")
         if path.stat().st_size > LARGEST:
             raise InputError(f"{path}: has {path.stat().st_size} bytes; at most {LARGEST} are read")
         return parse_json(path.read_bytes(), str(path))
@@ -29,7 +31,9 @@ def parse_json(text: str | bytes, where: str) -> Any:
     Raises :class:`InputError`, also for NaN, infinity, numbers that are too large and keys that are there twice.
     """
     try:
-        value = json.loads(text, parse_constant=_no_number, parse_float=_finite, object_pairs_hook=_once)
+        value = json.loads(
+            text, parse_constant=_no_number, parse_float=_finite, parse_int=_whole, object_pairs_hook=_once
+        )
     except RecursionError as error:
         raise InputError(f"{where}: nested deeper than {DEEPEST} levels") from error
     except ValueError as error:
@@ -49,8 +53,13 @@ def _no_number(text: str) -> None:
 def _finite(text: str) -> float:
     value = float(text)
     if math.isinf(value):
-        raise ValueError(f"{text} is too large for a number")
+        raise ValueError(f"{text[:40]} is too large for a number")
     return value
+
+
+def _whole(text: str) -> int:
+    _finite(text)
+    return int(text)
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

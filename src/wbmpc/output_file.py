@@ -46,4 +46,4 @@ def _named(path: Path) -> Iterator[None]:
 def write_text(path: Path, text: str) -> None:
     """A text file in UTF-8, whole or not at all; raises :class:`NotWritten`."""
     with whole_file(path) as partial:
-        partial.write_text(text, "utf-8")
+        partial.write_text(text, "utf-8", "backslashreplace")  # names of files may be no text

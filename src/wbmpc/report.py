@@ -252,15 +252,13 @@ def _short(values: np.ndarray) -> list[float | None]:
     return [float(f"{v:.6g}") if math.isfinite(v) else None for v in values]
 
 
-def _template() -> Any:
+def template() -> dict[str, Any]:
     """Plots on the page's own ground, with inks that are seen on light and dark."""
-    import plotly.graph_objects as go
-
     axis = {"gridcolor": _GRID, "zerolinecolor": _GRID, "linecolor": _GRID, "automargin": True}
     layout = {"xaxis": axis, "yaxis": axis, "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)"}
     layout["modebar"] = {"bgcolor": "rgba(0,0,0,0)", "color": "#9aa7b3", "activecolor": "#5c6b7a"}
     layout["hovermode"] = "x unified"
-    return go.layout.Template(layout={**layout, "font": {"color": "#7b8894"}})
+    return {"layout": {**layout, "font": {"color": "#7b8894"}}}
 
 
 def _colours(lines: Sequence[Series]) -> list[str]:
@@ -283,25 +281,38 @@ def _colours(lines: Sequence[Series]) -> list[str]:
 def _figure(plot: Plot | Drawing) -> str:
     if isinstance(plot, Drawing):
         return plot.svg
-    import plotly.graph_objects as go
+    from plotly.io import to_html
 
-    figure = go.Figure()
+    options = {"displaylogo": False, "responsive": True, "displayModeBar": "hover"}
+    # plain dictionaries, not checked: checking takes ten times as long as writing
+    return str(to_html(plotly_figure(plot), full_html=False, include_plotlyjs=False, config=options, validate=False))
+
+
+def plotly_figure(plot: Plot) -> dict[str, Any]:
+    """A plot as Plotly's ``data`` and ``layout``."""
+    data = []
     for line, colour in zip(plot.series, _colours(plot.series), strict=True):
         x, y = _thin(np.asarray(line.x, float), np.asarray(line.y, float), plot.equal_axes)
         style = {"width": 1.6, "color": colour, "dash": "dash" if line.dashed else "solid"}
         # plain lists: browsers draw them the same, and the page stays readable
-        figure.add_scatter(x=_short(x), y=_short(y), name=html.escape(line.name), mode="lines", line=style)
-    figure.update_layout(
-        xaxis_title=html.escape(plot.x_label), yaxis_title=html.escape(plot.y_label),
-        template=_template(), height=320 + 20 * _legend_rows([line.name for line in plot.series]),
-        margin={"l": 60, "r": 16, "t": 36, "b": 88},
-        legend={"orientation": "h", "y": -0.25, "yanchor": "top"}, font={"family": "system-ui, sans-serif", "size": 12},
-    )  # fmt: skip
+        row = {"type": "scatter", "x": _short(x), "y": _short(y), "name": html.escape(line.name)}
+        data.append({**row, "mode": "lines", "line": style})
+    return {"data": data, "layout": _layout(plot)}
+
+
+def _layout(plot: Plot) -> dict[str, Any]:
+    axis = lambda label: {"title": {"text": html.escape(label)}}
+    layout: dict[str, Any] = {
+        "xaxis": axis(plot.x_label), "yaxis": axis(plot.y_label),
+        "template": template(), "height": 320 + 20 * _legend_rows([line.name for line in plot.series]),
+        "margin": {"l": 60, "r": 16, "t": 36, "b": 88},
+        "legend": {"orientation": "h", "y": -0.25, "yanchor": "top"},
+        "font": {"family": "system-ui, sans-serif", "size": 12},
+    }  # fmt: skip
     if plot.equal_axes:
-        figure.update_layout(hovermode="closest")
-        figure.update_yaxes(scaleanchor="x", scaleratio=1)
-    options = {"displaylogo": False, "responsive": True, "displayModeBar": "hover"}
-    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=options))
+        layout["hovermode"] = "closest"
+        layout["yaxis"] |= {"scaleanchor": "x", "scaleratio": 1}
+    return layout
 
 
 def _legend_rows(names: list[str]) -> int:

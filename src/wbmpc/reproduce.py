@@ -55,16 +55,16 @@ class Job:
         return self.mark.is_file()
 
 
-def parse_seeds(text: str) -> list[int]:
-    """``200-219``, ``3`` or ``1,5-7`` as numbers, :data:`MAX_SEEDS` at most. Raises :class:`InputError`."""
+def parse_seeds(text: str, where: str = "--seeds", most: int = MAX_SEEDS) -> list[int]:
+    """``200-219``, ``3`` or ``1,5-7`` as numbers, ``most`` at most. Raises :class:`InputError` that begins with ``where``."""
     seeds: dict[int, None] = {}
     for part in text.split(","):
         found = _SEEDS.fullmatch(part)
         if found is None or int(found["last"] or found["first"]) < int(found["first"]):
-            raise InputError(f"--seeds: '{text}': valid: 200-219, 3 or 1,5-7, numbers of up to nine digits")
+            raise InputError(f"{where}: '{text}': valid: 200-219, 3 or 1,5-7, numbers of up to nine digits")
         target = range(int(found["first"]), int(found["last"] or found["first"]) + 1)
-        if len(seeds) + len(target) > MAX_SEEDS:
-            raise InputError(f"--seeds: '{text}': these are more than {MAX_SEEDS} seeds; give fewer in one call")
+        if len(seeds) + len(target) > most:
+            raise InputError(f"{where}: '{text}': these are more than {most} seeds; give fewer in one call")
         seeds |= dict.fromkeys(target)
     return list(seeds)
 

@@ -82,12 +82,15 @@ def _metrics_files(root: Path) -> Iterator[Path]:
 
 
 def _read(path: Path) -> Entry:
-    ended = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    ended = datetime.fromtimestamp(0.0, UTC)
     try:
+        ended = datetime.fromtimestamp(path.stat().st_mtime, UTC)
         data = read_metrics(path)
         targets, seed = data.get("targets", {}), data.get("seed")
         metrics = {name: _metric(m, targets.get(name, {})) for name, m in data["metrics"].items()}
         commit = str(data.get("versions", {}).get("commit", ""))
+    except OSError as error:  # a link that leads nowhere
+        return Entry(path.parent, ended, outcome="unreadable", note=f"{path}: cannot be read ({error.strerror})")
     except InputError as error:
         return Entry(path.parent, ended, outcome="unreadable", note=str(error))
     except (AttributeError, TypeError, ValueError) as error:

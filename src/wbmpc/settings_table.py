@@ -49,9 +49,13 @@ def _texts(model: type[BaseModel]) -> dict[str, tuple[str, str]]:
     for kind in model.__mro__:
         text = " ".join((kind.__doc__ or "").split()) if kind is not BaseModel else ""
         for name in model.model_fields:
-            place = re.search(rf"``{name}``(?:\s*\[(?P<unit>[^\]]*)\])?", text)
+            named = rf"``{name}``(?:\s*\[(?P<unit>[^\]]*)\])?"
+            place = re.search(named + ":", text) or re.search(named, text)  # what a colon follows explains it
             if place and name not in found:
-                found[name] = (place["unit"] or "", _clause(text, place.start()))
+                found[name] = (
+                    place["unit"] or "",
+                    re.sub(rf"^{name}( \[[^\]]*\])?: ", "", _clause(text, place.start())),
+                )
     return found
 
 

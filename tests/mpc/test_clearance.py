@@ -10,8 +10,8 @@ import pytest
 
 import wbmpc as wb
 from clearing import TrueDistance, keep_clear, reach_problem, run, write_arm
+from wbmpc.clearance.rows import Clearance
 from wbmpc.mpc.braking import braking_plan, braking_time
-from wbmpc.obstacles.rows import Clearance
 
 CYLINDER, BOX = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
 MARGIN = 0.03

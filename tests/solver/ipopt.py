@@ -16,7 +16,7 @@ def _boxes(rows: list, size: int) -> ca.Function:
     return ca.Function("boxes", [z], [sum(terms, ca.SX(0))])
 
 
-def _step(solver: Solver, x: ca.SX, u: ca.SX, p: np.ndarray, h: float) -> ca.SX:
+def _step(solver: Solver, x: ca.SX, u: ca.SX, p: ca.SX | np.ndarray, h: ca.SX | float) -> ca.SX:
     """The integrator written anew."""
     f = lambda x: solver.problem.values["dynamics"](x, u, p, solver.ws.w)
     if solver.ocp.integrator == "rk2":
@@ -29,6 +29,19 @@ def _step(solver: Solver, x: ca.SX, u: ca.SX, p: np.ndarray, h: float) -> ca.SX:
     for q in solver.ocp.dynamics.unit_quaternions:
         end[q : q + 4] = end[q : q + 4] / ca.norm_2(end[q : q + 4])
     return end
+
+
+def _stage(solver: Solver) -> ca.Function:
+    """Of x, u, p and h at one node: what it costs, the next state, equalities and general rows. One function for all nodes, so
+    that it is differentiated once."""
+    t, w = solver.problem, solver.ws.w
+    x, u, h = ca.SX.sym("x", t.nx), ca.SX.sym("u", t.nu), ca.SX.sym("h")
+    p = ca.SX.sym("p", solver.ws.p.shape[1])
+    path = _boxes(t.path_boxes, t.nx + t.nu)(ca.vertcat(x, u))
+    rows = [t.values[name](x, u, p, w) for name in ("equality", "rows")]
+    return ca.Function(
+        "stage", [x, u, p, h], [h * (t.values["cost"](x, u, p, w) + path), _step(solver, x, u, p, h), *rows]
+    )
 
 
 def _own_rows(group: RowGroup, z: ca.SX, general: ca.SX, first: bool) -> tuple[list[ca.SX], list[float]]:
@@ -46,17 +59,16 @@ def solve(solver: Solver, x0: np.ndarray, plugin: str = "ipopt") -> tuple[np.nda
     """
     t = solver.problem
     n, nx, nu, p, w = t.ocp.intervals, t.nx, t.nu, solver.ws.p, solver.ws.w
-    path, end = _boxes(t.path_boxes, nx + nu), _boxes(t.terminal_boxes, nx + nu)
-    x, u = [ca.SX.sym("x", nx) for _ in range(n + 1)], [ca.SX.sym("u", nu) for _ in range(n)]
-    cost = t.values["terminal"](x[n], p[n], w) + end(ca.vertcat(x[n], ca.SX(nu, 1)))
-    rows: list[ca.SX] = []
+    end, stage = _boxes(t.terminal_boxes, nx + nu), _stage(solver)
+    x, u = [ca.MX.sym("x", nx) for _ in range(n + 1)], [ca.MX.sym("u", nu) for _ in range(n)]
+    cost = t.values["terminal"](x[n], p[n], w) + end(ca.vertcat(x[n], ca.MX(nu, 1)))
+    rows: list[ca.MX] = []
     upper: list[np.ndarray] = []
     for k, h in enumerate(np.diff(t.ocp.grid)):
-        cost += h * (t.values["cost"](x[k], u[k], p[k], w) + path(ca.vertcat(x[k], u[k])))
-        start = [x[0] - x0] if k == 0 else []
-        rows += [x[k + 1] - _step(solver, x[k], u[k], p[k], h), *start, t.values["equality"](x[k], u[k], p[k], w)]
+        added, following, equalities, general = stage(x[k], u[k], p[k], h)
+        cost += added
+        rows += [x[k + 1] - following, *([x[0] - x0] if k == 0 else []), equalities]
         upper.append(np.zeros(nx + (nx if k == 0 else 0) + t.equality.shape[0]))
-        general = t.values["rows"](x[k], u[k], p[k], w)
         own, bounds = _own_rows(t.path, ca.vertcat(x[k], u[k]), general, k == 0)
         rows += own
         upper.append(np.array(bounds))

@@ -98,7 +98,8 @@ def test_a_real_fall_of_the_baseline_is_its_ending(monkeypatch: pytest.MonkeyPat
     bench = swerve_drive._Run.of(settings, SWERVE, 0)
     ending = bench.baseline(mission, 1.0).ending
     assert ending.fell and bench.log.times("baseline.base")[-1] < 0.03
-    assert np.isinf(swerve_drive.baseline_on_tour(settings, 0)).all()
+    alone = swerve_drive.EXPERIMENT.run(settings.model_copy(update={"baseline_only": True}), 0)
+    assert alone.outcome == "fell" and np.isinf(alone.metrics["baseline_position_error_rms"].value)
 
 
 def fixed(monkeypatch: pytest.MonkeyPatch, who: str, how: Ending) -> RunResult:

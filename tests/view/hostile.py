@@ -5,9 +5,10 @@ from __future__ import annotations
 import http.client
 import socket
 import time
+from contextlib import suppress
 from importlib.metadata import version
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs, urlsplit
 
 import msgspec
 import zstandard
@@ -59,11 +60,55 @@ def unpacked(raw: bytes) -> list[dict[str, Any]]:
     return list(msgspec.msgpack.decode(packed)["messages"])
 
 
+def check_access(url: str) -> None:
+    """Foreign origins and hosts, no token and a wrong one get status 403, for pages and WebSockets; a page with the token gets in."""
+    place, token = urlsplit(url).netloc, parse_qs(urlsplit(url).query)["token"][0]
+    port, base = place.split(":")[1], f"http://{place}"
+    wrong = f"{base}/?token={'A' * len(token)}"
+    for foreign in (
+        "http://evil.example",
+        f"http://evil.example:{port}",
+        "http://127.0.0.1:1",
+        f"https://{place}",
+        "null",
+    ):
+        assert (get(url, Origin=foreign)[0], upgrade(url, foreign)) == (403, 403), foreign
+    for host in (
+        "evil.example",
+        f"evil.example:{port}",
+        f"127.0.0.1.evil.example:{port}",
+        "127.0.0.1",
+        f"{place[:-1]}{(int(place[-1]) + 1) % 10}",
+    ):
+        assert (get(url, Host=host)[0], upgrade(url, Host=host)) == (403, 403), host
+    for address in (
+        base,
+        wrong,
+        f"{base}/?token=",
+        f"{base}/?token={token[:-1]}",
+        f"{url}&websocket=ws://evil.example",
+    ):
+        assert (get(address)[0], upgrade(address)) == (403, 403), address
+    assert get(url, Host="")[0] in (400, 403) and get(base, "/index.html")[0] == 403 and get(base, "/nothing")[0] == 403
+    status, answered, body = get(url)
+    assert status == 200 and b"<html" in body[:2000] and answered["X-Frame-Options"] == "DENY"
+    cookie = answered["Set-Cookie"]
+    assert cookie.startswith(f"wbmpc-{port}=") and "HttpOnly" in cookie and "SameSite=Strict" in cookie
+    cookie = cookie.split(";")[0]
+    # the page's WebSocket and a reload have the cookie, beside those of runs at other ports
+    for name in (place, f"localhost:{port}"):
+        assert upgrade(base, f"http://{name}", Host=name, Cookie=f"wbmpc-1=other; {cookie}") == 101
+    assert get(base, Cookie=cookie)[0] == 200 and upgrade(base, Cookie=cookie.replace(token, token[::-1])) == 403
+    assert upgrade(base, "http://evil.example", Cookie=cookie) == 403
+    assert upgrade(url) == 101
+    assert get(base, f"/{'a' * 6000}?token={token}")[0] == 404 and get(base, f"/%00?token={token}")[0] == 404
+
+
 class Client:
     """A browser's stand-in: what the page has on it, and messages of any kind."""
 
     def __init__(self, url: str) -> None:
-        self.socket = socket_at(url)
+        self.url, self.socket = url, socket_at(url)
         self.controls: dict[str, str] = {}  # label: identifier
         self.texts: dict[str, str] = {}  # identifier of a text: its content
         self.history: list[str] = []
@@ -74,11 +119,12 @@ class Client:
         """Take in what comes for a while."""
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0.0:
-            try:
-                raw = self.socket.recv(timeout=left)
-            except TimeoutError:
-                return
-            for message in unpacked(raw):
+            self._receive(left)
+
+    def _receive(self, seconds: float) -> None:
+        """Take in the next packet, if one comes in time."""
+        with suppress(TimeoutError):
+            for message in unpacked(self.socket.recv(timeout=seconds)):
                 self._take(message)
 
     def _take(self, message: dict[str, Any]) -> None:
@@ -93,11 +139,11 @@ class Client:
     def hears(self, part: str, seconds: float = 20.0) -> bool:
         """Whether a text of the page comes to contain something."""
         deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline:
-            if any(part in text for text in self.history):
-                return True
-            self.listen(0.2)
-        return False
+        while not any(part in text for text in self.history):
+            if (left := deadline - time.monotonic()) <= 0.0:
+                return False
+            self._receive(left)
+        return True
 
     def send(self, message: Any) -> None:
         """A message; bytes and text go as they are."""

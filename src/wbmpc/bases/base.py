@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from wbmpc.model.tree import Tree
     from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.mpc.mpc import MPC
+    from wbmpc.obstacles.world import Obstacles
     from wbmpc.ocp import Constraint
     from wbmpc.robots.description import LimitsDescription, RobotDescription
     from wbmpc.robots.findings import Finding
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.simulation.lockstep import Timing
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
 Array = NDArray[np.float64]
 
@@ -295,20 +297,26 @@ class BaseType(Protocol):
         """The symbolic base of a described robot."""
         reject_missing_part(description, "model")
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> Any:
+    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None) -> Any:
         """The simulated robot at home, perturbed against the model; see :class:`System`."""
         reject_missing_part(robot.description, "plant")
 
-    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
-        """The MPC with default weights, whose goal is the robot's home; ``changes``: of its :class:`wbmpc.settings.MpcSettings`, by name.
-        Its references "end_effector" (poses) and, where a view may move the base, "state" (nx) follow the robot's task."""
+    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+        """The MPC with default weights, whose goal is the robot's home, and which keeps clear of ``obstacles``; ``changes``: of its
+        :class:`wbmpc.settings.MpcSettings`, by name. Its references "end_effector" (poses) and, where a view may move the base, "state"
+        (nx) follow the robot's task."""
         reject_missing_part(robot.description, "mpc")
 
     def system(
-        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+        self,
+        robot: RobotModel,
+        seed: int,
+        perturbation: Perturbation | None = None,
+        mpc: MPC | None = None,
+        edit: Edit | None = None,
     ) -> System:
         """Plant, controller and MPC: what views and general experiments start from. ``perturbation`` of the plant and ``mpc``: the default
-        ones where they are left out; another MPC has the robot's own dynamics."""
+        ones where they are left out; another MPC has the robot's own dynamics. ``edit`` adds to MuJoCo's scene."""
         reject_missing_part(robot.description, "system")
 
     def ros_settings(self, description: RobotDescription) -> type[RosSettings]:

@@ -30,6 +30,7 @@ from wbmpc.cli.running import execute
 from wbmpc.cli.runs import runs
 from wbmpc.cli.settings import show_settings
 from wbmpc.cli.stability import stability
+from wbmpc.cli.study import study, tune
 from wbmpc.cli.terminal import (
     ABORTED,
     BAD_INPUT,
@@ -59,7 +60,21 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(log)
 app.add_typer(ros2)
-for _command in (new, doctor, stability, calibrate, view, replay, render, runs, compare, reproduce, export):
+for _command in (
+    new,
+    doctor,
+    stability,
+    calibrate,
+    view,
+    replay,
+    render,
+    runs,
+    compare,
+    reproduce,
+    study,
+    tune,
+    export,
+):
     app.command()(_command)
 
 

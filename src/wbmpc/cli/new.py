@@ -162,7 +162,10 @@ def _comments(draft: Draft, home: Home) -> dict[str, str]:
     return {
         "": f"Written by wbmpc new from {draft.mechanism.file.path.name}. Units: SI and radians. Check it with: wbmpc doctor FILE",
         "base": f"{draft.base}: {draft.proposal.reason}",
-        key: "; ".join(f"{a.name}: {a.length:.2f} m along {len(a.joints)} joints" for a in draft.chosen)
+        key: "; ".join(
+            f"{a.name + ': ' if draft.beside else ''}{a.length:.2f} m along {len(a.joints)} joints"
+            for a in draft.chosen
+        )
         + (f"; others: {', '.join(others)}" if others else ""),
         "fixed_joints": "held: joints that neither base nor arm moves",
         "home": f"best of random postures: end effector at x = {x:.2f}, z = {z:.2f} m{free}",

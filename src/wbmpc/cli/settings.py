@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 def show_settings(model: type[BaseModel], name: str, as_json: bool) -> None:
     """Every setting of an experiment."""
+    from rich.markup import escape
+
     from wbmpc.settings_table import rows
 
     found = list(rows(model))
@@ -28,7 +30,8 @@ def show_settings(model: type[BaseModel], name: str, as_json: bool) -> None:
     for title in ("setting", "default", "unit", "type and range", "meaning"):
         shown.add_column(title)
     for row in found:
-        shown.add_row(row.key, row.default.strip("`"), row.unit, row.kind.replace("`", ""), row.help)
+        cells = (row.key, row.default.strip("`"), row.unit, row.kind.replace("`", ""), row.help)
+        shown.add_row(*map(escape, cells))
     console().print(shown)
 
 

@@ -9,6 +9,8 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from wbmpc.errors import printable
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+#: After so long [s] a signal acts that came where its exception would be lost.
+_AGAIN = 0.01
 #: Exit statuses.
 COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
@@ -31,9 +35,26 @@ class Termination:
         """It came while something was finished first."""
         self.came = True
 
-    def __call__(self, number: int, frame: Any) -> None:
+    def __call__(self, number: int, frame: FrameType | None) -> None:
         self.came = True
+        if _is_dropped(frame) and signal.getsignal(signal.SIGALRM) in (signal.SIG_DFL, _send_again):
+            signal.signal(signal.SIGALRM, _send_again)
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+            return
         raise KeyboardInterrupt
+
+
+def _send_again(number: int, frame: FrameType | None) -> None:
+    """To whoever handles it by now."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.raise_signal(signal.SIGTERM)
+
+
+def _is_dropped(frame: FrameType | None) -> bool:
+    """Whether an exception would go through CasADi, which tries conversions of arguments and drops what they raise."""
+    while frame is not None and Path(frame.f_code.co_filename).name != "casadi.py":
+        frame = frame.f_back
+    return frame is not None
 
 
 def terminated() -> bool:

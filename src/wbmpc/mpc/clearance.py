@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.clearance.rows import Clearance as LeastClearance
+from wbmpc.clearance.rows import ObstacleRows, SelfRows
 from wbmpc.errors import InputError
 from wbmpc.mpc.braking import BrakingPlan, braking_plan, braking_time
-from wbmpc.obstacles.rows import Clearance as LeastClearance
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import OptimalControlProblem, Reference, residuals
 from wbmpc.solver import Solver
@@ -24,6 +25,8 @@ DEEPER = 0.003
 #: Solves from a braking plan, and the barriers of the interior point: with a small one from the start its steps are cut where many
 #: rows become active at once.
 BRAKING_SOLVES, FIRST_BARRIER, BARRIER_SHARE = 5, 0.1, 0.4
+#: So many plans in a row may go through something that is not near yet.
+PATIENCE = 5
 #: What is left [s] of a stop that should have ended.
 ENDING = 0.01
 #: A plan has to be clear from now on for the duration of a stop and so much longer [s].
@@ -31,18 +34,21 @@ REACTION = 0.2
 
 
 class ClearanceRows:
-    """The clearance terms of a problem. ``active``: whether there are any; ``last``: the least clearance of the last plan."""
+    """The clearance terms of a problem. ``obstacles``: what they keep clear of; ``active``: whether there are any terms; ``last``: the
+    least clearance of the last plan."""
 
     def __init__(self, ocp: OptimalControlProblem, solver: Solver, obstacles: Obstacles | None) -> None:
-        self._solver, self._obstacles = solver, obstacles
+        self._solver, self.obstacles = solver, obstacles
         terms = {name: term.residual for name, term in ocp.terms.items()}
-        self._around = {n: r for n, r in terms.items() if isinstance(r, residuals.Clearance)}
-        self._within = {n: r for n, r in terms.items() if isinstance(r, residuals.SelfClearance)}
+        self._around = {n: ObstacleRows(r) for n, r in terms.items() if isinstance(r, residuals.Clearance)}
+        self._within = {n: SelfRows(r) for n, r in terms.items() if isinstance(r, residuals.SelfClearance)}
         self.active = bool(self._around or self._within)
         self.last = LeastClearance()
         #: when the stop ends [s] that the last plan is; None: it is none
         self._stops_at: float | None = None
         self._snapshot = Snapshot()
+        #: plans in a row that go through something
+        self._through = 0
         if self._around and obstacles is None:
             raise InputError(
                 f"mpc: term '{next(iter(self._around))}' needs obstacles: MPC(ocp, obstacles=wb.Obstacles())"
@@ -56,8 +62,8 @@ class ClearanceRows:
     # ------------------------------------------------------------------ before a solve
     def look(self, t: float) -> None:
         """Take the obstacles as they are at ``t`` [s]."""
-        if self._obstacles is not None:
-            self._snapshot = self._obstacles.snapshot(t)
+        if self.obstacles is not None:
+            self._snapshot = self.obstacles.snapshot(t)
 
     def predicted(self, t: float, delta: float) -> tuple[Array, Array]:
         """Times (N + 1) [s] of the next solve's nodes, and where the last plan, ``delta`` [s] old, is then (N + 1, nx)."""
@@ -70,18 +76,18 @@ class ClearanceRows:
     def refresh(self, t: float, delta: float) -> None:
         """Set all rows for a solve at ``t`` [s] that goes on from a plan which is ``delta`` [s] old."""
         times, states = self.predicted(t, delta)
-        for name, term in self._around.items():
-            self._solver.set_reference(name, Reference(times, term.rows.refresh(self._snapshot, times, states)))
+        for name, rows in self._around.items():
+            self._solver.set_reference(name, Reference(times, rows.refresh(self._snapshot, times, states)))
         for name, own in self._within.items():
-            self._solver.set_reference(name, Reference(times, own.rows.refresh(states)))
+            self._solver.set_reference(name, Reference(times, own.refresh(states)))
 
     # ------------------------------------------------------------------ after a solve
     def measure(self, t: float) -> None:
         """Measure the plan of a solve at ``t`` [s]: the pair that lacks most of its margin is ``last``."""
         plan = self._solver.trajectory(copy=False)
         times, states = t + plan.grid, plan.x
-        found = [r.rows.clearance(self._snapshot, times, states) for r in self._around.values()]
-        found += [r.rows.clearance(times, states) for r in self._within.values()]
+        found = [r.clearance(self._snapshot, times, states) for r in self._around.values()]
+        found += [r.clearance(times, states) for r in self._within.values()]
         self.last = min(found, key=lambda c: c.excess)
 
     def unsafe(self, times: Array, states: Array, until: float) -> LeastClearance | None:
@@ -89,10 +95,8 @@ class ClearanceRows:
         count = max(int(np.searchsorted(times, until, side="right")), 2)
         times, states = times[:count], states[:count]
         share = 1.0 - TOLERATED
-        found = [
-            r.rows.deepest(self._snapshot, times, states, share * r.rows.margin, DEEPER) for r in self._around.values()
-        ]
-        found += [r.rows.deepest(times, states, share * r.rows.margin, DEEPER) for r in self._within.values()]
+        found = [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self._around.values()]
+        found += [r.deepest(times, states, share * r.margin, DEEPER) for r in self._within.values()]
         return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)
 
     # ------------------------------------------------------------------ solves that end clear, or in a stop
@@ -116,12 +120,24 @@ class ClearanceRows:
         if cause is None:
             run(delta, passes)
             cause = self._runs_into(t, until)
+        if cause is None and self._lost(t):
+            until = np.inf
+            cause = self.last
         if cause is not None and self._avoided(t, stop(), until, run, unusable):
             cause = None
         if cause is not None:
             self._stops_at = t + duration
         self.measure(t)
         return cause
+
+    def _lost(self, t: float) -> bool:
+        """Whether the last plans all go through something later on: from where they are, iterations do not find a way around it."""
+        self.measure(t)
+        self._through = self._through + 1 if self.last.distance < 0.0 else 0
+        if self._through < PATIENCE:
+            return False
+        self._through = 0
+        return True
 
     def _runs_into(self, t: float, until: float) -> LeastClearance | None:
         plan = self._solver.trajectory(copy=False)

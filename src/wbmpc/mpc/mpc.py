@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
+from wbmpc.clearance.rows import Clearance
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.clearance import ClearanceRows
@@ -17,7 +18,6 @@ from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.references import References
 from wbmpc.mpc.statistics import Statistics
-from wbmpc.obstacles.rows import Clearance
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.symbols import FollowsLastInput
@@ -113,6 +113,11 @@ class MPC:
         self._guess = guess
         if isinstance(guess, Bound):
             guess.bind(self)
+
+    @property
+    def obstacles(self) -> Obstacles | None:
+        """What plans keep clear of; None: nothing."""
+        return self._clear.obstacles
 
     @property
     def period(self) -> float:

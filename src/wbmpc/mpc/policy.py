@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from wbmpc.checks import real_numbers
+from wbmpc.clearance.rows import Clearance
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.obstacles.rows import Clearance
 from wbmpc.solver import Solution
 
 

@@ -47,22 +47,30 @@ class RobotShape:
     solid: Solid
 
 
+def frame_function(robot: RobotModel, frames: Sequence[Frame]) -> ca.Function:
+    """Of a state (nx) the poses of frames: position (3) [m] and rotation by rows (9), one frame after the other."""
+    x = ca.SX.sym("x", robot.state.size)
+    chain = robot.base.chain(x)
+    poses = [chain.frame_pose(f) for f in frames]
+    parts = [ca.vertcat(p.position, ca.vec(p.rotation.T)) for p in poses]
+    return ca.Function("frames", [x], [ca.cse(ca.densify(ca.vertcat(*parts)))])
+
+
+def split_poses(found: Array) -> tuple[Array, Array]:
+    """Positions (n, F, 3) and rotations (n, F, 3, 3) of results (n, 12 F) of a :func:`frame_function`."""
+    each = found.reshape(len(found), -1, 12)
+    return each[..., :3].copy(), each[..., 3:].reshape(*each.shape[:2], 3, 3).copy()
+
+
 class Kinematics:
     """Where frames of a robot are at many states: positions (n, F, 3) [m] and rotations (n, F, 3, 3)."""
 
     def __init__(self, robot: RobotModel, frames: Sequence[Frame]) -> None:
-        x = ca.SX.sym("x", robot.state.size)
-        chain = robot.base.chain(x)
-        poses = [chain.frame_pose(f) for f in frames]
-        parts = [ca.vertcat(p.position, ca.vec(p.rotation)) for p in poses]
-        self._size, self._count = robot.state.size, len(parts)
-        self._function = ca.Function("frames", [x], ca.cse([ca.densify(ca.vertcat(*parts))]))
+        self._size, self._function = robot.state.size, frame_function(robot, frames)
 
     def __call__(self, states: Array) -> tuple[Array, Array]:
         """Of states (n, nx or more: what a problem adds comes after the robot's own)."""
-        states = np.atleast_2d(states)[:, : self._size]
-        found = np.array(self._function(states.T)).T.reshape(len(states), self._count, 12)
-        return found[..., :3].copy(), np.swapaxes(found[..., 3:].reshape(len(states), self._count, 3, 3), 2, 3)
+        return split_poses(np.array(self._function(np.atleast_2d(states)[:, : self._size].T)).T)
 
 
 class RobotGeometry:
@@ -79,6 +87,14 @@ class RobotGeometry:
     def kinematics(self) -> Kinematics:
         """Poses of ``frames``."""
         return Kinematics(self.robot, [self.robot.tree.frames[f] for f in self.frames])
+
+    @cached_property
+    def extent(self) -> Array:
+        """Of each frame the farthest point of its shapes from its origin (F) [m]."""
+        far = np.zeros(len(self.frames))
+        for s, f in zip(self.shapes, self.frame_of, strict=True):
+            far[f] = max(far[f], float(np.linalg.norm(s.solid.position)) + s.solid.radius)
+        return far
 
     @cached_property
     def spheres(self) -> tuple[Array, Array, Array]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wbmpc import checks
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.obstacles.shapes import Box, Capsule, ConvexMesh, Cylinder, HalfSpace, Shape, Sphere
 from wbmpc.yaml_file import load_yaml
@@ -20,15 +22,31 @@ _SHAPES: dict[str, tuple[type[Any], tuple[str, ...], tuple[str, ...]]] = {
     "convex_mesh": (ConvexMesh, ("vertices",), ()),
 }
 _PLACES = ("position", "orientation", "velocity", "std", "velocity_std")
+#: What only a simulated scene has.
+_SIMULATED = ("appears",)
 
 
-def read_scene(path: str | Path) -> Iterator[tuple[str, str, Shape, dict[str, Any]]]:
-    """Of each obstacle of a YAML file: where it stands in the file, its name, shape and what else is set of it.
+@dataclass(frozen=True)
+class SceneObstacle:
+    """An obstacle of a scene: its ``name``, ``shape`` and ``place``, further arguments of :meth:`wbmpc.obstacles.world.Obstacles.set`. It
+    ``appears`` at a time [s] of the simulation, and moves from then on. ``where``: for errors, where it stands in a file."""
+
+    name: str
+    shape: Shape
+    place: Mapping[str, Any]
+    appears: float = 0.0
+    where: str = ""
+
+
+def read_scene(path: str | Path, simulated: bool = False) -> Iterator[SceneObstacle]:
+    """The obstacles of a YAML file.
 
     ``obstacles: {pillar: {cylinder: {a: [2, 0, 0], b: [2, 0, 1.5], radius: 0.1}, velocity: [0, 0.2, 0]}}``: one shape each (sphere,
-    capsule, cylinder, box, half_space, convex_mesh), and position, orientation, velocity, std, velocity_std. Raises :class:`InputError`
-    naming file, obstacle and key.
+    capsule, cylinder, box, half_space, convex_mesh), and position, orientation, velocity, std, velocity_std; of a ``simulated`` scene
+    also ``appears`` [s]. Raises :class:`InputError` naming file, obstacle and key.
     """
+    if not isinstance(path, str | Path):
+        raise InputError(f"obstacles: the path of a file is needed, got {path!r}")
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
@@ -43,14 +61,19 @@ def read_scene(path: str | Path) -> Iterator[tuple[str, str, Shape, dict[str, An
             raise InputError(f"{where}: is there twice")
         if not isinstance(entry, Mapping):
             raise InputError(f"{where}: a mapping with a shape is needed, got {entry!r}")
-        yield where, str(name), _shape(where, entry), {k: v for k, v in entry.items() if k in _PLACES}
+        keys = (*_PLACES, *_SIMULATED) if simulated else _PLACES
+        shape, appears = (
+            _shape(where, entry, keys),
+            checks.real_number(f"{where}: 'appears'", entry.get("appears", 0.0)),
+        )
+        yield SceneObstacle(str(name), shape, {k: v for k, v in entry.items() if k in _PLACES}, appears, where)
 
 
-def _shape(where: str, entry: Mapping[Any, Any]) -> Shape:
+def _shape(where: str, entry: Mapping[Any, Any], keys: tuple[str, ...]) -> Shape:
     kinds = [k for k in entry if k in _SHAPES]
     for key in entry:
-        if key not in _SHAPES and key not in _PLACES:
-            raise unknown_name("key", str(key), [*_SHAPES, *_PLACES], where=where)
+        if key not in _SHAPES and key not in keys:
+            raise unknown_name("key", str(key), [*_SHAPES, *keys], where=where)
     if len(kinds) != 1:
         raise InputError(f"{where}: one shape is needed, got {len(kinds)}; valid: {', '.join(_SHAPES)}")
     where = f"{where[:-1]}.{kinds[0]}'"

@@ -143,10 +143,7 @@ class ConvexMesh:
     solid: Solid = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        try:
-            points = np.asarray(self.vertices, float)
-        except (TypeError, ValueError):
-            raise InputError("convex mesh: 'vertices' needs rows of 3 numbers") from None
+        points = checks.real_numbers("convex mesh: 'vertices'", self.vertices)
         if points.ndim != 2 or points.shape[1] != 3 or not 4 <= len(points) <= MAX_VERTICES:
             raise InputError(
                 f"convex mesh: 'vertices' needs 4 to {MAX_VERTICES} rows of 3 numbers, got shape {points.shape}"
@@ -178,7 +175,7 @@ class DistanceGrid:
         checks.positive("distance grid", cell=self.cell)
         error = 0.5 * np.sqrt(3.0) * self.cell if self.error is None else self.error
         checks.not_negative("distance grid", error=error)
-        values = np.ascontiguousarray(self.values, float)
+        values = np.ascontiguousarray(checks.real_numbers("distance grid: 'values'", self.values))
         if values.ndim != 3 or min(values.shape) < 2 or values.size > MAX_CELLS:
             raise InputError(
                 f"distance grid: 'values' needs three dimensions of 2 or more and {MAX_CELLS} cells at most, got {values.shape}"
@@ -187,7 +184,7 @@ class DistanceGrid:
             raise InputError("distance grid: 'values' must be finite")
         _set(self, origin=checks.numbers("distance grid", "origin", self.origin, 3), values=values, error=float(error))
         _size("distance grid", cell=self.cell)
-        checks.at_most("distance grid", LARGEST, origin=self.origin, error=error)
+        checks.at_most("distance grid", LARGEST, origin=self.origin, error=error, values=values)
 
     def sample(self, points: Array) -> tuple[Array, Array]:
         """Distance (n), ``error`` taken off, and its gradient (n, 3) at points (n, 3); infinite and 0 outside of the grid."""

@@ -116,8 +116,8 @@ class Obstacles:
             raise InputError(f"{who}: a shape is needed, got {type(shape).__name__}; valid: {', '.join(_SHAPES)}")
         checks.not_negative(who, std=std, velocity_std=velocity_std)
         checks.at_most(who, LARGEST, std=std, velocity_std=velocity_std)
-        if not isinstance(expire, (int, float, np.integer, np.floating)) or not expire > 0.0:
-            raise InputError(f"{who}: 'expire' must be positive [s] (inf: never), got {str(expire)[:80]}")
+        if not (isinstance(expire, float) and expire == np.inf):
+            checks.positive(who, expire=expire)
         if seen is not None:
             checks.absolute_time(f"{who}: 'seen'", seen)
         elif np.isfinite(expire):
@@ -176,11 +176,11 @@ class Obstacles:
         scene, trial = list(read_scene(path)), Obstacles()
         with self._lock:
             trial._obstacles.update(self._obstacles)
-            for where, name, shape, place in scene:
+            for one in scene:
                 try:
-                    trial.set(name, shape, **place)
+                    trial.set(one.name, one.shape, **one.place)
                 except InputError as error:
-                    raise InputError(f"{where}: {error}") from error
+                    raise InputError(f"{one.where}: {error}") from error
             self._obstacles = trial._obstacles
 
     def remove(self, name: str) -> None:
@@ -223,7 +223,7 @@ class Obstacles:
 
     def _check_frame(self, who: str, frame: str) -> None:
         if not isinstance(frame, str):
-            raise InputError(f"{who}: 'frame' needs a name, got {str(frame)[:80]}")
+            raise InputError(f"{who}: 'frame' needs a name, got {checks.quoted(frame)}")
         if frame != WORLD and frame not in self._frames:
             raise unknown_name("frame", frame, [WORLD, *sorted(self._frames)], where=who)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -15,10 +15,11 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Frame
 from wbmpc.obstacles.geometry import common_link, robot_geometry
 from wbmpc.obstacles.pairs import self_pairs
-from wbmpc.obstacles.rows import SELF_WIDTH, WIDTH, ObstacleRows, SelfRows
 from wbmpc.ocp.symbols import Symbols
 
 Pair = tuple[str, str]
+#: Numbers of a row's parameters: normal, point, offset; of two bodies: normal, both points, offset.
+WIDTH, SELF_WIDTH = 7, 10
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,6 @@ class Clearance:
     frames: Sequence[str] | None = None
     slots: int = 2
     margin: float | None = None
-    rows: ObstacleRows = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         geometry = robot_geometry(self.robot)
@@ -48,11 +48,11 @@ class Clearance:
         margin = self.robot.description.collision.margin if self.margin is None else self.margin
         checks.not_negative("clearance", margin=margin)
         object.__setattr__(self, "frames", frames)
-        object.__setattr__(self, "rows", ObstacleRows(geometry, frames, int(self.slots), float(margin)))
+        object.__setattr__(self, "margin", float(margin))
 
     @property
     def size(self) -> int:
-        return self.rows.size
+        return len(self.frames or ()) * int(self.slots)
 
     @property
     def reference(self) -> int:
@@ -82,7 +82,6 @@ class SelfClearance:
     robot: RobotModel
     pairs: Sequence[Pair] | None = None
     margin: float | None = None
-    rows: SelfRows = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         geometry = robot_geometry(self.robot)
@@ -95,11 +94,11 @@ class SelfClearance:
         margin = self.robot.description.collision.self.margin if self.margin is None else self.margin
         checks.not_negative("self-clearance", margin=margin)
         object.__setattr__(self, "pairs", pairs)
-        object.__setattr__(self, "rows", SelfRows(geometry, pairs, float(margin)))
+        object.__setattr__(self, "margin", float(margin))
 
     @property
     def size(self) -> int:
-        return self.rows.size
+        return len(self.pairs or ())
 
     @property
     def reference(self) -> int:

@@ -148,10 +148,12 @@ class AccelerationLimit:
     stop before its range ends at Q has u ≤ (a / L)(Q − q): that bound falls by less than a per second. Steering goes without:
     it has to follow rolling wheels up to the end of its range, where a turn about is due. Without a time (0), and for a joint
     whose brake is closed (it stops as hard as it likes), only the rest counts. Limits of speed must be finite.
+    ``share`` of the accelerations that plans use: what is left is for feedback, and for drives that are limited together.
     """
 
     robot: RobotModel
     names: Sequence[str]
+    share: float = 1.0
     inputs: list[int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -186,16 +188,17 @@ class AccelerationLimit:
         above, below = [], []
         for k, i in enumerate(self.inputs):
             name = self.robot.input.names[i]
-            low, high, maximum = (float(v[i]) for v in (limits.input_lower, limits.input_upper, limits.input_rate))
+            low, high, most = (float(v[i]) for v in (limits.input_lower, limits.input_upper, limits.input_rate))
+            maximum = self.share * most
             last = ca.fmin(ca.fmax(s.reference[k], low), high)
             change = maximum * since + ((since <= 0.0) + self._braked(s, name)) * (high - low)
             upper, lower = ca.fmin(high, last + change), ca.fmax(low, last - change)
-            j = self.robot.state.index(name)
-            stops = not name.startswith("steer.")
-            if stops and np.isfinite(limits.state_upper[j]):
-                upper = ca.fmin(upper, maximum / high * (float(limits.state_upper[j]) - s.x[j]))
-            if stops and np.isfinite(limits.state_lower[j]):
-                lower = ca.fmax(lower, maximum / low * (s.x[j] - float(limits.state_lower[j])))
+            if not name.startswith("steer.") and name in self.robot.state.names:
+                j = self.robot.state.index(name)
+                if np.isfinite(limits.state_upper[j]):
+                    upper = ca.fmin(upper, maximum / high * (float(limits.state_upper[j]) - s.x[j]))
+                if np.isfinite(limits.state_lower[j]):
+                    lower = ca.fmax(lower, maximum / low * (s.x[j] - float(limits.state_lower[j])))
             above.append((upper - s.u[i]) / (high - low))
             below.append((s.u[i] - lower) / (high - low))
         return ca.vertcat(*above, *below)

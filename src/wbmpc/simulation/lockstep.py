@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from wbmpc.checks import whole
+from wbmpc.checks import not_negative, real_number, whole
 from wbmpc.control.protocols import Controller
 from wbmpc.errors import (
     DisturbanceTooLarge,
@@ -32,6 +32,8 @@ _LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]
 #: How long [s] the robot is held at a stop after a run that ended early, at least, and until it rests, at most.
 STOP_TIME, LONGEST_STOP = 0.5, 5.0
+#: Of a run [s]: what is longer is a mistake.
+LONGEST_RUN = 1e6
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,9 @@ class Ending:
 
 
 def contacts_of(*plants: Any) -> tuple[Contacts, ...]:
-    """What is known of the contacts of simulated robots."""
-    found = [getattr(getattr(plant, "world", None), "contacts", None) for plant in plants]
+    """What is known of the contacts of simulated robots, of those that have physics."""
+    worlds = [getattr(plant, "world", None) for plant in plants if getattr(plant, "has_physics", True)]
+    found = [getattr(world, "contacts", None) for world in worlds]
     return tuple(contacts for contacts in found if contacts is not None)
 
 
@@ -212,6 +215,8 @@ def run_lockstep(
     ``mpc`` None: for controllers that need no plan. ``record(t, command, plans)`` is called at every tick, with the plant as it is
     before the command acts; then come the watchers of a ``progress`` that is a :class:`Watch`.
     """
+    real_number("run: 'duration'", duration, LONGEST_RUN)
+    not_negative("run", duration=duration)
     plans, ticks, ending = PolicyQueue(), round(duration / timing.period), Ending()
     watchers, name = _watchers(progress)
     # what is not finite is found by its value; NumPy's warnings would only repeat it

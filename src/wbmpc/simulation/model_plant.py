@@ -15,7 +15,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
-from wbmpc.simulation.world import Array, World, add_floor, add_light, free_body
+from wbmpc.simulation.world import Array, Edit, World, add_floor, add_light, free_body
 from wbmpc.types import Truth
 
 #: Length [s] of a step: nothing moves in between.
@@ -26,10 +26,15 @@ class ModelPlant:
     """Integrates the dynamics of an MPC's problem by the solver's integrator; measurements are exact.
 
     The bodies of ``model`` and ``data`` (MuJoCo) are pictures: they are where the state has them. A stop is a standstill. It starts at
-    ``start`` (nx of the problem).
+    ``start`` (nx of the problem). ``edit`` adds to that scene.
     """
 
-    def __init__(self, robot: RobotModel, mpc: MPC, start: Array, timestep: float = TIMESTEP) -> None:
+    #: Whether bodies touch each other: contacts and clearances are none of this plant's.
+    has_physics = False
+
+    def __init__(
+        self, robot: RobotModel, mpc: MPC, start: Array, timestep: float = TIMESTEP, edit: Edit | None = None
+    ) -> None:
         self.robot, self.description, self.mpc, self.timestep = robot, robot.description, mpc, timestep
         layout = mpc.ocp.dynamics.state
         self.x = numbers("start", "state", start, layout.size).copy()
@@ -37,7 +42,7 @@ class ModelPlant:
         s = ca.SX.sym("x", robot.state.size)
         root = robot.base.root(s)
         self._root = ca.Function("root", [s], [root.position, root.quaternion])
-        self._steps, self._drawn = 0, False
+        self._steps, self._drawn, self._edit = 0, False, edit
         self._world: World | None = None
         self._shown: list[tuple[int, int]] = []
 
@@ -134,6 +139,8 @@ class ModelPlant:
             add_light(spec.body(base.body) if base.moves else spec.worldbody)
             if base.moves:
                 free_body(spec, base.body, description.source).add_freejoint(name="root")
+            if self._edit is not None:
+                self._edit(spec)
         joints = {j.name for j in spec.joints}
         names = list(dict.fromkeys(n for group in self.robot.state.groups.values() for n in group if n in joints))
         world = World(spec, description, names, {})

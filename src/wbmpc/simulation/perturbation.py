@@ -24,28 +24,33 @@ class Perturbation(BaseModel):
 
     Each plant declares which of them it reads (:meth:`check_read`): asking it for another one is an error.
 
-    Bodies: ``mass`` and ``inertia`` relative, ``com_offset`` [m] per axis. Encoders: ``joint_offset`` of hinges and arm [rad],
-    ``steer_offset`` [rad] (measured = true + offset). ``wheel_radius_each``: factors wheel by wheel
-    (relative); ``wheel_radius``: one more, common to all. Drives: ``actuator_time_constant`` [s] and its relative spread, drive by
-    drive; ``dry_friction`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss). ``brake_delay`` [s] from
-    open to closed and back. ``friction`` of the floor: a range, or one number; ``torsional_friction`` [m], of what rolls on it in one
-    point, about the vertical: a torque over a weight, not drawn. ``encoder_jitter`` [s]: the values of a message are up to this old.
-    ``encoder_counts`` per turn of wheel, steer and leg; ``arm_counts`` per turn of the arm; 0 = exact.
-    ``steer_noise`` [rad]: standard deviation of the steering encoders per message. Inertial unit (densities of the
-    order of an ADIS16448): noise densities [rad/s/√Hz, m/s²/√Hz], biases at the start [rad/s, m/s²], random walks
-    [rad/s/√s, m/s²/√s]. An idealised state sensor: ``state_age`` [s] and noise of the measured state.
+    ``mass``: of bodies, relative; ``inertia``: of bodies, relative; ``com_offset`` [m]: of centers of mass, per axis; ``joint_offset`` [rad]: zeros
+    of the encoders of hinges and arm; ``steer_offset`` [rad]: zeros of the steering encoders (measured = true + offset);
+    ``wheel_radius_each``: relative, wheel by wheel; ``wheel_radius``: relative, common to all wheels.
 
-    Torque drives, and not spreads: ``actuator_dead_time`` [s] of the drives (whole physics steps: anything else is rejected); series
-    elastic drives (:mod:`wbmpc.simulation.elastic_drives`) where ``wheel_spring`` or ``arm_spring`` [N m/rad] are not 0, with rotors of
-    ``wheel_rotor`` and ``arm_rotor`` [kg m²] at the joint, ``spring_damping``, and a torque loop of ``torque_gain`` and
-    ``torque_damping``.
-    Their figures are assumed: none are published.
+    ``actuator_time_constant`` [s]: lag of the drives; ``actuator_time_constant_spread``: its relative spread, drive by drive;
+    ``dry_friction`` [N m]: of wheel and steer joints (scrub and rolling loss); ``brake_delay`` [s]: from open to closed and back;
+    ``friction``: coefficient of the floor, a range or one number; ``torsional_friction`` [m]: about the vertical, of what rolls on the
+    floor in one point, a torque over a weight, not drawn.
 
-    Not spreads but values that the planner does not know of: ``payload`` [kg] at the tool,
-    whose weight is not fed forward to the arm's drives; ``body_payload`` [kg] on the body; ``slope`` [rad] of the floor,
-    whose direction is drawn; ``brake_fault``: from ``brake_fault_time`` [s] of the plant on, at the start of which the robot stands
-    for ``settle_time``, the brake of leg ``brake_fault_leg`` (its place in the description, from 0) stays open or closed.
-    ``floor_cables`` [m]: height of a grid of cables on the floor.
+    ``encoder_jitter`` [s]: the values of a message are up to this old; ``encoder_counts``: per turn of wheel, steer and leg, 0: exact;
+    ``arm_counts``: per turn of the arm, 0: exact; ``steer_noise`` [rad]: standard deviation of the steering encoders per message. The
+    inertial unit is of the order of an ADIS16448: ``gyro_noise`` [rad/s/√Hz]: density of its noise; ``gyro_bias`` [rad/s]: bias at the
+    start; ``gyro_walk`` [rad/s/√s]: random walk of the bias; ``accel_noise`` [m/s²/√Hz]: density of the accelerometer's noise;
+    ``accel_bias`` [m/s²]: its bias at the start; ``accel_walk`` [m/s²/√s]: random walk of its bias. An idealised state sensor has
+    ``state_age`` [s]: age of its message; ``position_noise`` [m]: noise of its positions; ``angle_noise`` [rad]: noise of its angles;
+    ``speed_noise`` [m/s]: noise of its speeds; ``rate_noise`` [rad/s]: noise of its angular rates.
+
+    Torque drives, and not spreads: ``actuator_dead_time`` [s]: of the drives, whole physics steps; series elastic drives
+    (:mod:`wbmpc.simulation.elastic_drives`) have ``wheel_spring`` [N m/rad]: stiffness at the wheels, 0: rigid; ``arm_spring`` [N m/rad]:
+    stiffness at the arm's joints, 0: rigid; ``wheel_rotor`` [kg m²]: a wheel drive's rotor, at the joint; ``arm_rotor`` [kg m²]: an arm
+    drive's rotor, at the joint; ``spring_damping``: damping ratio of the springs; ``torque_gain``: of the torque loop; ``torque_damping``:
+    of the torque loop. Their figures are assumed: none are published.
+
+    Not spreads but values that the planner does not know of: ``payload`` [kg]: at the tool, its weight is not fed forward to the arm's
+    drives; ``body_payload`` [kg]: on the body; ``slope`` [rad]: of the floor, its direction is drawn; ``brake_fault``: a brake that stays
+    open or closed; ``brake_fault_leg``: whose brake, the leg's place in the description, from 0; ``brake_fault_time`` [s]: from when on, of
+    the plant, which stands for ``settle_time`` first; ``floor_cables`` [m]: height of a grid of cables on the floor.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -24,4 +24,6 @@ EXPERIMENTS: dict[str, str] = {
     "rezero-wholebody": "wbmpc.studies.minniti2019.wholebody:EXPERIMENT",
     "rezero-push-ball": "wbmpc.studies.minniti2019.push:BALL_EXPERIMENT",
     "rezero-push-hand": "wbmpc.studies.minniti2019.push:HAND_EXPERIMENT",
+    "rezero-push-limit-ball": "wbmpc.studies.minniti2019.push_limit:BALL_EXPERIMENT",
+    "rezero-push-limit-hand": "wbmpc.studies.minniti2019.push_limit:HAND_EXPERIMENT",
 }

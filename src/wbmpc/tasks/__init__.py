@@ -12,4 +12,8 @@ EXPERIMENTS: dict[str, str] = {
     "hold": "wbmpc.tasks.hold:EXPERIMENT",
     "goals": "wbmpc.tasks.goals:EXPERIMENT",
     "cmd-vel": "wbmpc.tasks.cmd_vel:EXPERIMENT",
+    "obstacles-static": "wbmpc.tasks.obstacles:STATIC",
+    "obstacles-moving": "wbmpc.tasks.obstacles:MOVING",
+    "obstacles-sudden": "wbmpc.tasks.obstacles:SUDDEN",
+    "corridor": "wbmpc.tasks.obstacles:CORRIDOR",
 }

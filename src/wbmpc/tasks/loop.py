@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc import lie
+from wbmpc import checks, lie
 from wbmpc.bases import base_type
 from wbmpc.bases.base import System
 from wbmpc.control.direct import DirectController
@@ -16,10 +16,14 @@ from wbmpc.experiment import Loop, Run, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.result import Metric, Plot
-from wbmpc.simulation.lockstep import Timing
+from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
 from wbmpc.simulation.model_plant import ModelPlant
+from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
+from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
+from wbmpc.tasks.scene import SceneWatch
 from wbmpc.tasks.settings import SimulationSettings
 
 Array = np.ndarray
@@ -33,19 +37,24 @@ IDEALISATIONS = {
 }
 
 
-def make_system(robot: RobotModel, mpc: MPC, settings: SimulationSettings, seed: int) -> System:
-    """Plant and controller for an MPC on the robot's own dynamics. Raises :class:`InputError` for another MPC's."""
+def make_system(
+    robot: RobotModel, mpc: MPC, settings: SimulationSettings, seed: int, edit: Edit | None = None
+) -> System:
+    """Plant and controller for an MPC on the robot's own dynamics; ``edit`` adds to MuJoCo's scene. Raises :class:`InputError` for another
+    MPC's."""
     if settings.physics == "kinematic":
         whole = [rate for rate in MODEL_RATES if (rate / mpc.rate).is_integer()]
         rate = (whole or MODEL_RATES)[0]
-        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate)
+        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate, edit)
         timing = Timing.of(plant.timestep, rate, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
-    if mpc.ocp.dynamics.state.names != robot.state.names:
+    own = mpc.ocp.dynamics
+    if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError(
             "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
         )
-    made = base_type(robot.description.base.type).system(robot, seed, settings.plant, mpc)
+    scene = {} if edit is None else {"edit": edit}
+    made = base_type(robot.description.base.type).system(robot, seed, settings.plant, mpc, **scene)
     steps = made.timing
     timing = Timing.of(made.plant.timestep, 1.0 / steps.period, mpc.rate, settings.computation_delay)
     return System(made.plant, made.controller, mpc, timing)
@@ -62,33 +71,61 @@ def closed_loop(
     tick: Callable[[float], None] | None = None,
     metrics: Callable[[Log], dict[str, Metric]] | None = None,
     plots: Callable[[Log], Sequence[Plot]] | None = None,
+    scene: Sequence[SceneObstacle] | None = None,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on.
 
     Recorded every 10 ms: the end effector, its reference (of the cost "end_effector", where there is one) and its error, the base and its
     estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
     period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
-    ones. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
+    ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
+    ``mpc`` has obstacles. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
     """
-    settings = settings or SimulationSettings()
+    settings = SimulationSettings() if settings is None else settings
+    check_loop(robot, mpc, duration, seed, since, settings)
     _start_at_home(robot, mpc)
-    system, log = make_system(robot, mpc, settings, seed), Log()
+    if scene is None and settings.obstacles is not None:
+        scene = load_scene(settings.obstacles)
+    around = SimulatedObstacles(scene, robot.description.base.ground) if scene is not None else None
+    system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
     every = max(1, round(RECORDED / system.timing.period))
+    watch = SceneWatch(around, system, log, since, robot.description.collision.margin) if around else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:
             tick(t)
+        if watch is not None:
+            watch.tick(t, plans)
         if round(t / system.timing.period) % every == 0:
             _record(log, t, system, robot, plans)
 
     def measured(run: Run) -> dict[str, Metric]:
-        return {**general_metrics(log, robot, since, run.ending.fell), **(metrics(log) if metrics else {})}
+        found = {**general_metrics(log, robot, since, run.ending.fell), **(watch.metrics() if watch else {})}
+        return {**found, **(metrics(log) if metrics else {})}
 
     def drawn(run: Run) -> list[Plot]:
-        return [*general_plots(log, mpc), *(plots(log) if plots else [])]
+        return [*general_plots(log, mpc), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
     return Scenario.single(log, loop.run, measured, drawn, IDEALISATIONS[settings.physics])
+
+
+def check_loop(
+    robot: RobotModel, mpc: MPC, duration: float, seed: int, since: float, settings: SimulationSettings
+) -> None:
+    """Raise :class:`InputError` for arguments of :func:`closed_loop` that cannot be meant."""
+    for name, value, kind in (
+        ("robot", robot, RobotModel),
+        ("mpc", mpc, MPC),
+        ("settings", settings, SimulationSettings),
+    ):
+        if not isinstance(value, kind):
+            raise InputError(f"closed loop: '{name}': {kind.__name__} is needed, got {type(value).__name__}")
+    checks.whole_number("closed loop: 'seed'", seed, 0)
+    for name, time in (("duration", duration), ("since", since)):
+        checks.real_number(f"closed loop: '{name}'", time, LONGEST_RUN)
+    checks.positive("closed loop", duration=duration)
+    checks.not_negative("closed loop", since=since)
 
 
 def _start_at_home(robot: RobotModel, mpc: MPC) -> None:

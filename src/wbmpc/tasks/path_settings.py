@@ -35,7 +35,7 @@ class Curve:
 
 class PathSettings(Settings):
     """``length`` [m] of the path (left out: 5, or half the reach of a robot whose base stands); ``direction`` [rad] from straight ahead, in
-    which it begins; ``speed`` [m/s] along the arc, which rises and falls over ``ramp`` [s]."""
+    which it begins; ``speed`` [m/s]: along the arc; ``ramp`` [s]: over which the speed rises and falls."""
 
     length: float | None = Field(None, gt=1e-3, le=1000)
     direction: float = Field(0.0, ge=-6.3, le=6.3)
@@ -75,7 +75,7 @@ class Line(PathSettings):
 
 
 class Circle(PathSettings):
-    """To the left, ``laps`` of it over the whole length. ``turn``: whether the end effector turns along; ``vertical``: the circle stands."""
+    """To the left. ``laps``: turns of it over the whole length; ``turn``: whether the end effector turns along; ``vertical``: the circle stands."""
 
     kind: Literal["circle"] = "circle"
     laps: float = Field(1.0, gt=0, le=1000)
@@ -91,8 +91,8 @@ class Circle(PathSettings):
 
 
 class Sine(PathSettings):
-    """Straight ahead with waves: ``amplitude`` [m] aside, ``lift`` [m] up and down with 0.7 times the frequency; ``periods`` of it. The waves
-    grow over the first fifth."""
+    """Straight ahead with waves, which grow over the first fifth. ``amplitude`` [m]: aside; ``lift`` [m]: up and down, with 0.7 times the
+    frequency; ``periods``: of the waves aside."""
 
     kind: Literal["sine"] = "sine"
     amplitude: float = Field(0.3, ge=0, le=100)
@@ -107,8 +107,8 @@ class Sine(PathSettings):
 
 
 class Poses(PathSettings):
-    """Straight from one to the next: each 3 numbers (x, y, z) [m] from the start in axes with x ahead, or 7 with a quaternion (w, x, y, z)
-    that turns the first orientation."""
+    """Straight from one to the next. ``poses``: each 3 numbers (x, y, z) [m] from the start in axes with x ahead, or 7 with a quaternion
+    (w, x, y, z) that turns the first orientation."""
 
     kind: Literal["poses"] = "poses"
     poses: tuple[tuple[float, ...], ...] = Field(((0.3, 0.0, 0.0), (0.3, 0.3, 0.0)), min_length=1, max_length=1000)
@@ -121,7 +121,7 @@ class Poses(PathSettings):
 
 
 class Table(PathSettings):
-    """Of a CSV ``file`` whose first line names its columns: x, y, z [m], or these and qw, qx, qy, qz; as with poses."""
+    """As with poses. ``file``: a CSV whose first line names its columns x, y, z [m], or these and qw, qx, qy, qz."""
 
     kind: Literal["csv"] = "csv"
     file: Path = Path("path.csv")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -11,24 +12,28 @@ from wbmpc.configuration import OnlyWith
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Cost
 from wbmpc.settings import Positive, Settings
 from wbmpc.simulation.perturbation import Perturbation
 
 
 class SimulationSettings(Settings):
-    """``physics``: MuJoCo with the perturbed ``plant``, noise and lag, or the planner's own model (kinematic: exact and fast);
-    ``computation_delay`` [s]: modelled time of a solve; ``settle_time`` [s]: before the task begins, at rest."""
+    """``physics``: mujoco with the perturbed ``plant``, noise and lag, or kinematic: the planner's own model, exact and fast;
+    ``computation_delay`` [s]: modelled time of a solve; ``settle_time`` [s]: before the task begins, at rest; ``obstacles``: a YAML file of
+    what stands and moves in the simulated world (docs/how-to/obstacles.md)."""
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"
     plant: Annotated[Perturbation, OnlyWith(physics="mujoco")] = Perturbation()
     computation_delay: float = Field(0.010, ge=0, le=1.0)
     settle_time: float = Field(1.0, ge=0, le=60)
+    obstacles: Path | None = None
 
 
 class TaskMpcSettings(Settings):
-    """Of the MPC; left out (none): as the robot's base type has them. ``rate`` [Hz], ``horizon`` [s] in ``intervals``, ``first_interval`` [s]
-    of a geometric grid (0: uniform), ``iterations`` per update, ``limits``: hard or soft."""
+    """Of the MPC; left out (none): as the robot's base type has them. ``rate`` [Hz]: of its updates; ``horizon`` [s]: how far it plans;
+    ``intervals``: of the horizon; ``first_interval`` [s]: of a geometric grid, 0: a uniform one; ``iterations``: per update; ``limits``:
+    whether they are kept as hard constraints."""
 
     rate: float | None = Field(None, ge=1e-3, le=10_000)
     horizon: float | None = Field(None, gt=0, le=1000)
@@ -39,16 +44,21 @@ class TaskMpcSettings(Settings):
 
 
 class TaskSettings(SimulationSettings):
-    """``robot``: a name (see 'wbmpc list') or a file; ``weights``: factors of costs by name, as the sliders of a view set them."""
+    """``robot``: a name (see 'wbmpc list') or a file; ``weights``: factors of costs by name, as the sliders of a view set them; ``avoid``:
+    "nothing" for plans that know of no obstacles, to compare with."""
 
     robot: str = "differential-ur10"
     mpc: TaskMpcSettings = TaskMpcSettings()
     weights: dict[str, Positive] = Field(default={})
+    avoid: Literal["obstacles", "nothing"] = "obstacles"
 
-    def prepare(self) -> tuple[RobotModel, MPC]:
-        """The robot with its default MPC at home. Raises :class:`InputError` for a weight of no cost."""
+    def prepare(self, obstacles: bool = False) -> tuple[RobotModel, MPC]:
+        """The robot with its default MPC at home, which keeps clear of ``obstacles`` where there are any. Raises :class:`InputError` for a
+        weight of no cost."""
         robot = load_robot(self.robot)
-        changes = {name: value for name, value in self.mpc.model_dump().items() if value is not None}
+        changes: dict[str, Any] = {name: value for name, value in self.mpc.model_dump().items() if value is not None}
+        if self.avoid == "obstacles" and (obstacles or self.obstacles is not None):
+            changes["obstacles"] = Obstacles()
         mpc = base_type(robot.description.base.type).mpc(robot, **changes)
         scale_weights(mpc, self.weights)
         return robot, mpc

@@ -17,7 +17,7 @@ from wbmpc.recording.recorder import Recorder
 from wbmpc.report import RECORDING, RUN_FILES, about_run, outcome, write_run
 from wbmpc.result import RunResult
 from wbmpc.simulation.lockstep import Watch, Watcher
-from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.loop import check_loop, closed_loop
 from wbmpc.tasks.settings import SimulationSettings
 from wbmpc.view.live import View
 
@@ -46,7 +46,10 @@ def simulate(
         chosen = SimulationSettings(**settings)
     except ValidationError as error:
         raise InputError(f"simulate: {describe(error, SimulationSettings)}") from error
-    directory = None if out is None else _directory(Path(out))
+    check_loop(robot, mpc, duration, seed, since, chosen)
+    if not isinstance(name, str) or not name.isprintable():
+        raise InputError(f"simulate: name: a text that can be printed is needed, got {name!r}")
+    directory = None if out is None else _directory(out)
     watchers: list[Watcher] = []
     with ExitStack() as open_things:
         if view:
@@ -65,13 +68,18 @@ def simulate(
     return result
 
 
-def _directory(path: Path) -> Path:
+def _directory(out: str | Path) -> Path:
     """Raises :class:`InputError` where a run's files are already."""
-    present = [file for file in RUN_FILES if (path / file).exists()]
-    if present:
-        raise InputError(f"simulate: out: '{path}' has a run already ('{present[0]}'); give another directory")
+    if not isinstance(out, str | Path):
+        raise InputError(f"simulate: out: the path of a directory is needed, got {out!r}")
+    path = Path(out)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"simulate: out: '{path}' cannot be made ({error.strerror})") from error
+    except ValueError as error:  # a name that no file system takes
+        raise InputError(f"simulate: out: {out!r} cannot be made ({error})") from error
+    present = [file for file in RUN_FILES if (path / file).exists()]
+    if present:
+        raise InputError(f"simulate: out: '{path}' has a run already ('{present[0]}'); give another directory")
     return path

@@ -9,8 +9,10 @@ from pydantic import Field
 
 from wbmpc.bases.ball import residuals as ball_residuals
 from wbmpc.bases.ball.balance import Balance
+from wbmpc.default_problem import keep_clear
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 
@@ -137,9 +139,10 @@ def limit_torques(
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="path+terminal", penalty=barrier, hard=hard))
 
 
-def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> MPC:
-    """The MPC of that problem with its real-time settings."""
-    return MPC(rezero_problem(robot, settings, cost), settings.solver(), settings.rate)
+def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost, obstacles: Obstacles | None = None) -> MPC:
+    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``."""
+    ocp = keep_clear(rezero_problem(robot, settings, cost), robot, obstacles)
+    return MPC(ocp, settings.solver(), settings.rate, obstacles=obstacles)
 
 
 def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:

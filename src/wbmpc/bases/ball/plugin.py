@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from wbmpc.bases.ball.ros_plant import BallRosPlant
     from wbmpc.bases.ball.ros_settings import BallRosSettings
     from wbmpc.mpc.mpc import MPC
+    from wbmpc.obstacles.world import Obstacles
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
 
 class BallBaseType(BaseType):
@@ -38,26 +40,33 @@ class BallBaseType(BaseType):
         tree = read_tree(spec, base.body, without=(base.ball,))
         return BallBase(description, tree, read_tree(spec, base.ball).links[0])
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> BallPlant:
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> BallPlant:
         """The simulated robot at rest in its equilibrium at home."""
         from wbmpc.bases.ball.plant import BallPlant
 
         state, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
-        return BallPlant(robot.description, state, torque, perturbation, seed)
+        return BallPlant(robot.description, state, torque, perturbation, seed, edit=edit)
 
-    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
+    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
         """Weights for steps of the end effector and for pushes."""
         from wbmpc.bases.ball.system import make_mpc
 
-        return make_mpc(robot, **changes)
+        return make_mpc(robot, obstacles, **changes)
 
     def system(
-        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+        self,
+        robot: RobotModel,
+        seed: int,
+        perturbation: Perturbation | None = None,
+        mpc: MPC | None = None,
+        edit: Edit | None = None,
     ) -> System:
         """A perturbed plant in its equilibrium, whose controller brings the end effector to goals that come by and by."""
         from wbmpc.bases.ball.system import make_system
 
-        return make_system(robot, self.plant(robot, perturbation, seed), mpc or self.mpc(robot))
+        return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))
 
     def ros_settings(self, description: RobotDescription) -> type[BallRosSettings]:
         """Weights of the ball robot's problem, and what is learnt of forces."""

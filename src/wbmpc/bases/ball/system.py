@@ -15,6 +15,7 @@ from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
 from wbmpc.bases.base import System
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing
@@ -29,11 +30,11 @@ PUSHED_SPEED = 2.0
 COMPUTATION_DELAY = 0.010
 
 
-def make_mpc(robot: RobotModel, **changes: Any) -> MPC:
+def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
     """The MPC whose goal is the equilibrium at home; ``changes`` of its settings."""
     settings = MpcSettings(**{**mpc_settings(barrier_mu=3e-2).model_dump(), **changes})
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
-    mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
+    mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES, obstacles)
     mpc.reference["body"] = Reference.constant(robot.home)
     mpc.reference["twist"] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)

@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc.bases.differential.description import DifferentialBaseDescription
 from wbmpc.bases.planar.plant import PlanarPlant, contact_settings
+from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.world import Array
 
 #: Half width [m] of a tyre.
@@ -68,6 +69,7 @@ def add_casters(plant: PlanarPlant, spec: mujoco.MjSpec, weight: float, at: Arra
         )  # fmt: skip
         settings = {
             **contact_settings([0.0, 0.0, 0.0]),
+            "conaffinity": FLOOR,  # the robot's file has none: where they are is assumed
             "condim": 1,
             "priority": 1,
             "rgba": [0.2, 0.2, 0.2, 1.0],

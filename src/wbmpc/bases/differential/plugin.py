@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
 #: Axles are one if they are parallel within 1 - cosine and cross a line within so much [m]; a pair is so far [m] apart at least.
 PARALLEL, BESIDE, APART = 1e-3, 0.002, 0.05
@@ -47,8 +48,10 @@ class DifferentialBaseType(PlanarBaseType):
         """The kinematic model."""
         return differential_base(description, *self.read(description, spec))
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> DifferentialPlant:
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> DifferentialPlant:
         """The simulated robot at home."""
         from wbmpc.bases.differential.plant import DifferentialPlant
 
-        return DifferentialPlant(robot, perturbation=perturbation, seed=seed)
+        return DifferentialPlant(robot, perturbation=perturbation, seed=seed, edit=edit)

@@ -17,9 +17,11 @@ from wbmpc.robots import RobotDescription
 if TYPE_CHECKING:
     from wbmpc.bases.fixed.plant import FixedPlant
     from wbmpc.mpc.mpc import MPC
+    from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
 #: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modelled to take [s].
 CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
@@ -46,26 +48,33 @@ class FixedBaseType(BaseType):
         tree = read_tree(spec, description.base.body)
         return FixedBase(description, tree, data.xpos[body].copy(), data.xquat[body].copy())
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> FixedPlant:
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> FixedPlant:
         """The simulated robot at home."""
         from wbmpc.bases.fixed.plant import FixedPlant
 
-        return FixedPlant(robot, perturbation, seed)
+        return FixedPlant(robot, perturbation, seed, edit=edit)
 
-    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
+    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
         """Weights that follow from the robot's size and limits."""
         from wbmpc.default_problem import default_mpc, default_settings
 
-        return default_mpc(robot, default_settings(**changes))
+        return default_mpc(robot, default_settings(**changes), obstacles=obstacles)
 
     def system(
-        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+        self,
+        robot: RobotModel,
+        seed: int,
+        perturbation: Perturbation | None = None,
+        mpc: MPC | None = None,
+        edit: Edit | None = None,
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.control.direct import DirectController
         from wbmpc.simulation.lockstep import Timing
 
-        plant, mpc = self.plant(robot, perturbation, seed), mpc or self.mpc(robot)
+        plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
         rate = robot.limits.input_rate
         return System(plant, DirectController(robot, mpc, timing.period, DRIVE_LAG, rate=rate), mpc, timing)

@@ -9,24 +9,33 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.base import Base, BaseType, Proposal, Question
+from wbmpc.bases.base import Base, Proposal, Question
 from wbmpc.bases.planar.description import PlanarBaseDescription
 from wbmpc.bases.planar.model import PlanarBase
 from wbmpc.bases.planar.plugin import PlanarBaseType
 from wbmpc.bases.planar.wheels import FixedWheels
-from wbmpc.model.tree import read_tree
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.tree import Tree, read_tree
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.findings import Finding
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from wbmpc.bases.mobile.plant import MobilePlant
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
+    from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
+
+    Array = NDArray[np.float64]
 
 
 class MobileBaseDescription(PlanarBaseDescription):
     """``drive``: "omni" takes speeds ahead, aside and a turn; "differential", "skid" and "tracks" speeds ahead and a turn about ``center``
     [m], how far ahead of the body's frame they turn; ``height`` [m] of the body's frame above the floor. Wheels are held
-    (``fixed_joints``)."""
+    (``fixed_joints``). ``casters`` (x, y) [m] in the axes of the body: on what it stands in the simulator, by default the corners of a
+    square about its center of mass."""
 
     joint_key: ClassVar[str] = ""
 
@@ -36,6 +45,7 @@ class MobileBaseDescription(PlanarBaseDescription):
     drive: Literal["omni", "differential", "skid", "tracks"]
     center: float = Field(0.0, ge=-100, le=100)
     height: float = Field(0.0, ge=-10, le=10)
+    casters: tuple[tuple[float, float], ...] = ()
 
     @property
     def slips(self) -> bool:
@@ -44,14 +54,22 @@ class MobileBaseDescription(PlanarBaseDescription):
 
 
 class MobileBase(PlanarBase):
-    """State: (x, y, yaw) of the body's frame and the arm; input: the base's speeds and the arm's rates."""
+    """State: (x, y, yaw) of the body's frame and the arm; input: the base's speeds and the arm's rates. Each of its speeds counts as a wheel
+    that turns at that rate."""
+
+    def __init__(
+        self, description: RobotDescription, tree: Tree, height: float, names: tuple[str, ...], twist: Array
+    ) -> None:
+        wheels = FixedWheels(np.zeros((0, 2)), np.zeros(0), 1.0, height)
+        super().__init__(description, tree, wheels, np.asarray(np.linalg.pinv(twist), float), names, twist)
+        self.wheel_upper = self.wheel_acceleration = np.full(len(names), np.inf)
 
     def _check_rank(self, description: RobotDescription) -> None:
         """Nothing: there are no wheels."""
 
 
 class MobileBaseType(PlanarBaseType):
-    """Planning, and simulation by the model itself: what is under the base is not known."""
+    """Planning, and a simulated base that is driven by a force: what is under it is not known."""
 
     Description = MobileBaseDescription
 
@@ -93,12 +111,16 @@ class MobileBaseType(PlanarBaseType):
         """The kinematic model."""
         base = description.base
         assert isinstance(base, MobileBaseDescription)
-        wheels = FixedWheels(np.zeros((0, 2)), np.zeros(0), 1.0, base.height)
         names: tuple[str, ...] = ("vx", "vy", "wz") if base.drive == "omni" else ("v", "wz")
         # a point ahead of the center goes aside in turns
         one = np.array([[1.0, 0.0], [0.0, -base.center], [0.0, 1.0]])
         twist = np.eye(3) if base.drive == "omni" else one
-        return MobileBase(description, read_tree(spec, base.body), wheels, np.zeros((0, 3)), names, twist)
+        return MobileBase(description, read_tree(spec, base.body), base.height, names, twist)
 
-    # no physics is known
-    plant, system = BaseType.plant, BaseType.system
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> MobilePlant:
+        """The simulated robot at home."""
+        from wbmpc.bases.mobile.plant import MobilePlant
+
+        return MobilePlant(robot, perturbation=perturbation, seed=seed, edit=edit)

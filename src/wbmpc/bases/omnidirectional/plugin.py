@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
 #: Wheels point in one direction above this cosine; axles are two if so far [m] apart.
 ALIKE, APART = 0.97, 0.05
@@ -54,8 +55,10 @@ class OmnidirectionalBaseType(PlanarBaseType):
         """The kinematic model."""
         return omnidirectional_base(description, *self.read(description, spec))
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> OmnidirectionalPlant:
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> OmnidirectionalPlant:
         """The simulated robot at home."""
         from wbmpc.bases.omnidirectional.plant import OmnidirectionalPlant
 
-        return OmnidirectionalPlant(robot, perturbation=perturbation, seed=seed)
+        return OmnidirectionalPlant(robot, perturbation=perturbation, seed=seed, edit=edit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -125,11 +126,22 @@ class PlanarBase:
         rows = residuals.Expression(int(limited.sum()), lambda s: shares @ s.u[:m])
         return [Constraint("wheels", rows, sets.Box(-1.0, 1.0), hard=hard)]
 
+    def fastest_rates(self) -> Array:
+        """(n, m): the largest rates of driven wheels by each of the base's speeds."""
+        return np.abs(self.rates)
+
     def limits(self, description: RobotDescription) -> Limits:
-        """Ranges of the arm's joints (state); the base's speeds, speeds and accelerations of the arm's joints (input)."""
+        """Ranges of the arm's joints (state); speeds and accelerations of base and arm (input): those of the base are what its wheels'
+        allow each of its speeds alone."""
         limits = description.limits
         speeds = [limits.base_angular if n == "wz" else limits.base_linear for n in self.input["base"]]
-        return joint_limits(self, description, self._groups, limits.velocity, limits.acceleration, {"base": speeds})
+        found = joint_limits(self, description, self._groups, limits.velocity, limits.acceleration, {"base": speeds})
+        rates = self.fastest_rates()
+        changes = np.full((len(rates) + 1, rates.shape[1]), np.inf)
+        np.divide(self.wheel_acceleration[:, None], rates, out=changes[:-1], where=rates != 0.0)
+        rate = found.input_rate.copy()
+        rate[: self.rates.shape[1]] = changes.min(axis=0)
+        return replace(found, input_rate=rate)
 
     def home(self, robot: RobotModel) -> Array:
         """The arm at the description's home, the body at the origin."""

@@ -53,7 +53,7 @@ class PlanarPlant(WheeledPlant):
         }
         spec = load_spec(description, meshes=True)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
-        self.draw = self.perturbation.draw(draw_rng, bodies, len(self._names["wheel"]), len(self._names["arm"]))
+        self.draw = self.perturbation.draw(draw_rng, bodies, self._drives(), len(self._names["arm"]))
         with named(description.model):
             self._build(spec, edit)
         names = [n for group in self._names.values() for n in group]
@@ -67,6 +67,10 @@ class PlanarPlant(WheeledPlant):
         self.settle(settle)
 
     # ------------------------------------------------------------------ what base types add
+    def _drives(self) -> int:
+        """How many drives move the base."""
+        return len(self._names["wheel"]) or len(self.model_base.rates)
+
     def add_wheel(self, spec: mujoco.MjSpec, index: int, radius: float, friction: list[float]) -> None:
         """Give wheel ``index`` of ``radius`` [m] what touches the floor with ``friction`` (slide, spin, roll)."""
         raise NotImplementedError

@@ -16,7 +16,9 @@ from wbmpc.robots.findings import Finding
 
 if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
+    from wbmpc.obstacles.world import Obstacles
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
 #: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modelled to take [s].
 CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
@@ -47,20 +49,25 @@ class PlanarBaseType(BaseType):
         tree = read_tree(spec, description.base.body)
         return tree, read_wheels(description, tree, wheel_radius(description, spec.compile()))
 
-    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
+    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
         """Weights that follow from the robot's size and limits."""
         from wbmpc.default_problem import default_mpc, default_settings
 
-        return default_mpc(robot, default_settings(**changes))
+        return default_mpc(robot, default_settings(**changes), obstacles=obstacles)
 
     def system(
-        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+        self,
+        robot: RobotModel,
+        seed: int,
+        perturbation: Perturbation | None = None,
+        mpc: MPC | None = None,
+        edit: Edit | None = None,
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.bases.planar.controller import PlanarController
         from wbmpc.simulation.lockstep import Timing
 
-        plant, mpc = self.plant(robot, perturbation, seed), mpc or self.mpc(robot)
+        plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
         controller = PlanarController(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
         return System(plant, controller, mpc, timing)

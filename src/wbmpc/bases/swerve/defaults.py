@@ -9,9 +9,11 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
+from wbmpc.default_problem import keep_clear
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Guess
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, Weight
 
@@ -118,10 +120,11 @@ def swerve_mpc(
     side_softness: float = ROLLING_SOFTNESS,
     *,
     allow_side_slip: bool = False,
+    obstacles: Obstacles | None = None,
 ) -> MPC:
-    """The MPC of that problem with its real-time settings."""
+    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``."""
     ocp = swerve_problem(robot, settings, cost, side_softness, accelerations=True, allow_side_slip=allow_side_slip)
-    return MPC(ocp, settings.solver(), settings.rate, guess=guess)
+    return MPC(keep_clear(ocp, robot, obstacles), settings.solver(), settings.rate, guess=guess, obstacles=obstacles)
 
 
 def closed_brakes(robot: RobotModel, mpc: MPC) -> Callable[[BrakeFault], None] | None:

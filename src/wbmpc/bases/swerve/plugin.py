@@ -20,9 +20,11 @@ if TYPE_CHECKING:
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.mpc.mpc import MPC
+    from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
 
 class SwerveBaseType(BaseType):
@@ -45,25 +47,32 @@ class SwerveBaseType(BaseType):
         base.warn(description)
         return base
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> SwervePlant:
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> SwervePlant:
         """The simulated robot at home."""
         from wbmpc.bases.swerve.plant import SwervePlant
 
-        return SwervePlant(robot.description, perturbation=perturbation, seed=seed)
+        return SwervePlant(robot.description, perturbation=perturbation, seed=seed, edit=edit)
 
-    def mpc(self, robot: RobotModel, **changes: Any) -> MPC:
+    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
         """Weights for goals of end effector, base and legs."""
         from wbmpc.bases.swerve.system import make_mpc
 
-        return make_mpc(robot, **changes)
+        return make_mpc(robot, obstacles, **changes)
 
     def system(
-        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+        self,
+        robot: RobotModel,
+        seed: int,
+        perturbation: Perturbation | None = None,
+        mpc: MPC | None = None,
+        edit: Edit | None = None,
     ) -> System:
         """A perturbed plant at home, whose controller brings end effector, base and legs to goals that come by and by."""
         from wbmpc.bases.swerve.system import make_system
 
-        return make_system(robot, self.plant(robot, perturbation, seed), mpc or self.mpc(robot))
+        return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))
 
     def ros_settings(self, description: RobotDescription) -> type[SwerveRosSettings]:
         """Weights of the swerve problem, gyro and legs."""

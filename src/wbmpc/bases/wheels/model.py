@@ -132,6 +132,16 @@ class WheelsBase(PlanarBase):
             return ca.vertcat(*roll), ca.vertcat(*side)
         return np.array(roll).reshape(-1, 3 + self.steering), np.array(side).reshape(-1, 3 + self.steering)
 
+    def fastest_rates(self) -> Array:
+        """(n, m): the largest rates of driven wheels by each of the base's speeds, steered ones in their fastest direction."""
+        found = []
+        for contact in (c for c in self.wheel_contacts if c.driven):
+            along, aside = (row[:3] @ self.twist for row in contact.rows(np.zeros(self.steering), self.steering))
+            if contact.roller is not None:
+                along = along + np.tan(contact.roller) * aside
+            found.append((np.hypot(along, aside) if contact.sign else np.abs(along)) / self.radius)
+        return np.array(found)
+
     def by_input(self, rows: Any) -> Any:
         """The same rows by the base's input and the steering rates."""
         if not isinstance(rows, np.ndarray):

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
 
 #: Steering rate [rad/s] and acceleration [rad/s²] where a file has no limit.
 STEER_RATE, STEER_ACCELERATION = 5.0, 60.0
@@ -61,19 +62,26 @@ class WheelsBaseType(PlanarBaseType):
         """The kinematic model."""
         return WheelsBase(description, *self.read(description, spec))
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> WheelsPlant:
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> WheelsPlant:
         """The simulated robot at home."""
         from wbmpc.bases.wheels.plant import WheelsPlant
 
-        return WheelsPlant(robot, perturbation=perturbation, seed=seed)
+        return WheelsPlant(robot, perturbation=perturbation, seed=seed, edit=edit)
 
     def system(
-        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None
+        self,
+        robot: RobotModel,
+        seed: int,
+        perturbation: Perturbation | None = None,
+        mpc: MPC | None = None,
+        edit: Edit | None = None,
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.bases.wheels.control import WheelsController
         from wbmpc.simulation.lockstep import Timing
 
-        plant, mpc = self.plant(robot, perturbation, seed), mpc or self.mpc(robot)
+        plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
         return System(plant, WheelsController(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG), mpc, timing)

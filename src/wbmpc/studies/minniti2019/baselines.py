@@ -73,7 +73,7 @@ class TaskspaceSettings(Settings):
 
 
 class BaselineSettings(Settings):
-    """Gains of each baseline, found by ``python benchmarks/ball_baselines.py --search all``: the same search, as many runs, the same tuning seeds."""
+    """Gains of each baseline, found on tuning seeds by one search for all; ``wbmpc tune rezero-tune-NAME`` searches them."""
 
     lqr: RegulatorSettings = RegulatorSettings()
     scheduled_lqr: RegulatorSettings = RegulatorSettings()

@@ -28,7 +28,7 @@ from wbmpc.result import Metric
 from wbmpc.simulation.lockstep import Progress, Timing
 from wbmpc.stability import CONFIGURATIONS, corners
 from wbmpc.studies.pankert2022.drive_course import terrain
-from wbmpc.studies.pankert2022.drive_figures import metrics, plots
+from wbmpc.studies.pankert2022.drive_figures import baseline_metrics, metrics, plots
 from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings, straight, tour
 from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses, ramps
 from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
@@ -150,16 +150,11 @@ class _Run:
         return Loop(plant, controller, None, timing, duration, record).run(progress)
 
 
-def baseline_on_tour(settings: SwerveDriveSettings, seed: int) -> np.ndarray:
-    """Pose errors (k, 3) in the estimated frame of the baseline alone on the tour, for the search of gains; infinite if it fell,
-    collided or ended early for another reason."""
-    robot = swerve_robot(settings.robot)
-    mission, duration = tour(robot, settings.plant.brake_delay)
-    run = _Run.of(settings, robot, seed)
-    ending, log = run.baseline(mission, duration, terrain).ending, run.log
-    error = log.array("baseline.base_odometry") - log.array("baseline.base_reference")
-    collided = any(contacts.touches for contacts in ending.contacts)
-    return np.full_like(error, np.inf) if ending.reason or collided else error
+def _baseline_alone(bench: _Run, mission: Mission, duration: float) -> Scenario:
+    """The tour with the baseline."""
+    drive = partial(bench.baseline, mission, duration, terrain)
+    of = lambda run: baseline_metrics(bench.log, not run.ending.reason)
+    return Scenario.single(bench.log, drive, of, lambda run: [], IDEALISATIONS)
 
 
 def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
@@ -170,6 +165,8 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
     reject_two_wheels(robot.description)
     mission, duration = tour(robot, settings.plant.brake_delay)
     bench = _Run.of(settings, robot, seed)
+    if settings.baseline_only:
+        return _baseline_alone(bench, mission, duration)
     knocks: list[Knock | None] = []
 
     def aside(name: str, mission: Mission, duration: float, knock: float | None, progress: Progress | None) -> Outcome:

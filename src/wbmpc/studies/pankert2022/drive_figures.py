@@ -102,15 +102,20 @@ def metrics(
     return found
 
 
-def _of_baseline(log: Log, ours: tuple[np.ndarray, ...], whole: bool, goal: float) -> dict[str, Metric]:
-    """The baseline's errors and the ratios of ``ours`` (k, 2) [m] over them; ``whole``: whether it got to the end."""
+def baseline_metrics(log: Log, whole: bool) -> dict[str, Metric]:
+    """The baseline's errors, infinite unless it got to the end (``whole``)."""
     position, yaw = _errors(log, "baseline")
     figure = rms if whole else lambda _: float("inf")
-    found = {
+    return {
         **in_both_frames("baseline_position_error_rms", figure, position, "m"),
         **in_both_frames("baseline_yaw_error_rms", figure, yaw, "rad"),
         "baseline_leg_angle_error_rms": Metric(_leg_error(log, "baseline") if whole else float("inf"), "rad"),
     }
+
+
+def _of_baseline(log: Log, ours: tuple[np.ndarray, ...], whole: bool, goal: float) -> dict[str, Metric]:
+    """The baseline's errors and the ratios of ``ours`` (k, 2) [m] over them; ``whole``: whether it got to the end."""
+    found, (position, _) = baseline_metrics(log, whole), _errors(log, "baseline")
     if not whole:
         return found | {"baseline_ratio_world": no_comparison(goal), "baseline_ratio": no_comparison()}
     ratio = [rms(own) / rms(its) for own, its in zip(ours, position, strict=True)]

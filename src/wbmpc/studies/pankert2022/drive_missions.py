@@ -24,7 +24,8 @@ KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
 
 class SwerveDriveSettings(DrivingSettings):
-    """``leg_guard`` (MPC): see :class:`wbmpc.bases.swerve.controller.SwerveController`.
+    """``baseline_only``: nothing but the tour with the baseline, for the search of its gains.
+    ``leg_guard`` (MPC): see :class:`wbmpc.bases.swerve.controller.SwerveController`.
     ``baseline_…``: gains [1/s] for base, legs and steering; by how much
     [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
     :class:`wbmpc.studies.pankert2022.rolling.RollingController`). The other settings are those of all experiments that drive."""
@@ -37,7 +38,7 @@ class SwerveDriveSettings(DrivingSettings):
     )
     robot: str = "swerve-ur10"
     leg_guard: bool = True
-    # of a search that benchmarks/swerve_baselines.py does, of which only a part was run
+    baseline_only: bool = False
     baseline_base_gain: float = Field(8.0, ge=0, le=50)
     baseline_leg_gain: float = Field(8.0, ge=0, le=50)
     baseline_steer_gain: float = Field(40.0, gt=0, le=100)

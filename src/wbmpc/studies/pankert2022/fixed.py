@@ -23,7 +23,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.simulation.lockstep import Progress, Timing
 from wbmpc.studies.pankert2022.fixed_figures import metrics, plots
-from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings, legs_at_home
+from wbmpc.studies.pankert2022.fixed_motions import Controller, Motion, SwerveFixedSettings, legs_at_home
 from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_flip import WheelFlipGuess, fast_enough
@@ -57,31 +57,23 @@ def goals(
     return (pose, np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])), (legs, 0.0 * legs)
 
 
-#: From ``benchmarks/swerve_baselines.py``, a coordinate search of 31 sets of gains for each. Inverse kinematics: all motions and random
-#: twists of 20 s, seeds 0 and 1 (with an earlier odometry). Four wheels: forward and turning (what it can do), seed 0, 0.56 mm
-#: rms (by hand: 4.1).
-GAINS: dict[str, dict[str, float]] = {
-    "ik": {"base_gain": 12.0, "steer_gain": 30.0, "lead": 0.0, "look_ahead": 2.0},
-    "four_wheel": {"base_gain": 16.0, "steer_gain": 10.0, "lead": 0.0, "look_ahead": 0.5},
-}
-
-
-def baseline(kind: type[RollingController], **gains: float) -> Make:
-    """A maker of a baseline's controller."""
+def baseline(kind: type[RollingController], name: Controller) -> Make:
+    """A maker of a baseline's controller, with the gains of the settings."""
 
     def make(
         r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion, known: EstimatorSettings
     ) -> SwerveController:
         aims = lambda t: goals(p, t, legs_at_home(r))
-        return kind(r, pose, period, aims, RollingGains(**gains, delay=s.mpc.computation_delay), estimation=known)
+        gains = RollingGains(**getattr(s, name).model_dump(), delay=s.mpc.computation_delay)
+        return kind(r, pose, period, aims, gains, estimation=known)
 
     return make
 
 
-CONTROLLERS: dict[str, Make] = {
+CONTROLLERS: dict[Controller, Make] = {
     "mpc": _mpc_controller,
-    "ik": baseline(RollingController, **GAINS["ik"]),
-    "four_wheel": baseline(FourWheelSteeringController, **GAINS["four_wheel"]),
+    "ik": baseline(RollingController, "ik"),
+    "four_wheel": baseline(FourWheelSteeringController, "four_wheel"),
 }
 
 
@@ -97,17 +89,17 @@ def build(settings: SwerveFixedSettings, seed: int) -> Scenario:
     known = settings.estimation(robot, seed)
     drives = {
         n: partial(drive, n, settings, seed, robot, reference, known, mpc if n == "mpc" else None, log)
-        for n in CONTROLLERS
+        for n in settings.controllers
     }
     return Scenario(
-        log, [Part(name, run, baseline=name != "mpc") for name, run in drives.items()],
-        lambda run: metrics(log, reference, CONTROLLERS, run, settings.localization == "lidar"), lambda run: plots(log, reference, CONTROLLERS),
+        log, [Part(name, run, baseline="mpc" in drives and name != "mpc") for name, run in drives.items()],
+        lambda run: metrics(log, reference, drives, run, settings.localization == "lidar"), lambda run: plots(log, reference, drives),
         IDEALISATIONS, compared=True,
     )  # fmt: skip
 
 
 def drive(
-    name: str,
+    name: Controller,
     settings: SwerveFixedSettings,
     seed: int,
     robot: RobotModel,

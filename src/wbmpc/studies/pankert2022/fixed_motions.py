@@ -12,11 +12,13 @@ from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, S
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.settings import Settings
 from wbmpc.studies.base_path import BasePath, Segment, in_turn, random_twists
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 
 Name = Literal["forward", "sideways", "diagonal", "turning", "combined"]
+Controller = Literal["mpc", "ik", "four_wheel"]
 SEGMENTS: dict[Name, Segment] = {
     "forward": Segment((0.4, 0.0, 0.0), 6.0),
     "sideways": Segment((0.0, 0.4, 0.0), 6.0),
@@ -28,10 +30,20 @@ SEGMENTS: dict[Name, Segment] = {
 START, PAUSE, RAMP = 1.0, 2.0, 1.0
 
 
+class BaselineGains(Settings):
+    """What :class:`wbmpc.studies.pankert2022.rolling.RollingGains` says of them."""
+
+    base_gain: float = Field(ge=0, le=50)
+    steer_gain: float = Field(gt=0, le=100)
+    lead: float = Field(0.0, ge=0, le=0.5)
+    look_ahead: float = Field(ge=0, le=5)
+
+
 class SwerveFixedSettings(DrivingSettings):
-    """``motions``: which, in this order, each once at most; ``random_time`` [s] of random twists after them (600 is the ten minutes of
-    the protocol), up to ``speed`` [m/s] and ``yaw_rate`` [rad/s]. The other settings are those of all experiments
-    that drive."""
+    """``controllers``: which follow the motions, each once at most; ``ik``, ``four_wheel``: gains of the baselines, found on tuning
+    seeds (four wheels: by forward and turning, what it can do). ``motions``: which, in this order, each once at most;
+    ``random_time`` [s] of random twists after them (600 is the ten minutes of the protocol), up to ``speed`` [m/s] and ``yaw_rate``
+    [rad/s]. The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(
         end_effector=EndEffectorCost(weight=0.0, orientation=0.0),
@@ -39,6 +51,9 @@ class SwerveFixedSettings(DrivingSettings):
         input=InputCost(base=5.0),
     )
     robot: str = "swerve-fixed-ur10"
+    controllers: tuple[Controller, ...] = Field(("mpc", "ik", "four_wheel"), min_length=1)
+    ik: BaselineGains = BaselineGains(base_gain=12.0, steer_gain=30.0, look_ahead=2.0)
+    four_wheel: BaselineGains = BaselineGains(base_gain=16.0, steer_gain=10.0, look_ahead=0.5)
     motions: tuple[Name, ...] = tuple(SEGMENTS)
     random_time: float = Field(60.0, ge=0, le=3600)
     speed: float = Field(0.5, gt=0, le=1.0)
@@ -49,9 +64,10 @@ class SwerveFixedSettings(DrivingSettings):
         """A base that is asked nothing compares no controllers; of a motion twice the figures would be of the second alone."""
         if not self.motions and self.random_time == 0.0:
             raise ValueError("motions: none is left, and random_time is 0: there is nothing to follow")
-        twice = [name for k, name in enumerate(self.motions) if name in self.motions[:k]]
-        if twice:
-            raise ValueError(f"motions: '{twice[0]}' stands there twice; valid: each once at most")
+        for key, names in (("motions", self.motions), ("controllers", self.controllers)):
+            twice = [name for k, name in enumerate(names) if name in names[:k]]
+            if twice:
+                raise ValueError(f"{key}: '{twice[0]}' stands there twice; valid: each once at most")
         return self
 
 

@@ -3,7 +3,7 @@
 The twist that the reference asks for, corrected by the base's and the legs' errors, gives each wheel its heading and speed
 (Pankert et al. 2022, equations 4 and 5, solved for the wheels). Limits are those of the drives, as
 for the MPC; the whole motion is scaled to the fastest wheel and held back while wheels still turn. Gains:
-``benchmarks/swerve_baselines.py``, on the tuning seeds.
+``wbmpc tune swerve-tune-ik`` and its like, on the tuning seeds.
 """
 
 from __future__ import annotations

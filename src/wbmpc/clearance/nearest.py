@@ -1,0 +1,158 @@
+"""Nearest points of a robot's frames and of obstacles, at many states at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.clearance.kinematics import CompiledKinematics
+from wbmpc.clearance.table import SolidTable
+from wbmpc.obstacles.geometry import RobotGeometry
+from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
+from wbmpc.obstacles.solids import Solid
+from wbmpc.obstacles.world import Obstacle, Snapshot
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Nearest:
+    """By node, frame and obstacle: ``distance`` (n, F, O) [m], infinite beyond the reach; ``normal`` (n, F, O, 3) from the obstacle to
+    the robot; ``point`` (n, F, O, 3), the robot's nearest point in the frame's axes; ``level`` (n, F, O): normal · obstacle's point."""
+
+    distance: Array
+    normal: Array
+    point: Array
+    level: Array
+
+    @classmethod
+    def none(cls, n: int, frames: int, obstacles: int) -> Nearest:
+        shape = (n, frames, obstacles)
+        return cls(np.full(shape, np.inf), np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape))
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Of the robot's frames at ``times`` (n) [s]: ``position`` (n, F, 3), ``rotation`` (n, F, 3, 3)."""
+
+    times: Array
+    position: Array
+    rotation: Array
+
+    def into(self, node: int, frame: int, point: Array) -> Array:
+        """A point of the world (3) in a frame's axes."""
+        return np.asarray((point - self.position[node, frame]) @ self.rotation[node, frame])
+
+
+class Finder:
+    """Nearest points between one robot and any obstacles. ``reach`` [m]: what is farther away is not looked at; ``pairs``: how many pairs
+    of solids the last call compared one by one, the others were too far by their bounding spheres."""
+
+    def __init__(self, geometry: RobotGeometry, reach: float) -> None:
+        self.geometry, self.reach, self.pairs = geometry, reach, 0
+        self._table = SolidTable(geometry)
+        #: poses of the geometry's frames
+        self.kinematics = CompiledKinematics(geometry.robot, [geometry.robot.tree.frames[f] for f in geometry.frames])
+
+    def find(self, snapshot: Snapshot, poses: Poses, limit: Array | None = None) -> Nearest:
+        """``limit`` (n, F, O) [m]: distances that are not smaller are of no interest; the reach where it is left out."""
+        n, obstacles = len(poses.times), snapshot.obstacles
+        out = Nearest.none(n, len(self.geometry.frames), len(obstacles))
+        self.pairs = 0
+        if not obstacles or not n:
+            return out
+        below = np.full(out.distance.shape, self.reach) if limit is None else limit
+        solids: list[tuple[int, Solid, Array, Array]] = []  # obstacle, solid, centers (n, 3), axes (3, 3)
+        for o, obstacle in enumerate(obstacles):
+            place, turn = snapshot.pose(obstacle, poses.times)
+            if isinstance(obstacle.shape, HalfSpace):
+                self._half_space(obstacle.shape, place, turn, poses, below[:, :, o], out, o)
+            elif isinstance(obstacle.shape, DistanceGrid):
+                self._grid(obstacle.shape, place[0], turn, poses, below[:, :, o], out, o)
+            else:
+                solid = obstacle.shape.solid
+                solids.append((o, solid, place + turn @ solid.position, turn @ solid.rotation))
+        if solids:
+            self._solids(solids, poses, below, out)
+        return out
+
+    # ------------------------------------------------------------------ convex solids
+    def _solids(
+        self, solids: Sequence[tuple[int, Solid, Array, Array]], poses: Poses, below: Array, out: Nearest
+    ) -> None:
+        which = [s[0] for s in solids]
+        found = self._table.nearest(
+            poses.position, poses.rotation, [s[1] for s in solids], np.stack([s[2] for s in solids], axis=1),
+            np.array([s[3] for s in solids]), below[:, :, which],
+        )  # fmt: skip
+        self.pairs = found.compared
+        there = found.distance < below[:, :, which]
+        k, f, i = np.nonzero(there)
+        o = np.array(which)[i]
+        n, p, q = found.normal[k, f, i], found.own[k, f, i], found.other[k, f, i]
+        out.distance[k, f, o], out.normal[k, f, o], out.level[k, f, o] = (
+            found.distance[k, f, i],
+            n,
+            np.sum(n * q, axis=1),
+        )
+        out.point[k, f, o] = np.einsum("mi,mij->mj", p - poses.position[k, f], poses.rotation[k, f])
+
+    def along(
+        self, obstacle: Obstacle, place: Array, turn: Array, poses: Poses, k: int, f: int, n: Array
+    ) -> tuple[Array, float]:
+        """The robot's point (3, in the frame's axes) and the obstacle's level along a normal ``n`` (3) that is kept: the gap between two
+        planes."""
+        assert not isinstance(obstacle.shape, (HalfSpace, DistanceGrid))
+        solid = obstacle.shape.solid
+        axes = turn @ solid.rotation
+        level = float(n @ (place + turn @ solid.position) + solid.support((n @ axes)[None])[0] @ (n @ axes))
+        down = -n @ poses.rotation[k, f]
+        ends = []
+        for s in np.flatnonzero(self.geometry.frame_of == f):
+            own = self.geometry.shapes[s].solid
+            ends.append(own.position + own.rotation @ own.support((down @ own.rotation)[None])[0])
+        return max(ends, key=lambda p: float(p @ down)), level
+
+    # ------------------------------------------------------------------ half-spaces and grids
+    def _half_space(
+        self, shape: HalfSpace, place: Array, turn: Array, poses: Poses, below: Array, out: Nearest, o: int
+    ) -> None:
+        n = turn @ np.asarray(shape.normal, float)
+        level = place @ n + shape.offset
+        for s, part in enumerate(self.geometry.shapes):
+            f, own = int(self.geometry.frame_of[s]), part.solid
+            down = -np.einsum("nij,i->nj", poses.rotation[:, f], n)
+            point = own.position + own.support(down @ own.rotation) @ own.rotation.T
+            distance = poses.position[:, f] @ n - np.sum(point * down, axis=1) - level
+            better = distance < np.minimum(out.distance[:, f, o], below[:, f])
+            out.distance[better, f, o], out.normal[better, f, o] = distance[better], n
+            out.point[better, f, o], out.level[better, f, o] = point[better], level[better]
+
+    def _grid(
+        self, shape: DistanceGrid, place: Array, turn: Array, poses: Poses, below: Array, out: Nearest, o: int
+    ) -> None:
+        frame, local, radius = self.geometry.spheres
+        own = poses.rotation[:, frame]
+        centers = poses.position[:, frame] + np.einsum("nbij,bj->nbi", own, local)
+        value, gradient = shape.sample(((centers - place) @ turn).reshape(-1, 3))
+        value, gradient = value.reshape(centers.shape[:2]), gradient.reshape(centers.shape) @ turn.T
+        slope = np.linalg.norm(gradient, axis=2)
+        distance = np.where(slope > 0.1, value - radius, np.inf)
+        for f in range(len(self.geometry.frames)):
+            mine = np.flatnonzero(frame == f)
+            best = mine[np.argmin(distance[:, mine], axis=1)]
+            for k in np.flatnonzero(distance[np.arange(len(best)), best] < below[:, f]).tolist():
+                b = int(best[k])
+                n = gradient[k, b] / slope[k, b]
+                p = centers[k, b] - radius[b] * n
+                out.distance[k, f, o], out.normal[k, f, o] = distance[k, b], n
+                out.point[k, f, o], out.level[k, f, o] = poses.into(k, f, p), n @ p - distance[k, b]
+
+
+def turned(a: Array, b: Array) -> Array:
+    """Angles (...) [rad] between rotations (..., 3, 3)."""
+    trace = np.einsum("...ij,...ij->...", a, b)
+    return np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))

@@ -1,0 +1,134 @@
+"""Nearest points of many pairs of solids at many states, compiled: a robot's against obstacles, and against each other.
+
+Pairs are compared node after node, so that each gap begins with the direction of the node before. Those that are too far by the
+spheres around them, or by a solid against a sphere, are not compared.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.clearance.compilation import compiled
+from wbmpc.clearance.gap_step import gap
+from wbmpc.clearance.simplex_step import Work
+from wbmpc.clearance.support_step import beyond, core_radius
+from wbmpc.kernel.ir import Floats, Integers
+
+
+@compiled
+def put(
+    n: int, shapes: int, frames: int, frame_of: Integers, local: Floats, turn: Floats, position: Floats, rotation: Floats,
+    place: Floats, axes: Floats,
+) -> None:  # fmt: skip
+    """Centers ``place`` (n, s, 3) and ``axes`` (n, s, 3, 3) of a robot's solids, at ``local`` (s, 3) and ``turn`` (s, 3, 3) of their frames."""
+    for k in range(n):
+        for s in range(shapes):
+            at, p, r = k * frames + frame_of[s], 3 * (k * shapes + s), 9 * (k * shapes + s)
+            for i in range(3):
+                place[p + i] = position[3 * at + i]
+                for j in range(3):
+                    place[p + i] += rotation[9 * at + 3 * i + j] * local[3 * s + j]
+                    axes[r + 3 * i + j] = 0.0
+                    for c in range(3):
+                        axes[r + 3 * i + j] += rotation[9 * at + 3 * i + c] * turn[9 * s + 3 * c + j]
+
+
+@compiled
+def bound(
+    a: int, b: int, kind: Integers, size: Floats, around: Floats, place: Floats, pa: int, axes: Floats, ra: int, others: Floats,
+    pb: int, limit: float,
+) -> float:  # fmt: skip
+    """At most the distance [m] of solids ``a`` and ``b`` by their enclosing spheres (radius ``around`` (s)); of ``a`` itself against the
+    sphere of ``b`` where that is less than ``limit``."""
+    x, y, z = others[pb] - place[pa], others[pb + 1] - place[pa + 1], others[pb + 2] - place[pa + 2]
+    reach = around[a] + around[b] + limit
+    square = x * x + y * y + z * z
+    if reach <= 0.0 or square >= reach * reach:
+        return np.inf
+    lx = axes[ra] * x + axes[ra + 3] * y + axes[ra + 6] * z
+    ly = axes[ra + 1] * x + axes[ra + 4] * y + axes[ra + 7] * z
+    lz = axes[ra + 2] * x + axes[ra + 5] * y + axes[ra + 8] * z
+    return beyond(a, kind, size, lx, ly, lz) - around[b]
+
+
+@compiled
+def take(
+    a: int, b: int, kind: Integers, size: Floats, place: Floats, pa: int, d: float, i: int, distance: Floats, normal: Floats,
+    own: Floats, other: Floats, work: Floats,
+) -> None:  # fmt: skip
+    """Write a gap that has been found to entry ``i``: ``normal`` from ``b`` to ``a``, the nearest points ``own`` and ``other`` in the world."""
+    v, at = int(Work.V), int(Work.AT)
+    length = np.sqrt(work[v] ** 2 + work[v + 1] ** 2 + work[v + 2] ** 2)
+    ra, rb = core_radius(a, kind, size), core_radius(b, kind, size)
+    distance[i] = d
+    for c in range(3):
+        n = work[v + c] / length
+        normal[3 * i + c] = n
+        own[3 * i + c] = place[pa + c] + work[at + c] - ra * n
+        other[3 * i + c] = place[pa + c] + work[at + c] - work[v + c] + rb * n
+
+
+@compiled
+def nearest(
+    n: int, shapes: int, frames: int, solids: int, kind: Integers, size: Floats, around: Floats, first: Integers,
+    vertices: Floats, frame_of: Integers, place: Floats, axes: Floats, others: Floats, turns: Floats, distance: Floats,
+    normal: Floats, own: Floats, other: Floats, touching: Integers, work: Floats,
+) -> tuple[int, int]:  # fmt: skip
+    """Of each of n states, ``frames`` and other ``solids``, numbered after the robot's ``shapes``: what is nearer than ``distance`` (n, f, o)
+    on entry. ``others`` (n, o, 3), ``turns`` (o, 3, 3). How many pairs were compared, and how many of them touch: their numbers
+    (k · shapes + s) · solids + o are in ``touching``."""
+    compared, touch = 0, 0
+    for o in range(solids):
+        for s in range(shapes):
+            b, rb = shapes + o, 9 * o
+            for c in range(3):
+                work[Work.V + c] = 0.0
+            for k in range(n):
+                i = (k * frames + frame_of[s]) * solids + o
+                limit = distance[i]
+                pa, ra, pb = 3 * (k * shapes + s), 9 * (k * shapes + s), 3 * (k * solids + o)
+                if bound(b, s, kind, size, around, others, pb, turns, rb, place, pa, limit) >= limit:
+                    continue
+                compared += 1
+                d = gap(
+                    s, b, kind, size, first, vertices, place, pa, axes, ra, others, pb, turns, rb, limit, work
+                )  # fmt: skip
+                if d == -np.inf:
+                    touching[touch] = (k * shapes + s) * solids + o
+                    touch += 1
+                elif d < limit:
+                    take(s, b, kind, size, place, pa, d, i, distance, normal, own, other, work)
+    return compared, touch
+
+
+@compiled
+def nearest_own(
+    n: int, shapes: int, rows: int, pairs: int, kind: Integers, size: Floats, around: Floats, first: Integers,
+    vertices: Floats, row_of: Integers, one: Integers, two: Integers, place: Floats, axes: Floats, distance: Floats,
+    normal: Floats, own: Floats, other: Floats, touching: Integers, work: Floats,
+) -> tuple[int, int]:  # fmt: skip
+    """The same of ``pairs`` of a robot's solids ``one`` and ``two``, each of one of the ``rows``: ``distance`` (n, rows). Numbers of those
+    that touch: k · pairs + pair."""
+    compared, touch = 0, 0
+    for j in range(pairs):
+        a, b = one[j], two[j]
+        for c in range(3):
+            work[Work.V + c] = 0.0
+        for k in range(n):
+            i = k * rows + row_of[j]
+            limit = distance[i]
+            pa, pb = k * shapes + a, k * shapes + b
+            if bound(a, b, kind, size, around, place, 3 * pa, axes, 9 * pa, place, 3 * pb, limit) >= limit:
+                continue
+            if bound(b, a, kind, size, around, place, 3 * pb, axes, 9 * pb, place, 3 * pa, limit) >= limit:
+                continue
+            compared += 1
+            d = gap(
+                a, b, kind, size, first, vertices, place, 3 * pa, axes, 9 * pa, place, 3 * pb, axes, 9 * pb, limit, work
+            )  # fmt: skip
+            if d == -np.inf:
+                touching[touch] = k * pairs + j
+                touch += 1
+            elif d < limit:
+                take(a, b, kind, size, place, 3 * pa, d, i, distance, normal, own, other, work)
+    return compared, touch

@@ -1,0 +1,219 @@
+"""Parameters of clearance rows at every node of a plan: normals, nearest points and offsets.
+
+A row is h = nᵀ(p(x) + R(x) r) − c of a frame at p, R; n (3) is the normal at the nearest points of the predicted states, r (3) the
+robot's nearest point in the frame's axes, c the obstacle's level along n with all margins. Value and gradient are then those of the
+distance at the prediction, exactly. Rows without an obstacle are zeros, for which h = 1: far inside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.clearance.kinematics import CompiledKinematics
+from wbmpc.clearance.nearest import Finder, Nearest, Poses
+from wbmpc.clearance.sweep import between, keep_sides
+from wbmpc.clearance.table import SolidTable
+from wbmpc.obstacles.geometry import common_link, link_frames, robot_geometry
+from wbmpc.obstacles.world import Snapshot
+from wbmpc.ocp.clearance_residuals import SELF_WIDTH, WIDTH
+from wbmpc.ocp.clearance_residuals import Clearance as ObstacleTerm
+from wbmpc.ocp.clearance_residuals import SelfClearance as SelfTerm
+
+Array = NDArray[np.float64]
+#: Obstacles farther than this [m] beyond the margin have no rows.
+REACH = 0.5
+#: Parts of the robot farther from each other than this [m] have none.
+SELF_REACH = 0.25
+#: Plans with less than this [m] beyond their margins are measured exactly, others by the rows of their solve.
+EXACT = 0.1
+#: Standard deviations by which a margin grows.
+SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """The least distance of a plan to what it keeps clear of: ``distance`` [m] (negative inside), between the robot's ``frame`` and
+    ``other`` (an obstacle or another frame), at ``node`` and ``time`` [s]; ``margin`` [m] that was asked for there. Infinite where nothing
+    is near."""
+
+    distance: float = np.inf
+    margin: float = 0.0
+    frame: str = ""
+    other: str = ""
+    node: int = -1
+    time: float = np.nan
+
+    @property
+    def excess(self) -> float:
+        """Distance beyond the margin [m]; negative: what it lacks."""
+        return self.distance - self.margin
+
+    def __str__(self) -> str:
+        if not self.frame:
+            return "nothing near"
+        return f"{1e3 * self.distance:.0f} mm between '{self.frame}' and '{self.other}' at {self.time:.2f} s (node {self.node})"
+
+
+class ObstacleRows:
+    """Rows of some frames of a robot with the nearest obstacles of each."""
+
+    def __init__(self, term: ObstacleTerm) -> None:
+        self.geometry = geometry = robot_geometry(term.robot)
+        self.slots, self.margin = int(term.slots), float(term.margin or 0.0)
+        self.finder = Finder(geometry, REACH + self.margin)
+        self.index = [geometry.frames.index(f) for f in term.frames or ()]
+        self._asked = np.zeros(len(geometry.frames), bool)
+        self._asked[self.index] = True
+        self._near: Nearest | None = None
+
+    @property
+    def size(self) -> int:
+        """Rows at a node."""
+        return len(self.index) * self.slots
+
+    def refresh(self, snapshot: Snapshot, times: Array, states: Array) -> Array:
+        """Parameters (n, size · :data:`WIDTH`) at ``times`` (n) [s] for predicted ``states`` (n, nx)."""
+        poses = Poses(times, *self.finder.kinematics(states))
+        near, margin = self.measure(snapshot, poses)
+        if snapshot.obstacles:
+            inner = between(self.finder, snapshot, poses, near, states, float(margin.max()))
+            ends = np.minimum(near.distance[:-1], near.distance[1:])
+            # a motion through an obstacle is the side's matter
+            lack = np.where(np.isfinite(inner) & (inner >= 0.0), np.minimum(ends, self.finder.reach) - inner, 0.0)
+            keep_sides(self.finder, snapshot, poses, near, inner)
+            none = np.zeros((1, *lack.shape[1:]))
+            margin += np.maximum(np.concatenate([lack, none]), np.concatenate([none, lack]))
+        self._near = near
+        return self._fill(near, margin)
+
+    def base_margin(self, snapshot: Snapshot, poses: Poses) -> Array:
+        """Margins (n, F, O) [m]: what is asked for and the obstacles' spread."""
+        spread = np.array([SIGMAS * o.spread(poses.times) for o in snapshot.obstacles]).reshape(-1, len(poses.times))
+        return np.broadcast_to(
+            self.margin + spread.T[:, None, :], (len(poses.times), len(self.geometry.frames), len(spread))
+        ).copy()
+
+    def measure(self, snapshot: Snapshot, poses: Poses) -> tuple[Nearest, Array]:
+        """Nearest points at poses, and the margins (n, F, O) [m] there."""
+        shape = (len(poses.times), len(self.geometry.frames), len(snapshot.obstacles))
+        limit = np.broadcast_to(np.where(self._asked, self.finder.reach, -np.inf)[None, :, None], shape)
+        return self.finder.find(snapshot, poses, limit), self.base_margin(snapshot, poses)
+
+    def _fill(self, near: Nearest, margin: Array) -> Array:
+        n, obstacles = len(near.distance), near.distance.shape[2]
+        out = np.zeros((n, len(self.index), self.slots, WIDTH))
+        count = min(self.slots, obstacles)
+        if count:
+            excess = (near.distance - margin)[:, self.index]
+            chosen = np.sort(np.argsort(excess, axis=2, kind="stable")[..., :count], axis=2)
+            take = lambda a: np.take_along_axis(a[:, self.index], chosen, axis=2)
+            wide = lambda a: np.take_along_axis(a[:, self.index], chosen[..., None], axis=2)
+            there = np.isfinite(take(near.distance))
+            part = out[:, :, :count]
+            part[..., :3] = np.where(there[..., None], wide(near.normal), 0.0)
+            part[..., 3:6] = np.where(there[..., None], wide(near.point), 0.0)
+            part[..., 6] = np.where(there, take(near.level) + take(margin), 0.0)
+        return out.reshape(n, -1)
+
+    def clearance(self, snapshot: Snapshot, times: Array, states: Array) -> Clearance:
+        """The least excess over its margins of the plan that a solve made of what :meth:`refresh` set."""
+        poses, near = Poses(times, *self.finder.kinematics(states)), self._near
+        if near is None or near.distance.shape[0] != len(times) or not np.isfinite(near.distance).any():
+            return Clearance()
+        at = poses.position[:, :, None] + near.point @ np.swapaxes(poses.rotation, 2, 3)
+        gap = np.where(np.isfinite(near.distance), np.sum(near.normal * at, axis=3) - near.level, np.inf)
+        margin = self.base_margin(snapshot, poses)
+        least = float((gap - margin).min())
+        if least < EXACT:
+            limit = np.where(self._asked[:, None], np.minimum(margin + least + 0.5 * EXACT, self.finder.reach), -np.inf)
+            gap = np.fmin(
+                self.finder.find(snapshot, poses, limit).distance, np.where(gap - margin > least, np.inf, gap)
+            )
+        return self._least(snapshot, times, gap, margin)
+
+    def deepest(self, snapshot: Snapshot, times: Array, states: Array, limit: float, deeper: float) -> Clearance | None:
+        """Where states (n, nx) come nearer to an obstacle than ``limit`` [m], and by ``deeper`` [m] nearer than at the first one; None:
+        nowhere."""
+        poses = Poses(times, *self.finder.kinematics(states))
+        shape = (len(times), len(self.geometry.frames), len(snapshot.obstacles))
+        asked = np.broadcast_to(np.where(self._asked, limit, -np.inf)[None, :, None], shape)
+        found = self.finder.find(snapshot, poses, asked).distance
+        found = np.where(found < found[:1] - deeper, found, np.inf)
+        return (
+            self._least(snapshot, times, found, self.base_margin(snapshot, poses)) if np.isfinite(found).any() else None
+        )
+
+    def _least(self, snapshot: Snapshot, times: Array, distance: Array, margin: Array) -> Clearance:
+        k, f, o = np.unravel_index(int(np.argmin(distance - margin)), distance.shape)
+        return Clearance(
+            float(distance[k, f, o]), float(margin[k, f, o]), self.geometry.frames[f], snapshot.obstacles[o].name, int(k),
+            float(times[k]),
+        )  # fmt: skip
+
+
+class SelfRows:
+    """Rows of pairs of a robot's frames: the nearest points of their shapes."""
+
+    def __init__(self, term: SelfTerm) -> None:
+        self.geometry = geometry = robot_geometry(term.robot)
+        self.margin = float(term.margin or 0.0)
+        self.pairs = [(geometry.frames.index(a), geometry.frames.index(b)) for a, b in term.pairs or ()]
+        self._table = SolidTable(geometry)
+        of = [np.flatnonzero(geometry.frame_of == f) for f in range(len(geometry.frames))]
+        listed = [(row, i, j) for row, (a, b) in enumerate(self.pairs) for i in of[a] for j in of[b]]
+        self._row, self._first, self._second = (np.array([p[c] for p in listed], np.int64) for c in range(3))
+        links = [geometry.robot.tree.frames[f].link for f in geometry.frames]
+        #: link in whose axes each pair is compared: no joint above it moves one against the other
+        self.common = [common_link(geometry.robot, links[a], links[b]) for a, b in self.pairs]
+        frames = [geometry.robot.tree.frames[f] for f in geometry.frames]
+        self._kinematics = CompiledKinematics(geometry.robot, frames)
+        self._common = CompiledKinematics(geometry.robot, link_frames(self.common))
+
+    @property
+    def size(self) -> int:
+        """Rows at a node."""
+        return len(self.pairs)
+
+    def measure(self, states: Array, reach: float) -> tuple[Array, Array, Array, Array]:
+        """By node and pair: distance (n, p) [m], infinite beyond ``reach``; normal (n, p, 3) in the world; both points (n, p, 3) in the
+        axes of their frames."""
+        n, position, rotation = len(states), *self._kinematics(states)
+        found = self._table.nearest_own(
+            position, rotation, self._row, self._first, self._second, np.full((n, self.size), reach)
+        )
+        a, b = np.array(self.pairs).T
+        first = ((found.own - position[:, a])[..., None, :] @ rotation[:, a])[..., 0, :]
+        second = ((found.other - position[:, b])[..., None, :] @ rotation[:, b])[..., 0, :]
+        there = found.distance < reach
+        first, second = (np.where(there[..., None], v, 0.0) for v in (first, second))
+        return np.where(there, found.distance, np.inf), found.normal, first, second
+
+    def refresh(self, states: Array) -> Array:
+        """Parameters (n, size · :data:`SELF_WIDTH`) for predicted ``states`` (n, nx)."""
+        distance, normal, first, second = self.measure(states, SELF_REACH + self.margin)
+        out = np.zeros((len(states), self.size, SELF_WIDTH))
+        there = np.isfinite(distance)
+        own = (normal[..., None, :] @ self._common(states)[1])[..., 0, :]
+        out[..., :3], out[..., 3:6], out[..., 6:9] = own, first, second
+        out[..., 9] = np.where(there, self.margin, 0.0)
+        return out.reshape(len(states), -1)
+
+    def clearance(self, times: Array, states: Array) -> Clearance:
+        """The least distance of a plan, states (n, nx) at ``times`` (n) [s]."""
+        return self._least(times, self.measure(states, self.margin + EXACT)[0])
+
+    def deepest(self, times: Array, states: Array, limit: float, deeper: float) -> Clearance | None:
+        """Where states (n, nx) bring a pair nearer than ``limit`` [m], and by ``deeper`` [m] nearer than the first one; None: nowhere."""
+        found = self.measure(states, limit)[0]
+        found = np.where(found < found[:1] - deeper, found, np.inf)
+        return self._least(times, found) if np.isfinite(found).any() else None
+
+    def _least(self, times: Array, distance: Array) -> Clearance:
+        if not np.isfinite(distance).any():
+            return Clearance()
+        k, row = np.unravel_index(int(np.argmin(distance)), distance.shape)
+        a, b = (self.geometry.frames[f] for f in self.pairs[row])
+        return Clearance(float(distance[k, row]), self.margin, a, b, int(k), float(times[k]))

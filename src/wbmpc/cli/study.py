@@ -1,0 +1,161 @@
+"""`wbmpc study` and `wbmpc tune`: many runs, and what they say."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from wbmpc.cli.directories import writable_directory
+from wbmpc.cli.terminal import INTERRUPTED, console, printable, progress_bar, table
+from wbmpc.errors import unknown_name
+
+if TYPE_CHECKING:
+    from wbmpc.study.study import Study
+    from wbmpc.study.summary import Summary
+
+
+def built_in_studies() -> dict[str, Path]:
+    """The studies that come with the package, by name."""
+    spec = find_spec("wbmpc.studies")
+    folders = () if spec is None else spec.submodule_search_locations or ()
+    return {path.stem: path for folder in folders for path in sorted(Path(folder).glob("*/*.yaml"))}
+
+
+def _names(incomplete: str) -> list[str]:
+    return [name for name in built_in_studies() if name.startswith(incomplete)]
+
+
+File = Annotated[
+    str,
+    typer.Argument(metavar="STUDY", help="A YAML file, or the name of a study of this package.", autocompletion=_names),
+]
+Out = Annotated[
+    Path | None, typer.Option(help="Directory of the results (default: runs/NAME); what is finished there is kept.")
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(min=0, help="Processes (default: as many as there are cores; 0: this one alone, for a debugger)."),
+]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Address of a Dask scheduler whose workers do the runs, as tcp://host:8786.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+
+
+def _open(name: str, out: Path | None) -> Study:
+    """The study of a file, or of a name."""
+    from wbmpc.study.study import Study
+
+    path, known = Path(name), built_in_studies()
+    if not path.is_file():
+        if path.suffix in (".yaml", ".yml") or name not in known:
+            raise unknown_name("study", name, known)
+        path = known[name]
+    study = Study.load(path, out)
+    writable_directory("--out", study.out)
+    return study
+
+
+@contextmanager
+def _progress(study: Study, title: str, verbose: bool) -> Iterator[Callable[[float, str], None]]:
+    """A bar on a terminal; in a pipe every run that ends is a line, for hours go by. Ctrl-C says what is kept."""
+    with progress_bar(title, verbose) as bar:
+        try:
+            yield bar or (lambda _, note: typer.echo(note, err=True) if verbose else None)
+        except KeyboardInterrupt:
+            typer.echo(f"wbmpc: interrupted: what is finished is in {study.out}; the same command goes on", err=True)
+            raise typer.Exit(INTERRUPTED) from None
+
+
+def study(
+    context: typer.Context,
+    name: File,
+    out: Out = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    report: Annotated[bool, typer.Option("--report", help="Run nothing; tables and page of what is finished.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run an experiment over settings, seeds and robots; one row per run, statistics and a page."""
+    opened = _open(name, out)
+    with _progress(opened, opened.definition.title, not (as_json or context.obj.quiet)) as progress:
+        found = opened.report() if report else opened.run(workers, scheduler, progress)
+    if as_json:
+        typer.echo(json.dumps({**found.to_json(), "files": _files(opened)}, allow_nan=False))
+    else:
+        _print(found)
+        typer.echo(f"the page is {opened.out / 'index.html'}")
+    if found.lost:
+        raise typer.Exit(1)
+
+
+def tune(
+    context: typer.Context,
+    name: File,
+    out: Out = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search settings on tuning seeds; write the best for --config, and the reporting seeds before and after."""
+    opened = _open(name, out)
+    with _progress(opened, opened.definition.title, not (as_json or context.obj.quiet)) as progress:
+        found = opened.tune(workers, scheduler, progress)
+    best = opened.out / "best.yaml"
+    if as_json:
+        files = {"best": str(best) if found.settings else None, "page": str(opened.out / "index.html")}
+        typer.echo(json.dumps({**found.to_json(), "files": files}, allow_nan=False))
+    else:
+        if found.report is not None:
+            _print(found.report)
+        for key, value in found.settings.items():
+            typer.echo(printable(f"{key}: {value}"))
+        typer.echo(f"the best settings are in {best}" if found.settings else "no trial keeps the constraints")
+        typer.echo(f"the page is {opened.out / 'index.html'}")
+    if not found.settings:
+        raise typer.Exit(1)
+
+
+def _files(study: Study) -> dict[str, str]:
+    return {
+        k: str(study.out / f)
+        for k, f in (("rows", "runs.parquet"), ("statistics", "statistics.json"), ("page", "index.html"))
+    }
+
+
+def _print(found: Summary) -> None:
+    """A table for each metric of each experiment."""
+    from wbmpc.study.page import metric_rows
+
+    for experiment, metrics in found.shown.items():
+        cells = [c for c in found.cells if c.experiment == experiment]
+        for metric in metrics:
+            shown = table()
+            heads = (
+                "settings",
+                "runs",
+                "failed",
+                "median [95 %]",
+                "5 %",
+                "95 %",
+                "worst",
+                "goal",
+                "",
+                "difference [95 %]",
+                "better in",
+            )
+            for head in heads:
+                shown.add_column(head)
+            for row in metric_rows(found, cells, metric):
+                shown.add_row(*map(printable, row))
+            typer.echo(f"{experiment}: {metric}")
+            console().print(shown, markup=False)
+    for why, count in found.lost.items():
+        typer.echo(f"{count} runs without a result: {printable(why)}")
+    typer.echo(f"{found.finished} of {found.planned} runs")

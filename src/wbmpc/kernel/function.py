@@ -1,0 +1,63 @@
+"""A CasADi function as machine code that is evaluated for many arguments in one call."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.kernel import cache
+from wbmpc.kernel.codegen_target import compile_module, load_object, target_text
+from wbmpc.kernel.ir import Floats, Integers, PointerCall
+from wbmpc.kernel.library import Library
+from wbmpc.kernel.scalar import DECLARATIONS, emit_function
+
+LIBRARY = Library("functions", rooms=("kernel",))
+call2 = PointerCall(2)
+
+
+@LIBRARY.compiled
+def evaluate(
+    n: int, address: int, columns: int, rows: int, arguments: Floats, results: Floats, table: Integers
+) -> None:  # fmt: skip
+    """Results (n, rows) of ``arguments`` (n, columns) by the function at ``address``."""
+    for k in range(n):
+        table[0] = arguments.ctypes.data + 8 * k * columns
+        table[1] = results.ctypes.data + 8 * k * rows
+        call2(address, table.ctypes.data, table.ctypes.data + 8)
+
+
+class CompiledFunction:
+    """``function(arguments)`` (n, columns) are results (n, rows) of an SX function of one vector with one dense vector as its result.
+
+    Compiled, or loaded from the cache, when it is made. Raises :class:`~wbmpc.errors.UnsupportedOperation` for an operation that cannot
+    be compiled.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function, self._columns, self._rows = function, function.numel_in(0), function.numel_out(0)
+        key = hashlib.sha256(f"function {function.serialize()} {cache.source_fingerprint(('kernel',))}".encode())
+        found = cache.load(key.hexdigest())
+        if found is None or found[1].get("target") != target_text():
+            code = compile_module("\n".join([DECLARATIONS, emit_function(function, "w_function")]))
+            cache.save(key.hexdigest(), code, {"target": target_text()})
+        else:
+            code = found[0]
+        self._engine = load_object(code)
+        self._address = int(self._engine.get_function_address("w_function"))
+        self._table = np.zeros(2, np.int64)
+
+    def __call__(self, arguments: NDArray[np.float64]) -> NDArray[np.float64]:
+        given = np.ascontiguousarray(arguments, float)
+        results = np.zeros((len(given), self._rows))
+        evaluate(
+            len(given), self._address, self._columns, self._rows, given.reshape(-1), results.reshape(-1), self._table
+        )  # fmt: skip
+        return results
+
+    def __reduce__(self) -> Any:
+        """Machine code does not leave its process: a copy compiles, or loads, its own."""
+        return CompiledFunction, (self._function,)

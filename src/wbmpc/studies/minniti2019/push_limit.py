@@ -1,0 +1,93 @@
+"""`rezero-push-limit-ball` and `-hand`: the impulse from which the ball robot still recovers, or after which it still stands, in one
+direction. A push map is a study of it over directions, lengths and controllers.
+
+To stand is no recovery: a robot that rolls away for ever, or swings its arm between the stops, stands. It recovers if it is back in
+its place, and rests there, when the push experiments would push it again (:data:`wbmpc.studies.minniti2019.recovery.NEAR`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.configuration import Rules, unused
+from wbmpc.experiment import Experiment
+from wbmpc.log import Log
+from wbmpc.result import Metric, RunResult
+from wbmpc.simulation.lockstep import Progress
+from wbmpc.studies.minniti2019.push import (
+    IDEALISATIONS,
+    RezeroPushBallSettings,
+    RezeroPushHandSettings,
+    RezeroPushSettings,
+)
+from wbmpc.studies.minniti2019.push_once import Outcome, push_once
+
+#: Largest impulse [N s] that is tried.
+MAXIMUM = 320.0
+SUMMARY = "the impulse from which the ball robot recovers while it holds its {}, in one direction"
+
+
+class _Limit(RezeroPushSettings):
+    """``direction`` [deg] of pushes of ``push_duration`` [s], after 1 s; ``criterion``: what is asked of the robot; the bisection ends at
+    ``resolution`` [N s]."""
+
+    direction: float = Field(0.0, ge=-360, le=360)
+    criterion: Literal["recovers", "stands"] = "recovers"
+    resolution: float = Field(5.0, gt=0, ge=0.1, le=MAXIMUM)
+
+    only_with: ClassVar[Rules] = {**RezeroPushSettings.only_with, **unused("forces", "gap", "settle_time")}
+
+
+class BallLimitSettings(_Limit, RezeroPushBallSettings):
+    """The ball is held: the weights of `rezero-push-ball`."""
+
+
+class HandLimitSettings(_Limit, RezeroPushHandSettings):
+    """The end effector is held: the weights of `rezero-push-hand`."""
+
+
+def largest(passes: Callable[[float], bool], resolution: float) -> float:
+    """The largest impulse [N s] that passes, of those that are tried, below the smallest that fails: a bisection to ``resolution``;
+    what passes beyond a failure does not count. :data:`MAXIMUM` where that passes."""
+    low, high = 0.0, MAXIMUM
+    if passes(MAXIMUM):
+        return MAXIMUM
+    while high - low > resolution:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if passes(middle) else (low, middle)
+    return low
+
+
+def run(name: str, settings: _Limit, seed: int, progress: Progress | None = None) -> RunResult:
+    """All pushes of a bisection."""
+    tried: list[Outcome] = []
+    most = np.log2(MAXIMUM / settings.resolution) + 2.0
+    force = lambda impulse: impulse / settings.push_duration
+
+    def passes(impulse: float) -> bool:
+        angle = float(np.deg2rad(settings.direction))
+        tried.append(push_once(settings, seed, force(impulse), angle, settings.push_duration))
+        if progress is not None:
+            progress(min(len(tried) / most, 1.0), f"{impulse:.0f} N s")
+        return bool(getattr(tried[-1], settings.criterion))
+
+    impulse = largest(passes, settings.resolution)
+    travel = max((o.travel for o in tried if o.recovers), default=0.0)
+    metrics = {
+        "impulse_max": Metric(impulse, "N s"), "ball_travel_max": Metric(travel, "m"), "pushes": Metric(float(len(tried)), "1"),
+    }  # fmt: skip
+    plain = settings.model_dump(mode="json")
+    return RunResult(name, seed, True, "", metrics, None, Log(), idealisations=IDEALISATIONS, settings=plain)
+
+
+def _experiment(held: str, kind: type[_Limit]) -> Experiment:
+    name = f"rezero-push-limit-{held}"
+    return Experiment(name, SUMMARY.format("ball" if held == "ball" else "end effector"), kind, partial(run, name))
+
+
+BALL_EXPERIMENT, HAND_EXPERIMENT = _experiment("ball", BallLimitSettings), _experiment("hand", HandLimitSettings)

@@ -1,0 +1,238 @@
+"""The page of a study: figures with intervals, failures, comparisons; distributions, paired plots, heat maps, scatter."""
+
+from __future__ import annotations
+
+import html
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from wbmpc.report import document, goal_text, table, template
+from wbmpc.result import Metric
+from wbmpc.study.statistics import Paired, Rate
+from wbmpc.study.summary import Cell, Summary
+from wbmpc.units import Scale, number, scale
+
+#: Plots of one experiment, combinations of one plot, and runs that the list of failures shows, at most.
+MAX_PLOTS, MAX_SHOWN, MAX_FAILURES = 24, 40, 200
+_HEAD = [
+    "settings",
+    "runs",
+    "failed",
+    "median [95 %]",
+    "5 %",
+    "95 %",
+    "worst",
+    "goal",
+    "",
+    "difference [95 %]",
+    "better in",
+]
+
+
+def study_page(summary: Summary, beside: Path) -> str:
+    """One HTML page that needs no network; links to runs are relative to ``beside``."""
+    failed = sum(c.failures.failed for c in summary.cells)
+    sources = "; ".join(f"{k} {', '.join(v)}" for k, v in summary.sources.items() if v and k != "code")
+    about = f"{summary.finished} of {summary.planned} runs; {failed} of them did not complete. {sources}."
+    note = (
+        "A run that did not complete counts as infinitely bad in every figure. Intervals: bootstrap of the median, Wilson for "
+        "failures, 95 %. Differences are paired: median over equal seeds, against the first row or the named condition."
+    )
+    several = len(summary.sources.get("code", ())) > 1
+    warning = '<div class="card summary bad">The runs are of different states of the code.</div>' if several else ""
+    lost = "".join(f"<p>{n} without a result: {html.escape(why)}</p>" for why, n in summary.lost.items())
+    sections = "".join(_experiment(summary, name, beside) for name in summary.shown)
+    head = f'<h1>{html.escape(summary.title)}</h1><p class="sub">{html.escape(about)}</p><p class="sub">{note}</p>'
+    return document(summary.title, f"{head}{warning}{lost}{sections}")
+
+
+def _experiment(summary: Summary, name: str, beside: Path) -> str:
+    cells = [c for c in summary.cells if c.experiment == name]
+    metrics = summary.shown[name]
+    tables = "".join(f"<h3>{html.escape(m)}</h3>{_table(summary, cells, m)}" for m in metrics)
+    plots = [plot for m in metrics for plot in _plots(summary, cells, m)][:MAX_PLOTS]
+    cards = "".join(f'<div class="card"><h3>{html.escape(title)}</h3>{figure}</div>' for title, figure in plots)
+    return f'<h2>{html.escape(name)}</h2>{tables}<div class="plots">{cards}</div>{_failures(cells, beside)}'
+
+
+def metric_scale(summary: Summary, cells: Sequence[Cell], metric: str) -> Scale:
+    """The unit in which a metric of an experiment is shown."""
+    target = summary.target(cells[0].experiment, metric)
+    medians = [summary.spread(c, metric).median for c in cells]
+    return scale(summary.units.get(metric, "1"), *medians, target["goal"], target["least"], target["paper"])
+
+
+def metric_rows(summary: Summary, cells: Sequence[Cell], metric: str) -> list[list[str]]:
+    """A metric's table as plain text: a row for each combination, cells as in the page."""
+    shown, rows = metric_scale(summary, cells, metric), []
+    for c in cells:
+        s, target, compared = (
+            summary.spread(c, metric),
+            summary.target(c.experiment, metric),
+            summary.comparison(c, metric),
+        )
+        goal = goal_text(Metric(s.median, "", goal=target["goal"], least=target["least"]), shown)
+        met = {True: "reached", False: "missed", None: ""}[summary.met(c, metric)]
+        middle = f"{shown.text(s.median)} {between(s.low, s.high, shown)} {shown.unit}".replace("  ", " ")
+        rows.append([c.label, str(s.count), rate_text(c.failures), middle, *map(shown.text, (s.p5, s.p95, s.worst)), goal, met,
+                     *comparison_cells(compared, shown)])  # fmt: skip
+    return rows
+
+
+def between(low: float, high: float, shown: Scale) -> str:
+    """An interval; nothing where there is none."""
+    return "" if math.isnan(low) else f"[{shown.text(low)}, {shown.text(high)}]"
+
+
+def rate_text(rate: Rate) -> str:
+    """``1 (0.2 to 24 %)``."""
+    return f"{rate.failed} ({number(100 * rate.low)} to {number(100 * rate.high)} %)"
+
+
+def comparison_cells(found: Paired | None, shown: Scale) -> list[str]:
+    """Difference with its interval, and wins."""
+    if found is None:
+        return ["", ""]
+    difference = f"{shown.text(found.difference)} {between(found.low, found.high, shown)} {shown.unit}"
+    return [difference, f"{found.wins} of {found.count}: {found.text}"]
+
+
+def _table(summary: Summary, cells: Sequence[Cell], metric: str) -> str:
+    kinds = {"reached": "met", "missed": "missed"}
+    rows = [
+        [f'<span class="{kinds[c]}">{c}</span>' if c in kinds else html.escape(c) for c in row]
+        for row in metric_rows(summary, cells, metric)
+    ]
+    return table(_HEAD, rows, {1, 2, 3, 4, 5, 6, 7, 9})
+
+
+def _failures(cells: Sequence[Cell], beside: Path) -> str:
+    """Runs that did not complete, and those with files, with links to their reports."""
+    rows = []
+    for c in cells:
+        for seed, how, why, files in zip(c.seeds, c.outcomes, c.reasons, c.files, strict=True):
+            if how != "completed" or files:
+                link = quote(os.path.relpath(Path(files) / "report.html", beside)) if files else ""
+                name = f"{html.escape(c.label)}, seed {seed}"
+                rows.append([f'<a href="{link}">{name}</a>' if link else name, how, html.escape(why)])
+    more = f"<p>and {len(rows) - MAX_FAILURES} more</p>" if len(rows) > MAX_FAILURES else ""
+    if not rows:
+        return ""
+    listed = table(["run", "outcome", ""], rows[:MAX_FAILURES], set())
+    return f"<details><summary>Runs that did not complete, and reports</summary>{listed}{more}</details>"
+
+
+# ---------------------------------------------------------------------- plots
+def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[str, str]]:
+    """Those that the data allow: title and figure."""
+    shown, cells = metric_scale(summary, cells, metric), cells[:MAX_SHOWN]
+    values = [
+        shown.factor * np.where(c.completed, c.figures.get(metric, np.full(c.seeds.size, np.nan)), np.nan)
+        for c in cells
+    ]
+    if not any(np.isfinite(v).any() for v in values):
+        return []
+    label, goal = f"{metric} [{shown.unit}]", summary.target(cells[0].experiment, metric)["goal"]
+    drawn = [(metric, _distribution(cells, values, label, None if goal is None else shown.factor * goal))]
+    if 2 <= len(cells) <= 8 and any(v.size > 1 for v in values):
+        drawn.append((f"{metric}, seed by seed", _pairs(cells, values, label)))
+    numeric = [
+        k for k in cells[0].varied if len({_number(c.varied.get(k)) for c in cells}) > 1 and _is_numeric(cells, k)
+    ]
+    if len(numeric) >= 2 and len(cells) >= 4:
+        drawn.append((f"{metric}, medians", _heat_map(cells, values, numeric[:2], label)))
+    elif len(numeric) == 1 and len(cells) > 2:
+        drawn.append((f"{metric} over {numeric[0]}", _scatter(cells, values, numeric[0], label)))
+    return drawn
+
+
+def _is_numeric(cells: Sequence[Cell], key: str) -> bool:
+    return all(isinstance(c.varied.get(key), int | float) for c in cells)
+
+
+def _number(value: Any) -> Any:
+    return value if isinstance(value, int | float | str) else str(value)
+
+
+def figure_html(figure: Any, x: str, y: str) -> str:
+    """A figure on the page's ground, with titles of its axes."""
+    figure.update_layout(
+        template=template(), height=360, margin={"l": 60, "r": 16, "t": 12, "b": 60}, xaxis_title=html.escape(x), yaxis_title=html.escape(y),
+        hovermode="closest", showlegend=False, font={"family": "system-ui, sans-serif", "size": 12},
+    )  # fmt: skip
+    options = {"displaylogo": False, "responsive": True, "displayModeBar": "hover"}
+    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=options))
+
+
+def _distribution(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str, goal: float | None) -> str:
+    """Every run a point beside its box; the goal dashed."""
+    import plotly.graph_objects as go
+
+    figure = go.Figure()
+    for c, v in zip(cells, values, strict=True):
+        keep = np.isfinite(v)
+        figure.add_box(
+            y=v[keep].tolist(), name=html.escape(c.label), boxpoints="all", jitter=0.5, pointpos=0, line={"width": 1.2},
+            marker={"color": "#1f5fa8", "size": 4}, text=[f"seed {s}" for s in c.seeds[keep]],
+        )  # fmt: skip
+    if goal is not None:
+        figure.add_hline(y=goal, line={"dash": "dash", "width": 1, "color": "#7a7a7a"})
+    return figure_html(figure, "", label)
+
+
+def _pairs(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str) -> str:
+    """A line for each seed over the combinations."""
+    import plotly.graph_objects as go
+
+    names = [html.escape(c.label) for c in cells]
+    by_seed: dict[int, list[float | None]] = {}
+    for k, (c, v) in enumerate(zip(cells, values, strict=True)):
+        for seed, value in zip(c.seeds.tolist(), v.tolist(), strict=True):
+            by_seed.setdefault(seed, [None] * len(cells))[k] = value if math.isfinite(value) else None
+    figure = go.Figure()
+    for seed, line in list(by_seed.items())[:MAX_FAILURES]:
+        figure.add_scatter(
+            x=names, y=line, name=f"seed {seed}", mode="lines+markers", line={"width": 1}, marker={"size": 4}
+        )
+    return figure_html(figure, "", label)
+
+
+def _heat_map(cells: Sequence[Cell], values: Sequence[np.ndarray], keys: Sequence[str], label: str) -> str:
+    """Medians over two settings; of others that are varied too, the median of the medians."""
+    import plotly.graph_objects as go
+
+    x, y = (sorted({c.varied[key] for c in cells}) for key in keys)
+    z: list[list[float | None]] = [[None] * len(x) for _ in y]
+    for j, below in enumerate(y):
+        for i, left in enumerate(x):
+            at = [
+                v for c, v in zip(cells, values, strict=True) if (c.varied[keys[0]], c.varied[keys[1]]) == (left, below)
+            ]
+            known = [float(np.nanmedian(v)) for v in at if np.isfinite(v).any()]
+            z[j][i] = float(np.median(known)) if known else None
+    names = [[f"{v:g}" for v in axis] for axis in (x, y)]
+    figure = go.Figure(
+        go.Heatmap(x=names[0], y=names[1], z=z, colorscale="Viridis", colorbar={"title": html.escape(label)})
+    )
+    figure.update_xaxes(type="category")
+    figure.update_yaxes(type="category")
+    return figure_html(figure, keys[0], keys[1])
+
+
+def _scatter(cells: Sequence[Cell], values: Sequence[np.ndarray], key: str, label: str) -> str:
+    """Every run over a setting."""
+    import plotly.graph_objects as go
+
+    x = [float(c.varied[key]) for c, v in zip(cells, values, strict=True) for _ in v]
+    y = [value if math.isfinite(value) else None for v in values for value in v.tolist()]
+    seeds = [f"seed {s}" for c in cells for s in c.seeds]
+    figure = go.Figure(go.Scatter(x=x, y=y, mode="markers", text=seeds, marker={"color": "#1f5fa8", "size": 6}))
+    if min(x) > 0.0 and max(x) > 50.0 * min(x):
+        figure.update_xaxes(type="log")
+    return figure_html(figure, key, label)

@@ -1,0 +1,110 @@
+"""What runs over seeds say: order statistics, bootstrap intervals, paired comparisons, failure rates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+#: Share of the intervals, and resamples of a bootstrap.
+CONFIDENCE, RESAMPLES = 0.95, 2000
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Of ``count`` values: median with its interval, 5 and 95 %, and the worst one."""
+
+    count: int
+    median: float
+    low: float
+    high: float
+    p5: float
+    p95: float
+    worst: float
+
+
+@dataclass(frozen=True)
+class Rate:
+    """``failed`` of ``count`` runs, as a share with its Wilson interval."""
+
+    failed: int
+    count: int
+    share: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Two variants on ``count`` equal seeds: median of the difference (this minus the other) with its interval, in how many this is
+    better and worse, and the p-value of the sign test."""
+
+    count: int
+    difference: float
+    low: float
+    high: float
+    wins: int
+    losses: int
+    p_value: float
+
+    @property
+    def text(self) -> str:
+        """Whether it is better or worse; neither where the interval has 0 in it."""
+        return "better" if self._shifted and self.wins > self.losses else "worse" if self._shifted else "no difference"
+
+    @property
+    def _shifted(self) -> bool:
+        return self.low > 0.0 or self.high < 0.0
+
+
+def quantile(values: np.ndarray, share: float) -> float:
+    """A value of ``values`` (n,): nothing between two, since a mean with infinity is no figure."""
+    return float(np.quantile(values, share, method="nearest"))
+
+
+def _median(values: np.ndarray, axis: int = -1) -> np.ndarray:
+    with np.errstate(invalid="ignore"):  # of -inf and inf
+        return np.asarray(np.median(values, axis=axis))
+
+
+def interval(values: np.ndarray, statistic: Callable[..., np.ndarray] = _median) -> tuple[float, float]:
+    """The percentile bootstrap's interval of a statistic of ``values`` (n,), the same for the same values; nan of fewer than two."""
+    if values.size < 2:
+        return float("nan"), float("nan")
+    if np.all(values == values[0]):
+        return float(values[0]), float(values[0])
+    with np.errstate(invalid="ignore"):
+        made = stats.bootstrap(
+            (values,), statistic, n_resamples=RESAMPLES, batch=100, vectorized=True, method="percentile",
+            rng=np.random.default_rng(0),
+        ).bootstrap_distribution  # fmt: skip
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    return quantile(made, tail), quantile(made, 1.0 - tail)
+
+
+def spread(values: np.ndarray, largest_is_worst: bool = True) -> Spread:
+    """Of ``values`` (n,), n ≥ 1, which may be infinite."""
+    low, high = interval(values)
+    worst = values.max() if largest_is_worst else values.min()
+    return Spread(
+        values.size, float(_median(values)), low, high, quantile(values, 0.05), quantile(values, 0.95), float(worst)
+    )
+
+
+def failure_rate(failed: int, count: int) -> Rate:
+    """Of ``count`` ≥ 1 runs."""
+    found = stats.binomtest(failed, count).proportion_ci(CONFIDENCE, method="wilson")
+    return Rate(failed, count, failed / count, float(found.low), float(found.high))
+
+
+def paired(these: np.ndarray, others: np.ndarray, smaller_is_better: bool = True) -> Paired:
+    """Of values (n,) on the same seeds, n ≥ 1; an infinite one loses against a finite one, two of them are equal."""
+    with np.errstate(invalid="ignore"):
+        difference = np.where(these == others, 0.0, these - others)
+    better = difference < 0.0 if smaller_is_better else difference > 0.0
+    wins, losses = int(better.sum()), int((difference != 0.0).sum() - better.sum())
+    p_value = float(stats.binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
+    low, high = interval(difference)
+    return Paired(difference.size, float(_median(difference)), low, high, wins, losses, p_value)

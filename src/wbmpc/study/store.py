@@ -1,0 +1,261 @@
+"""The rows of a study on the disk: a line of a journal as soon as a run ends, Parquet in the end.
+
+A study's folder has ``journal.jsonl`` (finished runs that are in no Parquet file yet), ``parts/`` (each some thousand rows), and at
+the end of a session ``runs.parquet``, one row per run. Whatever is interrupted, killed or finds the disk full: at most the line
+that was being written is lost, and with it one run.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self, TextIO
+
+from wbmpc.errors import InputError, NotWritten
+from wbmpc.output_file import whole_file
+from wbmpc.study.work import ERROR, LOST
+
+if TYPE_CHECKING:
+    import pyarrow
+
+MISSING = "studies need Dask, Optuna and pyarrow: pip install 'wbmpc[study]'"
+#: Rows of a part.
+PART = 5000
+FILE = "runs.parquet"
+#: Where a file's metadata has goals and papers' figures of metrics, by experiment.
+TARGETS = "targets"
+Targets = dict[str, dict[str, dict[str, float | None]]]
+_TEXTS = (
+    "key",
+    "experiment",
+    "condition",
+    "robot",
+    "outcome",
+    "reason",
+    "started",
+    "version",
+    "commit",
+    "code",
+    "host",
+    "files",
+)
+
+
+def parquet() -> Any:
+    """pyarrow.parquet. Raises :class:`InputError` where it is not installed."""
+    try:
+        import pyarrow.parquet
+    except ImportError as error:
+        raise InputError(MISSING) from error
+    return pyarrow.parquet
+
+
+class Store:
+    """Rows of a study in ``folder``; a context, in which nobody else may write there. Raises :class:`InputError` if somebody does."""
+
+    def __init__(self, folder: Path) -> None:
+        parquet()
+        self.folder = folder
+        self._journal = folder / "journal.jsonl"
+        self._lines: TextIO | None = None
+        self._count = 0
+
+    def __enter__(self) -> Self:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._lock = (self.folder / ".lock").open("w")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._lock.close()
+            raise InputError(f"{self.folder}: another study is running here; give another --out") from error
+        self._recover()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        with suppress(OSError):  # of what a full disk did not take
+            if self._lines is not None:
+                self._lines.close()
+        self._lock.close()
+
+    def _recover(self) -> None:
+        """A line that was not finished when the disk or the process ended is cut off."""
+        if not self._journal.is_file():
+            return
+        data = self._journal.read_bytes()
+        whole = data[: data.rfind(b"\n") + 1]
+        self._count = whole.count(b"\n")
+        if len(whole) < len(data):
+            with self._journal.open("r+b") as file:
+                file.truncate(len(whole))
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Keep a row. Raises :class:`NotWritten`."""
+        try:
+            if self._lines is None:
+                self._lines = self._journal.open("a", encoding="utf-8")
+            self._lines.write(json.dumps(row, separators=(",", ":")) + "\n")
+            self._lines.flush()
+        except OSError as error:
+            raise NotWritten(
+                f"{self._journal}: cannot be written ({error.strerror}); what was finished before is kept, the same command goes on"
+            ) from error
+        self._count += 1
+        if self._count >= PART:
+            self._make_part()
+
+    def _journal_rows(self) -> list[dict[str, Any]]:
+        if not self._journal.is_file():
+            return []
+        try:
+            return [json.loads(line) for line in self._journal.read_text("utf-8").splitlines()]
+        except ValueError as error:
+            raise InputError(f"{self._journal}: this is no journal of a study ({error})") from error
+
+    def _make_part(self) -> None:
+        rows = self._journal_rows()
+        if not rows:
+            return
+        parts = self.folder / "parts"
+        parts.mkdir(exist_ok=True)
+        number = 1 + max((int(p.stem) for p in parts.glob("[0-9]*.parquet") if p.stem.isdigit()), default=0)
+        with whole_file(parts / f"{number:06d}.parquet") as partial:
+            parquet().write_table(table_of(rows), partial)
+        if self._lines is not None:
+            self._lines.close()
+            self._lines = None
+        self._journal.unlink()  # killed before this line: its rows are there twice, and the later one counts
+        self._count = 0
+
+    def _files(self) -> list[Path]:
+        whole = self.folder / FILE
+        return [*([whole] if whole.is_file() else []), *sorted((self.folder / "parts").glob("[0-9]*.parquet"))]
+
+    def outcomes(self) -> dict[str, dict[str, Any]]:
+        """By key of a run: its ``experiment``, ``outcome`` and ``wall_time`` [s], nan where it is not known."""
+        names = ("key", "experiment", "outcome", "wall_time")
+        found: dict[str, dict[str, Any]] = {}
+        for path in self._files():
+            for row in _read(path, list(names)).to_pylist():
+                found[row["key"]] = row
+        for row in self._journal_rows():
+            found[row["key"]] = {name: row.get(name, float("nan")) for name in names}
+        return found
+
+    def done(self) -> set[str]:
+        """Keys of runs that have a result."""
+        return {key for key, row in self.outcomes().items() if row["outcome"] not in (ERROR, LOST)}
+
+    def finish(self) -> Path | None:
+        """Put all rows into one Parquet file, one per run, part by part; returns it, None without rows. Raises :class:`NotWritten`."""
+        self._make_part()
+        files = self._files()
+        target = self.folder / FILE
+        if not files:
+            return None
+        if files == [target]:
+            return target
+        latest = {row: path for path in files for row in _read(path, ["key"])["key"].to_pylist()}
+        with whole_file(target) as partial:
+            _merge(files, latest, partial)
+        for path in files:
+            if path != target:
+                path.unlink()
+        with suppress(OSError):
+            (self.folder / "parts").rmdir()
+        return target
+
+    def table(self, columns: list[str] | None = None) -> pyarrow.Table:
+        """All rows that are in Parquet; see :meth:`finish`."""
+        return _read(self.folder / FILE, columns)
+
+
+def _read(path: Path, columns: list[str] | None) -> pyarrow.Table:
+    import pyarrow
+
+    try:
+        return parquet().read_table(path, columns=columns)
+    except (OSError, pyarrow.ArrowException) as error:
+        raise InputError(f"{path}: this is no Parquet file of a study, or not whole ({error})") from error
+
+
+def _merge(files: list[Path], latest: Mapping[str, Path], target: Path) -> None:
+    """Rows of all files, of each run the latest, as a file whose columns are those of all."""
+    import pyarrow
+
+    schema = _unified([parquet().read_schema(path) for path in files])
+    with parquet().ParquetWriter(target, schema) as writer:
+        for path in files:
+            table = _read(path, None)
+            last = {key: k for k, key in enumerate(table["key"].to_pylist())}
+            keep = [last[key] == k and latest[key] == path for k, key in enumerate(table["key"].to_pylist())]
+            table = table.filter(pyarrow.array(keep))
+            columns = [
+                table[f.name].cast(f.type) if f.name in table.column_names else pyarrow.nulls(len(table), f.type)
+                for f in schema
+            ]
+            writer.write_table(pyarrow.table(columns, schema=schema))
+
+
+def _unified(schemas: list[Any]) -> Any:
+    """Columns of all schemas; one that is of numbers here and of texts there is of texts."""
+    import pyarrow
+
+    fields: dict[str, Any] = {}
+    for field in (f for schema in schemas for f in schema):
+        known = fields.get(field.name)
+        if known is None or known.type == pyarrow.null():
+            fields[field.name] = field
+        elif known.type != field.type and field.type != pyarrow.null():
+            fields[field.name] = known.with_type(pyarrow.string())
+    targets: Targets = {}
+    for found in map(targets_of, schemas):
+        for experiment, of in found.items():
+            targets.setdefault(experiment, {}).update(of)
+    return pyarrow.schema(list(fields.values()), {TARGETS: json.dumps(targets)})
+
+
+def table_of(rows: list[dict[str, Any]]) -> pyarrow.Table:
+    """Rows as columns: ``set.KEY`` for what is varied, ``metric.NAME`` with the unit in the field's metadata."""
+    import pyarrow
+
+    columns: dict[str, tuple[Any, Any, dict[str, str]]] = {}
+    for name in _TEXTS:
+        columns[name] = (pyarrow.string(), [row.get(name, "") for row in rows], {})
+    for name in ("seed", "draw"):
+        columns[name] = (pyarrow.int64(), [row.get(name, 0) for row in rows], {})
+    columns["completed"] = (pyarrow.bool_(), [row["outcome"] == "completed" for row in rows], {})
+    for name in ("wall_time", "cpu_time"):
+        columns[name] = (pyarrow.float64(), [row.get(name, float("nan")) for row in rows], {"unit": "s"})
+    columns["changes"] = (pyarrow.string(), [json.dumps(row.get("changes", {}), sort_keys=True) for row in rows], {})
+    for name in _names(rows, "timing"):
+        columns[name] = (pyarrow.float64(), [row.get("timing", {}).get(name) for row in rows], {})
+    for key in _names(rows, "varied"):
+        values = [row.get("varied", {}).get(key) for row in rows]
+        numeric = all(v is None or (isinstance(v, int | float) and not isinstance(v, bool)) for v in values)
+        made = [v if v is None or numeric or isinstance(v, str) else json.dumps(v) for v in values]
+        columns[f"set.{key}"] = (pyarrow.float64() if numeric else pyarrow.string(), made, {})
+    for name in _names(rows, "metrics"):
+        unit = next(row["about"][name]["unit"] for row in rows if name in row.get("metrics", {}))
+        values = [row.get("metrics", {}).get(name) for row in rows]
+        columns[f"metric.{name}"] = (pyarrow.float64(), values, {"unit": unit})
+    fields = [pyarrow.field(name, kind, metadata=about) for name, (kind, _, about) in columns.items()]
+    arrays = [pyarrow.array(values, kind) for kind, values, _ in columns.values()]
+    targets: Targets = {}
+    for row in rows:
+        of = targets.setdefault(row.get("experiment", ""), {})
+        of.update({n: {k: about[k] for k in ("paper", "goal", "least")} for n, about in row.get("about", {}).items()})
+    return pyarrow.table(arrays, schema=pyarrow.schema(fields, {TARGETS: json.dumps(targets)}))
+
+
+def targets_of(schema: Any) -> Targets:
+    """By experiment and metric: the paper's figure, largest and smallest value of the goal, each None where there is none."""
+    found: Targets = json.loads((schema.metadata or {}).get(TARGETS.encode(), b"{}"))
+    return found
+
+
+def _names(rows: list[dict[str, Any]], part: str) -> Iterator[str]:
+    return iter(dict.fromkeys(name for row in rows for name in row.get(part, {})))

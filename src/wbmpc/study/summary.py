@@ -1,0 +1,210 @@
+"""The rows of a study by combination: figures, failures, comparisons; as data, and as tables."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wbmpc.study.statistics import Paired, Rate, Spread, failure_rate, paired, spread
+from wbmpc.study.store import Targets, targets_of
+
+if TYPE_CHECKING:
+    import pyarrow
+
+    from wbmpc.study.plan import Combination
+
+_NONE: dict[str, float | None] = {"paper": None, "goal": None, "least": None}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Runs of one combination: ``seeds`` (n,), ``completed`` (n,), figures by metric (n,), nan where a run has none."""
+
+    experiment: str
+    label: str
+    condition: str
+    robot: str
+    varied: Mapping[str, Any]
+    seeds: np.ndarray
+    outcomes: tuple[str, ...]
+    figures: Mapping[str, np.ndarray] = field(repr=False)
+    reasons: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+
+    @property
+    def completed(self) -> np.ndarray:
+        return np.array([outcome == "completed" for outcome in self.outcomes])
+
+    @property
+    def failures(self) -> Rate:
+        """Runs that did not complete."""
+        return failure_rate(int((~self.completed).sum()), len(self.outcomes))
+
+    def judged(self, metric: str, largest_is_worst: bool = True) -> np.ndarray:
+        """The metric's values (n,); a run that did not complete, or has no such figure, is infinitely bad: what it measured before its
+        end is no success."""
+        values = self.figures.get(metric, np.full(self.seeds.size, np.nan))
+        return np.where(self.completed & ~np.isnan(values), values, np.inf if largest_is_worst else -np.inf)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a study's runs say. ``shown``: metrics by experiment; ``targets``: their goals and papers' figures; ``lost``: runs without a
+    result; ``sources``: versions, commits and hashes of the code that rows are of."""
+
+    title: str
+    cells: tuple[Cell, ...]
+    units: Mapping[str, str]
+    targets: Targets
+    shown: Mapping[str, tuple[str, ...]]
+    planned: int
+    lost: Mapping[str, int]
+    sources: Mapping[str, tuple[str, ...]]
+    compare_with: str = ""
+    larger_is_better: tuple[str, ...] = ()
+
+    @property
+    def finished(self) -> int:
+        return sum(len(cell.outcomes) for cell in self.cells)
+
+    def target(self, experiment: str, metric: str) -> dict[str, float | None]:
+        return self.targets.get(experiment, {}).get(metric, _NONE)
+
+    def large_is_bad(self, experiment: str, metric: str) -> bool:
+        """Whether a large figure is a bad one: but for those that are named, and for goals that are a smallest value alone."""
+        target = self.target(experiment, metric)
+        return metric not in self.larger_is_better and (target["least"] is None or target["goal"] is not None)
+
+    def spread(self, cell: Cell, metric: str) -> Spread:
+        bad = self.large_is_bad(cell.experiment, metric)
+        return spread(cell.judged(metric, bad), bad)
+
+    def met(self, cell: Cell, metric: str) -> bool | None:
+        """Whether the 95 % value reaches the goal (the 5 % value, a smallest one); None without a goal."""
+        target, found = self.target(cell.experiment, metric), self.spread(cell, metric)
+        if target["goal"] is None and target["least"] is None:
+            return None
+        return (target["goal"] is None or found.p95 <= target["goal"]) and (
+            target["least"] is None or found.p5 >= target["least"]
+        )
+
+    def reference(self, cell: Cell) -> Cell | None:
+        """What a cell is compared with: the same settings under the condition ``compare_with``, or else the experiment's first."""
+        same = [c for c in self.cells if c.experiment == cell.experiment and c.robot == cell.robot]
+        several = len({c.condition for c in same}) > 1
+        under = [c for c in same if several and c.condition == self.compare_with and c.varied == cell.varied]
+        found = (under or same)[0]
+        return None if found is cell else found
+
+    def comparison(self, cell: Cell, metric: str) -> Paired | None:
+        """With its reference on the seeds that both have; None without a reference, or such seeds."""
+        other = self.reference(cell)
+        if other is None:
+            return None
+        _, mine, its = np.intersect1d(cell.seeds, other.seeds, assume_unique=True, return_indices=True)
+        if not mine.size:
+            return None
+        bad = self.large_is_bad(cell.experiment, metric)
+        return paired(cell.judged(metric, bad)[mine], other.judged(metric, bad)[its], bad)
+
+    def to_json(self) -> dict[str, Any]:
+        """The object that ``--json`` prints; figures that are not finite are null."""
+        cells = [
+            {
+                "experiment": c.experiment, "combination": c.label, "condition": c.condition, "robot": c.robot, "varied": dict(c.varied),
+                "seeds": c.seeds.tolist(), "outcomes": dict(Counter(c.outcomes)), "failures": asdict(c.failures),
+                "metrics": {m: self._figures(c, m) for m in self.shown[c.experiment]},
+            }
+            for c in self.cells
+        ]  # fmt: skip
+        about = {"title": self.title, "planned": self.planned, "finished": self.finished, "lost": dict(self.lost)}
+        found: dict[str, Any] = _finite({**about, **{k: list(v) for k, v in self.sources.items()}, "cells": cells})
+        return found
+
+    def _figures(self, cell: Cell, metric: str) -> dict[str, Any]:
+        other, reference = self.comparison(cell, metric), self.reference(cell)
+        compared = None if other is None or reference is None else {"with": reference.label, **asdict(other)}
+        return {
+            "unit": self.units.get(metric, "1"), **asdict(self.spread(cell, metric)), **self.target(cell.experiment, metric),
+            "met": self.met(cell, metric), "compared": compared,
+        }  # fmt: skip
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def summarize(
+    title: str,
+    combinations: Sequence[Combination],
+    table: pyarrow.Table,
+    planned: int,
+    metrics: Sequence[str] = (),
+    compare_with: str = "",
+    larger_is_better: Sequence[str] = (),
+) -> Summary:
+    """Of a study's table. ``metrics``: those that are shown (when empty: with a goal or a paper's figure, or else all)."""
+    columns = [name for name in table.column_names if name.startswith("metric.")]
+    units = {n.removeprefix("metric."): _unit(table.schema.field(n)) for n in columns}
+    keys, outcomes = table["key"].to_pylist(), np.array(table["outcome"].to_pylist(), dtype=object)
+    groups: dict[str, list[int]] = {}
+    for k, key in enumerate(keys):
+        if outcomes[k] not in ("error", "lost"):
+            groups.setdefault(key.rpartition("-")[0], []).append(k)
+    figures = {n.removeprefix("metric."): _numbers(table[n]) for n in columns}
+    texts = {n: np.array(table[n].to_pylist(), dtype=object) for n in ("reason", "files")}
+    seeds, cells = table["seed"].to_numpy(), []
+    for c in combinations:
+        rows = np.array(groups.get(c.key, []), int)
+        if rows.size:
+            rows = rows[np.argsort(seeds[rows])]
+            values = {n: v[rows] for n, v in figures.items() if not np.isnan(v[rows]).all()}
+            found = (tuple(outcomes[rows]), values, tuple(texts["reason"][rows]), tuple(texts["files"][rows]))
+            cells.append(Cell(c.experiment, c.label, c.condition, c.robot, c.varied, seeds[rows], *found))
+    targets = targets_of(table.schema)
+    bad = [k for k in range(len(keys)) if outcomes[k] in ("error", "lost")]
+    lost = Counter(f"{outcomes[k]}: {texts['reason'][k]}" for k in bad)
+    sources = {n: tuple(dict.fromkeys(t for t in table[n].to_pylist() if t)) for n in ("version", "commit", "code")}
+    shown = {e: _shown(cells, e, targets.get(e, {}), metrics) for e in dict.fromkeys(c.experiment for c in cells)}
+    first = next(iter(dict.fromkeys(c.condition for c in cells)), "")
+    return Summary(
+        title,
+        tuple(cells),
+        units,
+        targets,
+        shown,
+        planned,
+        lost,
+        sources,
+        compare_with or first,
+        tuple(larger_is_better),
+    )
+
+
+def _shown(
+    cells: Sequence[Cell], experiment: str, targets: Mapping[str, Any], chosen: Sequence[str]
+) -> tuple[str, ...]:
+    """Metrics of an experiment that tables show."""
+    there = list(dict.fromkeys(m for c in cells if c.experiment == experiment for m in c.figures))
+    if chosen:
+        return tuple(m for m in chosen if m in there)
+    of_interest = [m for m in there if any(v is not None for v in targets.get(m, {}).values())]
+    return tuple(of_interest or there)
+
+
+def _unit(column: Any) -> str:
+    return (column.metadata or {}).get(b"unit", b"1").decode()
+
+
+def _numbers(column: Any) -> np.ndarray:
+    """A column (n,) with nan where there is nothing."""
+    return np.array([np.nan if v is None else v for v in column.to_pylist()], float)

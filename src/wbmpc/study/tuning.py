@@ -1,0 +1,268 @@
+"""The search of settings with Optuna: trials on seeds of their own, kept as rows, and the best settings as a file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wbmpc.errors import InputError
+from wbmpc.study.definition import Definition, Search, Term, Tuning
+from wbmpc.study.plan import Run, combinations
+from wbmpc.study.store import MISSING, Store
+from wbmpc.study.work import ERROR, execute
+from wbmpc.study.workers import Pool, Row
+
+if TYPE_CHECKING:
+    import optuna
+
+DATABASE, TRIALS = "trials.db", "trials"
+#: Where a trial keeps its settings.
+_SETTINGS = "settings"
+#: Trials in a row whose settings the experiments may reject.
+MAX_REJECTED = 100
+
+
+def _optuna() -> Any:
+    try:
+        import optuna
+    except ImportError as error:
+        raise InputError(MISSING) from error
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna
+
+
+def value_of(term: Term, rows: list[Row]) -> float:
+    """A term of the objective over the runs of a trial; see :class:`Term`. Raises :class:`InputError` if no run can have the metric."""
+    mine = [row for row in rows if not term.experiment or row["experiment"] == term.experiment]
+    if not term.experiment:
+        having = {row["experiment"] for row in rows if term.metric in row.get("metrics", {})}
+        mine = [row for row in mine if row["experiment"] in having] or mine
+    known = [r for r in mine if r["outcome"] == "completed"]
+    if known and not any(term.metric in row.get("metrics", {}) for row in known):
+        names = ", ".join(known[0].get("metrics", {}))
+        raise InputError(f"tune.minimize: '{term.metric}' is no metric of {known[0]['experiment']}; valid: {names}")
+    return term.weight * float(np.mean([_bounded(term, row) for row in mine]))
+
+
+def _bounded(term: Term, row: Row) -> float:
+    """The metric of a run, up to the limit; from the limit to its double where a large one is good."""
+    value = row.get("metrics", {}).get(term.metric, math.nan) if row["outcome"] == "completed" else math.nan
+    if math.isnan(value):
+        return 2.0 * term.limit if term.maximize else term.limit
+    return 2.0 * term.limit - min(value, term.limit) if term.maximize else min(value, term.limit)
+
+
+def broken(tuning: Tuning, rows: list[Row]) -> dict[str, float]:
+    """By how much a trial breaks each constraint, above 0 where it does: of metrics, and ``outcome``: runs that did not complete."""
+    out = {}
+    for metric, largest in tuning.constraints.items():
+        values = [row["metrics"][metric] for row in rows if metric in row.get("metrics", {})]
+        by = max((v - largest for v in values), default=0.0)
+        out[metric] = by if math.isfinite(by) else 1e9
+    failed = sum(row["outcome"] != "completed" for row in rows)
+    return out if tuning.allow_failures else {**out, "outcome": float(failed)}
+
+
+def feasible(trial: optuna.trial.FrozenTrial) -> bool:
+    """Whether it breaks no constraint."""
+    return all(value <= 0.0 for value in trial.constraints.values())
+
+
+@dataclass
+class Trial:
+    """A trial that goes on: its settings, runs that wait (by seed) and rows that there are."""
+
+    trial: optuna.trial.Trial
+    changes: dict[str, Any]
+    waiting: list[list[Run]]
+    going: int = 0
+    rows: list[Row] = field(default_factory=list)
+
+
+@dataclass
+class Tuner:
+    """Asks for settings, has them run, and reports how good they were. ``folder``: beside the study's file; ``out``: of results."""
+
+    definition: Definition
+    tuning: Tuning
+    folder: Path
+    out: Path
+    where: str
+
+    def __post_init__(self) -> None:
+        self._found = self._open()
+
+    def _open(self) -> optuna.Study:
+        optuna, t = _optuna(), self.tuning
+        self.out.mkdir(parents=True, exist_ok=True)
+        makers: dict[str, Callable[[], Any]] = {
+            "tpe": lambda: optuna.samplers.TPESampler(seed=t.sampler_seed, multivariate=True),
+            "cmaes": lambda: optuna.samplers.CmaEsSampler(seed=t.sampler_seed),
+            "nsga2": lambda: optuna.samplers.NSGAIISampler(seed=t.sampler_seed),
+            "random": lambda: optuna.samplers.RandomSampler(seed=t.sampler_seed),
+        }
+        pruner = optuna.pruners.MedianPruner(n_startup_trials=10) if t.prune else optuna.pruners.NopPruner()
+        sqlite = f"sqlite:///{(self.out / DATABASE).resolve()}"
+        found = optuna.create_study(
+            storage=sqlite, study_name="tune", sampler=makers[t.sampler](), pruner=pruner, load_if_exists=True,
+            directions=["minimize"] * (len(t.minimize) if t.pareto else 1),
+        )  # fmt: skip
+        self._check_searched(found)
+        return found
+
+    def _check_searched(self, found: optuna.Study) -> None:
+        """Trials of other ranges or seeds do not go with these."""
+        what = self.tuning.model_dump(mode="json", by_alias=True, exclude={"trials"})
+        what |= {"experiments": self.definition.experiments, "settings": self.definition.settings}
+        was = found.user_attrs.get("search")
+        if was is None:
+            found.set_user_attr("search", json.loads(json.dumps(what)))
+        elif was != json.loads(json.dumps(what)):
+            different = ", ".join(k for k in what if was.get(k) != json.loads(json.dumps(what[k])))
+            raise InputError(
+                f"{self.out}: its {len(found.trials)} trials are of another search ({different}); change the study back, or give "
+                "another --out"
+            )
+
+    @property
+    def left(self) -> int:
+        """Trials to do."""
+        return max(self.tuning.trials - len(self.finished), 0)
+
+    @property
+    def finished(self) -> list[optuna.trial.FrozenTrial]:
+        """Trials that came to their end, or were pruned."""
+        state = _optuna().trial.TrialState
+        return self._found.get_trials(deepcopy=False, states=(state.COMPLETE, state.PRUNED))
+
+    def run(self, there: Pool, store: Store, progress: Callable[[float, str], None] | None) -> None:
+        """Do the trials that are left, as many at a time as keep the pool at work."""
+        self._requeue()
+        going: dict[str, tuple[Trial, Run]] = {}
+        begun, total = 0, self.left
+        while True:
+            while begun < total and len(going) < there.threads:
+                begun += 1
+                self._hand_over(self._begin(), there, going)
+            if not going:
+                return
+            task, row = there.next()
+            trial, run = going.pop(task["key"])
+            row = {**self._about(trial, run), **row}
+            if row["outcome"] == ERROR and not self.finished:  # the study is wrong, not these settings
+                raise InputError(f"{self.where}: {row['experiment']}, seed {row['seed']}: {row['reason']}")
+            store.add(row)
+            trial.rows.append(row)
+            trial.going -= 1
+            if not trial.going and not self._ended(trial):
+                self._hand_over(trial, there, going)
+            if progress is not None:
+                progress(len(self.finished) / self.tuning.trials, self._text())
+
+    def _requeue(self) -> None:
+        """Trials that were going on when a process was killed are begun anew with their settings."""
+        optuna = _optuna()
+        for old in self._found.get_trials(deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)):
+            self._found.tell(old.number, state=optuna.trial.TrialState.FAIL)
+            self._found.enqueue_trial(old.params)
+
+    def _begin(self) -> Trial:
+        """A trial of settings that the experiments take; some ranges allow others too."""
+        for _ in range(MAX_REJECTED):
+            trial = self._found.ask()
+            changes = {key: _suggested(trial, key, s) for key, s in self.tuning.search.items()}
+            trial.set_user_attr(_SETTINGS, changes)
+            try:
+                tried = combinations(with_settings(self.definition, changes), self.folder, self.where)
+            except InputError as error:
+                rejected = error
+                self._found.tell(trial, state=_optuna().trial.TrialState.FAIL)
+                continue
+            return Trial(trial, changes, [[Run(c, seed) for c in tried] for seed in self.tuning.seeds])
+        raise rejected
+
+    def _hand_over(self, trial: Trial, there: Pool, going: dict[str, tuple[Trial, Run]]) -> None:
+        """All its runs; or where trials may be pruned, those of its next seed."""
+        batch = trial.waiting[:1] if self.tuning.prune else trial.waiting
+        trial.waiting = trial.waiting[len(batch) :]
+        for run in (run for runs in batch for run in runs):
+            key = f"{trial.trial.number}-{run.key}"
+            going[key] = trial, run
+            trial.going += 1
+            c = run.combination
+            there.submit(execute, {"key": key, "source": c.source, "changes": dict(c.changes), "seed": run.seed, "files": None,
+                                   "keep": "none"})  # fmt: skip
+
+    def _about(self, trial: Trial, run: Run) -> Row:
+        c = run.combination
+        return {
+            "key": f"{trial.trial.number}-{run.key}", "experiment": c.experiment, "condition": c.condition, "robot": c.robot,
+            "draw": trial.trial.number, "seed": run.seed, "varied": trial.changes, "changes": dict(c.changes),
+        }  # fmt: skip
+
+    def _ended(self, trial: Trial) -> bool:
+        """Report a trial whose runs are done; false where those of the next seed shall follow."""
+        optuna = _optuna()
+        values = [value_of(term, trial.rows) for term in self.tuning.minimize]
+        if trial.waiting:
+            trial.trial.report(sum(values), len(self.tuning.seeds) - len(trial.waiting))
+            if not trial.trial.should_prune():
+                return False
+            self._found.tell(trial.trial, state=optuna.trial.TrialState.PRUNED)
+            return True
+        for name, value in broken(self.tuning, trial.rows).items():
+            trial.trial.set_constraint(name, value)
+        self._found.tell(trial.trial, values if self.tuning.pareto else sum(values))
+        return True
+
+    def _text(self) -> str:
+        best = "" if self.tuning.pareto or not (found := self.best()) else f", best {found[0].values[0]:.4g}"
+        return f"{len(self.finished)} of {self.tuning.trials} trials{best}"
+
+    def best(self) -> list[optuna.trial.FrozenTrial]:
+        """The best trial that keeps the constraints (several that none is better than in everything, with ``pareto``); empty where none
+        does."""
+        state = _optuna().trial.TrialState.COMPLETE
+        ended = self._found.get_trials(deepcopy=False, states=(state,))
+        fine = [t for t in ended if feasible(t)]
+        if not self.tuning.pareto:
+            return sorted(fine, key=lambda t: t.values[0])[:1]
+        beaten = lambda t: any(all(a <= b for a, b in zip(o.values, t.values)) and o.values != t.values for o in fine)
+        return [t for t in fine if not beaten(t)]
+
+    def trials(self) -> Iterator[dict[str, Any]]:
+        """All finished trials as data."""
+        pruned = _optuna().trial.TrialState.PRUNED
+        for t in self.finished:
+            whole = t.state != pruned
+            yield {
+                "trial": t.number, "values": list(t.values or ()) if whole else [], "settings": settings_of_trial(t),
+                "pruned": not whole, "feasible": whole and feasible(t),
+            }  # fmt: skip
+
+
+def settings_of_trial(trial: optuna.trial.FrozenTrial) -> dict[str, Any]:
+    """What a trial was run with."""
+    found: dict[str, Any] = trial.user_attrs[_SETTINGS]
+    return found
+
+
+def with_settings(definition: Definition, changes: Mapping[str, Any]) -> Definition:
+    """The study with other settings for all runs, whatever experiments or conditions say."""
+    clean = {name: {k: v for k, v in own.items() if k not in changes} for name, own in definition.experiments.items()}
+    return definition.model_copy(update={"settings": {**definition.settings, **changes}, "experiments": clean})
+
+
+def _suggested(trial: optuna.trial.Trial, key: str, search: Any) -> Any:
+    if not isinstance(search, Search):
+        # names: Optuna keeps numbers, texts and truths, no lists
+        return json.loads(trial.suggest_categorical(key, [json.dumps(v) for v in search]))
+    if search.whole:
+        return trial.suggest_int(key, round(search.low), round(search.high), log=search.log)
+    return float(f"{trial.suggest_float(key, search.low, search.high, log=search.log):.4g}")

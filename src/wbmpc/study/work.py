@@ -1,0 +1,105 @@
+"""One run of a study, where a worker does it: what comes in and goes out is small and plain."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import time
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from wbmpc import __version__
+from wbmpc.errors import InputError, RunAborted
+from wbmpc.recording.recorder import Recorder
+from wbmpc.report import RECORDING, about_run, commit, outcome, write_run
+from wbmpc.result import RunResult
+from wbmpc.simulation.lockstep import Watch
+from wbmpc.study.plan import open_experiment, settings_of
+
+#: Outcomes without a result, which a study that goes on tries again: an error of the program, a worker that died.
+ERROR, LOST = "error", "lost"
+#: Bytes of a run's recording, at most.
+RECORD_LIMIT = 500_000_000
+#: Packages that change no figure of an experiment.
+_NOT_FIGURES = ("cli", "study", "view", "ros2", "benchmark", "embedded")
+
+
+@cache
+def code_hash() -> str:
+    """A hash of the source that figures are of."""
+    root, total = Path(__file__).parents[1], sha256()
+    for path in sorted(p for p in root.rglob("*.py") if p.relative_to(root).parts[0] not in _NOT_FIGURES):
+        total.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return total.hexdigest()[:12]
+
+
+def execute(task: Mapping[str, Any]) -> dict[str, Any]:
+    """Do a run and return its row: outcome, metrics with units and targets, times, version, commit, host.
+
+    ``task``: ``source`` of the experiment, ``changes`` of its settings, ``seed``; ``files``: directory of report and recording
+    (None: there are none), which with ``keep`` "failed" is removed again after a run that completed.
+    """
+    began, spent, started = time.perf_counter(), time.process_time(), datetime.now(UTC)
+    directory = None if task["files"] is None else Path(task["files"])
+    try:
+        found = _result(task, directory)
+    except InputError as error:
+        found = {"outcome": "rejected", "reason": str(error)}
+    except RunAborted as error:
+        found = {"outcome": "gave_up", "reason": str(error)}
+    except Exception as error:
+        found = {"outcome": ERROR, "reason": f"{type(error).__name__}: {error}"}
+    if directory is not None and found["outcome"] == "completed" and task["keep"] == "failed":
+        shutil.rmtree(directory, ignore_errors=True)
+        directory = None
+    about = {"version": __version__, "commit": commit(), "code": code_hash(), "host": socket.gethostname()}
+    times = {
+        "started": started.isoformat(timespec="milliseconds"),
+        "wall_time": time.perf_counter() - began,
+        "cpu_time": time.process_time() - spent,
+    }
+    return {**found, **times, **about, "files": "" if directory is None else str(directory)}
+
+
+def _result(task: Mapping[str, Any], directory: Path | None) -> dict[str, Any]:
+    experiment = open_experiment(task["source"])
+    settings = settings_of(experiment, task["changes"], experiment.name)
+    if directory is None:
+        return _row(experiment.run(settings, task["seed"], None))
+    shutil.rmtree(directory, ignore_errors=True)  # of a run that was killed
+    directory.mkdir(parents=True)
+    about = about_run(experiment.name, task["seed"], settings.model_dump(mode="json"))
+    recorder = Recorder(directory / RECORDING, about, RECORD_LIMIT)
+    try:
+        result = experiment.run(settings, task["seed"], Watch(None, (recorder,)))
+        recorder.close(outcome(result))
+        write_run(result, directory)
+    finally:
+        recorder.close({"completed": "false", "reason": "an error of the program"})
+    return _row(result)
+
+
+def _row(result: RunResult) -> dict[str, Any]:
+    if result.interrupted:  # a run that the user ended is no result
+        raise KeyboardInterrupt
+    metrics = result.metrics.items()
+    row: dict[str, Any] = {
+        "outcome": result.outcome,
+        "reason": result.reason,
+        "metrics": {name: float(m.value) for name, m in metrics},
+        "about": {name: {"unit": m.unit, "paper": m.paper, "goal": m.goal, "least": m.least} for name, m in metrics},
+    }
+    if result.mpc is not None:
+        solve = {f"solve_ms_{k}": float(v) for k, v in result.mpc.solve_ms.items()}
+        counts = {"solves": result.mpc.solves, "deadline_misses": result.mpc.deadline_misses}
+        row["timing"] = {**solve, **counts, "failed_share": result.mpc.failed_share}
+    return row
+
+
+def lost(reason: str) -> dict[str, Any]:
+    """The row of a run whose worker died."""
+    return {"outcome": LOST, "reason": reason}

@@ -1,0 +1,150 @@
+"""`obstacles-static`, `obstacles-moving`, `obstacles-sudden`, `corridor`: any robot that moves follows a path among obstacles.
+
+Scenes are as large as the robot: they are laid out about what its shapes take up at home. Plans know shape, place and velocity of what
+is there, and nothing of what has not appeared yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from wbmpc.experiment import Experiment, Scenario
+from wbmpc.model.robot import RobotModel
+from wbmpc.obstacles.geometry import robot_geometry
+from wbmpc.obstacles.scene import SceneObstacle
+from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
+from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.path_settings import AnyPath, Line, follow, timed
+from wbmpc.tasks.settings import TaskSettings, moving_base
+
+Array = NDArray[np.float64]
+#: A person: radius and height [m].
+PERSON = (0.2, 1.8)
+#: How far [m] a pillar and a shelf stand in the way of the base that would go straight.
+IN_THE_WAY = 0.05
+
+
+class Among(TaskSettings):
+    """``path`` of the end effector; ``obstacles``: another scene than the experiment's own."""
+
+    path: AnyPath = Line(length=4.0)
+
+
+class Moving(Among):
+    """``people`` that cross at ``speeds`` [m/s], between the smallest and the largest."""
+
+    people: int = Field(4, ge=1, le=50)
+    speeds: tuple[float, float] = (0.2, 1.5)
+
+
+class Sudden(Among):
+    """A pillar appears ``ahead`` [m] of the robot's foremost part, when it has its full speed."""
+
+    path: AnyPath = Line(length=4.0, speed=0.4)
+    ahead: float = Field(0.4, ge=0.0, le=10.0)
+
+
+class Corridor(Among):
+    """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go."""
+
+    width: float = Field(0.9, ge=0.1, le=100.0)
+    long: float = Field(2.0, ge=0.1, le=100.0)
+    offset: float = Field(0.05, ge=-10.0, le=10.0)
+
+
+class Extent:
+    """What a robot takes up at home, in its own world: ``low`` and ``high`` (3) [m] of its shapes, ``tool`` (3) and ``base`` (3: x, y, yaw)."""
+
+    def __init__(self, robot: RobotModel, task: str) -> None:
+        self.base = robot.home[moving_base(robot, task)]
+        self.tool = np.asarray(robot.pose(robot.home)[0])
+        self.ground = robot.description.base.ground
+        geometry = robot_geometry(robot)
+        centers, axes = (v[0] for v in geometry.at(*geometry.kinematics(robot.home[None])))
+        ends = []
+        for direction in (*-np.eye(3), *np.eye(3)):
+            parts = zip(geometry.shapes, centers, axes, strict=True)
+            ends.append(max(float(c @ direction + _reach(s.solid, direction @ a)) for s, c, a in parts))
+        self.low, self.high = -np.array(ends[:3]), np.array(ends[3:])
+
+
+def _reach(solid: object, direction: Array) -> float:
+    return float(solid.support(direction[None])[0] @ direction)  # type: ignore[attr-defined]
+
+
+def static_scene(settings: Among, robot: RobotModel, seed: int) -> list[SceneObstacle]:
+    """A pillar and a shelf in the way of the base, and a bar beside the end effector's path; they stand a little elsewhere for each seed."""
+    e, rng = Extent(robot, "obstacles-static"), np.random.default_rng(seed)
+    x, up = e.high[0], e.ground
+    shift = rng.uniform(-0.05, 0.05, 3)
+    pillar = np.array([x + 0.8 + shift[0], e.high[1] + 0.1 - IN_THE_WAY, up])
+    shelf = np.array([x + 2.6 + shift[1], e.low[1] - 0.15 + IN_THE_WAY, up + 0.5])
+    bar = np.array([x + 1.7 + shift[2], e.tool[1] + 0.25, e.tool[2]])
+    return [
+        SceneObstacle("pillar", Cylinder((0, 0, 0), (0, 0, 1.5), 0.1), {"position": pillar}),
+        SceneObstacle("bar", Capsule((0, 0, 0), (0, 1.5, 0), 0.03), {"position": bar}),
+        SceneObstacle("shelf", Box((0.3, 0.15, 0.5)), {"position": shelf}),
+    ]
+
+
+def moving_scene(settings: Moving, robot: RobotModel, seed: int) -> list[SceneObstacle]:
+    """People who walk straight over the robot's path, from both sides and at any angle, each where the robot would then be."""
+    e, rng = Extent(robot, "obstacles-moving"), np.random.default_rng(seed)
+    length, speed = settings.path.size(robot), settings.path.speed
+    low, high = sorted(settings.speeds)
+    people = []
+    for k in range(settings.people):
+        share = (k + 0.5) / settings.people
+        meet = settings.settle_time + 0.5 * settings.path.ramp + share * length / speed
+        angle = rng.choice([-1.0, 1.0]) * rng.uniform(0.25, 0.75) * np.pi
+        velocity = rng.uniform(low, high) * np.array([np.cos(angle), np.sin(angle), 0.0])
+        appears = max(meet - 4.0, 0.0)
+        place = [*e.base[:2], e.ground] + np.array([share * length, 0.0, 0.0]) - (meet - appears) * velocity
+        shape = Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0])
+        people.append(SceneObstacle(f"person{k}", shape, {"position": place, "velocity": velocity}, appears))
+    return people
+
+
+def sudden_scene(settings: Sudden, robot: RobotModel, seed: int) -> list[SceneObstacle]:
+    """A pillar right ahead of the base, for each seed a little aside."""
+    e, rng = Extent(robot, "obstacles-sudden"), np.random.default_rng(seed)
+    way = 0.5 * settings.path.size(robot)
+    appears = settings.settle_time + 0.5 * settings.path.ramp + way / settings.path.speed
+    aside = rng.uniform(-0.1, 0.1)
+    place = [e.high[0] + way + settings.ahead + 0.1, e.base[1] + aside, e.ground]
+    return [SceneObstacle("pillar", Cylinder((0, 0, 0), (0, 0, 1.5), 0.1), {"position": place}, appears)]
+
+
+def corridor_scene(settings: Corridor, robot: RobotModel, seed: int) -> list[SceneObstacle]:
+    """Two walls as high as the robot."""
+    e = Extent(robot, "corridor")
+    half = np.array([0.5 * settings.long, 0.1, 0.5 * (e.high[2] - e.ground)])
+    middle = np.array([e.high[0] + 0.5 + half[0], e.base[1] + settings.offset, e.ground + half[2]])
+    aside = np.array([0.0, 0.5 * settings.width + half[1], 0.0])
+    return [SceneObstacle(n, Box(half), {"position": middle + s * aside}) for n, s in (("left", 1.0), ("right", -1.0))]
+
+
+def experiment(
+    name: str, summary: str, settings_type: type[Among], scene: Callable[..., list[SceneObstacle]]
+) -> Experiment:
+    """A path of the end effector among what ``scene(settings, robot, seed)`` makes."""
+
+    def build(settings: Among, seed: int) -> Scenario:
+        robot, mpc = settings.prepare(obstacles=True)
+        path, start = settings.path, mpc.reference["end_effector"].at(0.0)
+        reference, end = timed(path.curve(robot, start[:3], start[3:]), path.speed, path.ramp, settings.settle_time)
+        follow(robot, mpc, reference)
+        made = scene(settings, robot, seed) if settings.obstacles is None else None
+        return closed_loop(robot, mpc, end + 1.0, seed, settings, since=settings.settle_time, scene=made)
+
+    return Experiment.of(name, summary, settings_type, build)
+
+
+STATIC = experiment("obstacles-static", "a path past a pillar, a bar and a shelf", Among, static_scene)
+MOVING = experiment("obstacles-moving", "a path that people cross", Moving, moving_scene)
+SUDDEN = experiment("obstacles-sudden", "a pillar appears right ahead", Sudden, sudden_scene)
+CORRIDOR = experiment("corridor", "a path through a narrow corridor", Corridor, corridor_scene)

@@ -1,0 +1,194 @@
+"""Clearance rows. Truth: distances measured at the state itself, and their finite differences."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import wbmpc as wb
+from wbmpc.clearance.nearest import Poses
+from wbmpc.clearance.rows import ObstacleRows, SelfRows
+from wbmpc.model.robot import RobotModel
+from wbmpc.obstacles.world import Snapshot
+from wbmpc.ocp.symbols import Symbols
+
+ROBOTS = ("differential-ur10", "rezero")
+GRID = np.linspace(0.0, 2.0, 9)
+
+
+def evaluate(robot: RobotModel, residual: wb.residuals.Residual) -> ca.Function:
+    """Rows and their derivative by the state, of state and parameters."""
+    x, u, p = (
+        ca.SX.sym(n, k) for n, k in (("x", robot.state.size), ("u", robot.input.size), ("p", residual.reference))
+    )
+    h = residual(Symbols(x, u, ca.SX(0, 1), ca.SX(robot.mode.size, 1), p, x, u))
+    return ca.Function("rows", [x, p], [h, ca.jacobian(h, x)])
+
+
+def rows_of(residual: wb.residuals.Residual) -> ObstacleRows | SelfRows:
+    return (ObstacleRows if isinstance(residual, wb.residuals.Clearance) else SelfRows)(residual)
+
+
+def world_about(x: float) -> Snapshot:
+    world = wb.Obstacles()
+    world.set("pillar", wb.shapes.Cylinder((x, 0.9, 0), (x, 0.9, 1.5), 0.1))
+    world.set("shelf", wb.shapes.Box((0.3, 0.1, 0.3)), position=(x + 0.5, -0.9, 0.8), velocity=(0.05, 0, 0))
+    world.set("floor", wb.shapes.HalfSpace((0, 0, 1), -0.4))
+    world.set(
+        "stone", wb.shapes.ConvexMesh(np.random.default_rng(0).normal(size=(12, 3)) * 0.1), position=(x + 0.9, 0, 0.4)
+    )
+    return world.snapshot(0.0)
+
+
+def distances(rows: ObstacleRows, snapshot: Snapshot, t: float, x: np.ndarray) -> np.ndarray:
+    """(F, O) beyond the margins."""
+    near, margin = rows.measure(snapshot, Poses(np.array([t]), *rows.finder.kinematics(x[None])))
+    return (near.distance - margin)[0]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_rows_have_the_value_and_the_slope_of_the_distance(name: str) -> None:
+    robot = wb.load_robot(name)
+    residual = wb.residuals.Clearance(robot, slots=4, margin=0.04)
+    rows, function = rows_of(residual), evaluate(robot, residual)
+    snapshot, compared = world_about(0.6), 0
+    for k, seed in ((0, 1), (4, 2), (8, 3)):
+        x = robot.home.copy()
+        x[robot.state["arm"]] += np.random.default_rng(seed).uniform(-0.4, 0.4, x[robot.state["arm"]].shape)
+        h, slope = (np.array(v) for v in function(x, rows.refresh(snapshot, GRID, np.tile(x, (len(GRID), 1)))[k]))
+        truth = distances(rows, snapshot, GRID[k], x)
+        for f in range(len(rows.index)):
+            own, finite = h[4 * f : 4 * f + 4, 0], np.isfinite(truth[f])
+            np.testing.assert_allclose(own, np.where(finite, truth[f], 1.0), atol=1e-6)
+            for o in np.flatnonzero(finite & (truth[f] > 0.0)):
+                step = 1e-4 * np.random.default_rng(f).normal(size=robot.state.size)
+                ends = [distances(rows, snapshot, GRID[k], x + s * step)[f, o] for s in (1, -1)]
+                assert slope[4 * f + o] @ step == pytest.approx(0.5 * (ends[0] - ends[1]), abs=3e-6)
+                compared += 1
+    assert compared >= 3
+
+
+def test_the_nearest_obstacles_beyond_their_margins_take_the_slots() -> None:
+    robot = wb.load_robot("rezero")
+    residual, snapshot = wb.residuals.Clearance(robot, slots=2), world_about(0.6)
+    parameters = rows_of(residual).refresh(snapshot, GRID[:2], np.tile(robot.home, (2, 1)))
+    h = np.array(evaluate(robot, residual)(robot.home, parameters[0])[0]).ravel()
+    truth = distances(rows_of(residual), snapshot, 0.0, robot.home)
+    for f in range(len(rows_of(residual).index)):
+        expected = np.sort(np.minimum(truth[f], 1.0))[:2]
+        np.testing.assert_allclose(np.sort(h[2 * f : 2 * f + 2]), expected, atol=1e-6)
+
+
+def test_margins_grow_with_the_spread_of_the_prediction() -> None:
+    robot = wb.load_robot("rezero")
+    world = wb.Obstacles()
+    residual = wb.residuals.Clearance(robot, slots=1, margin=0.03)
+    values = []
+    for spread in ({}, {"std": 0.01, "velocity_std": 0.05}):
+        world.set("ball", wb.shapes.Sphere(0.1, (0.6, 0, 0.3)), seen=0.0, **spread)
+        parameters = rows_of(residual).refresh(world.snapshot(0.0), GRID, np.tile(robot.home, (len(GRID), 1)))
+        values.append([np.array(evaluate(robot, residual)(robot.home, p)[0])[0, 0] for p in parameters])
+    # twice the standard deviation of the position at each time
+    np.testing.assert_allclose(values[0] - np.array(values[1]), 2.0 * np.hypot(0.01, 0.05 * GRID), atol=1e-9)
+
+
+def test_parameters_of_zeros_are_no_obstacle() -> None:
+    robot = wb.load_robot("rezero")
+    for residual in (wb.residuals.Clearance(robot), wb.residuals.SelfClearance(robot)):
+        h, slope = evaluate(robot, residual)(robot.home, np.zeros(residual.reference))
+        assert np.array_equal(np.array(h), np.ones((residual.size, 1))) and not np.array(slope).any()
+
+
+def test_rows_of_two_bodies_do_not_depend_on_where_the_base_is() -> None:
+    robot = wb.load_robot("rezero")
+    residual = wb.residuals.SelfClearance(
+        robot, [("base", "arm_upper_link"), ("base", "arm_forearm_link")], margin=0.02
+    )
+    rng = np.random.default_rng(0)
+    states = np.tile(robot.home, (4, 1))
+    states[:, robot.state["base"]] = 0.3 * rng.normal(size=(4, 5))
+    states[:, robot.state["arm"]] = [[0.0, 1.9, 0.9], [1.0, 1.7, 1.0], [-1.0, -1.9, -0.8], [2.0, 1.8, 1.2]]
+    parameters, function = rows_of(residual).refresh(states), evaluate(robot, residual)
+    distance, checked = rows_of(residual).measure(states, 2.0)[0], 0
+    for k in range(len(states)):
+        h, slope = (np.array(v) for v in function(states[k], parameters[k]))
+        near = (distance[k] < 0.25) & (distance[k] > 0.0)
+        np.testing.assert_allclose(h[near, 0], distance[k][near] - 0.02, atol=1e-6)
+        step = 1e-4 * rng.normal(size=robot.state.size)
+        ends = [rows_of(residual).measure((states[k] + s * step)[None], 2.0)[0][0] for s in (1, -1)]
+        np.testing.assert_allclose((slope @ step)[near], 0.5 * (ends[0] - ends[1])[near], atol=3e-6)
+        checked += int(near.sum())
+    assert checked >= 4
+    columns = set(np.array(function.sparsity_out(1).get_triplet()[1]).tolist())
+    assert columns.isdisjoint(range(*robot.state["base"].indices(robot.state.size)))
+
+
+def test_what_happens_between_two_nodes_counts() -> None:
+    """A base that passes a corner between nodes: truth is the distance at the middle."""
+    robot = wb.load_robot("differential-ur10")
+    residual = wb.residuals.Clearance(robot, ["chassis"], slots=1, margin=0.03)
+    states = np.tile(robot.home, (2, 1))
+    states[:, 0] = [-0.6, 0.6]
+    world = wb.Obstacles()
+    world.set("post", wb.shapes.Cylinder((0, 0.45, 0), (0, 0.45, 0.3), 0.05))
+    snapshot, grid, function = world.snapshot(0.0), np.array([0.0, 1.5]), evaluate(robot, residual)
+    parameters = rows_of(residual).refresh(snapshot, grid, states)
+    middle = min(
+        distances(rows_of(residual), snapshot, 0.0, np.r_[s, robot.home[1:]])[0, 0] for s in np.linspace(-0.6, 0.6, 9)
+    )
+    ends = [distances(rows_of(residual), snapshot, 0.0, x)[0, 0] for x in states]
+    assert middle < min(ends) - 0.02
+    for x, p in zip(states, parameters):
+        # states between the nodes are at most 0.08 m apart
+        assert float(function(x, p)[0]) == pytest.approx(middle, abs=0.01)
+
+
+def test_a_thin_wall_that_a_plan_jumps_over_keeps_it_on_its_side() -> None:
+    robot = wb.load_robot("differential-ur10")
+    residual = wb.residuals.Clearance(robot, ["chassis"], slots=1, margin=0.03)
+    front = 0.4  # of the chassis' box, in the file
+    states = np.tile(robot.home, (6, 1))
+    states[:, 0] = [0.0, 0.3, 0.6, 2.5, 2.6, 2.7]  # the wall is at 1.5: nodes 3 to 5 are behind it
+    world = wb.Obstacles()
+    world.set("wall", wb.shapes.Box((0.01, 3, 1)), position=(1.5, 0, 0.5))
+    parameters = rows_of(residual).refresh(world.snapshot(0.0), np.linspace(0, 3, 6), states)
+    function = evaluate(robot, residual)
+    for x, p in zip(states[2:], parameters[2:]):
+        h, slope = function(x, p)
+        assert float(h) == pytest.approx(1.49 - front - x[0] - 0.03, abs=1e-5)
+        assert float(slope[0, 0]) == pytest.approx(-1.0)  # back is out
+
+
+def test_a_grid_keeps_the_robot_from_what_is_in_it() -> None:
+    """Truth: the distance to the plane that the grid holds, less its error and what balls around the shapes add."""
+    robot = wb.load_robot("differential-ur10")
+    residual = wb.residuals.Clearance(robot, ["chassis"], slots=1, margin=0.0)
+    x = -1.0 + 0.05 * np.arange(61)
+    values = np.broadcast_to((1.5 - x)[:, None, None], (61, 41, 20))
+    world = wb.Obstacles()
+    world.set("map", wb.shapes.DistanceGrid((-1.0, -1.0, -0.2), 0.05, values))
+    states = np.tile(robot.home, (2, 1))
+    states[:, 0] = [0.7, 0.9]
+    parameters = rows_of(residual).refresh(world.snapshot(0.0), np.array([0.0, 1.0]), states)
+    for state, p in zip(states, parameters):
+        h, slope = evaluate(robot, residual)(state, p)
+        true = 1.5 - 0.4 - state[0]
+        assert true - 0.5 * np.sqrt(3) * 0.05 - 0.07 < float(h) < true - 0.5 * np.sqrt(3) * 0.05 + 1e-9
+        assert float(slope[0, 0]) == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda r: wb.residuals.Clearance(r, ["nose"]), "unknown frame with shapes 'nose'"),
+        (lambda r: wb.residuals.Clearance(r, []), "at least one"),
+        (lambda r: wb.residuals.Clearance(r, slots=0), "slots must be a whole number"),
+        (lambda r: wb.residuals.Clearance(r, margin=-0.1), "'margin' must not be negative"),
+        (lambda r: wb.residuals.SelfClearance(r, [("base", "nose")]), "unknown frame with shapes 'nose'"),
+        (lambda r: wb.residuals.SelfClearance(r, []), "at least one pair"),
+    ],
+)
+def test_a_wrong_residual_is_named(make, words: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(wb.InputError, match=words):
+        make(wb.load_robot("rezero"))

@@ -1,0 +1,8 @@
+"""Studies import their experiment by its path; tests by its name."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))

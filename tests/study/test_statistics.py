@@ -1,0 +1,44 @@
+"""Statistics of studies. Truth: closed forms, SciPy's own tests of them, coverage over drawn samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.study.statistics import failure_rate, interval, paired, spread
+
+
+def test_order_statistics_are_values_and_infinity_is_one() -> None:
+    s = spread(np.array([3.0, 1.0, 2.0, np.inf, 5.0]))
+    assert (s.count, s.median, s.p5, s.p95, s.worst) == (5, 3.0, 1.0, np.inf, np.inf)
+    assert spread(np.array([3.0, 1.0, 2.0]), largest_is_worst=False).worst == 1.0
+
+
+def test_wilsons_interval() -> None:
+    """In closed form, z = 1.96."""
+    z, n, p = 1.959964, 20, 0.1
+    middle, half = (p + z**2 / (2 * n)), z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    found = failure_rate(2, 20)
+    np.testing.assert_allclose([found.low, found.high], (middle + np.array([-half, half])) / (1 + z**2 / n), rtol=1e-5)
+    assert failure_rate(0, 20).low == 0.0 and failure_rate(0, 20).high > 0.1
+
+
+def test_the_interval_holds_the_median_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(3)
+    inside = sum(low <= np.log(2.0) <= high for low, high in (interval(rng.exponential(size=25)) for _ in range(100)))
+    assert 86 <= inside <= 100  # 95 % of 100, four standard deviations below; it is somewhat wide for few values
+    assert np.isnan(interval(np.array([1.0]))).all()
+
+
+def test_a_pair_cancels_what_a_seed_does_to_both() -> None:
+    seeds = np.random.default_rng(0).normal(scale=100.0, size=20)
+    found = paired(seeds - 1.0, seeds)
+    assert found.difference == pytest.approx(-1.0) and found.high < 0.0 and found.text == "better"
+    assert (found.wins, found.losses, found.p_value) == (20, 0, pytest.approx(2 * 0.5**20))
+    assert paired(seeds - 1.0, seeds, smaller_is_better=False).text == "worse"
+    assert paired(seeds, seeds).text == "no difference"
+
+
+def test_a_failure_loses_against_any_figure_and_equals_another() -> None:
+    found = paired(np.array([np.inf, np.inf, 2.0]), np.array([1e9, np.inf, np.inf]))
+    assert (found.wins, found.losses, found.difference) == (1, 1, 0.0)

@@ -1,0 +1,255 @@
+"""Studies that run, are killed, go on, and are searched. Truth: an experiment whose figures are known in closed form."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from valley import BEST, error
+
+from effort import thorough
+from wbmpc.cli import main
+from wbmpc.errors import InputError, NotWritten
+from wbmpc.study.store import Store
+from wbmpc.study.study import Study
+from wbmpc.study.work import execute
+
+pytest.importorskip("pyarrow")
+HERE = Path(__file__).parent
+SOURCE = HERE.parents[1] / "src"
+TEXT = """
+title: a valley
+experiments: {VALLEY: {fall_from: 308}}
+seeds: 300-309
+conditions:
+  near: {settings: {control.gain: 2.5}}
+  far: {settings: {control.gain: 5}}
+metrics: [error]
+"""
+
+
+def study(tmp_path: Path, text: str = TEXT, name: str = "study.yaml") -> Path:
+    file = tmp_path / name
+    file.write_text(text.replace("VALLEY", str(HERE / "valley.py")))
+    return file
+
+
+def test_a_row_for_each_run_and_what_they_say(tmp_path: Path) -> None:
+    made = Study.load(study(tmp_path), tmp_path / "out")
+    summary = made.run(workers=0)
+    rows = made.table().to_pylist()
+    assert len(rows) == 20 and sum(r["completed"] for r in rows) == 16
+    for row in rows:
+        gain = json.loads(row["changes"])["control.gain"]
+        expected = 1e-6 if row["seed"] >= 308 else error(gain, 0.0, row["seed"])
+        assert row["metric.error"] == pytest.approx(expected) and row["version"] and row["wall_time"] > 0.0
+        assert row["solve_ms_median"] == pytest.approx(2.0)
+    near, far = summary.cells
+    s = summary.spread(near, "error")
+    # of ten runs two fell: they count as infinitely bad, whatever they measured
+    assert s.median == pytest.approx(0.25 + 0.01 * 4.5) and s.worst == float("inf") and near.failures.failed == 2
+    compared = summary.comparison(far, "error")
+    assert compared is not None and summary.comparison(near, "error") is None
+    assert (compared.difference, compared.wins, compared.losses) == (pytest.approx(4.0 - 0.25), 0, 8)
+    assert json.loads((tmp_path / "out" / "statistics.json").read_text())["finished"] == 20
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert "a valley" in page and "seed by seed" in page and "it fell" in page
+
+
+def test_it_goes_on_and_errors_are_tried_again(tmp_path: Path) -> None:
+    file = study(tmp_path, TEXT.replace("fall_from: 308", "raise_at: 304"))
+    made = Study.load(file, tmp_path / "out")
+    assert made.run(workers=0).lost == {"error: ZeroDivisionError: of this seed": 2}
+    began = {r["key"]: r["started"] for r in made.table().to_pylist()}
+    again = Study.load(file, tmp_path / "out").run(workers=0)
+    rows = {r["key"]: r for r in made.table().to_pylist()}
+    assert len(rows) == len(made.table()) == 20 and again.finished == 18
+    assert {r["seed"] for key, r in rows.items() if r["started"] != began[key]} == {304}
+
+
+def test_a_changed_setting_in_a_half_done_study_is_named(tmp_path: Path) -> None:
+    Study.load(study(tmp_path), tmp_path / "out").run(workers=0)
+    changed = Study.load(study(tmp_path, TEXT.replace("2.5", "2.25")), tmp_path / "out")
+    with pytest.raises(InputError, match=r"10 of its 20 runs .* near: control.gain was 2.5, is 2.25; change the study"):
+        changed.run(workers=0)
+    more = Study.load(study(tmp_path, TEXT.replace("300-309", "300-311")), tmp_path / "out")
+    assert more.run(workers=0).finished == 24  # more seeds are no change
+
+
+def test_a_line_that_was_not_finished_costs_one_run(tmp_path: Path) -> None:
+    made = Study.load(study(tmp_path), tmp_path / "out")
+    rows = iter(made.runs())
+    with Store(made.out) as store:  # a process that was killed: no Parquet, half a line
+        for run in (next(rows), next(rows), next(rows)):
+            store.add({"key": run.key, "seed": run.seed, **execute(made._task(run))})
+    journal = made.out / "journal.jsonl"
+    journal.write_bytes(journal.read_bytes()[:-9])
+    with Store(made.out) as store:
+        assert len(store.done()) == 2
+    assert made.run(workers=0).finished == 20 and not journal.exists()
+
+
+def test_a_full_disk_is_one_message(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        (tmp_path / "journal.jsonl").symlink_to("/dev/full")
+        with pytest.raises(NotWritten, match=r"journal.jsonl: cannot be written \(No space left on device\)"):
+            store.add({"key": "a-1", "outcome": "completed"})
+
+
+def test_two_studies_do_not_write_into_one_folder(tmp_path: Path) -> None:
+    with Store(tmp_path), pytest.raises(InputError, match="another study is running here"), Store(tmp_path):
+        pass
+
+
+def test_many_rows_become_parts_and_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wbmpc.study.store.PART", 4)
+    made = Study.load(study(tmp_path), tmp_path / "out")
+    made.run(workers=0)
+    keys = made.table(["key"])["key"].to_pylist()
+    assert sorted(keys) == sorted(r.key for r in made.runs()) and not (made.out / "parts").exists()
+
+
+def test_reports_of_failed_runs_are_kept(tmp_path: Path) -> None:
+    made = Study.load(study(tmp_path, TEXT + "files: failed\n"), tmp_path / "out")
+    made.run(workers=0)
+    kept = {r["key"]: r["files"] for r in made.table().to_pylist() if r["files"]}
+    assert set(kept) == {r.key for r in made.runs() if r.seed >= 308}
+    assert all((Path(files) / "report.html").is_file() for files in kept.values())
+
+
+TUNE = """
+experiments: [VALLEY]
+seeds: 300-304
+tune:
+  seeds: 0-2
+  search: {control.gain: {from: 0.01, to: 100, log: true}, offset: [0, 1]}
+  minimize: [{metric: error, limit: 100}]
+  trials: 20
+"""
+
+
+def test_a_search_finds_the_minimum_on_its_own_seeds(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    made = Study.load(study(tmp_path, TUNE), tmp_path / "out")
+    tuned = made.tune(workers=0)
+    assert tuned.settings["offset"] == 0 and abs(tuned.settings["control.gain"] - BEST) < 1.0
+    assert len(tuned.trials) == 20 and (tmp_path / "out" / "index.html").is_file()
+    rows = Study.load(made.path, made.out / "trials").table().to_pylist()
+    assert len(rows) == 60 and {r["seed"] for r in rows} == {0, 1, 2}
+    assert tuned.report is not None and {s for c in tuned.report.cells for s in c.seeds} == set(range(300, 305))
+    after = tuned.report.comparison(tuned.report.cells[1], "error")
+    assert after is not None and after.text == "better" and after.wins == 5
+    assert Study.load(made.path, made.out).tune(workers=0).trials == tuned.trials  # nothing is left to do
+    other = Study.load(study(tmp_path, TUNE.replace("to: 100", "to: 90")), made.out)
+    with pytest.raises(InputError, match=r"20 trials are of another search \(search\)"):
+        other.tune(workers=0)
+
+
+def test_constraints_and_pruning(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    limits = "  constraints: {error: 5}\n  prune: true\n"
+    made = Study.load(study(tmp_path, TUNE + limits), tmp_path / "out")
+    tuned = made.tune(workers=0)
+    rows = Study.load(made.path, made.out / "trials").table().to_pylist()
+    worst = {t["trial"]: max(r["metric.error"] for r in rows if r["draw"] == t["trial"]) for t in tuned.trials}
+    whole = [t for t in tuned.trials if not t["pruned"]]
+    assert all(t["feasible"] == (worst[t["trial"]] <= 5.0) for t in whole) and not all(t["feasible"] for t in whole)
+    pruned = [t["trial"] for t in tuned.trials if t["pruned"]]
+    assert pruned and all(sum(r["draw"] == k for r in rows) < 3 for k in pruned)
+
+
+def command(*words: object) -> list[str]:
+    return [sys.executable, "-m", "wbmpc", *map(str, words)]
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(SOURCE)}
+
+
+def test_the_command_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = study(tmp_path)
+    assert main(["study", str(file), "--workers", "0", "--out", str(tmp_path / "out"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["finished"] == said["planned"] == 20 and said["cells"][0]["failures"]["failed"] == 2
+    assert all(Path(f).is_file() for f in said["files"].values())
+    assert main(["study", str(file), "--report", "--out", str(tmp_path / "out")]) == 0
+    assert "far" in capsys.readouterr().out
+
+
+def test_an_unknown_study_names_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "nowhere"]) == 2
+    assert "unknown study 'nowhere'" in capsys.readouterr().err
+
+
+def test_without_the_extra_it_is_one_message(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert main(["study", str(study(tmp_path)), "--workers", "1", "--out", str(tmp_path / "out")]) == 2
+    assert "pip install 'wbmpc[study]'" in capsys.readouterr().err
+
+
+def test_dasks_workers_do_the_runs(tmp_path: Path) -> None:
+    """A scheduler with two workers, all in this process: what is sent is what other processes would get."""
+    distributed = pytest.importorskip("distributed")
+    made = Study.load(study(tmp_path), tmp_path / "out")
+    seen: list[float] = []
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        summary = made.run(scheduler=cluster.scheduler_address, progress=lambda share, note: seen.append(share))
+    assert summary.finished == 20 and seen == pytest.approx([k / 20 for k in range(1, 21)])
+
+
+@thorough
+def test_a_run_that_kills_its_process_costs_itself_alone(tmp_path: Path) -> None:
+    """Processes of Dask; each run has one thread."""
+    pytest.importorskip("distributed")
+    file = study(tmp_path, TEXT.replace("fall_from: 308", "die_at: 303").replace("300-309", "300-305"))
+    done = subprocess.run(
+        command("study", file, "--workers", 2, "--out", tmp_path / "out", "--json"),
+        env=environment(), capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    said = json.loads(done.stdout)
+    assert done.returncode == 1 and said["finished"] == 10 and sum(said["lost"].values()) == 2, done.stderr
+    rows = Study.load(file, tmp_path / "out").table().to_pylist()
+    assert {r["seed"] for r in rows if r["outcome"] == "lost"} == {303}
+    assert {r["metric.threads"] for r in rows if r["completed"]} == {1.0}
+
+
+@thorough
+def test_a_scheduler_and_workers_in_other_folders(tmp_path: Path) -> None:
+    """Separate processes; one worker is killed, and the study ends as if nothing had happened."""
+    pytest.importorskip("distributed")
+    address_file = tmp_path / "scheduler.json"
+    words = ("--no-dashboard", "--scheduler-file", str(address_file))
+    begun = [subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", *words],
+                              env=environment(), stderr=subprocess.DEVNULL)]  # fmt: skip
+    try:
+        for name in ("a", "b"):
+            (tmp_path / name).mkdir()
+            worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--nthreads", "1", *words]
+            begun.append(subprocess.Popen(worker, cwd=tmp_path / name, env=environment(), stderr=subprocess.DEVNULL))
+        from distributed import Client
+
+        with Client(scheduler_file=str(address_file)) as client:  # waits for the file
+            client.wait_for_workers(2)
+            address = client.scheduler.address
+        made = Study.load(study(tmp_path), tmp_path / "out")
+        killed: list[int] = []
+
+        def kill(share: float, note: str) -> None:
+            if not killed:
+                killed.append(begun[1].pid)
+                begun[1].send_signal(signal.SIGKILL)
+
+        assert made.run(scheduler=address, progress=kill).finished == 20 and killed
+    finally:
+        for process in begun:
+            process.kill()
+            process.wait()

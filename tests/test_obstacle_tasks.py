@@ -1,0 +1,93 @@
+"""Tasks among obstacles. Truth: distances of MuJoCo's shapes at the poses that the run recorded, and closed forms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import wbmpc as wb
+from planar_driving import write_robot
+from test_tasks import WHEELS, run
+from wbmpc.errors import InputError
+from wbmpc.obstacles.scene import SceneObstacle
+from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
+
+BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
+
+
+@pytest.fixture(scope="module")
+def driving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_robot(tmp_path_factory.mktemp("driving"), WHEELS, {"type": "differential"})
+
+
+def scene(folder: Path, place: str, keys: str = "appears: 0") -> Path:
+    path = folder / "scene.yaml"
+    path.write_text(f"obstacles:\n  box: {BOX.replace('PLACE', place).replace('KEYS', keys)}\n")
+    return path
+
+
+def test_a_robot_keeps_its_margin_to_a_box_in_its_world(driving: Path, tmp_path: Path) -> None:
+    """The left wheel would pass the box at 10 mm."""
+    robot, path = wb.load_robot(driving), scene(tmp_path, "0.35, 0.28, 0")
+    more = (f"obstacles={path}", "settle_time=0.1", "path.length=0.5", "path.ramp=0.3", "path.speed=0.5")
+    m, margin = run("end-effector-track", driving, *more, "mpc.rate=25").metrics, robot.description.collision.margin
+    assert margin - 0.01 < m["obstacle_clearance_min"].value < margin + 0.05
+    assert m["obstacle_contacts"].value == 0.0 and m["stuck_time"].value == 0.0
+
+
+def ball_and_floor(around: SimulatedObstacles) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """A ball of 0.1 m that falls upwards without gravity, among simulated obstacles."""
+    spec = mujoco.MjSpec()
+    spec.option.gravity = [0, 0, 0]
+    body = spec.worldbody.add_body(name="ball", pos=[0, 0, 1.0])
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], contype=4, conaffinity=8)
+    around.edit(spec)
+    model = spec.compile()
+    around.bind(model)
+    return model, mujoco.MjData(model)
+
+
+def test_distances_and_contacts_are_those_of_the_world() -> None:
+    wall = SceneObstacle("wall", wb.shapes.Box((0.1, 1, 1)), {"position": (1.0, 0, 0.7), "velocity": (-0.5, 0, 0)}, 1.0)
+    around = SimulatedObstacles([wall], ground=-0.3)
+    model, data = ball_and_floor(around)
+    data.qvel[0] = 0.4
+    distances = []
+    for k in range(700):
+        t = k * model.opt.timestep
+        around.place(data, t)
+        around.count_contacts(data, t)
+        distances.append(around.distance(data) if k % 100 == 0 else np.nan)
+        mujoco.mj_step(model, data)
+    assert distances[400] == 1.0  # it has not appeared
+    # 1.2 s: the ball is at 0.48, the wall's face at 0.9 - 0.1
+    assert distances[600] == pytest.approx(0.8 - 0.48 - 0.1, abs=3e-3)
+    assert around.contacts == 0
+    for k in range(700, 900):
+        around.place(data, k * model.opt.timestep)
+        mujoco.mj_step(model, data)
+        around.count_contacts(data, k * model.opt.timestep)
+    assert around.contacts == 1 and around.contact_speed == pytest.approx(0.4, abs=0.05)
+
+
+def test_the_planner_sees_a_scene_from_where_it_believes_to_be() -> None:
+    """The odometry is 0.2 m and a quarter turn wrong: so is the pillar's place, which keeps its distance to the robot."""
+    pillar = SceneObstacle("pillar", wb.shapes.Sphere(0.1), {"position": (2.0, 0.0, 0.5), "velocity": (0.1, 0, 0)})
+    world = wb.Obstacles()
+    SimulatedObstacles([pillar]).show(world, 0.0, np.array([1.0, 0.0, 0.0]), np.array([1.2, 0.0, 0.5 * np.pi]))
+    snapshot = world.snapshot(0.0)
+    place, _ = snapshot.pose(snapshot.obstacles[0], np.array([0.0, 1.0]))
+    np.testing.assert_allclose(place, [[1.2, 1.0, 0.5], [1.2, 1.1, 0.5]], atol=1e-12)
+
+
+def test_only_simulated_scenes_have_what_appears(tmp_path: Path) -> None:
+    path = scene(tmp_path, "1, 0, 0", "appears: 2.0")
+    assert [o.appears for o in load_scene(path)] == [2.0]
+    with pytest.raises(InputError, match="appears"):
+        wb.Obstacles().load(path)
+    with pytest.raises(InputError, match=r"scene.yaml.*box.*'appears'.*number"):
+        load_scene(scene(tmp_path, "1, 0, 0", "appears: soon"))
