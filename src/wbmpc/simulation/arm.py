@@ -99,11 +99,15 @@ class ArmPlant(WorldAccess):
 
     def settle(self, seconds: float) -> None:
         """Come to rest before time 0."""
-        self.world.advance(self._carry, round(seconds / self.timestep))
+        self.world.advance(self.carry_arm, round(seconds / self.timestep))
         self.world.restart()
         self._keep()
 
     # ------------------------------------------------------------------ running
+    def carry_arm(self) -> None:
+        """Feed the arm's weight forward to its joints; what else acts in every physics step is a subclass's."""
+        self._carry()
+
     def _carry_unloaded(self) -> None:
         """Feed the arm's weight forward to its joints without that of a payload, which nobody knows of."""
         d, m, dofs = self.data, self.model, self._arm_dofs

@@ -128,7 +128,7 @@ class PlanarPlant(WheeledPlant):
             speed = numbers("command", group, getattr(command, group), len(names))
             self.data.ctrl[self._control[group]] = np.clip(speed, -self._speed[group], self._speed[group])
         self.world.refresh()
-        self.world.advance(self._carry, steps, self._keep)
+        self.world.advance(self.carry_arm, steps, self._keep)
         self.world.check()
 
     def measure(self) -> PlanarMeasurement:
