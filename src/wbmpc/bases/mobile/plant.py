@@ -75,19 +75,9 @@ class MobilePlant(PlanarPlant):
         self.data.qpos[self._q["arm"]] = state[self.robot.state["arm"]]
         mujoco.mj_kinematics(self.model, self.data)
 
-    def _bind_steps(self) -> None:
+    def carry_arm(self) -> None:
         """Also the force that drives the body."""
-        super()._bind_steps()
-        carry = self._carry
-
-        def carry_and_drive() -> None:
-            carry()
-            self._drive()
-
-        self._carry = carry_and_drive
-
-    def _drive(self) -> None:
-        """The servo's force on the body, in every physics step."""
+        super().carry_arm()
         m, d, velocity = self.model, self.data, np.zeros(6)
         self._speeds = self._speeds + (1.0 - np.exp(-self.timestep / self.draw.wheel_lag)) * (
             self._order - self._speeds
