@@ -80,6 +80,11 @@ def anchors(page: Path) -> set[str]:
 IDS = [p.relative_to(ROOT).as_posix() for p in pages()]
 
 
+@pytest.mark.parametrize("page", pages(), ids=str)
+def test_no_merge_is_left_half_done(page: Path) -> None:
+    assert not re.search(r"^(<{7}|>{7}) ", page.read_text(), re.M)
+
+
 def test_the_documents_are_short() -> None:
     words = {p.relative_to(ROOT).as_posix(): len(by_hand(p).split()) for p in pages()}
     longest = sorted(words, key=words.__getitem__)[-5:]

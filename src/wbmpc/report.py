@@ -148,12 +148,16 @@ def commit() -> str:
     try:
         revision, changed = (
             subprocess.run(
-                ["git", "-C", str(source), *words], capture_output=True, text=True, check=True, timeout=10
+                ["git", "--no-optional-locks", "-C", str(source), *words],
+                capture_output=True,
+                text=True,
+                check=True,
+                timeout=10,
             ).stdout.strip()
             for words in (("rev-parse", "--short=10", "HEAD"), ("status", "--porcelain", "--untracked-files=no", "."))
         )
         tracked = subprocess.run(
-            ["git", "-C", str(source), "ls-files", "--error-unmatch", Path(__file__).name],
+            ["git", "--no-optional-locks", "-C", str(source), "ls-files", "--error-unmatch", Path(__file__).name],
             capture_output=True,
             timeout=10,
         )
