@@ -80,7 +80,7 @@ def anchors(page: Path) -> set[str]:
 IDS = [p.relative_to(ROOT).as_posix() for p in pages()]
 
 
-@pytest.mark.parametrize("page", pages(), ids=str)
+@pytest.mark.parametrize("page", pages(), ids=IDS)
 def test_no_merge_is_left_half_done(page: Path) -> None:
     assert not re.search(r"^(<{7}|>{7}) ", page.read_text(), re.M)
 
