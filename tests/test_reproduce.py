@@ -219,7 +219,11 @@ def test_the_readme_gets_its_figures(site, tmp_path: Path) -> None:  # type: ign
         words.format(m, new, "–") for m, new in zip(marks, text, strict=True)
     )
     study = tmp_path / "study.json"
-    study.write_text(json.dumps({"other": {"hand_error_max": {"median": 0.00123, "worst": 12.34}}}))
+    study.write_text(
+        json.dumps(
+            {"cells": [{"experiment": "other", "metrics": {"hand_error_max": {"median": 0.00123, "worst": 12.34}}}]}
+        )
+    )
     arguments = ["--study", str(study), "--readme", str(readme)]
     subprocess.run([sys.executable, str(script), *arguments], env=ENVIRONMENT, check=True, capture_output=True)
     assert "<!--= other hand_error_max m -->0.0012 m (12)<!--/--> of it" in readme.read_text()

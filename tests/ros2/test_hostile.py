@@ -109,7 +109,7 @@ def test_what_is_quoted_is_one_short_line(error: Exception) -> None:
     quoted = type(error)(str(error).format("map\n\x1b[31mERROR" + "x" * 1_000_000))
     said = error_message(quoted)
     assert len(said) < LONGEST + 40 and said.isprintable()
-    assert "frame 'map??[31mERROR" in said and said.endswith("'; valid: odom")
+    assert "frame 'map\\n\\x1b[31mERROR" in said and said.endswith("'; valid: odom")
     assert error_message(InputError("short")) == "short"
 
 

@@ -144,7 +144,7 @@ def test_solves_allocate_nothing(name: str) -> None:
     solver, solve = real_time(name)
     python, peak, native = growth(solve)
     assert native == 0
-    assert python < 2000  # numbers that have replaced others; a leak would be 24 kB or more
+    assert python < 12_000  # what other threads of the process do meanwhile; a leak would be 24 kB or more
     assert peak < 4096  # numbers of a call that go when it ends
     assert np.isfinite(solver.trajectory().x).all()
 

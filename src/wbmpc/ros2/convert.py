@@ -9,7 +9,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.checks import unit_quaternions
-from wbmpc.errors import InputError, NotFinite
+from wbmpc.errors import InputError, NotFinite, printable
 
 Array = np.ndarray
 #: Of a message about something from the bus.
@@ -21,11 +21,11 @@ LARGEST_NUMBER = 1e7
 def error_message(error: Exception) -> str:
     """What a goal or a message was rejected for: our own message, or what went wrong by its kind; one line of at most
     :data:`LONGEST` characters, for it may quote what somebody on the bus has sent."""
-    message = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+    message = printable(str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
     middle = len(message) - LONGEST
     if middle > 0:  # the end says what is valid
         message = f"{message[: LONGEST // 2]} [{middle} characters] {message[-LONGEST // 2 :]}"
-    return "".join(c if c.isprintable() else "?" for c in message)
+    return message
 
 
 def stamp(seconds: float) -> dict[str, int]:
