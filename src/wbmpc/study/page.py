@@ -16,7 +16,7 @@ from wbmpc.report import document, goal_text, table, template
 from wbmpc.result import Metric
 from wbmpc.study.statistics import Paired, Rate
 from wbmpc.study.summary import Cell, Summary
-from wbmpc.units import Scale, number, scale
+from wbmpc.units import Scale, scale
 
 #: Plots of one experiment, combinations of one plot, and runs that the list of failures shows, at most.
 MAX_PLOTS, MAX_SHOWN, MAX_FAILURES = 24, 40, 200
@@ -79,27 +79,33 @@ def metric_rows(summary: Summary, cells: Sequence[Cell], metric: str) -> list[li
         )
         goal = goal_text(Metric(s.median, "", goal=target["goal"], least=target["least"]), shown)
         met = {True: "reached", False: "missed", None: ""}[summary.met(c, metric)]
-        middle = f"{shown.text(s.median)} {between(s.low, s.high, shown)} {shown.unit}".replace("  ", " ")
+        middle = with_interval(s.median, s.low, s.high, shown)
         rows.append([c.label, str(s.count), rate_text(c.failures), middle, *map(shown.text, (s.p5, s.p95, s.worst)), goal, met,
                      *comparison_cells(compared, shown)])  # fmt: skip
     return rows
 
 
-def between(low: float, high: float, shown: Scale) -> str:
-    """An interval; nothing where there is none."""
-    return "" if math.isnan(low) else f"[{shown.text(low)}, {shown.text(high)}]"
+def with_interval(value: float, low: float, high: float, shown: Scale) -> str:
+    """``12.1 [11.8, 12.9] mm``; without the interval where there is none."""
+    between = "" if math.isnan(low) else f"[{shown.text(low)}, {shown.text(high)}]"
+    return " ".join(part for part in (shown.text(value), between, unit_text(shown)) if part)
+
+
+def unit_text(shown: Scale) -> str:
+    """Nothing for numbers without a unit."""
+    return "" if shown.unit == "1" else shown.unit
 
 
 def rate_text(rate: Rate) -> str:
     """``1 (0.2 to 24 %)``."""
-    return f"{rate.failed} ({number(100 * rate.low)} to {number(100 * rate.high)} %)"
+    return f"{rate.failed} ({100 * rate.low:.2g} to {100 * rate.high:.3g} %)"
 
 
 def comparison_cells(found: Paired | None, shown: Scale) -> list[str]:
     """Difference with its interval, and wins."""
     if found is None:
         return ["", ""]
-    difference = f"{shown.text(found.difference)} {between(found.low, found.high, shown)} {shown.unit}"
+    difference = with_interval(found.difference, found.low, found.high, shown)
     return [difference, f"{found.wins} of {found.count}: {found.text}"]
 
 
@@ -138,7 +144,8 @@ def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[s
     ]
     if not any(np.isfinite(v).any() for v in values):
         return []
-    label, goal = f"{metric} [{shown.unit}]", summary.target(cells[0].experiment, metric)["goal"]
+    label = f"{metric} [{shown.unit}]" if unit_text(shown) else metric
+    goal = summary.target(cells[0].experiment, metric)["goal"]
     drawn = [(metric, _distribution(cells, values, label, None if goal is None else shown.factor * goal))]
     if 2 <= len(cells) <= 8 and any(v.size > 1 for v in values):
         drawn.append((f"{metric}, seed by seed", _pairs(cells, values, label)))
