@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ from wbmpc.cli import main
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.input_file import read_file
+from wbmpc.json_file import load_json
 from wbmpc.model.robot import load_robot
 from wbmpc.recording.messages import decode, encode
 from wbmpc.robots import load_description
@@ -191,6 +194,43 @@ def test_a_damaged_manifest_beside_a_model_is_none(manifest: bytes, tmp_path: Pa
     assert find_package("robot", tmp_path, {}) is None
 
 
+@pytest.mark.parametrize(
+    ("manifest", "found"),
+    [
+        ("<package><a><name>other</name></a><name>\n robot </name></package>", True),
+        ("<package><name>other</name></package>", False),
+        ("<!DOCTYPE p [<!ENTITY n 'robot'>]><package><name>&n;</name></package>", False),
+        ("<package><name>robot</name>" + " " * 2_000_000 + "</package>", False),
+    ],
+    ids=["named", "other", "entity", "huge"],
+)
+def test_a_manifest_is_read_within_limits(manifest: str, found: bool, tmp_path: Path) -> None:
+    """Truth: REP 149 (the package's name is the root's element of that name)."""
+    (tmp_path / "package.xml").write_text(manifest)
+    assert find_package("robot", tmp_path, {}) == (tmp_path if found else None)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "/dev/zero", "/proc/self/mem", "nul"])
+@pytest.mark.parametrize("read", [load_yaml, load_json], ids=["yaml", "json"])
+def test_what_is_no_regular_file_is_an_error(read: Callable[[Path], object], kind: str, tmp_path: Path) -> None:
+    """A pipe without a writer, a device that never ends, memory that cannot be read, a name with NUL. Truth: POSIX."""
+    path = tmp_path / "file"
+    if kind == "nul":
+        path = tmp_path / "\0"
+    elif kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(kind)
+    with pytest.raises(InputError, match=r"is no regular file|cannot be read"):
+        read(path)
+
+
+def test_what_grows_while_it_is_read_is_read_within_its_limit() -> None:
+    """Files of the kernel have no size until they are read."""
+    with pytest.raises(InputError, match="has 9 bytes; at most 8 are read"):
+        read_file(Path("/proc/self/status"), 8)
+
+
 @pytest.mark.parametrize("name", ["arm.xml", "arm.urdf"])
 def test_entities_are_an_error(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(
@@ -279,14 +319,14 @@ def test_a_model_that_cannot_be_read_is_an_error(tmp_path: Path, monkeypatch: py
     """As one whose permissions do not allow it, which a superuser's tests cannot make."""
     path = changed(tmp_path, "swerve-ur10", "model", "arm.xml")
     (tmp_path / "arm.xml").write_text("<mujoco/>")
-    read = Path.read_bytes
+    opened = os.open
 
-    def denied(self: Path) -> bytes:
-        if self.name == "arm.xml":
-            raise PermissionError(13, "Permission denied", str(self))
-        return read(self)
+    def denied(path: Path, *rest: int) -> int:
+        if Path(path).name == "arm.xml":
+            raise PermissionError(13, "Permission denied", str(path))
+        return opened(path, *rest)
 
-    monkeypatch.setattr(Path, "read_bytes", denied)
+    monkeypatch.setattr(os, "open", denied)
     with pytest.raises(InputError, match=r"arm.xml: cannot be read \(Permission denied\)"):
         load_description(path)
 

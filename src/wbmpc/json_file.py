@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from wbmpc.errors import InputError
+from wbmpc.input_file import read_file
 
 #: Bytes of a file and levels of nesting, at most.
 LARGEST, DEEPEST = 64 * 1024 * 1024, 64
@@ -15,14 +16,7 @@ LARGEST, DEEPEST = 64 * 1024 * 1024, 64
 
 def load_json(path: Path) -> Any:
     """What a JSON file says. Raises :class:`InputError` naming the file."""
-    try:
-        if path.exists() and not path.is_file():  # a pipe or a device may never end
-            raise InputError(f"{path}: is no regular file")
-        if path.stat().st_size > LARGEST:
-            raise InputError(f"{path}: has {path.stat().st_size} bytes; at most {LARGEST} are read")
-        return parse_json(path.read_bytes(), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    return parse_json(read_file(path, LARGEST), str(path))
 
 
 def parse_json(text: str | bytes, where: str) -> Any:

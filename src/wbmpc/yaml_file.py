@@ -15,6 +15,7 @@ from typing import Any, Never
 import yaml
 
 from wbmpc.errors import InputError
+from wbmpc.input_file import read_file
 
 #: Bytes of a text, levels of nesting, keys and values, and digits of a whole number, at most.
 LARGEST, DEEPEST, MAX_VALUES, MAX_DIGITS = 256 * 1024, 32, 8_000, 300
@@ -32,13 +33,9 @@ _BROKEN = (yaml.YAMLError, ValueError, OverflowError, LookupError, AttributeErro
 def load_yaml(path: Path) -> Any:
     """What a YAML file says, None of an empty one. Raises :class:`InputError` naming the file, the line and the key."""
     try:
-        if path.stat().st_size > LARGEST:
-            raise InputError(f"{path}: has {path.stat().st_size} bytes; at most {LARGEST} are read")
-        text = path.read_text("utf-8")
+        text = read_file(path, LARGEST).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text file in UTF-8 ({error.reason} at byte {error.start})") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     return _read(text, str(path), lines=True)
 
 

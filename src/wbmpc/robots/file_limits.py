@@ -11,11 +11,12 @@ import struct
 from dataclasses import dataclass, field
 from os.path import exists, isdir, isfile
 from pathlib import Path
-from typing import Any, Never
+from typing import Never
 from xml.parsers import expat
 
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError
+from wbmpc.input_file import read_file
 from wbmpc.robots.xml_numbers import check_number
 from wbmpc.robots.xml_text import strict_parser, without_comments
 
@@ -170,16 +171,11 @@ class _Walk:
 
     def run(self, given: bytes | None = None) -> _Count:
         """What the file, or the text ``given`` for it, asks for, with all that it includes."""
-        try:
-            size = self._path.stat().st_size if given is None else len(given)
-            if size > LARGEST:
-                raise InputError(f"{self._path}: has {size} bytes; at most {LARGEST} are read")
-            data = self._path.read_bytes() if given is None else given
-        except OSError as error:
-            raise InputError(f"{self._path}: cannot be read ({error.strerror})") from error
+        if given is not None and len(given) > LARGEST:
+            raise InputError(f"{self._path}: has {len(given)} bytes; at most {LARGEST} are read")
+        data = read_file(self._path, LARGEST) if given is None else given
         self._parser = strict_parser()
         self._parser.StartElementHandler, self._parser.EndElementHandler = self._start, self._end
-        self._parser.StartDoctypeDeclHandler = self._doctype
         try:
             self._parser.Parse(without_comments(data), True)
         except InputError:
@@ -190,9 +186,6 @@ class _Walk:
 
     def _fail(self, text: str) -> Never:
         raise InputError(f"{self._path}: line {self._parser.CurrentLineNumber}: {text}")
-
-    def _doctype(self, *_: Any) -> None:
-        self._fail("a document type (<!DOCTYPE) with entities is not allowed")
 
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         if len(self._open) >= DEEPEST:

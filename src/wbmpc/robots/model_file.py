@@ -17,7 +17,8 @@ import numpy as np
 
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError
-from wbmpc.robots.file_limits import LARGEST_MESH, check_size
+from wbmpc.input_file import read_file
+from wbmpc.robots.file_limits import LARGEST, LARGEST_MESH, check_size
 from wbmpc.robots.limited_program import drop_missing_files
 from wbmpc.robots.mujoco_warnings import log_warnings
 from wbmpc.robots.packages import find_package, locate, package_of
@@ -74,7 +75,7 @@ def read_model(
     Raises :class:`InputError` naming the file.
     """
     files = check_size(path)
-    data, given = path.read_bytes(), dict(packages or {})
+    data, given = read_file(path, LARGEST), dict(packages or {})
     if not _is_urdf(path, data):
         return ModelFile(path, None, given, files=files)
     try:

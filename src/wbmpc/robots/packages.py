@@ -6,8 +6,13 @@ from collections.abc import Iterator, Mapping
 from os.path import isdir, isfile
 from pathlib import Path
 from urllib.parse import unquote
-from xml.etree import ElementTree
+from xml.parsers import expat
 
+from wbmpc.input_file import read_file
+from wbmpc.robots.xml_text import strict_parser
+
+#: Bytes of a package.xml, at most.
+LARGEST_MANIFEST = 1024 * 1024
 PACKAGE, FILE = "package://", "file://"
 
 
@@ -44,10 +49,19 @@ def _is_package(home: Path, name: str) -> bool:
     if not isfile(manifest):
         return home.name == name and isdir(home)
     try:
-        element = ElementTree.parse(manifest).getroot().find("name")
-    except (ElementTree.ParseError, OSError, ValueError, LookupError):
+        return _name_in(read_file(manifest, LARGEST_MANIFEST)) == name
+    except (expat.ExpatError, ValueError, LookupError):
         return home.name == name
-    return element is not None and (element.text or "").strip() == name
+
+
+def _name_in(manifest: bytes) -> str:
+    """What the root's elements ``name`` say. Raises :class:`ValueError` for a manifest with entities, or of another encoding."""
+    parser, names, texts = strict_parser(), list[str](), list[str]()
+    parser.StartElementHandler = lambda name, _: names.append(name)
+    parser.EndElementHandler = lambda _: names.pop()
+    parser.CharacterDataHandler = lambda text: texts.append(text) if names[1:] == ["name"] else None
+    parser.Parse(manifest, True)
+    return "".join(texts).strip()
 
 
 def package_of(name: str) -> str | None:

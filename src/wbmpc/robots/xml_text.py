@@ -62,8 +62,13 @@ def check_encoding(encoding: str | None) -> None:
         raise ValueError(f"encoding '{encoding}'; UTF-8 is needed")
 
 
+def _no_doctype(*_: object) -> None:
+    raise ValueError("a document type (<!DOCTYPE) with entities is not allowed")
+
+
 def strict_parser() -> expat.XMLParserType:
-    """A parser that takes no document types, hence no entities, and no encodings but :data:`ENCODINGS`."""
+    """A parser that takes no document types, hence no entities, and no encodings but :data:`ENCODINGS`. It raises :class:`ValueError`."""
     parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = _no_doctype
     parser.XmlDeclHandler = lambda version, encoding, standalone: check_encoding(encoding)
     return parser

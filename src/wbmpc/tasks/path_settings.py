@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field
 from wbmpc import lie
 from wbmpc.configuration import kind_alone
 from wbmpc.errors import InputError
+from wbmpc.input_file import read_file
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.ocp.scaling import reach
@@ -130,12 +131,16 @@ class Table(PathSettings):
         return _curve_of(read_table(self.file), position, quaternion, self.direction, str(self.file))
 
 
+#: Bytes of a CSV file, at most.
+LARGEST_TABLE = 4 * 1024 * 1024
+
+
 def read_table(path: Path) -> Array:
     """Poses (n, 7) of a CSV file. Raises :class:`InputError` naming the file and the line."""
     if not path.is_file():
         raise InputError(f"path.file: there is no file '{path}'")
     try:
-        lines = [line.strip() for line in path.read_text("utf-8").splitlines()]
+        lines = [line.strip() for line in read_file(path, LARGEST_TABLE).decode("utf-8").splitlines()]
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text file in UTF-8") from error
     names = [n.strip() for n in lines[0].split(",")] if lines else []
