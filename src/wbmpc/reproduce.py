@@ -56,12 +56,12 @@ class Job:
 
 
 def parse_seeds(text: str, where: str = "--seeds", most: int = MAX_SEEDS) -> list[int]:
-    """``200-219``, ``3`` or ``1,5-7`` as numbers, ``most`` at most. Raises :class:`InputError` that begins with ``where``."""
+    """``300-319``, ``3`` or ``1,5-7`` as numbers, ``most`` at most. Raises :class:`InputError` that begins with ``where``."""
     seeds: dict[int, None] = {}
     for part in text.split(","):
         found = _SEEDS.fullmatch(part)
         if found is None or int(found["last"] or found["first"]) < int(found["first"]):
-            raise InputError(f"{where}: '{text}': valid: 200-219, 3 or 1,5-7, numbers of up to nine digits")
+            raise InputError(f"{where}: '{text}': valid: 300-319, 3 or 1,5-7, numbers of up to nine digits")
         target = range(int(found["first"]), int(found["last"] or found["first"]) + 1)
         if len(seeds) + len(target) > most:
             raise InputError(f"{where}: '{text}': these are more than {most} seeds; give fewer in one call")

@@ -76,7 +76,7 @@ conditions: {a: {settings: {offset: 0}}, b: {settings: {offset: 1}}}
 WRONG = {
     "experiments: [VALLEY]": "seeds: field required",
     "experiments: [nowhere]\nseeds: 3": "unknown experiment 'nowhere'",
-    "experiments: [VALLEY]\nseeds: 9-3": "seeds: '9-3': valid: 200-219",
+    "experiments: [VALLEY]\nseeds: 9-3": "seeds: '9-3': valid: 300-319",
     "experiments: [VALLEY]\nseeds: 3\nvery: {}": "unknown key 'very' (did you mean 'vary'?); valid: title, experiments",
     "experiments: [VALLEY]\nseeds: 3\nvary: {control.gian: [1]}": "unknown key 'control.gian'",
     "experiments: [VALLEY]\nseeds: 3\nvary: {control.gain: [-1]}": "control.gain=-1: input should be greater than 0",

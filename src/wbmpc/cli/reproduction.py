@@ -19,7 +19,7 @@ def reproduce(
         list[str] | None,
         typer.Option(help="An experiment (default: all); may be repeated.", autocompletion=experiment_names),
     ] = None,
-    seeds: Annotated[str, typer.Option(help="Seeds, as 200-219, 3 or 1,5-7.")] = "200-219",
+    seeds: Annotated[str, typer.Option(help="Seeds, as 300-319, 3 or 1,5-7.")] = "300-319",
     out: Annotated[Path, typer.Option(help="Directory of the site; what is finished there is not run again.")] = Path(
         "reproduced"
     ),
