@@ -323,3 +323,13 @@ sys.modules["wbmpc.cli"] = types.SimpleNamespace(main=interrupted)
 sys.exit(command.main())
 """
     assert subprocess.run([sys.executable, "-c", program]).returncode == 143
+
+
+@pytest.mark.parametrize("library", ["casadi.py", "trimesh/nsphere.py"])
+def test_a_request_to_end_is_not_lost_in_a_library_that_drops_it(library: str, tmp_path: Path) -> None:
+    """Truth: the signal comes inside of a handler for every exception, and the program goes on after it until it is interrupted."""
+    dropping = "try:\n    signal.raise_signal(signal.SIGTERM)\nexcept BaseException:\n    pass\n"
+    with terminable() as termination, pytest.raises(KeyboardInterrupt):
+        exec(compile(dropping, str(tmp_path / library), "exec"), {"signal": signal})
+        time.sleep(5.0)
+    assert termination.came

@@ -51,10 +51,14 @@ def _send_again(number: int, frame: FrameType | None) -> None:
 
 
 def _is_dropped(frame: FrameType | None) -> bool:
-    """Whether an exception would go through CasADi, which tries conversions of arguments and drops what they raise."""
-    while frame is not None and Path(frame.f_code.co_filename).name != "casadi.py":
+    """Whether an exception would go through CasADi, which tries conversions of arguments and drops what they raise, or through trimesh,
+    which drops whatever ends an import."""
+    while frame is not None:
+        path = Path(frame.f_code.co_filename)
+        if path.name == "casadi.py" or "trimesh" in path.parts:
+            return True
         frame = frame.f_back
-    return frame is not None
+    return False
 
 
 def terminated() -> bool:
