@@ -94,6 +94,18 @@ def test_table_and_page(runs: list[dict], tmp_path: Path, capsys: pytest.Capture
     assert body.count("Plotly.newPlot") == 2 and "<h3>hand</h3>" in body and '"dash":"dash"' in body.replace(" ", "")
 
 
+def test_a_log_that_lost_a_channel_is_compared_without_it(
+    runs: list[dict], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # type: ignore[type-arg]
+    """Its times are still there."""
+    with np.load("b/log.npz") as log:
+        channels = dict(log)
+    lost = next(c for c in channels if f"{c}.time" in channels)
+    np.savez("b/log.npz", **{name: values for name, values in channels.items() if name != lost})
+    assert main(["compare", "a", "b", "--out", str(tmp_path / "p.html")]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_quiet_says_nothing(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
     assert main(["compare", "a", "b", "--quiet"]) == 0
     assert capsys.readouterr().out == "" and Path("compare.html").is_file()

@@ -185,7 +185,7 @@ def overlay(runs: Sequence[Run], names: list[str], modules: tuple[str, ...] = ()
     each run has a colour.
     """
     logs = [run.log for run in runs]
-    channels = [c for c in logs[0] if all(f"{c}.time" in log for log in logs)]
+    channels = [c for c in logs[0] if all({c, f"{c}.time"} <= log.keys() for log in logs)]
     lines = {channel: _lines(channel, runs, names, modules) for channel in channels}
     if len(runs) == 2:
         return [Plot(c, "time [s]", c, [s for s, _ in by_run]) for c, by_run in lines.items()]
