@@ -131,26 +131,13 @@ def _files(study: Study) -> dict[str, str]:
 
 def _print(found: Summary) -> None:
     """A table for each metric of each experiment."""
-    from wbmpc.study.page import metric_rows
+    from wbmpc.study.page import HEADS, metric_rows
 
     for experiment, metrics in found.shown.items():
         cells = [c for c in found.cells if c.experiment == experiment]
         for metric in metrics:
             shown = table()
-            heads = (
-                "settings",
-                "runs",
-                "failed",
-                "median [95 %]",
-                "5 %",
-                "95 %",
-                "worst",
-                "goal",
-                "",
-                "difference [95 %]",
-                "better in",
-            )
-            for head in heads:
+            for head in HEADS:
                 shown.add_column(head)
             for row in metric_rows(found, cells, metric):
                 shown.add_row(*map(printable, row))

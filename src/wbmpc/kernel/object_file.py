@@ -31,10 +31,8 @@ def link(modules: Sequence[str | bytes], target: Target, names: Mapping[str, str
         whole.link_in(part)
     for thing in (*whole.functions, *whole.global_variables):
         if not thing.is_declaration and thing.name not in names:
-            thing.linkage, thing.name = (
-                "internal",
-                f"{thing.name}.internal",
-            )  # no name of theirs is in the way of a public one
+            # no name of theirs is in the way of a public one
+            thing.linkage, thing.name = "internal", f"{thing.name}.internal"
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
     passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))

@@ -20,7 +20,8 @@ from wbmpc.units import Scale, scale
 
 #: Plots of one experiment, combinations of one plot, and runs that the list of failures shows, at most.
 MAX_PLOTS, MAX_SHOWN, MAX_FAILURES = 24, 40, 200
-_HEAD = [
+#: Columns of a metric's table: see :func:`metric_rows`.
+HEADS = [
     "settings",
     "runs",
     "failed",
@@ -115,7 +116,7 @@ def _table(summary: Summary, cells: Sequence[Cell], metric: str) -> str:
         [f'<span class="{kinds[c]}">{c}</span>' if c in kinds else html.escape(c) for c in row]
         for row in metric_rows(summary, cells, metric)
     ]
-    return table(_HEAD, rows, {1, 2, 3, 4, 5, 6, 7, 9})
+    return table(HEADS, rows, {1, 2, 3, 4, 5, 6, 7, 9})
 
 
 def _failures(cells: Sequence[Cell], beside: Path) -> str:
