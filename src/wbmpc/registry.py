@@ -21,6 +21,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from threading import RLock
 from types import ModuleType
 from typing import Any
 
@@ -31,6 +32,8 @@ from wbmpc.mpc.mpc import MPC
 GROUP = "wbmpc.experiments"
 #: The modules whose ``EXPERIMENTS`` list the built-in ones: imported by their names when they are asked for, and nowhere else.
 GENERAL, BUILT_IN = "wbmpc.tasks", "wbmpc.studies"
+#: One file at a time: while a file is imported its classes look each other up by the module's name, which two threads would share.
+_IMPORTING = RLock()
 
 
 @cache
@@ -98,18 +101,19 @@ def _imported(path: Path) -> ModuleType:
     spec = spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = module_from_spec(spec)
-    sys.modules[name] = module  # annotations that are text are looked up there
     beside = str(path.resolve().parent)
-    sys.path.insert(0, beside)
-    try:
-        spec.loader.exec_module(module)
-    except WbmpcError:
-        raise
-    except Exception as error:
-        line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
-        raise InputError(f"{path}{line}: cannot be imported: {type(error).__name__}: {error}") from error
-    finally:
-        sys.path.remove(beside)
+    with _IMPORTING:
+        sys.modules[name] = module  # annotations that are text are looked up there
+        sys.path.insert(0, beside)
+        try:
+            spec.loader.exec_module(module)
+        except WbmpcError:
+            raise
+        except Exception as error:
+            line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
+            raise InputError(f"{path}{line}: cannot be imported: {type(error).__name__}: {error}") from error
+        finally:
+            sys.path.remove(beside)
     return module
 
 

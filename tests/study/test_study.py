@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -205,6 +207,21 @@ def test_dasks_workers_do_the_runs(tmp_path: Path) -> None:
     ) as cluster:
         summary = made.run(scheduler=cluster.scheduler_address, progress=lambda share, note: seen.append(share))
     assert summary.finished == 20 and seen == pytest.approx([k / 20 for k in range(1, 21)])
+
+
+def test_threads_that_import_one_file_at_a_time_get_whole_modules(tmp_path: Path) -> None:
+    """Workers with several threads do: the annotation of Outer is text, and is looked up by the module's name."""
+    file = tmp_path / "slow.py"
+    head, body = (HERE / "valley.py").read_text().split("class Inner")
+    file.write_text(f"{head}import time\ntime.sleep(0.05)\n\n\nclass Inner{body}")
+
+    def later(k: int) -> object:
+        time.sleep(0.01 * k)
+        row = execute({"source": str(file), "changes": {"control.gain": 2.5}, "seed": k, "files": None, "keep": "none"})
+        return row["outcome"], row.get("reason")
+
+    with ThreadPoolExecutor(8) as threads:
+        assert list(threads.map(later, range(8))) == [("completed", "")] * 8
 
 
 @thorough
