@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.pairs import self_pairs
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.ocp.scaling import scaled_weights
@@ -42,7 +43,8 @@ def default_settings(**changes: Any) -> MpcSettings:
 def default_problem(
     robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None
 ) -> OptimalControlProblem:
-    """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds and the wheels' rates as inequalities."""
+    """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds, the wheels' rates, and distances of the pairs
+    that the robot file lists (``collision.self.pairs``) as inequalities."""
     settings, cost = settings or default_settings(), cost or DefaultCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
@@ -64,6 +66,24 @@ def default_problem(
     ocp.add(Constraint("positions", free_state, ranges, at="path+terminal", penalty=barrier, hard=hard))
     speeds = sets.Box(limits.input_lower, limits.input_upper)
     ocp.add(Constraint("speeds", residuals.Input(robot, reference=None), speeds, penalty=barrier, hard=hard))
+    rates = robot.limits.input_rate
+    limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
+    if limited:
+        ocp.add(
+            Constraint(
+                "accelerations",
+                residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE),
+                sets.NonNegative(),
+                hard=True,
+            )
+        )
+    if robot.description.collision.self.pairs and self_pairs(robot):
+        apart = residuals.SelfClearance(robot)
+        ocp.add(
+            Constraint(
+                "self_clearance", apart, sets.NonNegative(), at="path+terminal", hard=True, slack=CLEARANCE_SLACK
+            )
+        )
     return ocp
 
 
@@ -77,14 +97,6 @@ def keep_clear(
     free = sets.NonNegative()
     rows = Constraint("clearance", residuals.Clearance(robot), free, at="path+terminal", hard=True, slack=slack)
     ocp.add(rows)
-    rates = robot.limits.input_rate
-    limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
-    if limited and "accelerations" not in ocp.terms:
-        ocp.add(
-            Constraint(
-                "accelerations", residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE), free, hard=True
-            )
-        )
     return ocp
 
 

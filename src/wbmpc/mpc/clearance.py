@@ -89,10 +89,10 @@ class ClearanceRows:
     def unsafe(self, times: Array, states: Array, until: float) -> LeastClearance | None:
         """Where a plan comes much too near to something before ``until`` [s], and nearer than it is at its first node; None: nowhere."""
         count = max(int(np.searchsorted(times, until, side="right")), 2)
-        times, states = times[:count], states[:count]
         share = 1.0 - TOLERATED
-        found = [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self._around.values()]
-        found += [r.deepest(times, states, share * r.margin, DEEPER) for r in self._within.values()]
+        found = [r.deepest(times, states, count, share * r.margin, DEEPER) for r in self._within.values()]
+        times, states = times[:count], states[:count]
+        found += [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self._around.values()]
         return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)
 
     # ------------------------------------------------------------------ solves that end clear, or in a stop
