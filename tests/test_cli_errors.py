@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
+from types import CodeType, SimpleNamespace
 from typing import Any
 
 import casadi
@@ -273,20 +273,22 @@ def test_a_picture_before_the_start_is_rejected(tmp_path: Path, capsys: pytest.C
     assert capsys.readouterr().err == "wbmpc: --start: must not be negative, got -5\n"
 
 
-def test_sigterm_is_not_lost_in_casadi() -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_is_not_lost_in_casadi(number: int) -> None:
     """CasADi calls ``__DM__`` of what it is given, and drops what that raises. Truth: what comes after it is never reached."""
 
     class Odd:
         def __DM__(self) -> casadi.DM:
-            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), number)
             return casadi.DM(1.0)
 
     with terminable() as asked:
         with pytest.raises(KeyboardInterrupt):
             casadi.DM(Odd())
             signal.sigtimedwait([], 60.0)  # it comes in here
-        assert asked.came
+        assert asked.came is (number == signal.SIGTERM)
     assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 START = """
@@ -325,11 +327,33 @@ sys.exit(command.main())
     assert subprocess.run([sys.executable, "-c", program]).returncode == 143
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("library", ["casadi.py", "trimesh/nsphere.py"])
-def test_a_request_to_end_is_not_lost_in_a_library_that_drops_it(library: str, tmp_path: Path) -> None:
+def test_a_request_to_end_is_not_lost_in_a_library_that_drops_it(library: str, number: int, tmp_path: Path) -> None:
     """Truth: the signal comes inside of a handler for every exception, and the program goes on after it until it is interrupted."""
-    dropping = "try:\n    signal.raise_signal(signal.SIGTERM)\nexcept BaseException:\n    pass\n"
     with terminable() as termination, pytest.raises(KeyboardInterrupt):
-        exec(compile(dropping, str(tmp_path / library), "exec"), {"signal": signal})
-        time.sleep(5.0)
-    assert termination.came
+        exec(dropping(library, tmp_path), {"signal": signal, "number": number})
+        signal.sigtimedwait([], 60.0)  # it comes in here
+    assert termination.came is (number == signal.SIGTERM)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_command_that_ends_before_a_dropped_signal_acts_was_interrupted(
+    number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The signal is the last thing that happens, inside of a library that drops it. Truth: the status of Ctrl-C."""
+    monkeypatch.setattr("wbmpc.cli.terminal._AGAIN", 60.0)  # the command ends first
+
+    def last(*_: object, **__: object) -> None:
+        exec(dropping("trimesh/nsphere.py", tmp_path), {"signal": signal, "number": number})
+
+    monkeypatch.setattr("wbmpc.cli.app", last)
+    assert main(["list"]) == status
+    assert capsys.readouterr().err == "wbmpc: interrupted\n"
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+
+
+def dropping(library: str, folder: Path) -> CodeType:
+    """Code of a library that sends a signal to itself and drops every exception."""
+    text = "try:\n    signal.raise_signal(number)\nexcept BaseException:\n    pass\n"
+    return compile(text, str(folder / library), "exec")

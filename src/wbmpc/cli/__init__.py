@@ -37,6 +37,7 @@ from wbmpc.cli.terminal import (
     COMPLETED,
     INTERRUPTED,
     TERMINATED,
+    act_on_waiting,
     experiment_names,
     interrupted,
     logged,
@@ -300,6 +301,7 @@ def _run(
     try:
         with logged(verbose, debug), silent(quiet and "--json" not in arguments):
             status = app(args=arguments, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
+            act_on_waiting()
         return status if isinstance(status, int) else COMPLETED
     except RunAborted as error:
         _complain(error, debug)
