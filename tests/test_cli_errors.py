@@ -17,9 +17,9 @@ import pytest
 
 from command_line import FAKE_MAIN, call, shell
 from fake_experiment import REGISTRY
-from wbmpc import report
 from wbmpc.cli import main
 from wbmpc.cli.terminal import terminable
+from wbmpc.report import files
 from wbmpc.result import RunResult
 
 pytestmark = pytest.mark.usefixtures("empty_directory")
@@ -87,21 +87,21 @@ def test_a_signal_while_files_are_written_waits_for_them(
 ) -> None:
     """All files that metrics.json names are there; a second signal ends the writing, and then no metrics.json says that the
     run is complete."""
-    page = report.page
+    page = files.page
 
     def interrupted(result: RunResult, times: int = 1) -> str:
         for _ in range(times):
             os.kill(os.getpid(), number)
         return page(result)
 
-    monkeypatch.setattr(report, "page", interrupted)
+    monkeypatch.setattr(files, "page", interrupted)
     assert call("run", "fake", "--out", str(tmp_path / "a")) == status
     assert capsys.readouterr().err == "wbmpc: interrupted\n"
     said = json.loads((tmp_path / "a" / "metrics.json").read_text())
     assert said["completed"] is True and {Path(f).name for f in said["files"].values()} == {
         p.name for p in (tmp_path / "a").iterdir()
     }
-    monkeypatch.setattr(report, "page", lambda result: interrupted(result, 2))
+    monkeypatch.setattr(files, "page", lambda result: interrupted(result, 2))
     assert call("run", "fake", "--out", str(tmp_path / "b")) == status
     assert not (tmp_path / "b" / "metrics.json").exists()
 

@@ -23,6 +23,7 @@ from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
+from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.tasks.scene import SceneWatch
 from wbmpc.tasks.settings import SimulationSettings
 
@@ -88,6 +89,7 @@ def closed_loop(
         scene = load_scene(settings.obstacles)
     around = SimulatedObstacles(scene, robot.description.base.ground) if scene is not None else None
     system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
+    joints = JointRecord(log, robot, system)
     every = max(1, round(RECORDED / system.timing.period))
     watch = SceneWatch(around, system, log, since, robot.description.collision.margin) if around else None
 
@@ -97,14 +99,14 @@ def closed_loop(
         if watch is not None:
             watch.tick(t, plans)
         if round(t / system.timing.period) % every == 0:
-            _record(log, t, system, robot, plans)
+            _record(log, t, system, plans, joints)
 
     def measured(run: Run) -> dict[str, Metric]:
         found = {**general_metrics(log, robot, since, run.ending.fell), **(watch.metrics() if watch else {})}
         return {**found, **(metrics(log) if metrics else {})}
 
     def drawn(run: Run) -> list[Plot]:
-        return [*general_plots(log, mpc), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
+        return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
     return Scenario.single(log, loop.run, measured, drawn, IDEALISATIONS[settings.physics])
@@ -135,7 +137,7 @@ def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
         mpc.reset(robot.home)
 
 
-def _record(log: Log, t: float, system: System, robot: RobotModel, plans: Any) -> None:
+def _record(log: Log, t: float, system: System, plans: Any, joints: JointRecord) -> None:
     truth, controller, mpc = system.plant.truth(), system.controller, system.mpc
     estimate, tool, rotation = truth.pose, truth.tool, truth.tool_rotation
     if hasattr(controller, "base_pose"):
@@ -149,6 +151,7 @@ def _record(log: Log, t: float, system: System, robot: RobotModel, plans: Any) -
     log.add("end_effector_estimated", t, tool)
     log.add("state", t, truth.state)
     log.add("input", t, plans.current.feedforward(t))
+    joints.tick(t, truth, plans)
     if "end_effector" in mpc.reference and mpc.reference["end_effector"].values.shape[1] == 7:
         goal = mpc.reference["end_effector"].at(t)
         log.add("end_effector_reference", t, goal[:3])
