@@ -14,6 +14,7 @@ from planar_driving import write_robot
 from test_tasks import WHEELS, run
 from wbmpc.errors import InputError
 from wbmpc.obstacles.scene import SceneObstacle
+from wbmpc.obstacles.shapes import Capsule, HalfSpace, Sphere
 from wbmpc.ocp.symbols import Symbols
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 
@@ -74,6 +75,34 @@ def test_distances_and_contacts_are_those_of_the_world() -> None:
         mujoco.mj_step(model, data)
         around.count_contacts(data, k * model.opt.timestep)
     assert around.contacts == 1 and around.contact_speed == pytest.approx(0.4, abs=0.05)
+
+
+def test_walls_and_capsules_without_length_stand_in_the_world() -> None:
+    """They have no mass: robots' files have a largest one. Truth: MuJoCo's rays from 2 m above, half-space and bead where they were put."""
+    shapes = {
+        "wall": HalfSpace((0.0, 0.0, 1.0), -1.0),
+        "bead": Capsule((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1),
+        "hill": Sphere(900.0),
+    }
+    place = {"hill": {"position": (0.0, 0.0, -2000.0)}}
+    spec = mujoco.MjSpec()
+    SimulatedObstacles([SceneObstacle(n, s, place.get(n, {})) for n, s in shapes.items()]).edit(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert not model.body_mass.any()
+    down, hit = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
+    for x, z in ((1.0, 0.1), (3.0, -1.0)):
+        ray = mujoco.mj_ray(model, data, np.array([x, 0.0, 2.0]), down, None, 1, -1, hit)
+        assert abs(2.0 - ray - z) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["~", "true", "1.5", '"a\\nb"', '"a\\u202eb"'])
+def test_names_of_obstacles_can_be_printed(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_text("obstacles: {" + name + ": {sphere: {radius: 0.1}}}\n")
+    with pytest.raises(wb.InputError, match=r"scene\.yaml"):
+        load_scene(file)
 
 
 def test_the_planner_sees_a_scene_from_where_it_believes_to_be() -> None:

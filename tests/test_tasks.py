@@ -256,6 +256,19 @@ def test_simulate_runs_and_writes_what_a_run_has(driving: Path, tmp_path: Path) 
         wb.simulate(robot, own_mpc(robot), 0.2, physics="paper")
 
 
+@pytest.mark.parametrize("physics", ["kinematic", "mujoco"])
+def test_an_mpc_of_another_robot_is_an_error(physics: str, driving: Path, standing: Path, tmp_path: Path) -> None:
+    """One without the base, and one with the same joints whose arm is mounted 0.1 m higher."""
+    mpc = own_mpc(wb.load_robot(driving))
+    with pytest.raises(wb.InputError, match=r"'mpc': .* its state 'base' is \(\), the robot's is \(x, y, yaw\)"):
+        wb.simulate(wb.load_robot(driving), own_mpc(wb.load_robot(standing)), 0.1, physics=physics)
+    raised = write_robot(tmp_path, WHEELS, {"type": "differential"})
+    model = raised.with_name("robot.xml")
+    model.write_text(model.read_text().replace('name="shoulder" pos="0 0 0.1"', 'name="shoulder" pos="0 0 0.2"'))
+    with pytest.raises(wb.InputError, match=r"the end effector of its model is elsewhere, by 0\.1 m at home"):
+        wb.simulate(wb.load_robot(raised), mpc, 0.1, physics=physics)
+
+
 @thorough
 def test_the_same_seed_gives_the_same_run(driving: Path) -> None:
     robot = wb.load_robot(driving)

@@ -36,8 +36,8 @@ from wbmpc.cli.terminal import (
     BAD_INPUT,
     COMPLETED,
     INTERRUPTED,
-    TERMINATED,
     act_on_waiting,
+    asked_by_system,
     experiment_names,
     interrupted,
     logged,
@@ -289,9 +289,9 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     debug, quiet, verbose = ("--debug" in words, "--quiet" in words, "--verbose" in words)
     words = _rearranged(words)
     open_streams()
-    with unread_allowed(), terminable() as termination:
+    with unread_allowed(), terminable():
         status = _run(words, debug, quiet, verbose, registry)
-    return TERMINATED if termination.came and status == INTERRUPTED else status
+        return (asked_by_system() or status) if status == INTERRUPTED else status
 
 
 def _run(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 #: After so long [s] a signal acts that came where its exception would be lost.
 _AGAIN = 0.01
 #: Exit statuses.
-COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 #: Signals that came where their exception would be lost, and that have not acted yet.
@@ -31,7 +31,7 @@ _WAITING: set[int] = set()
 
 
 class Request:
-    """A signal that asks a command to end, Ctrl-C or SIGTERM: a handler that raises KeyboardInterrupt. ``came``: whether it has."""
+    """A signal that asks a command to end, as Ctrl-C does: a handler that raises KeyboardInterrupt. ``came``: whether it has."""
 
     def __init__(self) -> None:
         self.came = False
@@ -47,10 +47,6 @@ class Request:
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)
             return
         raise KeyboardInterrupt
-
-
-class Termination(Request):
-    """SIGTERM: the exit status shows it."""
 
 
 def _send_again(number: int, frame: FrameType | None) -> None:
@@ -79,10 +75,14 @@ def _is_dropped(frame: FrameType | None) -> bool:
     return False
 
 
-def terminated() -> bool:
-    """Whether SIGTERM has come, for commands that end as wanted by Ctrl-C but not by SIGTERM."""
-    handler = signal.getsignal(signal.SIGTERM)
-    return isinstance(handler, Termination) and handler.came
+def asked_by_system() -> int:
+    """128 and the number of the signal by which somebody but Ctrl-C asked this command to end: SIGTERM, or SIGHUP, as when the terminal
+    was closed. 0: nobody has."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        handler = signal.getsignal(number)
+        if isinstance(handler, Request) and handler.came:
+            return 128 + number
+    return 0
 
 
 class _Printable(logging.Formatter):
@@ -93,23 +93,22 @@ class _Printable(logging.Formatter):
 
 
 @contextmanager
-def terminable() -> Iterator[Termination]:
-    """Handle SIGTERM and Ctrl-C, unless somebody else does or this is not the main thread; gives the handler of the former."""
-    handler = Termination()
-    alone = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    if not alone:
-        yield handler
+def terminable() -> Iterator[None]:
+    """Handle Ctrl-C, SIGTERM and SIGHUP, but for those that somebody else handles, in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
         return
     taken: dict[int, tuple[Any, Any]] = {
         signal.SIGALRM: (signal.SIG_DFL, _send_again),
         signal.SIGINT: (signal.default_int_handler, Request()),
-        signal.SIGTERM: (signal.SIG_DFL, handler),
+        signal.SIGTERM: (signal.SIG_DFL, Request()),
+        signal.SIGHUP: (signal.SIG_DFL, Request()),
     }
     taken = {number: (usual, own) for number, (usual, own) in taken.items() if signal.getsignal(number) == usual}
     try:
         for number, (_, own) in taken.items():
             signal.signal(number, own)
-        yield handler
+        yield
     finally:
         _WAITING.clear()  # an alarm that comes yet does nothing
         for number, (usual, _) in reversed(taken.items()):

@@ -145,7 +145,9 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
     pressed = threading.Event()
     previous: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        handlers: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        handlers: dict[int, Any] = {
+            number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        }
         previous = {n: h for n, h in handlers.items() if h is signal.default_int_handler or hasattr(h, "noted")}
 
     def note(number: int, frame: Any) -> None:

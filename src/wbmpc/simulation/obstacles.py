@@ -62,7 +62,7 @@ class SimulatedObstacles:
 
     # ------------------------------------------------------------------ the world
     def edit(self, spec: mujoco.MjSpec) -> None:
-        """Add a body for each obstacle to MuJoCo's scene."""
+        """Add a body for each obstacle to MuJoCo's scene; none has a mass, for nothing moves them."""
         for one in self.scene:
             at, turn = self._pose(self._by_name[one.name], 0.0)
             body = spec.worldbody.add_body(name=_PREFIX + one.name, mocap=True, pos=at, quat=turn)
@@ -71,9 +71,10 @@ class SimulatedObstacles:
                 continue
             assert not isinstance(one.shape, DistanceGrid)
             solid = one.shape.solid
+            point = solid.kind == "capsule" and solid.size[1] == 0.0  # a sphere, for MuJoCo
             geom = body.add_geom(
-                type=getattr(mujoco.mjtGeom, f"mjGEOM_{solid.kind.upper()}"), size=solid.size,
-                pos=solid.position, quat=lie.rotation_to_quaternion(solid.rotation), rgba=_COLOR, **OBSTACLE,
+                type=getattr(mujoco.mjtGeom, f"mjGEOM_{'SPHERE' if point else solid.kind.upper()}"), size=solid.size,
+                pos=solid.position, quat=lie.rotation_to_quaternion(solid.rotation), rgba=_COLOR, density=0.0, **OBSTACLE,
             )  # fmt: skip
             if solid.kind == "mesh":
                 mesh = spec.add_mesh(name=_PREFIX + one.name, uservert=solid.vertices.ravel())
@@ -85,7 +86,7 @@ class SimulatedObstacles:
         n = np.asarray(shape.normal, float)
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX, size=[_PLATE, _PLATE, 1.0], pos=n * (shape.offset - 1.0),
-            quat=lie.rotation_to_quaternion(axes_along(n)), rgba=_COLOR, **OBSTACLE,
+            quat=lie.rotation_to_quaternion(axes_along(n)), rgba=_COLOR, density=0.0, **OBSTACLE,
         )  # fmt: skip
 
     def bind(self, model: mujoco.MjModel) -> None:

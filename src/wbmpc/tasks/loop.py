@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from wbmpc import checks, lie
@@ -31,6 +32,8 @@ Array = np.ndarray
 #: Rates of the controller without physics [Hz], of which the first counts that the MPC's rate is a whole part of; interval of what is
 #: recorded [s].
 MODEL_RATES, RECORDED = (200.0, 400.0), 0.01
+#: End effectors of the MPC's model and of the simulated robot are at most this [m] from each other: a calibrated model is a little off.
+SAME = 0.05
 
 IDEALISATIONS = {
     "mujoco": ["tyres are soft contacts, not a tyre model", "the computation takes a constant time"],
@@ -123,11 +126,41 @@ def check_loop(
     ):
         if not isinstance(value, kind):
             raise InputError(f"closed loop: '{name}': {kind.__name__} is needed, got {type(value).__name__}")
+    _check_same_robot(robot, mpc)
     checks.whole_number("closed loop: 'seed'", seed, 0)
     for name, time in (("duration", duration), ("since", since)):
         checks.real_number(f"closed loop: '{name}'", time, LONGEST_RUN)
     checks.positive("closed loop", duration=duration)
     checks.not_negative("closed loop", since=since)
+
+
+def _check_same_robot(robot: RobotModel, mpc: MPC) -> None:
+    """Raise :class:`InputError` for an MPC that plans for another robot: with other states, or whose end effector is elsewhere. Of
+    dynamics that are not the library's own only the states are known."""
+    dynamics: Any = mpc.ocp.dynamics
+    for group, names in robot.state.groups.items():
+        planned = dynamics.state.groups.get(group, ())
+        if tuple(planned) != tuple(names):
+            raise InputError(
+                f"closed loop: 'mpc': it is not for the robot '{robot.description.name}': its state '{group}' is "
+                f"({', '.join(planned)}), the robot's is ({', '.join(names)})"
+            )
+    while hasattr(dynamics, "dynamics"):  # of wrappers
+        dynamics = dynamics.dynamics
+    base = getattr(dynamics, "base", None)
+    if base is None:
+        return
+    off = np.inf
+    if robot.tool in base.tree.frames:
+        x = ca.SX.sym("x", robot.state.size)
+        position = base.chain(x).frame_pose(base.tree.frames[robot.tool]).position
+        planned_tool = np.array(ca.Function("tool", [x], [position])(robot.home)).ravel()
+        off = float(np.linalg.norm(planned_tool - robot.pose(robot.home)[0]))
+    if type(base) is not type(robot.base) or not off <= SAME:
+        raise InputError(
+            f"closed loop: 'mpc': it is not for the robot '{robot.description.name}': the end effector of its model is elsewhere"
+            + (f", by {off:.3g} m at home" if np.isfinite(off) else "")
+        )
 
 
 def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
