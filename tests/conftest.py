@@ -21,7 +21,6 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-
 def pytest_collection_finish() -> None:
     """The tests themselves stay: the garbage collector need not look at them again and again."""
     gc.collect()
