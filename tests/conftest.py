@@ -1,5 +1,6 @@
 """Tests may import what stands beside them (``driving``, ``oracles``)."""
 
+import gc
 import os
 import signal
 import sys
@@ -18,6 +19,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 # A job in the background is started with Ctrl-C ignored, and so would be every process that a test starts.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    """The tests themselves stay: the garbage collector need not look at them again and again."""
+    gc.collect()
+    gc.freeze()
+
 
 DIED = pytest.StashKey[bool]()
 
