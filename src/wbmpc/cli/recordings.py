@@ -1,4 +1,4 @@
-"""Commands on recordings: ``wbmpc log info``, ``plot``, ``export``."""
+"""Commands on recordings: ``wbmpc log info``, ``plot``, ``export``, ``layout``; ``wbmpc compare``."""
 
 from __future__ import annotations
 
@@ -115,6 +115,25 @@ def export(
             if paths
             else "nothing to write"
         )
+
+
+@log.command()
+def layout(
+    file: File,
+    out: Annotated[
+        Path | None, typer.Option(help="The file (default: a new foxglove.json beside the recording).")
+    ] = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a layout for Foxglove that shows the recording at once: the robot, its paths, plots."""
+    from wbmpc.recording.layout import layout as made
+    from wbmpc.recording.reader import read_recording
+
+    recording = read_recording(file)
+    path = new_file("--out", out, recording.path.with_name("foxglove.json"), force)
+    write_text(path, json.dumps(made(recording), indent=1) + "\n")
+    typer.echo(json.dumps({"layout": str(path)}) if as_json else f"the layout is {path}: import it in Foxglove")
 
 
 def compare(

@@ -50,7 +50,12 @@ def _columns(recording: Recording, topic: str, title: str) -> list[Plot]:
         raise InputError(f"{recording.path}: topic '{topic}' holds no numbers to plot")
     joints, by_unit = joint_groups(recording.settings), {}  # type: dict[str, tuple[str, ...]], dict[str, list[Series]]
     for name, column in columns.items():
-        line = Series(entry_name(topic, name, len(columns), joints), table.times, column)
+        shown = (
+            name.partition(".")[2]
+            if kind == "sensor_msgs/JointState"
+            else entry_name(topic, name, len(columns), joints)
+        )
+        line = Series(shown, table.times, column)
         by_unit.setdefault(column_unit(topic, kind, name), []).append(line)
     several = len(by_unit) > 1
     return [

@@ -27,9 +27,10 @@ from wbmpc.simulation.scene import SceneReader
 from wbmpc.solver import Trajectory
 from wbmpc.view.actuator_load import GROUPS, Loads
 from wbmpc.view.core import LiveView, followed, numbers, timing
-from wbmpc.view.history import Factor
+from wbmpc.view.history import Factor, Trail
+from wbmpc.view.leg_configuration import LegConfiguration
 from wbmpc.view.process import RATE
-from wbmpc.view.snapshot import GROUND, PLAN, REFERENCE, filled
+from wbmpc.view.snapshot import GROUND, PLAN, REFERENCE, TRAIL, filled
 from wbmpc.view.steering import Steering
 
 Array = np.ndarray
@@ -173,7 +174,8 @@ class Picture:
         self._moment |= {name: np.array(np.nan) for name in ("ticks", "misses")}
         self._ground: dict[str, Array] = {"base": _HERE, **{n: np.full(s, np.nan) for n, s in GROUND.items()}}
         self._ground |= {name: np.array(np.nan) for name in ("time", "clock")}
-        self._factor = Factor()
+        self._factor, self._trail = Factor(), Trail()
+        self._legs = LegConfiguration(self.robot, self._reader.joint_names)
         self._previous: tuple[float, Array] | None = None
         self._shares = dict.fromkeys(GROUPS, np.nan)
 
@@ -194,11 +196,13 @@ class Picture:
             "t": self._moment["t"], "late": self._moment["late"], "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
             "ticks": self._moment["ticks"], "late_ticks": self._moment["misses"],
+            "configuration": self._legs.number(self._reader.joint_states(self._puppet.data)[:, 0]),
             "factor": self._factor.add(float(self._ground["clock"]), float(self._ground["time"])),
         }  # fmt: skip
         return {
             "numbers": numbers(end_effector, plan["goal"], poses[index], plan["base_goal"], others), "poses": poses, "goal": plan["goal"],
             "base_goal": plan["base_goal"], "brakes": plan["brakes"], "reference": plan["reference"],
+            "trail": filled(self._trail.add(end_effector[:3]), (TRAIL, 3)),
             **{name: filled(way[:, :3], (PLAN, 3)) for name, way in ways.items()}, **self._on_floor(poses[index]),
         }  # fmt: skip
 
