@@ -37,7 +37,8 @@ def set_options(spec: mujoco.MjSpec, timestep: float, integrator: mujoco.mjtInte
     o = spec.option
     o.timestep, o.integrator = timestep, integrator
     o.cone, o.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
-    o.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    # one robot is one island: looking for several finds the same motion and takes longer
+    o.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
     spec.visual.quality.shadowsize = 4096
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
