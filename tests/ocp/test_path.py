@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -26,7 +28,7 @@ def test_arc_length_is_that_of_the_spline(offsets: list[tuple[float, float, floa
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     spline = CubicSpline(chord, points)
     speed = lambda u: float(np.linalg.norm(spline(u, 1)))
-    ways = np.cumsum([quad(speed, a, b, epsabs=1e-11)[0] for a, b in zip(chord, chord[1:])])
+    ways = np.cumsum([quad(speed, a, b, epsabs=1e-11)[0] for a, b in itertools.pairwise(chord)])
     assert path.length == pytest.approx(ways[-1], abs=1e-8)
     # waypoints are where the quadrature has them; and s is an arc length: the way that the path makes of it
     np.testing.assert_allclose(path.at(ways)[:, :3], points[1:], atol=1e-5)
@@ -43,7 +45,9 @@ def test_a_circle_has_its_closed_form() -> None:
     assert path.length == pytest.approx(np.pi, abs=1e-7)
     out = np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle], axis=1)
     np.testing.assert_allclose(path.at(s)[:, :3], [1.0, 0.0, 0.3] + 0.5 * out, atol=1e-7)
-    np.testing.assert_allclose(path.tangent(s), np.stack([-np.cos(angle), -np.sin(angle), 0.0 * angle], axis=1), atol=1e-6)
+    np.testing.assert_allclose(
+        path.tangent(s), np.stack([-np.cos(angle), -np.sin(angle), 0.0 * angle], axis=1), atol=1e-6
+    )
     np.testing.assert_allclose(path.curvature(s), -2.0 * out, atol=1e-3)
     np.testing.assert_allclose(path.turning(s), 0.0, atol=1e-9)
     np.testing.assert_allclose(np.abs(path.at(s)[:, 3:] @ q), 1.0)
@@ -59,7 +63,10 @@ def test_derivatives_are_those_of_the_poses(periodic: bool) -> None:
     low, middle, high = path.at(s - h), path.at(s), path.at(s + h)
     np.testing.assert_allclose(path.tangent(s), (high - low)[:, :3] / (2.0 * h), atol=1e-5)
     np.testing.assert_allclose(path.curvature(s), (high - 2.0 * middle + low)[:, :3] / h**2, atol=1e-3)
-    turned = [lie.quaternion_log(lie.quaternion_multiply(b, lie.quaternion_conjugate(a))) for a, b in zip(low[:, 3:], high[:, 3:])]
+    turned = [
+        lie.quaternion_log(lie.quaternion_multiply(b, lie.quaternion_conjugate(a)))
+        for a, b in zip(low[:, 3:], high[:, 3:])
+    ]
     np.testing.assert_allclose(path.turning(s), np.array(turned) / (2.0 * h), atol=1e-6)
     if periodic:  # C² where the rounds meet
         for f in (path.tangent, path.curvature, path.turning):

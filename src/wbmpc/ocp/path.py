@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
@@ -11,8 +13,10 @@ from wbmpc.checks import real_numbers, unit_quaternions
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
-#: Numbers of a path near a point: arc length, position, tangent, curvature vector, quaternion, turning.
-WIDTH = 17
+#: Numbers of a path near a point: arc length, position, tangent, curvature vector, quaternion, turning, where it ends.
+WIDTH = 18
+#: The end [m] of a path without one.
+ENDLESS = 1e6
 #: Pieces of a path's own splines at least, points of a circle, points in which the nearest one is looked for.
 PIECES, CIRCLE, SEARCHED = 400, 240, 2001
 #: Points of a path may not be nearer [m] to each other than this.
@@ -33,7 +37,9 @@ class Path:
     def __init__(self, points: ArrayLike, quaternions: ArrayLike | None = None, *, periodic: bool = False) -> None:
         points = np.atleast_2d(real_numbers("path, points", points))
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < (3 if periodic else 2):
-            raise InputError(f"path, points: shape (n, 3) with n ≥ {3 if periodic else 2} is needed, got {points.shape}")
+            raise InputError(
+                f"path, points: shape (n, 3) with n ≥ {3 if periodic else 2} is needed, got {points.shape}"
+            )
         if not np.isfinite(points).all():
             raise InputError("path, points: must be finite")
         turns = real_numbers("path, quaternions", [1.0, 0.0, 0.0, 0.0] if quaternions is None else quaternions)
@@ -53,7 +59,9 @@ class Path:
         """Splines over the chord, their arc length, splines over that."""
         given = CubicSpline(chord, points, bc_type="periodic" if self.periodic else "not-a-knot")
         cuts = max(1, -(-PIECES // (len(chord) - 1)))
-        u = np.concatenate([np.linspace(a, b, cuts, endpoint=False) for a, b in zip(chord, chord[1:])] + [chord[-1:]])
+        u = np.concatenate(
+            [np.linspace(a, b, cuts, endpoint=False) for a, b in itertools.pairwise(chord)] + [chord[-1:]]
+        )
         half = 0.5 * np.diff(u)
         inner = (u[:-1] + half)[:, None] + half[:, None] * _NODES
         arc = np.concatenate([[0.0], np.cumsum(half * (np.linalg.norm(given(inner, 1), axis=2) @ _WEIGHTS))])
@@ -81,7 +89,11 @@ class Path:
 
     @classmethod
     def circle(
-        cls, start: ArrayLike, center: ArrayLike, normal: ArrayLike = (0.0, 0.0, 1.0), quaternion: ArrayLike | None = None
+        cls,
+        start: ArrayLike,
+        center: ArrayLike,
+        normal: ArrayLike = (0.0, 0.0, 1.0),
+        quaternion: ArrayLike | None = None,
     ) -> Path:
         """Round and round ``center`` (3) [m] from ``start`` (3) on, to the left seen from the tip of ``normal`` (3)."""
         middle, axis = real_numbers("path, center", center), real_numbers("path, normal", normal)
@@ -98,7 +110,9 @@ class Path:
     ) -> Path:
         """Straight from point (n, 3) to point, with corners that are rounded from ``blend`` [m] before them to as far behind."""
         points = np.atleast_2d(real_numbers("path, points", points))
-        turns = np.broadcast_to([1.0, 0.0, 0.0, 0.0] if quaternions is None else np.asarray(quaternions, float), (len(points), 4))
+        turns = np.broadcast_to(
+            [1.0, 0.0, 0.0, 0.0] if quaternions is None else np.asarray(quaternions, float), (len(points), 4)
+        )
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if not (np.isfinite(blend) and blend > 0.0) or len(steps) < 1 or steps.min() < LEAST:
             raise InputError("path: a polyline needs points apart from each other and a blend that is positive")
@@ -111,6 +125,11 @@ class Path:
                 turned.append(lie.slerp(lie.slerp(turns[k], turns[k - 1], a), turns[k + 1], b))
         straight = _along(np.array([*kept, points[-1]]), np.array([*turned, turns[-1]]), blend)
         return cls(*straight, periodic=periodic)
+
+    @property
+    def end(self) -> float:
+        """Where progress ends [m]: at the length, or (periodic) so far away that it does not matter."""
+        return ENDLESS if self.periodic else self.length
 
     # ------------------------------------------------------------------ at arc lengths
     def at(self, s: ArrayLike) -> Array:
@@ -139,14 +158,13 @@ class Path:
         return np.asarray(2.0 * np.asarray(lie.quaternion_multiply(rate.T, back.T))[1:].T)
 
     def expansion(self, s: ArrayLike) -> Array:
-        """What residuals need near arc lengths s (n) [m]: (n, 17) of s, position, tangent, curvature, quaternion and turning."""
+        """What residuals need near arc lengths s (n) [m]: (n, 18) of s, position, tangent, curvature, quaternion, turning
+        and ``end``."""
         s = np.atleast_1d(np.asarray(s, float))
-        pose = self.at(s)
-        if self.periodic:
-            here = s
-        else:
-            here = np.clip(s, 0.0, self.length)
-        return np.hstack([here[:, None], pose[:, :3], self.tangent(s), self.curvature(s), pose[:, 3:], self.turning(s)])
+        if not self.periodic:
+            s = np.clip(s, 0.0, self.length)
+        pose, end = self.at(s), np.full((len(s), 1), self.end)
+        return np.hstack([s[:, None], pose[:, :3], self.tangent(s), self.curvature(s), pose[:, 3:], self.turning(s), end])
 
     def nearest(self, point: ArrayLike) -> float:
         """Arc length [m] of the path's point nearest to ``point`` (3) [m]."""

@@ -71,7 +71,7 @@ class Observer:
         """
         if plans.current is None or self.running.mpc is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
-        layout = self.running.mpc.ocp.dynamics.state
+        layout = self.running.mpc.dynamics.state
         return predicted(self.running.controller.robot, layout, thinned(plans.current.x), self.lift)
 
 

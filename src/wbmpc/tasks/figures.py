@@ -65,7 +65,7 @@ def general_plots(log: Log, mpc: MPC) -> list[Plot]:
             for name, channel in (("estimated frame", "end_effector_estimated"), ("world", "end_effector"))
         ]
         plots = [Plot("End effector error", "time [s]", "error [mm]", errors)]
-    inputs, names = log.array("input"), mpc.ocp.dynamics.input.names
+    inputs, names = log.array("input"), mpc.dynamics.input.names
     solve = 1e3 * np.array(mpc.statistics.solve_times)
     return [
         Plot("Paths seen from above", "x [m]", "y [m]", paths, equal_axes=True),
