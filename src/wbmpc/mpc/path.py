@@ -63,6 +63,7 @@ class PathProgress:
         #: What is followed; None before :meth:`follow`.
         self.following: Following | None = None
         self._start: float | None = None
+        self._t = 0.0  # when the last plan starts
         self._kept = np.any(limits.matrix[:, : self._m] != 0.0, axis=1) | ~self.active
         self.limits = limits if not self.active else self._own(limits)
 
@@ -162,6 +163,7 @@ class PathProgress:
             raise InputError(
                 "mpc: there is no path to follow: mpc.path.follow(path, speed) comes before the first update"
             )
+        self._t = t
         times, states = predicted(self._solver, t, delta)
         if self._start is not None:
             states = states.copy()
@@ -175,10 +177,18 @@ class PathProgress:
         for name, values in following.along.items():
             self._solver.set_reference(name, Reference(times, values(s)))
 
-    @property
-    def progress(self) -> tuple[float, float]:
-        """Arc length [m] and its rate [m/s] at the start of the last plan. Raises :class:`InputError` for a problem without a path."""
+    def progress(self, t: float) -> float:
+        """Where the last plan is on the path [m] at time ``t`` [s]. Raises :class:`InputError` for a problem without a path."""
         if not self.active:
             raise InputError("mpc.path.progress: the problem has none; valid: one on wbmpc.WithPath(dynamics)")
-        x = self._solver.trajectory(copy=False).x[0]
-        return float(x[self._n]), float(x[self._n + 1])
+        plan, since = self._solver.trajectory(copy=False), t - self._t
+        if since < 0.0:
+            return float(plan.x[0, self._n] + since * plan.x[0, self._n + 1])
+        return float(np.interp(since, plan.grid, plan.x[:, self._n]))
+
+    def pose(self, t: float) -> Array:
+        """Pose (7) on the path at that progress: position (3) [m] and quaternion (4)."""
+        if self.following is None:
+            raise InputError("mpc.path.pose: nothing is followed; valid: after mpc.path.follow(path, speed)")
+        pose: Array = self.following.path.at([self.progress(t)])[0]
+        return pose

@@ -160,11 +160,11 @@ class Path:
     def expansion(self, s: ArrayLike) -> Array:
         """What residuals need near arc lengths s (n) [m]: (n, 18) of s, position, tangent, curvature, quaternion, turning
         and ``end``."""
-        s = np.atleast_1d(np.asarray(s, float))
-        if not self.periodic:
-            s = np.clip(s, 0.0, self.length)
-        pose, end = self.at(s), np.full((len(s), 1), self.end)
-        return np.hstack([s[:, None], pose[:, :3], self.tangent(s), self.curvature(s), pose[:, 3:], self.turning(s), end])
+        here = np.atleast_1d(np.asarray(s, float))
+        here = here if self.periodic else np.clip(here, 0.0, self.length)
+        pose, end = self.at(here), np.full((here.size, 1), self.end)
+        shape = (self.tangent(here), self.curvature(here))
+        return np.hstack([here[:, None], pose[:, :3], *shape, pose[:, 3:], self.turning(here), end])
 
     def nearest(self, point: ArrayLike) -> float:
         """Arc length [m] of the path's point nearest to ``point`` (3) [m]."""

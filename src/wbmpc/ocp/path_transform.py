@@ -38,10 +38,6 @@ def path_problem(
     where there is no such cost.
     """
     dynamics = WithPath(ocp.dynamics)
-    if hasattr(ocp.dynamics, "view"):
-        raise InputError(
-            "path problem: a model with rates, lag or filters as states is wrapped by hand: WithPath(dynamics)"
-        )
     cost = ocp.term(pose)
     if not (isinstance(cost, Cost) and isinstance(cost.residual, FramePose)):
         raise InputError(

@@ -171,7 +171,9 @@ class Sizes:
         """The sizes of a problem, of ``mpc.solver.ocp`` where the solver refines the grid (:class:`wbmpc.SLQ`)."""
         d, hard = ocp.dynamics, any(t.hard for t in ocp.inequalities)
         if isinstance(d, WithPath):
-            raise InputError("runner: a problem with progress along a path runs in virtual time only; valid: one without WithPath")
+            raise InputError(
+                "runner: a problem with progress along a path runs in virtual time only; valid: one without WithPath"
+            )
         own = (d.state.size, d.input.size, ocp.intervals, d.parameters.size)
         if not hard:
             return cls(*own)

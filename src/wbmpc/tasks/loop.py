@@ -17,6 +17,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.scene import SceneObstacle
+from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot
 from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
 from wbmpc.simulation.model_plant import ModelPlant
@@ -45,7 +46,7 @@ def make_system(
     if settings.physics == "kinematic":
         whole = [rate for rate in MODEL_RATES if (rate / mpc.rate).is_integer()]
         rate = (whole or MODEL_RATES)[0]
-        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate, edit)
+        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0, : mpc.dynamics.state.size], 1.0 / rate, edit)
         timing = Timing.of(plant.timestep, rate, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
     own = mpc.dynamics
@@ -131,7 +132,7 @@ def check_loop(
 def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
     """An MPC that has never been reset starts from the robot's home."""
     start = mpc.solver.trajectory(0.0, copy=False).x[0]
-    if not start.any() and start.size == robot.state.size:
+    if not start.any() and start.size == mpc.ocp.dynamics.state.size and mpc.dynamics.state == robot.state:
         mpc.reset(robot.home)
 
 
@@ -149,7 +150,7 @@ def _record(log: Log, t: float, system: System, robot: RobotModel, plans: Any) -
     log.add("end_effector_estimated", t, tool)
     log.add("state", t, truth.state)
     log.add("input", t, plans.current.feedforward(t))
-    if "end_effector" in mpc.reference and mpc.reference["end_effector"].values.shape[1] == 7:
-        goal = mpc.reference["end_effector"].at(t)
+    goal = end_effector_goal(mpc, t, np.zeros(3))
+    if goal is not None:
         log.add("end_effector_reference", t, goal[:3])
         log.add("rotation_error", t, lie.rotation_angle(rotation, lie.quaternion_to_rotation(goal[3:])))
