@@ -168,7 +168,8 @@ class PathProgress:
         if self._start is not None:
             states = states.copy()
             states[:, self._n] = self._start
-        s = np.minimum(np.maximum(states[:, self._n], 0.0), following.path.end)
+        s = np.minimum(states[:, self._n], following.path.end)
+        s = s if following.path.periodic else np.maximum(s, 0.0)
         expansion, wish = following.path.expansion(s), following.wish(times, s)
         for name in self._contours:
             self._solver.set_reference(name, Reference(times, expansion))

@@ -13,8 +13,8 @@ from wbmpc.checks import real_numbers, unit_quaternions
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
-#: Numbers of a path near a point: arc length, position, tangent, curvature vector, quaternion, turning, where it ends.
-WIDTH = 18
+#: Numbers of a path near a point: arc length, position, tangent, curvature vector, quaternion, turning, where it begins and ends.
+WIDTH = 19
 #: The end [m] of a path without one.
 ENDLESS = 1e6
 #: Pieces of a path's own splines at least, points of a circle, points in which the nearest one is looked for.
@@ -158,13 +158,13 @@ class Path:
         return np.asarray(2.0 * np.asarray(lie.quaternion_multiply(rate.T, back.T))[1:].T)
 
     def expansion(self, s: ArrayLike) -> Array:
-        """What residuals need near arc lengths s (n) [m]: (n, 18) of s, position, tangent, curvature, quaternion, turning
-        and ``end``."""
+        """What residuals need near arc lengths s (n) [m]: (n, 19) of s, position, tangent, curvature, quaternion, turning,
+        and where the path begins and ends."""
         here = np.atleast_1d(np.asarray(s, float))
         here = here if self.periodic else np.clip(here, 0.0, self.length)
-        pose, end = self.at(here), np.full((here.size, 1), self.end)
+        pose, ends = self.at(here), np.tile([-ENDLESS if self.periodic else 0.0, self.end], (here.size, 1))
         shape = (self.tangent(here), self.curvature(here))
-        return np.hstack([here[:, None], pose[:, :3], *shape, pose[:, 3:], self.turning(here), end])
+        return np.hstack([here[:, None], pose[:, :3], *shape, pose[:, 3:], self.turning(here), ends])
 
     def nearest(self, point: ArrayLike) -> float:
         """Arc length [m] of the path's point nearest to ``point`` (3) [m]."""

@@ -64,8 +64,8 @@ class Contour:
 
     def __call__(self, s: Symbols) -> ca.SX:
         r, pose = s.reference, self.robot.frame_pose(s.x, self.frame)
-        # beyond the end of the path there is the end
-        ahead = ca.fmin(s.all_x[_path_state(self.dynamics).start], r[17]) - r[0]
+        # beyond the ends of the path there are its ends
+        ahead = ca.fmin(ca.fmax(s.all_x[_path_state(self.dynamics).start], r[17]), r[18]) - r[0]
         tangent = r[4:7] + ahead * r[7:10]
         error = pose.position - r[1:4] - ahead * (r[4:7] + 0.5 * ahead * r[7:10])
         lag = ca.dot(tangent, error)

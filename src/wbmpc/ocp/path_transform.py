@@ -32,8 +32,8 @@ def path_problem(
 ) -> OptimalControlProblem:
     """The same problem with progress along a path in the place of a clock; ``ocp`` is left as it is.
 
-    The cost ``pose``, of a :class:`wbmpc.residuals.FramePose`, becomes ``contour``: the weight [1/m²] of its positions is that of the
-    contour and of the lag. ``progress`` weighs the difference of the speed along the path to the wished one with ``share`` of that;
+    The cost ``pose``, of a :class:`wbmpc.residuals.FramePose`, becomes ``contour``: the weights [1/m²] of its positions are those of
+    the contour, the largest that of the lag. ``progress`` weighs the difference of the speed along the path to the wished one with ``share`` of that;
     ``path_acceleration`` is a hard limit with the barrier ``mu``. All other terms stay. Raises :class:`InputError`
     where there is no such cost.
     """
@@ -51,7 +51,7 @@ def path_problem(
         if name != pose:
             wrapped.add(term)
     wrapped.add(_contour(dynamics, cost))
-    add_progress(wrapped, share * float(np.mean(cost.expand(cost.weight)[:3])), mu)
+    add_progress(wrapped, share * float(np.max(cost.expand(cost.weight)[:3])), mu)
     return wrapped
 
 
@@ -67,7 +67,7 @@ def add_progress(ocp: OptimalControlProblem, weight: float, mu: float = 3e-3) ->
 def _contour(dynamics: Any, cost: Cost) -> Cost:
     """A cost of a pose as one of a contour: as many rows, and the lag."""
     pose: Any = cost.residual
-    widen = lambda v: [*v[:3], float(np.mean(v[:3])), *v[3:]]
+    widen = lambda v: [*v[:3], float(np.max(v[:3])), *v[3:]]
     end = None if cost.terminal_weight is None else widen(cost.expand(cost.terminal_weight))
     norm = cost.norm
     if isinstance(norm, SmoothL1) and isinstance(norm.scale, tuple):
