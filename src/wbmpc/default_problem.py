@@ -11,7 +11,17 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.pairs import self_pairs
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
+from wbmpc.ocp import (
+    Constraint,
+    Cost,
+    OptimalControlProblem,
+    Path,
+    Reference,
+    RelaxedBarrier,
+    path_problem,
+    residuals,
+    sets,
+)
 from wbmpc.ocp.scaling import scaled_weights
 from wbmpc.settings import MpcSettings, Settings, Weight
 
@@ -102,11 +112,13 @@ def keep_clear(
 
 def default_mpc(
     robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
-    obstacles: Obstacles | None = None,
+    obstacles: Obstacles | None = None, progress: bool = False,
 ) -> MPC:  # fmt: skip
-    """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``."""
+    """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``. ``progress``: see
+    :func:`wbmpc.path_problem`."""
     settings = settings or default_settings()
-    ocp = keep_clear(default_problem(robot, settings, cost), robot, obstacles)
+    ocp = default_problem(robot, settings, cost)
+    ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
     mpc = MPC(ocp, settings.solver(), settings.rate, obstacles=obstacles)
     stay_at_home(robot, mpc)
     return mpc
@@ -114,8 +126,15 @@ def default_mpc(
 
 def stay_at_home(robot: RobotModel, mpc: MPC) -> None:
     """Begin at home, with references of end effector, state and input that rest there."""
-    position, orientation = robot.pose(robot.home)
-    mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)
+    hold_end_effector(mpc, *robot.pose(robot.home))
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     mpc.reset(robot.home)
+
+
+def hold_end_effector(mpc: MPC, position: Array, orientation: Array) -> None:
+    """The end effector's goal is a position (3) [m] with an orientation (4); of a problem with a path: it stands at the start of one."""
+    if mpc.path.active:
+        mpc.path.follow(Path.line(position, position + [1.0, 0.0, 0.0], orientation), speed=0.0)
+    else:
+        mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)

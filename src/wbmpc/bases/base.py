@@ -305,9 +305,12 @@ class BaseType(Protocol):
         """The simulated robot at home, perturbed against the model; see :class:`System`."""
         reject_missing_part(robot.description, "plant")
 
-    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+    def mpc(
+        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
+    ) -> MPC:
         """The MPC with default weights, whose goal is the robot's home, and which keeps clear of ``obstacles``; ``changes``: of its
-        :class:`wbmpc.settings.MpcSettings`, by name. Its references "end_effector" (poses) and, where a view may move the base, "state"
+        :class:`wbmpc.settings.MpcSettings`, by name. ``progress``: the end effector follows a path (``mpc.path``) at its own speed, and no
+        clock (:func:`wbmpc.path_problem`). Its references "end_effector" (poses) and, where a view may move the base, "state"
         (nx) follow the robot's task."""
         reject_missing_part(robot.description, "mpc")
 

@@ -18,6 +18,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.scene import SceneObstacle
+from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot
 from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
 from wbmpc.simulation.model_plant import ModelPlant
@@ -49,10 +50,10 @@ def make_system(
     if settings.physics == "kinematic":
         whole = [rate for rate in MODEL_RATES if (rate / mpc.rate).is_integer()]
         rate = (whole or MODEL_RATES)[0]
-        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate, edit)
+        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0, : mpc.dynamics.state.size], 1.0 / rate, edit)
         timing = Timing.of(plant.timestep, rate, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
-    own = mpc.ocp.dynamics
+    own = mpc.dynamics
     if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError(
             "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
@@ -166,7 +167,7 @@ def _check_same_robot(robot: RobotModel, mpc: MPC) -> None:
 def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
     """An MPC that has never been reset starts from the robot's home."""
     start = mpc.solver.trajectory(0.0, copy=False).x[0]
-    if not start.any() and start.size == robot.state.size:
+    if not start.any() and start.size == mpc.ocp.dynamics.state.size and mpc.dynamics.state == robot.state:
         mpc.reset(robot.home)
 
 
@@ -185,7 +186,7 @@ def _record(log: Log, t: float, system: System, plans: Any, joints: JointRecord)
     log.add("state", t, truth.state)
     log.add("input", t, plans.current.feedforward(t))
     joints.tick(t, truth, plans)
-    if "end_effector" in mpc.reference and mpc.reference["end_effector"].values.shape[1] == 7:
-        goal = mpc.reference["end_effector"].at(t)
+    goal = end_effector_goal(mpc, t, np.zeros(3))
+    if goal is not None:
         log.add("end_effector_reference", t, goal[:3])
         log.add("rotation_error", t, lie.rotation_angle(rotation, lie.quaternion_to_rotation(goal[3:])))

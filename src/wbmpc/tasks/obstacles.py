@@ -17,9 +17,10 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
+from wbmpc.tasks.following import PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
-from wbmpc.tasks.path_settings import AnyPath, Line, follow, timed
-from wbmpc.tasks.settings import TaskSettings, moving_base
+from wbmpc.tasks.path_settings import AnyPath, Line
+from wbmpc.tasks.settings import moving_base
 
 Array = NDArray[np.float64]
 #: A person: radius and height [m].
@@ -28,8 +29,8 @@ PERSON = (0.2, 1.8)
 IN_THE_WAY = 0.05
 
 
-class Among(TaskSettings):
-    """``path`` of the end effector; ``obstacles``: another scene than the experiment's own."""
+class Among(PathTaskSettings):
+    """``obstacles``: another scene than the experiment's own."""
 
     path: AnyPath = Line(length=4.0)
 
@@ -134,12 +135,11 @@ def experiment(
     """A path of the end effector among what ``scene(settings, robot, seed)`` makes."""
 
     def build(settings: Among, seed: int) -> Scenario:
-        robot, mpc = settings.prepare(obstacles=True)
-        path, start = settings.path, mpc.reference["end_effector"].at(0.0)
-        reference, end = timed(path.curve(robot, start[:3], start[3:]), path.speed, path.ramp, settings.settle_time)
-        follow(robot, mpc, reference)
-        made = scene(settings, robot, seed) if settings.obstacles is None else None
-        return closed_loop(robot, mpc, end + 1.0, seed, settings, since=settings.settle_time, scene=made)
+        task = Task(settings, obstacles=True)
+        made = scene(settings, task.robot, seed) if settings.obstacles is None else None
+        return closed_loop(
+            task.robot, task.mpc, task.end, seed, settings, since=settings.settle_time, scene=made, metrics=task.metrics
+        )
 
     return Experiment.of(name, summary, settings_type, build)
 

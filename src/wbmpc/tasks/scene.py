@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from wbmpc import lie
 from wbmpc.bases.base import System
 from wbmpc.log import Log
+from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.obstacles import SimulatedObstacles
 
@@ -61,11 +62,14 @@ class SceneWatch:
 
     def _progress(self, t: float) -> None:
         """Count the time in which the robot stands away from its goal."""
-        reference, tool = self._system.mpc.reference, self._system.plant.truth().tool
+        mpc, tool = self._system.mpc, self._system.plant.truth().tool
         moved, self._last = float(np.linalg.norm(tool - self._last)), tool
-        if t < self._since or "end_effector" not in reference:
+        path = mpc.path.following.path if mpc.path.following else None
+        # who goes as far as obstacles allow is where it is to be, and stuck nevertheless
+        goal = end_effector_goal(mpc, t, np.zeros(3)) if path is None else path.at([path.length])[0]
+        if t < self._since or goal is None:
             return
-        behind = float(np.linalg.norm(reference["end_effector"].at(t)[:3] - tool))
+        behind = float(np.linalg.norm(goal[:3] - tool))
         h = self._every * self._system.timing.period
         self._waits = self._waits + h if behind > BEHIND and moved < SLOW * h else 0.0
         if self._waits >= LONG:

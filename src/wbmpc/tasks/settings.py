@@ -52,13 +52,16 @@ class TaskSettings(SimulationSettings):
     weights: dict[str, Positive] = Field(default={})
     avoid: Literal["obstacles", "nothing"] = "obstacles"
 
-    def prepare(self, obstacles: bool = False) -> tuple[RobotModel, MPC]:
-        """The robot with its default MPC at home, which keeps clear of ``obstacles`` where there are any. Raises :class:`InputError` for a
+    def prepare(self, obstacles: bool = False, progress: bool = False) -> tuple[RobotModel, MPC]:
+        """The robot with its default MPC at home, which keeps clear of ``obstacles`` where there are any, and with ``progress`` follows a
+        path at its own speed. Raises :class:`InputError` for a
         weight of no cost."""
         robot = load_robot(self.robot)
         changes: dict[str, Any] = {name: value for name, value in self.mpc.model_dump().items() if value is not None}
         if self.avoid == "obstacles" and (obstacles or self.obstacles is not None):
             changes["obstacles"] = Obstacles()
+        if progress:
+            changes["progress"] = True
         mpc = base_type(robot.description.base.type).mpc(robot, **changes)
         scale_weights(mpc, self.weights)
         return robot, mpc

@@ -63,7 +63,7 @@ class RealtimeView(LiveView):
             g for g in Loads(self.robot.description, scene.joint_names).groups if g != "drives"
         )  # not measured
         controls = self._controls(mpc, groups, paced=False, pushes=seen is not None)
-        nx = mpc.ocp.dynamics.state.size
+        nx = mpc.dynamics.state.size
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
         shown = {
             "plan": (PLAN, nx), "reference": (REFERENCE, 3), "goal": (7,), "base_goal": (3,), "solve": (), "deadline": (),
@@ -150,7 +150,7 @@ def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:
     """What the MPC follows and plans; the plan is that of the solve before."""
     target, states = followed(mpc, t, lift), thinned(mpc.solver.trajectory(copy=False).x)
     return {
-        "plan": filled(states, (PLAN, mpc.ocp.dynamics.state.size)), "goal": target.goal, "base_goal": target.base,
+        "plan": filled(states, (PLAN, mpc.dynamics.state.size)), "goal": target.goal, "base_goal": target.base,
         "reference": filled(target.way, (REFERENCE, 3)), **timing(mpc),
     }  # fmt: skip
 

@@ -55,11 +55,13 @@ class SwerveBaseType(BaseType):
 
         return SwervePlant(robot.description, perturbation=perturbation, seed=seed, edit=edit)
 
-    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+    def mpc(
+        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
+    ) -> MPC:
         """Weights for goals of end effector, base and legs."""
         from wbmpc.bases.swerve.system import make_mpc
 
-        return make_mpc(robot, obstacles, **changes)
+        return make_mpc(robot, obstacles, progress=progress, **changes)
 
     def system(
         self,

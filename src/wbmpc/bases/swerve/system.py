@@ -27,11 +27,16 @@ LEG_WEIGHT = 20.0
 COMPUTATION_DELAY = 0.010
 
 
-def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any) -> MPC:
     """The MPC whose goal is home; ``changes`` of its settings."""
     settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})
     mpc = swerve_mpc(
-        robot, settings, SwerveCost(state=StateCost(leg=LEG_WEIGHT)), GoalGuess(robot), obstacles=obstacles
+        robot,
+        settings,
+        SwerveCost(state=StateCost(leg=LEG_WEIGHT)),
+        GoalGuess(robot),
+        obstacles=obstacles,
+        progress=progress,
     )
     stay_at_home(robot, mpc)
     return mpc
