@@ -23,7 +23,7 @@ class JointRecord:
     def __init__(self, log: Log, robot: RobotModel, system: System) -> None:
         self._log, self._robot, self._mpc = log, robot, system.mpc
         self._data = system.plant.data if getattr(system.plant, "has_physics", True) else None
-        own, layout = robot.state, system.mpc.ocp.dynamics.state
+        own, layout = robot.state, system.mpc.dynamics.state
         self._own = np.concatenate([np.arange(layout.size)[layout[group]] for group in own.groups])
         joints = set(robot.description.joints())
         #: Groups of the state that are positions of joints.
@@ -52,7 +52,7 @@ class JointRecord:
         return [*self._inputs(), *self._positions(), *self._forces(), *self._violations()]
 
     def _inputs(self) -> list[Plot]:
-        log, layout = self._log, self._mpc.ocp.dynamics.input
+        log, layout = self._log, self._mpc.dynamics.input
         t, u, limits = log.times("input"), log.array("input"), self._robot.limits
         own = layout == self._robot.input
         plots = []
