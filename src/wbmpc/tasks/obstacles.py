@@ -1,4 +1,4 @@
-"""`obstacles-static`, `obstacles-moving`, `obstacles-sudden`, `corridor`: any robot that moves follows a path among obstacles.
+"""`obstacles-static`, `obstacles-moving`, `obstacles-sudden`, `corridor`, `clutter`: any robot that moves follows a path among obstacles.
 
 Scenes are as large as the robot: they are laid out about what its shapes take up at home. Plans know shape, place and velocity of what
 is there, and nothing of what has not appeared yet.
@@ -19,6 +19,7 @@ from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, follow, timed
+from wbmpc.tasks.perception import PerceptionSettings
 from wbmpc.tasks.settings import TaskSettings, moving_base
 
 Array = NDArray[np.float64]
@@ -54,6 +55,14 @@ class Corridor(Among):
     width: float = Field(0.9, ge=0.1, le=100.0)
     long: float = Field(2.0, ge=0.1, le=100.0)
     offset: float = Field(0.05, ge=-10.0, le=10.0)
+
+
+class Clutter(Among):
+    """``count`` pillars and boxes at random beside the way and partly in it; plans know only what ``perception`` sees of them."""
+
+    path: AnyPath = Line(length=4.0, speed=0.3)
+    count: int = Field(8, ge=1, le=100)
+    perception: PerceptionSettings = PerceptionSettings()
 
 
 class Extent:
@@ -128,6 +137,22 @@ def corridor_scene(settings: Corridor, robot: RobotModel, seed: int) -> list[Sce
     return [SceneObstacle(n, Box(half), {"position": middle + s * aside}) for n, s in (("left", 1.0), ("right", -1.0))]
 
 
+def clutter_scene(settings: Clutter, robot: RobotModel, seed: int) -> list[SceneObstacle]:
+    """One obstacle in each part of the way: every other one reaches into it, from a random side; the others stand where they want beside it."""
+    e, rng = Extent(robot, "clutter"), np.random.default_rng(seed)
+    part, found = settings.path.size(robot) / settings.count, []
+    for k in range(settings.count):
+        high, half = rng.uniform(0.4, 1.8), rng.uniform(0.08, 0.2)
+        side = rng.choice([-1.0, 1.0])
+        aside = -IN_THE_WAY if k % 2 == 0 else rng.uniform(0.3, 1.0)
+        edge = e.high[1] if side > 0.0 else -e.low[1]
+        place = [e.high[0] + 0.5 + (k + rng.uniform(0.3, 0.7)) * part, side * (edge + aside + half), e.ground]
+        pillar = Cylinder((0, 0, 0), (0, 0, high), half)
+        shape = pillar if rng.random() < 0.5 else Box((half, half, 0.5 * high), (0, 0, 0.5 * high))
+        found.append(SceneObstacle(f"clutter{k}", shape, {"position": place}))
+    return found
+
+
 def experiment(
     name: str, summary: str, settings_type: type[Among], scene: Callable[..., list[SceneObstacle]]
 ) -> Experiment:
@@ -139,7 +164,10 @@ def experiment(
         reference, end = timed(path.curve(robot, start[:3], start[3:]), path.speed, path.ramp, settings.settle_time)
         follow(robot, mpc, reference)
         made = scene(settings, robot, seed) if settings.obstacles is None else None
-        return closed_loop(robot, mpc, end + 1.0, seed, settings, since=settings.settle_time, scene=made)
+        return closed_loop(
+            robot, mpc, end + 1.0, seed, settings, since=settings.settle_time, scene=made,
+            perception=getattr(settings, "perception", None),
+        )  # fmt: skip
 
     return Experiment.of(name, summary, settings_type, build)
 
@@ -148,3 +176,4 @@ STATIC = experiment("obstacles-static", "a path past a pillar, a bar and a shelf
 MOVING = experiment("obstacles-moving", "a path that people cross", Moving, moving_scene)
 SUDDEN = experiment("obstacles-sudden", "a pillar appears right ahead", Sudden, sudden_scene)
 CORRIDOR = experiment("corridor", "a path through a narrow corridor", Corridor, corridor_scene)
+CLUTTER = experiment("clutter", "a path among things that sensors have to find", Clutter, clutter_scene)
