@@ -1,7 +1,7 @@
 """Exact Euclidean distance transforms, compiled: lower envelopes of parabolas (Felzenszwalb and Huttenlocher), one axis after the other.
 
-Distances are squared and in cells until the end; :data:`NONE` stands for no site, or none that is near enough. Lines without a site, and lines of sites alone, stay as
-they are: most lines of the transform of the free cells.
+Distances are squared and in cells until the end; :data:`NONE` stands for no site, or none that is near enough. Lines without a site, and
+lines of sites alone, stay as they are: most lines of the transform of the free cells.
 """
 
 from __future__ import annotations

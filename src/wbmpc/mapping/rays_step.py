@@ -50,7 +50,7 @@ def add_hits(
 def span(start: float, ahead: float, size: float, low: float, high: float) -> tuple[float, float]:
     """The part of [low, high] in which ``start + s · ahead`` is within [0, size]."""
     if abs(ahead) < 1e-12:
-        return (low, high) if 0.0 <= start and start < size else (1.0, 0.0)
+        return (low, high) if 0.0 <= start < size else (1.0, 0.0)
     a, b = (0.0 - start) / ahead, (size - start) / ahead
     return max(low, min(a, b)), min(high, max(a, b))
 

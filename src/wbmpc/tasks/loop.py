@@ -81,7 +81,8 @@ def closed_loop(
     estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
     period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
-    ``mpc`` has obstacles. ``perception``: plans know of the scene what simulated sensors see, left out: what it is. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
+    ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. The references of
+    ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
