@@ -37,8 +37,8 @@ def test_nothing_and_everything_are_as_far_as_it_goes() -> None:
 
 def test_machine_code_is_the_source() -> None:
     evidence = np.random.default_rng(0).integers(0, 4, (4, 5, 6))
-    line, apex, out = np.zeros((2, 6)), np.zeros(6, np.int64), np.zeros((2, 120))
-    signed.interpreted(4, 5, 6, evidence.ravel(), 3, 0.1, 0.4, out[0], line[0], apex, line[1], out[1])
+    lines, start, apex, out = np.zeros(48), np.zeros(6), np.zeros(6, np.int64), np.zeros((2, 120))
+    signed.interpreted(4, 5, 6, evidence.ravel(), 3, 0.1, 0.4, out[0], lines, apex, start, out[1])
     np.testing.assert_array_equal(out[1], DistanceTransform((4, 5, 6), 0.1, 0.4)(evidence, 3).ravel())
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.kernel.ir import Floats, Integers
+from wbmpc.kernel.ir import LANES, Floats, Integers
 from wbmpc.mapping.compilation import compiled
 
 #: More than any squared distance [cells²].
@@ -34,16 +34,19 @@ def first_axis(lines: int, nz: int, evidence: Integers, occupied: int, outside: 
 
 
 @compiled
-def envelope(n: int, f: Floats, apex: Integers, start: Floats) -> int:
-    """The parabolas f[q] + (x - q)² that are lowest somewhere: their ``apex`` and where each one's part begins; how many."""
+def envelope(n: int, at: int, f: Floats, apex: Integers, start: Floats) -> int:
+    """Of the parabolas f[at + q] + (x - q)², q below n, those that are lowest somewhere: their ``apex`` and where each one's part begins; how
+    many. Sites between sites are the lowest nowhere but at themselves: they are left out."""
     k = -1
     for q in range(n):
-        if f[q] >= NONE:
+        i = at + q
+        inner = f[i] == 0.0 and q > 0 and q + 1 < n
+        if f[i] >= NONE or (inner and f[i - 1] == 0.0 and f[i + 1] == 0.0):
             continue
-        cut, height = -1e18, f[q] + float(q * q)
+        cut, height = -1e18, f[at + q] + float(q * q)
         while k >= 0:
             v = apex[k]
-            cut = (height - f[v] - float(v * v)) / float(2 * (q - v))
+            cut = (height - f[at + v] - float(v * v)) / float(2 * (q - v))
             if cut > start[k]:
                 break
             k -= 1
@@ -54,24 +57,50 @@ def envelope(n: int, f: Floats, apex: Integers, start: Floats) -> int:
 
 
 @compiled
-def line_transform(
-    at: int, step: int, n: int, most: float, out: Floats, f: Floats, apex: Integers, start: Floats
-) -> None:
-    """One line in place: its cells begin at ``at`` and are ``step`` apart; what is more than ``most`` becomes :data:`NONE`."""
+def is_plain(n: int, at: int, f: Floats) -> bool:
+    """Whether a line stays as it is: all of it zero, or without a site."""
     far, near = True, True
     for q in range(n):
-        f[q] = out[at + q * step]
-        far = far and f[q] >= NONE
-        near = near and f[q] == 0.0
-    if far or near:
-        return
-    count, k = envelope(n, f, apex, start), 0
+        far = far and f[at + q] >= NONE
+        near = near and f[at + q] == 0.0
+    return far or near
+
+
+@compiled
+def all_plain(at: int, step: int, n: int, out: Floats) -> bool:
+    """The same of :data:`LANES` lines beside each other."""
+    low, high = np.full(LANES, NONE), np.full(LANES, 0.0)
     for q in range(n):
-        while k + 1 < count and start[k + 1] < float(q):
-            k += 1
-        v = apex[k]
-        d = f[v] + float((q - v) * (q - v))
-        out[at + q * step] = d if d <= most else NONE
+        i = at + q * step
+        low = np.minimum(low, out[i : i + LANES])
+        high = np.maximum(high, out[i : i + LANES])
+    return np.all(high == 0.0) or np.all(low >= NONE)
+
+
+@compiled
+def transform_lines(
+    width: int, at: int, step: int, n: int, most: float, out: Floats, f: Floats, apex: Integers, start: Floats
+) -> None:
+    """Some lines beside each other in place: their cells begin at ``at`` and are ``step`` apart. What is more than ``most`` becomes
+    :data:`NONE`. They are read and written together: cells of one line are far from each other in memory."""
+    if width == LANES and all_plain(at, step, n, out):
+        return
+    for q in range(n):
+        for c in range(width):
+            f[c * n + q] = out[at + q * step + c]
+    for c in range(width):
+        first = c * n
+        if is_plain(n, first, f):
+            continue
+        count, k = envelope(n, first, f, apex, start), 0
+        for q in range(n):
+            while k + 1 < count and start[k + 1] < float(q):
+                k += 1
+            if f[first + q] == 0.0:
+                continue
+            v = apex[k]
+            d = f[first + v] + float((q - v) * (q - v))
+            out[at + q * step + c] = d if d <= most else NONE
 
 
 @compiled
@@ -80,14 +109,14 @@ def transform(
     apex: Integers, start: Floats,
 ) -> None:  # fmt: skip
     """Squared distances ``out`` (nx, ny, nz) to occupied cells, or to free ones (not ``outside``), up to ``most``; ``f``, ``apex``, ``start``:
-    room for a line."""
+    room for :data:`LANES` lines."""
     first_axis(nx * ny, nz, evidence, occupied, outside, out)
     for i in range(nx):
-        for k in range(nz):
-            line_transform(i * ny * nz + k, nz, ny, most, out, f, apex, start)
+        for k in range(0, nz, LANES):
+            transform_lines(min(LANES, nz - k), i * ny * nz + k, nz, ny, most, out, f, apex, start)
     for j in range(ny):
-        for k in range(nz):
-            line_transform(j * nz + k, ny * nz, nx, most, out, f, apex, start)
+        for k in range(0, nz, LANES):
+            transform_lines(min(LANES, nz - k), j * nz + k, ny * nz, nx, most, out, f, apex, start)
 
 
 @compiled

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import checks
 from wbmpc.errors import InputError
+from wbmpc.kernel.ir import LANES
 from wbmpc.mapping.distance_step import signed
 from wbmpc.obstacles.shapes import MAX_CELLS, DistanceGrid
 
@@ -21,14 +22,14 @@ class DistanceTransform:
     def __init__(self, shape: tuple[int, int, int], cell: float, farthest: float) -> None:
         self._shape, self._cell, self._farthest = shape, cell, farthest
         longest = max(shape)
-        self._line, self._start = np.empty(longest), np.empty(longest)
+        self._lines, self._start = np.empty(LANES * longest), np.empty(longest)
         self._apex, self._inner = np.empty(longest, np.int64), np.empty(int(np.prod(shape)))
 
     def __call__(self, evidence: NDArray[np.int64], occupied: int) -> Array:
         """Distances (nx, ny, nz) [m] of cells' centers to the nearest with at least ``occupied`` evidence (nx, ny, nz), negative in those."""
         out = np.empty(self._shape)
         signed(
-            *self._shape, evidence.reshape(-1), occupied, self._cell, self._farthest, self._inner, self._line, self._apex,
+            *self._shape, evidence.reshape(-1), occupied, self._cell, self._farthest, self._inner, self._lines, self._apex,
             self._start, out.reshape(-1),
         )  # fmt: skip
         return out

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import checks
 from wbmpc.errors import InputError, SensorFailure
+from wbmpc.kernel.ir import LANES
 from wbmpc.mapping.body import BodyFilter
 from wbmpc.mapping.distances import ERROR, DistanceTransform
 from wbmpc.mapping.rays_step import FREE, OCCUPIED, SOLID, add_scan, settle
@@ -53,7 +54,8 @@ class LocalMap:
         if not ((counts >= 2).all() and counts.prod() <= MAX_CELLS and floor < extent[2]):
             raise InputError(f"{who}: 'size' needs 2 cells or more along each axis, {MAX_CELLS} at most, got {size}")
         self._lowest = int(np.ceil(floor / cell)) + 1
-        self.shape = (int(counts[0]), int(counts[1]), self._lowest + int(np.ceil((extent[2] - floor) / cell)))
+        layers = self._lowest + int(np.ceil((extent[2] - floor) / cell))
+        self.shape = (int(counts[0]), int(counts[1]), -(-layers // LANES) * LANES)  # faster in whole vectors
         self.cell, self._reach, self._memory, self._max_age = float(cell), float(reach), float(memory), float(max_age)
         self._bottom = ground + floor - self._lowest * self.cell
         self._body = None if robot is None else BodyFilter(robot, float(padding))
