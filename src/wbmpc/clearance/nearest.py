@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,7 +146,8 @@ class Finder:
         distance, normal = below + error, np.zeros((*below.shape, 3))
         origin = place + turn @ np.asarray(shape.origin, float)
         arrays = (frame, local, radius, poses.position, poses.rotation)
-        grid_step.nearest(
+        nearest: Any = grid_step.nearest
+        nearest(
             n, frames, len(frame), sides, *(np.ascontiguousarray(a).reshape(-1) for a in arrays), *values.shape,
             float(shape.cell), values.reshape(-1), origin, np.ascontiguousarray(turn).reshape(-1),
             distance.reshape(-1), normal.reshape(-1), ball.reshape(-1), center.reshape(-1),

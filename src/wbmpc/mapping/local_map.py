@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -52,14 +54,16 @@ class LocalMap:
         ground = 0.0 if robot is None else robot.description.base.ground
         counts = np.round(extent / cell)
         if not ((counts >= 2).all() and counts.prod() <= MAX_CELLS and floor < extent[2]):
-            raise InputError(f"{who}: 'size' needs 2 cells or more along each axis, {MAX_CELLS} at most, got {size}")
+            raise InputError(
+                f"{who}: 'size' needs 2 cells or more along each axis, {MAX_CELLS} at most, got {extent.tolist()}"
+            )
         self._lowest = int(np.ceil(floor / cell)) + 1
         layers = self._lowest + int(np.ceil((extent[2] - floor) / cell))
         self.shape = (int(counts[0]), int(counts[1]), -(-layers // LANES) * LANES)  # faster in whole vectors
         self.cell, self._reach, self._memory, self._max_age = float(cell), float(reach), float(memory), float(max_age)
         self._bottom = ground + floor - self._lowest * self.cell
         self._body = None if robot is None else BodyFilter(robot, float(padding))
-        self._nx = None if robot is None else robot.state.size
+        self._nx = 0 if robot is None else robot.state.size
         self._evidence, self._mark = np.zeros(self.shape, np.int64), np.zeros(self.shape, np.int64)
         self._seen = np.zeros(self.shape)
         self._low: NDArray[np.int64] | None = None
@@ -126,7 +130,7 @@ class LocalMap:
         self.dropped += int(len(good) - good.sum())
         cloud = np.ascontiguousarray(cloud[good])
         kind = np.where(length[good] <= self._reach, SOLID, FREE).astype(np.int64)
-        if self._body is not None:
+        if self._body is not None and state is not None:
             self._body.mark(cloud, kind, checks.numbers("local map", "state", state, self._nx))
         return self._take(cloud, kind, sensor, t)
 
@@ -135,7 +139,8 @@ class LocalMap:
         self._scan += 1
         corner = self.origin - 0.5 * self.cell
         cells, from_ = (cloud - corner) / self.cell, (sensor - corner) / self.cell
-        found: int = add_scan(
+        add: Any = add_scan
+        found: int = add(
             len(cells), cells.reshape(-1), kind, *from_.tolist(), self._reach / self.cell, 2.0, t, *self.shape, self._lowest,
             self._scan, self._evidence.reshape(-1), self._mark.reshape(-1), self._seen.reshape(-1),
         )  # fmt: skip
