@@ -74,7 +74,10 @@ def all_plain(at: int, step: int, n: int, out: Floats) -> bool:
         i = at + q * step
         low = np.minimum(low, out[i : i + LANES])
         high = np.maximum(high, out[i : i + LANES])
-    return np.all(high == 0.0) or np.all(low >= NONE)
+    plain = False
+    if np.all(high == 0.0) or np.all(low >= NONE):
+        plain = True
+    return plain
 
 
 @compiled
