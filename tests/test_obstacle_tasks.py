@@ -18,6 +18,7 @@ from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.ocp.symbols import Symbols
 from wbmpc.registry import load
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
+from wbmpc.tasks.obstacles import Clutter, Extent, clutter_scene
 
 BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
 
@@ -137,3 +138,22 @@ def test_a_robot_whose_camera_fails_is_stopped(driving: Path, tmp_path: Path) ->
     result = experiment.run(settings, 0, None)
     assert not result.completed and "'map' was seen" in result.reason
     assert 0.58 <= result.log.times("base")[-1] <= 0.62  # the scan of 0.2 s would have come at 0.25 s
+
+
+@pytest.mark.parametrize("name", ["differential-ur10", "swerve-ur10"])
+def test_clutter_is_in_the_way_of_the_base_alone(name: str) -> None:
+    """Every other thing reaches 5 cm into its way, lower than the end effector; the rest stands 0.3 m and more beside the robot."""
+    robot = wb.load_robot(name)
+    e, places = Extent(robot, "clutter"), []
+    assert e.low[1] <= e.base_low[1] < e.base_high[1] <= e.high[1]
+    for seed in range(5):
+        for k, one in enumerate(clutter_scene(Clutter(), robot, seed)):
+            place, solid = np.array(one.place["position"]), one.shape.solid  # type: ignore[union-attr]
+            left, right = (place + solid.position)[1] + np.array([-1, 1]) * solid.size[0]
+            low, high = (e.base_low, e.base_high) if k % 2 == 0 else (e.low, e.high)
+            gap = max(left - high[1], low[1] - right)
+            assert gap == pytest.approx(-0.05) if k % 2 == 0 else gap >= 0.3
+            top = 2.0 * (place + solid.position)[2] - e.ground  # they stand on the floor
+            assert k % 2 == 1 or top < e.tool[2]
+            places.append(place[0])
+    assert min(places) > e.high[0] + 0.5

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.model.robot import RobotModel
-from wbmpc.obstacles.geometry import robot_geometry
+from wbmpc.obstacles.geometry import RobotShape, robot_geometry
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
 from wbmpc.tasks.loop import closed_loop
@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 PERSON = (0.2, 1.8)
 #: How far [m] a pillar and a shelf stand in the way of the base that would go straight.
 IN_THE_WAY = 0.05
+#: Share of the end effector's height that things have at most which stand in the way of the base alone.
+LOW = 0.6
 
 
 class Among(TaskSettings):
@@ -74,11 +76,20 @@ class Extent:
         self.ground = robot.description.base.ground
         geometry = robot_geometry(robot)
         centers, axes = (v[0] for v in geometry.at(*geometry.kinematics(robot.home[None])))
-        ends = []
-        for direction in (*-np.eye(3), *np.eye(3)):
-            parts = zip(geometry.shapes, centers, axes, strict=True)
-            ends.append(max(float(c @ direction + _reach(s.solid, direction @ a)) for s, c, a in parts))
-        self.low, self.high = -np.array(ends[:3]), np.array(ends[3:])
+        parts = list(zip(geometry.shapes, centers, axes, strict=True))
+        self.low, self.high = _box(parts)
+        #: of what is lower than most of the arm
+        self.top = self.ground + LOW * (self.tool[2] - self.ground)
+        self.base_low, self.base_high = _box([part for part in parts if _box([part])[0][2] < self.top] or parts)
+
+
+def _box(parts: list[tuple[RobotShape, Array, Array]]) -> tuple[Array, Array]:
+    """Lower and upper ends (3) [m] of shapes at centers with axes."""
+    ends = [
+        max(float(c @ direction + _reach(s.solid, direction @ a)) for s, c, a in parts)
+        for direction in (*-np.eye(3), *np.eye(3))
+    ]
+    return -np.array(ends[:3]), np.array(ends[3:])
 
 
 def _reach(solid: object, direction: Array) -> float:
@@ -138,15 +149,16 @@ def corridor_scene(settings: Corridor, robot: RobotModel, seed: int) -> list[Sce
 
 
 def clutter_scene(settings: Clutter, robot: RobotModel, seed: int) -> list[SceneObstacle]:
-    """One obstacle in each part of the way: every other one reaches into it, from a random side; the others stand where they want beside it."""
+    """One obstacle in each part of the way, on a random side. Every other one reaches into the way of the base, and is so low that the arm passes
+    over it; the others are of any height and stand beside all of the robot."""
     e, rng = Extent(robot, "clutter"), np.random.default_rng(seed)
     part, found = settings.path.size(robot) / settings.count, []
     for k in range(settings.count):
-        high, half = rng.uniform(0.4, 1.8), rng.uniform(0.08, 0.2)
-        side = rng.choice([-1.0, 1.0])
-        aside = -IN_THE_WAY if k % 2 == 0 else rng.uniform(0.3, 1.0)
-        edge = e.high[1] if side > 0.0 else -e.low[1]
-        place = [e.high[0] + 0.5 + (k + rng.uniform(0.3, 0.7)) * part, side * (edge + aside + half), e.ground]
+        half, side, inside = rng.uniform(0.08, 0.2), rng.choice([-1.0, 1.0]), k % 2 == 0
+        high = (e.top - e.ground) * rng.uniform(0.7, 1.0) if inside else rng.uniform(0.4, 1.8)
+        low, up = (e.base_low, e.base_high) if inside else (e.low, e.high)
+        edge = (up[1] if side > 0.0 else -low[1]) + (-IN_THE_WAY if inside else rng.uniform(0.3, 1.0))
+        place = [e.high[0] + 0.5 + (k + rng.uniform(0.3, 0.7)) * part, side * (edge + half), e.ground]
         pillar = Cylinder((0, 0, 0), (0, 0, high), half)
         shape = pillar if rng.random() < 0.5 else Box((half, half, 0.5 * high), (0, 0, 0.5 * high))
         found.append(SceneObstacle(f"clutter{k}", shape, {"position": place}))
