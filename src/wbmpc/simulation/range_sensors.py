@@ -50,7 +50,7 @@ class RangeSensor:
     ``age`` [s] later.
 
     Distances have normal noise with standard deviation ``noise`` [m]; where there is nothing within ``reach`` [m] a point is twice as far. It
-    sees all shapes of the world, the robot's own too.
+    sees all shapes of the world, the robot's own too, all at one moment.
     """
 
     def __init__(
