@@ -12,11 +12,14 @@ import pytest
 import wbmpc as wb
 from planar_driving import write_robot
 from test_tasks import WHEELS, run
+from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Capsule, HalfSpace, Sphere
 from wbmpc.ocp.symbols import Symbols
+from wbmpc.registry import load
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
+from wbmpc.tasks.obstacles import Clutter, Extent, clutter_scene
 
 BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
 
@@ -143,3 +146,43 @@ def test_plans_among_obstacles_use_a_share_of_the_accelerations() -> None:
         given[:2] = last + sign * 0.5 * rate * 0.1  # what half of the acceleration reaches in 0.1 s
         h = np.array(found(robot.home, given, [*last, 0.1])).ravel()
         np.testing.assert_allclose(h[which], 0.0, atol=1e-12)
+
+
+def test_a_robot_finds_a_box_by_its_sensors_alone(driving: Path, tmp_path: Path) -> None:
+    """The left wheel would pass it at 10 mm. Plans keep what a grid may be wrong by, and what balls stick out, beyond their margin."""
+    path = scene(tmp_path, "0.45, 0.28, 0")
+    more = (f"obstacles={path}", "settle_time=0.1", "path.length=0.4", "path.ramp=0.3", "path.speed=0.5", "mpc.rate=25")
+    small = ("perception.map.size=[3, 3, 1]", "perception.lidar.columns=180", "perception.camera.width=16")
+    result = run("clutter", driving, *more, *small)
+    m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
+    assert margin - 0.01 < m["obstacle_clearance_min"].value < margin + 0.2
+    assert m["map_age_max"].value < 0.2 and result.log.array("occupied_cells").min() > 0
+
+
+def test_a_robot_whose_camera_fails_is_stopped(driving: Path, tmp_path: Path) -> None:
+    experiment = load("clutter")
+    keys = [f"robot={driving}", "physics=kinematic", f"obstacles={scene(tmp_path, '9, 9, 0')}", "settle_time=0.1"]
+    keys += ["path.length=1.0", "mpc.rate=25", "perception.map.size=[3, 3, 1]", "perception.lidar.columns=36"]
+    settings = configure(experiment.config_type, [*keys, "perception.camera.fails=0.25"], "clutter")
+    result = experiment.run(settings, 0, None)
+    assert not result.completed and "'map' was seen" in result.reason
+    assert 0.58 <= result.log.times("base")[-1] <= 0.62  # the scan of 0.2 s would have come at 0.25 s
+
+
+@pytest.mark.parametrize("name", ["differential-ur10", "swerve-ur10"])
+def test_clutter_is_in_the_way_of_the_base_alone(name: str) -> None:
+    """Every other thing reaches 5 cm into its way, lower than the end effector; the rest stands 0.3 m and more beside the robot."""
+    robot = wb.load_robot(name)
+    e, places = Extent(robot, "clutter"), []
+    assert e.low[1] <= e.base_low[1] < e.base_high[1] <= e.high[1]
+    for seed in range(5):
+        for k, one in enumerate(clutter_scene(Clutter(), robot, seed)):
+            place, solid = np.array(one.place["position"]), one.shape.solid  # type: ignore[union-attr]
+            left, right = (place + solid.position)[1] + np.array([-1, 1]) * solid.size[0]
+            low, high = (e.base_low, e.base_high) if k % 2 == 0 else (e.low, e.high)
+            gap = max(left - high[1], low[1] - right)
+            assert gap == pytest.approx(-0.05) if k % 2 == 0 else gap >= 0.3
+            top = 2.0 * (place + solid.position)[2] - e.ground  # they stand on the floor
+            assert k % 2 == 1 or top < e.tool[2]
+            places.append(place[0])
+    assert min(places) > e.high[0] + 0.5

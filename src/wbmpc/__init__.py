@@ -16,6 +16,8 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.experiment import Loop as Loop
     from wbmpc.experiment import Scenario as Scenario
     from wbmpc.log import Log as Log
+    from wbmpc.mapping import LocalMap as LocalMap
+    from wbmpc.mapping import distance_grid as distance_grid
     from wbmpc.model.augment import DriveLag as DriveLag
     from wbmpc.model.augment import FrequencyShaping as FrequencyShaping
     from wbmpc.model.augment import InputFilter as InputFilter
@@ -103,6 +105,8 @@ _MODULES = {
     "sets": "wbmpc.ocp",
     "Obstacles": "wbmpc.obstacles",
     "shapes": "wbmpc.obstacles",
+    "LocalMap": "wbmpc.mapping",
+    "distance_grid": "wbmpc.mapping",
     "AugmentedLagrangian": "wbmpc.ocp",
     "ILQR": "wbmpc.solver",
     "InteriorPoint": "wbmpc.solver",

@@ -48,7 +48,8 @@ class DisturbanceTooLarge(RunAborted):
 
 
 class SensorFailure(RunAborted):
-    """A robot that balances does not know its state any more, for its encoders stand still: the motors are switched off."""
+    """What a robot must know is not seen any more: of its own state (encoders stand still) or of what is around it. It is stopped, or its
+    motors are switched off."""
 
 
 class SolveFailed(WbmpcError):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.clearance.nearest import with_sides
 from wbmpc.clearance.rows import Clearance as LeastClearance
 from wbmpc.clearance.rows import ObstacleRows, SelfRows
 from wbmpc.errors import InputError
@@ -60,7 +61,7 @@ class ClearanceRows:
     def look(self, t: float) -> None:
         """Take the obstacles as they are at ``t`` [s]."""
         if self.obstacles is not None:
-            self._snapshot = self.obstacles.snapshot(t)
+            self._snapshot = with_sides(self.obstacles.snapshot(t))
 
     def predicted(self, t: float, delta: float) -> tuple[Array, Array]:
         """See :func:`wbmpc.mpc.guess.predicted`."""

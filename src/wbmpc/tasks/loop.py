@@ -26,6 +26,7 @@ from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
 from wbmpc.tasks.joint_figures import JointRecord
+from wbmpc.tasks.perception import Perception, PerceptionSettings
 from wbmpc.tasks.scene import SceneWatch
 from wbmpc.tasks.settings import SimulationSettings
 
@@ -77,6 +78,7 @@ def closed_loop(
     metrics: Callable[[Log], dict[str, Metric]] | None = None,
     plots: Callable[[Log], Sequence[Plot]] | None = None,
     scene: Sequence[SceneObstacle] | None = None,
+    perception: PerceptionSettings | None = None,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on.
 
@@ -84,7 +86,8 @@ def closed_loop(
     estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
     period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
-    ``mpc`` has obstacles. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
+    ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. The references of
+    ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
@@ -95,7 +98,9 @@ def closed_loop(
     system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
     joints = JointRecord(log, robot, system)
     every = max(1, round(RECORDED / system.timing.period))
-    watch = SceneWatch(around, system, log, since, robot.description.collision.margin) if around else None
+    perceive = None if perception is None else lambda: Perception(perception, robot, system, log, seed)
+    margin = robot.description.collision.margin
+    watch = SceneWatch(around, system, log, since, margin, perceive) if around else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:

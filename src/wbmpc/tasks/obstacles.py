@@ -1,4 +1,4 @@
-"""`obstacles-static`, `obstacles-moving`, `obstacles-sudden`, `corridor`: any robot that moves follows a path among obstacles.
+"""`obstacles-static`, `obstacles-moving`, `obstacles-sudden`, `corridor`, `clutter`: any robot that moves follows a path among obstacles.
 
 Scenes are as large as the robot: they are laid out about what its shapes take up at home. Plans know shape, place and velocity of what
 is there, and nothing of what has not appeared yet.
@@ -14,12 +14,13 @@ from pydantic import Field
 
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.model.robot import RobotModel
-from wbmpc.obstacles.geometry import robot_geometry
+from wbmpc.obstacles.geometry import RobotShape, robot_geometry
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
 from wbmpc.tasks.following import PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line
+from wbmpc.tasks.perception import PerceptionSettings
 from wbmpc.tasks.settings import moving_base
 
 Array = NDArray[np.float64]
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 PERSON = (0.2, 1.8)
 #: How far [m] a pillar and a shelf stand in the way of the base that would go straight.
 IN_THE_WAY = 0.05
+#: Share of the end effector's height that things have at most which stand in the way of the base alone.
+LOW = 0.6
 
 
 class Among(PathTaskSettings):
@@ -57,6 +60,14 @@ class Corridor(Among):
     offset: float = Field(0.05, ge=-10.0, le=10.0)
 
 
+class Clutter(Among):
+    """``count`` pillars and boxes at random beside the way and partly in it; plans know only what ``perception`` sees of them."""
+
+    path: AnyPath = Line(length=4.0, speed=0.3)
+    count: int = Field(8, ge=1, le=100)
+    perception: PerceptionSettings = PerceptionSettings()
+
+
 class Extent:
     """What a robot takes up at home, in its own world: ``low`` and ``high`` (3) [m] of its shapes, ``tool`` (3) and ``base`` (3: x, y, yaw)."""
 
@@ -66,11 +77,20 @@ class Extent:
         self.ground = robot.description.base.ground
         geometry = robot_geometry(robot)
         centers, axes = (v[0] for v in geometry.at(*geometry.kinematics(robot.home[None])))
-        ends = []
-        for direction in (*-np.eye(3), *np.eye(3)):
-            parts = zip(geometry.shapes, centers, axes, strict=True)
-            ends.append(max(float(c @ direction + _reach(s.solid, direction @ a)) for s, c, a in parts))
-        self.low, self.high = -np.array(ends[:3]), np.array(ends[3:])
+        parts = list(zip(geometry.shapes, centers, axes, strict=True))
+        self.low, self.high = _box(parts)
+        #: of what is lower than most of the arm
+        self.top = self.ground + LOW * (self.tool[2] - self.ground)
+        self.base_low, self.base_high = _box([part for part in parts if _box([part])[0][2] < self.top] or parts)
+
+
+def _box(parts: list[tuple[RobotShape, Array, Array]]) -> tuple[Array, Array]:
+    """Lower and upper ends (3) [m] of shapes at centers with axes."""
+    ends = [
+        max(float(c @ direction + _reach(s.solid, direction @ a)) for s, c, a in parts)
+        for direction in (*-np.eye(3), *np.eye(3))
+    ]
+    return -np.array(ends[:3]), np.array(ends[3:])
 
 
 def _reach(solid: object, direction: Array) -> float:
@@ -129,6 +149,23 @@ def corridor_scene(settings: Corridor, robot: RobotModel, seed: int) -> list[Sce
     return [SceneObstacle(n, Box(half), {"position": middle + s * aside}) for n, s in (("left", 1.0), ("right", -1.0))]
 
 
+def clutter_scene(settings: Clutter, robot: RobotModel, seed: int) -> list[SceneObstacle]:
+    """One obstacle in each part of the way, on a random side. Every other one reaches into the way of the base, and is so low that the arm passes
+    over it; the others are of any height and stand beside all of the robot."""
+    e, rng = Extent(robot, "clutter"), np.random.default_rng(seed)
+    part, found = settings.path.size(robot) / settings.count, []
+    for k in range(settings.count):
+        half, side, inside = rng.uniform(0.08, 0.2), rng.choice([-1.0, 1.0]), k % 2 == 0
+        high = (e.top - e.ground) * rng.uniform(0.7, 1.0) if inside else rng.uniform(0.4, 1.8)
+        low, up = (e.base_low, e.base_high) if inside else (e.low, e.high)
+        edge = (up[1] if side > 0.0 else -low[1]) + (-IN_THE_WAY if inside else rng.uniform(0.3, 1.0))
+        place = [e.high[0] + 0.5 + (k + rng.uniform(0.3, 0.7)) * part, side * (edge + half), e.ground]
+        pillar = Cylinder((0, 0, 0), (0, 0, high), half)
+        shape = pillar if rng.random() < 0.5 else Box((half, half, 0.5 * high), (0, 0, 0.5 * high))
+        found.append(SceneObstacle(f"clutter{k}", shape, {"position": place}))
+    return found
+
+
 def experiment(
     name: str, summary: str, settings_type: type[Among], scene: Callable[..., list[SceneObstacle]]
 ) -> Experiment:
@@ -138,8 +175,9 @@ def experiment(
         task = Task(settings, obstacles=True)
         made = scene(settings, task.robot, seed) if settings.obstacles is None else None
         return closed_loop(
-            task.robot, task.mpc, task.end, seed, settings, since=settings.settle_time, scene=made, metrics=task.metrics
-        )
+            task.robot, task.mpc, task.end, seed, settings, since=settings.settle_time, scene=made, metrics=task.metrics,
+            perception=getattr(settings, "perception", None),
+        )  # fmt: skip
 
     return Experiment.of(name, summary, settings_type, build)
 
@@ -148,3 +186,4 @@ STATIC = experiment("obstacles-static", "a path past a pillar, a bar and a shelf
 MOVING = experiment("obstacles-moving", "a path that people cross", Moving, moving_scene)
 SUDDEN = experiment("obstacles-sudden", "a pillar appears right ahead", Sudden, sudden_scene)
 CORRIDOR = experiment("corridor", "a path through a narrow corridor", Corridor, corridor_scene)
+CLUTTER = experiment("clutter", "a path among things that sensors have to find", Clutter, clutter_scene)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from wbmpc.log import Log
 from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.obstacles import SimulatedObstacles
+from wbmpc.tasks.perception import Perception
 
 Array = NDArray[np.float64]
 #: How often [s] true distances are measured.
@@ -24,15 +26,20 @@ BEHIND, SLOW, LONG = 0.05, 0.02, 1.0
 
 
 class SceneWatch:
-    """Moves the obstacles of a simulated world, shows them to the MPC, and measures how near the robot comes; ``margin`` [m]: what is
-    asked for."""
+    """Moves the obstacles of a simulated world, shows them to the MPC (with ``perceive``: its sensors do), and measures how near the robot
+    comes; ``margin`` [m]: what is asked for."""
 
-    def __init__(self, around: SimulatedObstacles, system: System, log: Log, since: float, margin: float) -> None:
+    def __init__(
+        self, around: SimulatedObstacles, system: System, log: Log, since: float, margin: float,
+        perceive: Callable[[], Perception] | None = None,
+    ) -> None:  # fmt: skip
         self._around, self._system, self._log, self._since = around, system, log, since
         self._margin = margin
         self._every = max(1, round(MEASURED / system.timing.period))
         around.bind(system.plant.model)
-        if system.mpc.obstacles is not None:  # the first plan knows them
+        around.place(system.plant.data, 0.0)
+        self._perception = perceive() if perceive else None
+        if self._perception is None and system.mpc.obstacles is not None:  # the first plan knows them
             pose = system.plant.truth().pose
             around.show(system.mpc.obstacles, 0.0, pose, pose)
         self._waits, self._stuck, self._last = 0.0, 0.0, np.zeros(3)
@@ -43,7 +50,9 @@ class SceneWatch:
         k = round(t / system.timing.period)
         data = system.plant.data
         around.place(data, t)
-        if k % system.timing.mpc_every == 0 and system.mpc.obstacles is not None:
+        if self._perception is not None:
+            self._perception.tick(t)
+        elif k % system.timing.mpc_every == 0 and system.mpc.obstacles is not None:
             true = system.plant.truth().pose
             around.show(system.mpc.obstacles, t, true, self._estimated(true))
         around.count_contacts(data, t)
@@ -84,6 +93,7 @@ class SceneWatch:
             "contact_speed_max": Metric(around.contact_speed, "m/s"),
             "stuck_time": Metric(self._stuck, "s"),
             "braking_plans": Metric(float(self._system.mpc.statistics.braking_plans), "1"),
+            **(self._perception.metrics() if self._perception else {}),
         }
 
     def plots(self) -> list[Plot]:
@@ -94,4 +104,5 @@ class SceneWatch:
             Series(name, t, 1e3 * log.array(channel).ravel())
             for name, channel in (("true, now", "obstacle_clearance"), ("least of the plan", "planned_clearance"))
         ]
-        return [Plot("Distance to obstacles", "time [s]", "distance [mm]", found)]
+        more = self._perception.plots() if self._perception else []
+        return [Plot("Distance to obstacles", "time [s]", "distance [mm]", found), *more]
