@@ -1,6 +1,7 @@
 """Optimal control problems: residuals, norms, sets, named terms, modes, references."""
 
 from wbmpc.ocp import residuals, sets
+from wbmpc.ocp.accelerations import with_accelerations
 from wbmpc.ocp.frequency import frequency_aware
 from wbmpc.ocp.norms import AugmentedLagrangian, Quadratic, RelaxedBarrier, SmoothL1
 from wbmpc.ocp.problem import OptimalControlProblem
@@ -24,4 +25,5 @@ __all__ = [
     "frequency_aware",
     "residuals",
     "sets",
+    "with_accelerations",
 ]

@@ -7,6 +7,7 @@ import numpy as np
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.speeds import SpeedMPC
 from wbmpc.result import Metric, Plot, Series
 
 #: A drift over a shorter way [m] says nothing.
@@ -52,7 +53,7 @@ def _tracking(log: Log, since: float) -> dict[str, Metric]:
     }
 
 
-def general_plots(log: Log, mpc: MPC) -> list[Plot]:
+def general_plots(log: Log, mpc: MPC, robot: RobotModel) -> list[Plot]:
     """Paths seen from above, errors, inputs, solve times."""
     t, tool, base = log.times("end_effector"), log.array("end_effector"), log.array("base")
     paths = [Series("end effector", tool[:, 0], tool[:, 1]), Series("base", base[:, 0], base[:, 1])]
@@ -66,6 +67,8 @@ def general_plots(log: Log, mpc: MPC) -> list[Plot]:
         ]
         plots = [Plot("End effector error", "time [s]", "error [mm]", errors)]
     inputs, names = log.array("input"), mpc.ocp.dynamics.input.names
+    if isinstance(mpc, SpeedMPC):
+        names = robot.input.names
     solve = 1e3 * np.array(mpc.statistics.solve_times)
     return [
         Plot("Paths seen from above", "x [m]", "y [m]", paths, equal_axes=True),

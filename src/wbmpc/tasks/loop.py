@@ -16,6 +16,7 @@ from wbmpc.experiment import Loop, Run, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.speeds import SpeedMPC
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.result import Metric, Plot
 from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
@@ -48,7 +49,7 @@ def make_system(
         plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate, edit)
         timing = Timing.of(plant.timestep, rate, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
-    own = mpc.ocp.dynamics
+    own = mpc.ocp.dynamics.dynamics if isinstance(mpc, SpeedMPC) else mpc.ocp.dynamics
     if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError(
             "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
@@ -104,7 +105,7 @@ def closed_loop(
         return {**found, **(metrics(log) if metrics else {})}
 
     def drawn(run: Run) -> list[Plot]:
-        return [*general_plots(log, mpc), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
+        return [*general_plots(log, mpc, robot), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
     return Scenario.single(log, loop.run, measured, drawn, IDEALISATIONS[settings.physics])

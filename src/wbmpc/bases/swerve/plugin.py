@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
+    from wbmpc.settings import StabilitySettings
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
@@ -55,11 +56,14 @@ class SwerveBaseType(BaseType):
 
         return SwervePlant(robot.description, perturbation=perturbation, seed=seed, edit=edit)
 
-    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+    def mpc(
+        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None,
+        **changes: Any,
+    ) -> MPC:  # fmt: skip
         """Weights for goals of end effector, base and legs."""
         from wbmpc.bases.swerve.system import make_mpc
 
-        return make_mpc(robot, obstacles, **changes)
+        return make_mpc(robot, obstacles, stability, **changes)
 
     def system(
         self,

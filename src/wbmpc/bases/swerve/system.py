@@ -14,7 +14,7 @@ from wbmpc.default_problem import stay_at_home
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.settings import MpcSettings
+from wbmpc.settings import MpcSettings, StabilitySettings
 from wbmpc.simulation.lockstep import Timing
 
 #: Rate of the controller [Hz], drive lag that it assumes [s].
@@ -27,12 +27,13 @@ LEG_WEIGHT = 20.0
 COMPUTATION_DELAY = 0.010
 
 
-def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+def make_mpc(
+    robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, **changes: Any
+) -> MPC:
     """The MPC whose goal is home; ``changes`` of its settings."""
     settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})
-    mpc = swerve_mpc(
-        robot, settings, SwerveCost(state=StateCost(leg=LEG_WEIGHT)), GoalGuess(robot), obstacles=obstacles
-    )
+    cost = SwerveCost(state=StateCost(leg=LEG_WEIGHT))
+    mpc = swerve_mpc(robot, settings, cost, GoalGuess(robot), obstacles=obstacles, stability=stability)
     stay_at_home(robot, mpc)
     return mpc
 
