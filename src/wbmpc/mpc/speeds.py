@@ -51,11 +51,16 @@ class SpeedMPC(MPC):
     def __init__(self, ocp: Any, solver: SQP | None = None, rate: float = 50.0, **options: Any) -> None:
         if not isinstance(ocp.dynamics, InputRate):
             raise InputError("speed MPC: a problem with accelerations as inputs is needed (with_accelerations)")
-        self._dynamics = ocp.dynamics
+        self._dynamics: InputRate = ocp.dynamics
         guess = options.pop("guess", None)
         super().__init__(ocp, solver, rate, **options)
         self._own = self._dynamics.dynamics.state.size
         self.guess = None if guess is None else _SpeedGuess(guess, self._dynamics)
+
+    @property
+    def robot_dynamics(self) -> Any:
+        """The dynamics on speeds, which controllers know."""
+        return self._dynamics.dynamics
 
     def reset(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """As of :class:`MPC`; from the robot's own state (nx): at rest there."""
@@ -87,8 +92,9 @@ class SpeedMPC(MPC):
             part = inputs["wheel"]
             slope[:-1, part] = np.diff(u[:, part], axis=0) / steps[:-1]
         own, gain = np.ascontiguousarray(plan.x[:, : self._own]), np.zeros((*plan.u.shape, self._own))
-        kept = {"limit_violation": plan.limit_violation, "clearance": plan.clearance}
-        return SpeedPolicy(plan.times, own, u, gain, slope=slope, **kept)
+        return SpeedPolicy(
+            plan.times, own, u, gain, slope=slope, limit_violation=plan.limit_violation, clearance=plan.clearance
+        )
 
 
 class _SpeedGuess:

@@ -16,4 +16,5 @@ EXPERIMENTS: dict[str, str] = {
     "obstacles-moving": "wbmpc.tasks.obstacles:MOVING",
     "obstacles-sudden": "wbmpc.tasks.obstacles:SUDDEN",
     "corridor": "wbmpc.tasks.obstacles:CORRIDOR",
+    "tip-over": "wbmpc.tasks.tip_over:EXPERIMENT",
 }

@@ -26,6 +26,7 @@ from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
 from wbmpc.tasks.scene import SceneWatch
 from wbmpc.tasks.settings import SimulationSettings
+from wbmpc.types import Truth
 
 Array = np.ndarray
 #: Rates of the controller without physics [Hz], of which the first counts that the MPC's rate is a whole part of; interval of what is
@@ -49,7 +50,7 @@ def make_system(
         plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate, edit)
         timing = Timing.of(plant.timestep, rate, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
-    own = mpc.ocp.dynamics.dynamics if isinstance(mpc, SpeedMPC) else mpc.ocp.dynamics
+    own = mpc.robot_dynamics if isinstance(mpc, SpeedMPC) else mpc.ocp.dynamics
     if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError(
             "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
@@ -73,6 +74,7 @@ def closed_loop(
     metrics: Callable[[Log], dict[str, Metric]] | None = None,
     plots: Callable[[Log], Sequence[Plot]] | None = None,
     scene: Sequence[SceneObstacle] | None = None,
+    truth: Callable[[float, Truth], None] | None = None,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on.
 
@@ -80,7 +82,8 @@ def closed_loop(
     estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
     period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
-    ``mpc`` has obstacles. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
+    ``mpc`` has obstacles. ``truth(t, truth)`` sees the simulated robot at every controller period. The references of ``mpc`` are the task;
+    times begin with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
@@ -95,6 +98,8 @@ def closed_loop(
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:
             tick(t)
+        if truth is not None:
+            truth(t, system.plant.truth())
         if watch is not None:
             watch.tick(t, plans)
         if round(t / system.timing.period) % every == 0:

@@ -55,10 +55,10 @@ class TaskSettings(SimulationSettings):
     avoid: Literal["obstacles", "nothing"] = "obstacles"
     stability: StabilitySettings = StabilitySettings()
 
-    def prepare(self, obstacles: bool = False) -> tuple[RobotModel, MPC]:
-        """The robot with its default MPC at home, which keeps clear of ``obstacles`` where there are any. Raises :class:`InputError` for a
-        weight of no cost."""
-        robot = load_robot(self.robot)
+    def prepare(self, obstacles: bool = False, robot: RobotModel | None = None) -> tuple[RobotModel, MPC]:
+        """The robot (or another one of it, with a home of its own) with its default MPC at home, which keeps clear of ``obstacles`` where
+        there are any. Raises :class:`InputError` for a weight of no cost."""
+        robot = robot or load_robot(self.robot)
         changes: dict[str, Any] = {name: value for name, value in self.mpc.model_dump().items() if value is not None}
         if self.avoid == "obstacles" and (obstacles or self.obstacles is not None):
             changes["obstacles"] = Obstacles()
