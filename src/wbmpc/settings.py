@@ -67,7 +67,7 @@ class StabilitySettings(Settings):
     effector that plans count with, as the user states it; ``payload_center`` [m]: where it is, in the end effector's axes."""
 
     keep: Literal["nothing", "wheel_loads", "support_margin"] = "nothing"
-    min_load: Annotated[float, OnlyWith(keep="wheel_loads")] = Field(0.15, ge=0, lt=1)
+    min_load: Annotated[float, OnlyWith(keep="wheel_loads")] = Field(0.2, ge=0, lt=1)
     margin: Annotated[float, OnlyWith(keep="support_margin")] = Field(0.05, ge=0, le=10)
     payload: Annotated[float, _UPRIGHT] = Field(0.0, ge=0, le=1000)
     payload_center: Annotated[tuple[float, float, float], _UPRIGHT] = (0.0, 0.0, 0.0)

@@ -6,7 +6,7 @@ wheels from slipping sideways, ġ + κ g = 0 takes the place of: it holds g wher
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -28,7 +28,9 @@ Array = NDArray[np.float64]
 #: several cm/s.)
 RETURN_RATE, SOFTNESS = 20.0, 1e-5
 #: Cost per second of an acceleration as large as its limit.
-ACCELERATION_COST = 0.05
+ACCELERATION_COST = 10.0
+#: Of what accelerations may be, what plans use: arms that carry a payload have less torque left for it.
+SHARES: Mapping[str, float] = {"base": 0.9, "arm": 0.4}
 
 
 @dataclass(frozen=True)
@@ -70,10 +72,10 @@ def accelerations(robot: RobotModel, group: str) -> Array:
 
 
 def with_accelerations(
-    ocp: OptimalControlProblem, robot: RobotModel, groups: Sequence[str] = ("base", "arm"), share: float = 0.9
+    ocp: OptimalControlProblem, robot: RobotModel, shares: Mapping[str, float] = SHARES
 ) -> OptimalControlProblem:
-    """The same problem with speeds of ``groups`` as states and their accelerations as inputs, which stay within ``share`` of the robot's
-    limits and cost a little; ``ocp`` is left as it is.
+    """The same problem with speeds of some groups of inputs as states and their accelerations as inputs, which cost a little and stay
+    within ``shares`` of the robot's limits, by group; ``ocp`` is left as it is.
 
     ``dynamics`` of the result is an :class:`wbmpc.model.augment.InputRate` of those of ``ocp``, which must be the robot's own. Costs and
     inequalities go on as they are; limits that come from the last command (:class:`wbmpc.residuals.AccelerationLimit`) go on for the other
@@ -82,7 +84,7 @@ def with_accelerations(
     own = ocp.dynamics
     if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError("accelerations: a problem on the robot's own dynamics (robot.dynamics()) is needed")
-    dynamics = InputRate(own, groups)
+    dynamics = InputRate(own, tuple(shares))
     wrapped = OptimalControlProblem(
         dynamics, ocp.horizon, ocp.intervals, grid=[float(t) for t in ocp.grid], integrator=ocp.integrator,
         align_events=ocp.align_events, modes=ocp.modes,
@@ -92,20 +94,20 @@ def with_accelerations(
             softness = max(term.softness, SOFTNESS)
             wrapped.add(replace(term, residual=RateRows(term.residual, dynamics), softness=softness))
         elif isinstance(term, Constraint) and isinstance(term.residual, AccelerationLimit):
-            rest = [g for g in term.residual.names if g not in groups and g != "wheel"]
+            rest = [g for g in term.residual.names if g not in shares and g != "wheel"]
             if rest:
                 kept = AccelerationLimit(robot, rest, term.residual.share)
                 wrapped.add(replace(term, name="other accelerations", residual=kept))
         else:
             wrapped.add(term)
-    _limit(wrapped, robot, dynamics, share)
+    _limit(wrapped, robot, dynamics, shares)
     return wrapped
 
 
-def _limit(ocp: OptimalControlProblem, robot: RobotModel, dynamics: InputRate, share: float) -> None:
-    limits = np.concatenate([accelerations(robot, group) for group in dynamics.groups])
+def _limit(ocp: OptimalControlProblem, robot: RobotModel, dynamics: InputRate, shares: Mapping[str, float]) -> None:
+    limits = np.concatenate([share * accelerations(robot, group) for group, share in shares.items()])
     rows = ProblemInput(dynamics, [f"{group}_rate" for group in dynamics.groups])
     typical = np.where(np.isfinite(limits), limits, 10.0)
     ocp.add(Cost("acceleration", rows, list(ACCELERATION_COST / typical**2)))
-    box = sets.Box(-share * limits, share * limits)
+    box = sets.Box(-limits, limits)
     ocp.add(Constraint("accelerations", rows, box, penalty=RelaxedBarrier(3e-3, 0.02), hard=True))

@@ -14,7 +14,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.settings import StabilitySettings
+from wbmpc.settings import Positive, StabilitySettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import leg_angles, standing
 from wbmpc.tasks.loop import closed_loop
@@ -31,17 +31,19 @@ LIFTED, STANDS, REST = 1.0, 0.02, 0.2
 
 class TipOverSettings(TaskSettings):
     """``direction`` [rad] from straight ahead, in which the robot drives and reaches; ``speed`` [m/s], which it has after ``ramp`` [s], and
-    keeps for ``cruise`` [s] until the order to stop comes; ``after`` [s]: how long it is watched from then on; ``legs``: configuration of
+    keeps for ``cruise`` [s] until the order to stop comes, where the end effector then is to be (a low weight: the arm is not to swing); ``after`` [s]: how long it is watched from then on; ``legs``: configuration of
     hinged legs (H, X or A), or as at home."""
 
     robot: str = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0)
     stability: StabilitySettings = StabilitySettings(keep="wheel_loads", payload=10.0)
+    weights: dict[str, Positive] = Field(default={"end_effector": 0.05})
+    settle_time: float = Field(0.5, ge=0, le=60)
     direction: float = Field(np.pi / 2, ge=-6.3, le=6.3)
     speed: float = Field(0.9, ge=0.01, le=10)
-    ramp: float = Field(2.0, ge=0.01, le=60)
-    cruise: float = Field(0.5, ge=0, le=60)
-    after: float = Field(4.0, ge=0.5, le=600)
+    ramp: float = Field(1.5, ge=0.01, le=60)
+    cruise: float = Field(0.3, ge=0, le=60)
+    after: float = Field(3.0, ge=0.5, le=600)
     legs: Literal["home", "H", "X", "A"] = "H"
 
 
