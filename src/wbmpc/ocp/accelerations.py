@@ -35,8 +35,8 @@ SHARES: Mapping[str, float] = {"base": 0.9, "arm": 0.4}
 
 @dataclass(frozen=True)
 class RateRows:
-    """The rows of an equality ``inner``; of those that do not depend on the problem's input ġ + ``rate`` g [1/s], in the row's unit over a
-    second."""
+    """The rows of an equality ``inner``; of those that have no input of the problem while brakes are closed ġ + ``rate`` g [1/s], in the
+    row's unit over a second; inputs behind open brakes count as constant."""
 
     inner: Residual
     dynamics: InputRate
@@ -59,7 +59,10 @@ class RateRows:
         rows = self.inner(s)
         change = self.dynamics(s.all_x, s.all_u, s.parameters, s.mode)
         rates = ca.jtimes(rows, s.all_x, change) + self.rate * rows
-        return ca.vertcat(*[rows[i] if ca.depends_on(rows[i], s.all_u) else rates[i] for i in range(rows.shape[0])])
+        # an input behind a closed brake is none
+        braked = ca.substitute(rows, s.mode, ca.SX.zeros(s.mode.shape)) if s.mode.numel() else rows
+        chosen = [rows[i] if ca.depends_on(braked[i], s.all_u) else rates[i] for i in range(rows.shape[0])]
+        return ca.vertcat(*chosen)
 
 
 def accelerations(robot: RobotModel, group: str) -> Array:

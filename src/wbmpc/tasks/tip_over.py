@@ -31,8 +31,9 @@ LIFTED, STANDS, REST = 1.0, 0.02, 0.2
 
 class TipOverSettings(TaskSettings):
     """``direction`` [rad] from straight ahead, in which the robot drives and reaches; ``speed`` [m/s], which it has after ``ramp`` [s], and
-    keeps for ``cruise`` [s] until the order to stop comes, where the end effector then is to be (a low weight: the arm is not to swing); ``after`` [s]: how long it is watched from then on; ``legs``: configuration of
-    hinged legs (H, X or A), or as at home."""
+    keeps for ``cruise`` [s] until the order to stop comes: the end effector is to be where its reference is then (by a low weight, or the
+    arm would swing); ``after`` [s]: how long it is watched from then on; ``legs``: configuration of hinged legs (H, X or A), or as at
+    home."""
 
     robot: str = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0)
