@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.speeds import SpeedMPC
 from wbmpc.obstacles.pairs import self_pairs
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import (
@@ -21,15 +22,19 @@ from wbmpc.ocp import (
     path_problem,
     residuals,
     sets,
+    with_accelerations,
 )
 from wbmpc.ocp.scaling import scaled_weights
-from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.ocp.symbols import Residual
+from wbmpc.settings import MpcSettings, Settings, StabilitySettings, Weight
 
 Array = NDArray[np.float64]
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a metre from where it should be.
 CLEARANCE_SLACK = 3e4
 #: Of the accelerations, for plans among obstacles: wheels of a base are limited together, and feedback needs some.
 ACCELERATION_SHARE = 0.6
+#: Of stability rows: per share of a wheel's mean load and per meter of the zero-moment point, each per second.
+LOAD_SLACK, MARGIN_SLACK = 1e4, 1e5
 
 
 class DefaultCost(Settings):
@@ -51,10 +56,11 @@ def default_settings(**changes: Any) -> MpcSettings:
 
 
 def default_problem(
-    robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None
-) -> OptimalControlProblem:
+    robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
+    stability: StabilitySettings | None = None,
+) -> OptimalControlProblem:  # fmt: skip
     """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds, the wheels' rates, and distances of the pairs
-    that the robot file lists (``collision.self.pairs``) as inequalities."""
+    that the robot file lists (``collision.self.pairs``) as inequalities; what keeps the robot upright: see :func:`keep_upright`."""
     settings, cost = settings or default_settings(), cost or DefaultCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
@@ -94,7 +100,38 @@ def default_problem(
                 "self_clearance", apart, sets.NonNegative(), at="path+terminal", hard=True, slack=CLEARANCE_SLACK
             )
         )
+    return keep_upright(ocp, robot, stability)
+
+
+def keep_upright(
+    ocp: OptimalControlProblem, robot: RobotModel, stability: StabilitySettings | None
+) -> OptimalControlProblem:
+    """The problem on accelerations (:func:`wbmpc.ocp.with_accelerations`) with hard rows "stability" that keep the robot from tipping over;
+    as it is where ``stability`` keeps nothing. Their reference is the world's wrench on the end effector (6), and mass [kg] and center [m]
+    of what it carries (4): both may change between any two updates. Raises :class:`InputError` for a base that stands on fewer than 3
+    feet, or whose wheels share the load in an unknown way."""
+    if stability is None or stability.keep == "nothing":
+        return ocp
+    ocp = with_accelerations(ocp, robot)
+    if stability.keep == "wheel_loads":
+        rows: Residual = residuals.WheelLoads(robot, dynamics=ocp.dynamics, payload=True)
+        ocp.add(Constraint("stability", rows, sets.Box(stability.min_load, np.inf), hard=True, slack=LOAD_SLACK))
+    else:
+        rows = residuals.SupportMargin(robot, dynamics=ocp.dynamics, payload=True)
+        ocp.add(Constraint("stability", rows, sets.Box(stability.margin, np.inf), hard=True, slack=MARGIN_SLACK))
     return ocp
+
+
+def make_mpc(
+    ocp: OptimalControlProblem, settings: MpcSettings, stability: StabilitySettings | None = None, **options: Any
+) -> MPC:
+    """The MPC of a problem that :func:`keep_upright` made with the same ``stability``, with the real-time ``settings``; ``options`` of
+    :class:`MPC`. Plans count with the payload of ``stability``."""
+    if stability is None or stability.keep == "nothing":
+        return MPC(ocp, settings.solver(), settings.rate, **options)
+    mpc = SpeedMPC(ocp, settings.solver(), settings.rate, **options)
+    mpc.reference["stability"] = Reference.constant([*[0.0] * 6, stability.payload, *stability.payload_center])
+    return mpc
 
 
 def keep_clear(
@@ -112,14 +149,14 @@ def keep_clear(
 
 def default_mpc(
     robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
-    obstacles: Obstacles | None = None, progress: bool = False,
+    obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, progress: bool = False,
 ) -> MPC:  # fmt: skip
-    """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``. ``progress``: see
-    :func:`wbmpc.path_problem`."""
+    """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``, and upright by
+    ``stability``. ``progress``: see :func:`wbmpc.path_problem`."""
     settings = settings or default_settings()
-    ocp = default_problem(robot, settings, cost)
+    ocp = default_problem(robot, settings, cost, stability)
     ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
-    mpc = MPC(ocp, settings.solver(), settings.rate, obstacles=obstacles)
+    mpc = make_mpc(ocp, settings, stability, obstacles=obstacles)
     stay_at_home(robot, mpc)
     return mpc
 

@@ -161,10 +161,13 @@ class BaseDescription(Section):
 
 
 class Footprint(Protocol):
-    """Where a base stands on the ground: ``size`` points, in the axes of its body. ``modules``: its legs, where the points are
-    those of steered wheels."""
+    """Where a base stands on the ground: ``size`` points, in the axes of its body, with ``names`` of their wheels or casters.
+    ``even``: they share the load as equal springs under a stiff body do. ``modules``: its legs, where the points are those of
+    steered wheels."""
 
     size: int
+    names: list[str]
+    even: bool
     modules: ModuleGeometry | None
 
     def positions(self, x: Array) -> Array:

@@ -173,7 +173,7 @@ class MPC:
 
         Raises :class:`InputError` naming the entry that is not finite.
         """
-        d = self.dynamics
+        d = self.path.dynamics
         for names, value in ((d.state.names, x), (d.input.names, u)):
             if value is not None or names is d.state.names:
                 for row in np.atleast_2d(real_numbers("reset", value)):
@@ -387,7 +387,7 @@ class MPC:
     def _check(self, observation: Observation) -> None:
         if not abs(observation.t) <= LATEST:
             absolute_time("observation", observation.t)
-        check_vector("observation", self.dynamics.state.names, observation.x)
+        check_vector("observation", self.path.dynamics.state.names, observation.x)
         if self._t is not None and observation.t < self._t:
             raise InputError(f"observation: time went back from {self._t:.4f} to {observation.t:.4f} s")
 

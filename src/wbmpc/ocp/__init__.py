@@ -1,6 +1,7 @@
 """Optimal control problems: residuals, norms, sets, named terms, modes, references."""
 
 from wbmpc.ocp import residuals, sets
+from wbmpc.ocp.accelerations import with_accelerations
 from wbmpc.ocp.frequency import frequency_aware
 from wbmpc.ocp.norms import AugmentedLagrangian, Quadratic, RelaxedBarrier, SmoothL1
 from wbmpc.ocp.path import Path
@@ -29,4 +30,5 @@ __all__ = [
     "path_problem",
     "residuals",
     "sets",
+    "with_accelerations",
 ]

@@ -29,6 +29,7 @@ from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.tasks.perception import Perception, PerceptionSettings
 from wbmpc.tasks.scene import SceneWatch
 from wbmpc.tasks.settings import SimulationSettings
+from wbmpc.types import Truth
 
 Array = np.ndarray
 #: Rates of the controller without physics [Hz], of which the first counts that the MPC's rate is a whole part of; interval of what is
@@ -79,6 +80,7 @@ def closed_loop(
     plots: Callable[[Log], Sequence[Plot]] | None = None,
     scene: Sequence[SceneObstacle] | None = None,
     perception: PerceptionSettings | None = None,
+    truth: Callable[[float, Truth], None] | None = None,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on.
 
@@ -86,8 +88,9 @@ def closed_loop(
     estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
     period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
-    ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. The references of
-    ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
+    ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. ``truth(t, truth)``
+    sees the simulated robot at every controller period. The references of ``mpc`` are the task; times begin with the loop. Raises
+    :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
@@ -105,6 +108,8 @@ def closed_loop(
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:
             tick(t)
+        if truth is not None:
+            truth(t, system.plant.truth())
         if watch is not None:
             watch.tick(t, plans)
         if round(t / system.timing.period) % every == 0:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
+    from wbmpc.settings import StabilitySettings
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
@@ -56,12 +57,13 @@ class SwerveBaseType(BaseType):
         return SwervePlant(robot.description, perturbation=perturbation, seed=seed, edit=edit)
 
     def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
-    ) -> MPC:
+        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
+        progress: bool = False, **changes: Any,
+    ) -> MPC:  # fmt: skip
         """Weights for goals of end effector, base and legs."""
         from wbmpc.bases.swerve.system import make_mpc
 
-        return make_mpc(robot, obstacles, progress=progress, **changes)
+        return make_mpc(robot, obstacles, stability, progress=progress, **changes)
 
     def system(
         self,

@@ -14,7 +14,7 @@ from wbmpc.default_problem import stay_at_home
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.settings import MpcSettings
+from wbmpc.settings import MpcSettings, StabilitySettings
 from wbmpc.simulation.lockstep import Timing
 
 #: Rate of the controller [Hz], drive lag that it assumes [s].
@@ -27,17 +27,14 @@ LEG_WEIGHT = 20.0
 COMPUTATION_DELAY = 0.010
 
 
-def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any) -> MPC:
+def make_mpc(
+    robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
+    progress: bool = False, **changes: Any,
+) -> MPC:  # fmt: skip
     """The MPC whose goal is home; ``changes`` of its settings."""
     settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})
-    mpc = swerve_mpc(
-        robot,
-        settings,
-        SwerveCost(state=StateCost(leg=LEG_WEIGHT)),
-        GoalGuess(robot),
-        obstacles=obstacles,
-        progress=progress,
-    )
+    cost, guess = SwerveCost(state=StateCost(leg=LEG_WEIGHT)), GoalGuess(robot)
+    mpc = swerve_mpc(robot, settings, cost, guess, obstacles=obstacles, stability=stability, progress=progress)
     stay_at_home(robot, mpc)
     return mpc
 
