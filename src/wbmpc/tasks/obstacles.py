@@ -24,6 +24,9 @@ from wbmpc.tasks.settings import TaskSettings, moving_base
 Array = NDArray[np.float64]
 #: A person: radius and height [m].
 PERSON = (0.2, 1.8)
+#: People are seen from so far [m] and for so long [s] before they cross the robot's path: who walks slowly does not appear right beside a
+#: robot that evades another one.
+SEEN_FROM, SEEN_FOR = 4.0, 4.0
 #: How far [m] a pillar and a shelf stand in the way of the base that would go straight.
 IN_THE_WAY = 0.05
 
@@ -101,8 +104,9 @@ def moving_scene(settings: Moving, robot: RobotModel, seed: int) -> list[SceneOb
         share = (k + 0.5) / settings.people
         meet = settings.settle_time + 0.5 * settings.path.ramp + share * length / speed
         angle = rng.choice([-1.0, 1.0]) * rng.uniform(0.25, 0.75) * np.pi
-        velocity = rng.uniform(low, high) * np.array([np.cos(angle), np.sin(angle), 0.0])
-        appears = max(meet - 4.0, 0.0)
+        pace = rng.uniform(low, high)
+        velocity = pace * np.array([np.cos(angle), np.sin(angle), 0.0])
+        appears = max(meet - max(SEEN_FROM / pace, SEEN_FOR), 0.0)
         place = [*e.base[:2], e.ground] + np.array([share * length, 0.0, 0.0]) - (meet - appears) * velocity
         shape = Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0])
         people.append(SceneObstacle(f"person{k}", shape, {"position": place, "velocity": velocity}, appears))
