@@ -16,6 +16,7 @@ from wbmpc.experiment import Loop, Run, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.pace import PacedReferences
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.result import Metric, Plot
 from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
@@ -23,7 +24,7 @@ from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
-from wbmpc.tasks.scene import SceneWatch
+from wbmpc.tasks.scene import SceneWatch, believed
 from wbmpc.tasks.settings import SimulationSettings
 
 Array = np.ndarray
@@ -72,6 +73,7 @@ def closed_loop(
     metrics: Callable[[Log], dict[str, Metric]] | None = None,
     plots: Callable[[Log], Sequence[Plot]] | None = None,
     scene: Sequence[SceneObstacle] | None = None,
+    paced: bool = False,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on.
 
@@ -79,7 +81,9 @@ def closed_loop(
     estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
     period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
-    ``mpc`` has obstacles. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
+    ``mpc`` has obstacles. ``paced``: in a scene references wait for a robot that evades something
+    (:class:`wbmpc.mpc.pace.PacedReferences`), and a robot that is stuck ends the run. The references of ``mpc`` are the task; times
+    begin with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
@@ -89,7 +93,8 @@ def closed_loop(
     around = SimulatedObstacles(scene, robot.description.base.ground) if scene is not None else None
     system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
     every = max(1, round(RECORDED / system.timing.period))
-    watch = SceneWatch(around, system, log, since, robot.description.collision.margin) if around else None
+    pace = PacedReferences(mpc) if paced and around else None
+    watch = SceneWatch(around, system, log, since, robot.description.collision.margin, pace) if around else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:
@@ -136,13 +141,8 @@ def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
 
 
 def _record(log: Log, t: float, system: System, robot: RobotModel, plans: Any) -> None:
-    truth, controller, mpc = system.plant.truth(), system.controller, system.mpc
-    estimate, tool, rotation = truth.pose, truth.tool, truth.tool_rotation
-    if hasattr(controller, "base_pose"):
-        base = controller.base_pose()
-        turned = lie.quaternion_to_rotation(base[3:])
-        tool, rotation = base[:3] + turned @ truth.tool_in_base, turned @ truth.tool_rotation_in_base
-        estimate = np.array([*base[:2], lie.rotation_to_euler_zyx(turned)[0]])
+    truth, mpc = system.plant.truth(), system.mpc
+    estimate, tool, rotation = believed(system)
     log.add("base", t, truth.pose)
     log.add("base_estimated", t, estimate)
     log.add("end_effector", t, truth.tool)

@@ -32,9 +32,11 @@ IN_THE_WAY = 0.05
 
 
 class Among(TaskSettings):
-    """``path`` of the end effector; ``obstacles``: another scene than the experiment's own."""
+    """``path`` of the end effector; ``obstacles``: another scene than the experiment's own; ``patience`` [s]: how long the path may wait for the
+    robot in all."""
 
     path: AnyPath = Line(length=4.0)
+    patience: float = Field(6.0, ge=0.0, le=600.0)
 
 
 class Moving(Among):
@@ -143,7 +145,8 @@ def experiment(
         reference, end = timed(path.curve(robot, start[:3], start[3:]), path.speed, path.ramp, settings.settle_time)
         follow(robot, mpc, reference)
         made = scene(settings, robot, seed) if settings.obstacles is None else None
-        return closed_loop(robot, mpc, end + 1.0, seed, settings, since=settings.settle_time, scene=made)
+        duration = end + settings.patience + 1.0
+        return closed_loop(robot, mpc, duration, seed, settings, since=settings.settle_time, scene=made, paced=True)
 
     return Experiment.of(name, summary, settings_type, build)
 
