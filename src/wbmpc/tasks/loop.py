@@ -94,7 +94,7 @@ def closed_loop(
     system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
     every = max(1, round(RECORDED / system.timing.period))
     pace = PacedReferences(mpc) if paced and around else None
-    watch = SceneWatch(around, system, log, since, robot.description.collision.margin, pace) if around else None
+    watch = SceneWatch(around, system, log, since, robot, pace) if around else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:

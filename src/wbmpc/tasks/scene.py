@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.bases import base_type
 from wbmpc.bases.base import System
 from wbmpc.errors import RobotStuck
 from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.pace import PacedReferences
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.obstacles import SimulatedObstacles
@@ -38,15 +40,17 @@ def believed(system: System) -> tuple[Array, Array, Array]:
 
 
 class SceneWatch:
-    """Moves the obstacles of a simulated world, shows them to the MPC, and measures how near the robot comes; ``margin`` [m]: what is
-    asked for; ``pace``: what lets the references wait, and has a robot that is stuck end its run."""
+    """Moves the obstacles of a simulated world, shows them to the MPC, and measures how near the ``robot`` comes. ``pace``: what lets the
+    references wait; with it a base that can adapts its shape, and a robot that is stuck ends its run."""
 
     def __init__(
-        self, around: SimulatedObstacles, system: System, log: Log, since: float, margin: float,
+        self, around: SimulatedObstacles, system: System, log: Log, since: float, robot: RobotModel,
         pace: PacedReferences | None = None,
     ) -> None:  # fmt: skip
         self._around, self._system, self._log, self._since = around, system, log, since
-        self._margin, self._pace = margin, pace
+        self._margin, self._pace = robot.description.collision.margin, pace
+        kind = base_type(robot.description.base.type)
+        self._reshaping = None if pace is None else kind.reshaping(robot, system.mpc, system.controller)
         self._every = max(1, round(MEASURED / system.timing.period))
         around.bind(system.plant.model)
         if system.mpc.obstacles is not None:  # the first plan knows them
@@ -66,6 +70,8 @@ class SceneWatch:
                 around.show(system.mpc.obstacles, t, system.plant.truth().pose, pose)
             if self._pace is not None:
                 self._pace.advance(t, tool)
+            if self._reshaping is not None:
+                self._reshaping.update(t)
         around.count_contacts(data, t)
         if k % self._every == 0:
             planned = plans.current.clearance
