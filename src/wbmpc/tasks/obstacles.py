@@ -61,7 +61,7 @@ class Corridor(Among):
     """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go. The end effector
     swings ahead of the base before it enters."""
 
-    path: AnyPath = Line(length=6.0)
+    path: AnyPath = Line(length=5.0, speed=0.25)
     width: float = Field(0.9, ge=0.1, le=100.0)
     long: float = Field(2.0, ge=0.1, le=100.0)
     offset: float = Field(0.05, ge=-10.0, le=10.0)

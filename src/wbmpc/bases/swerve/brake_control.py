@@ -19,6 +19,8 @@ from wbmpc.ocp import Mode, ModeSchedule
 Array = NDArray[np.float64]
 #: Legs hold the base by less than this where it counts as floating; how long [s] it may float on the way to other angles.
 FLOATING, PASS = 0.05, 1.0
+#: Time [s] that brakes take which nobody has measured.
+BRAKE_DELAY = 0.1
 #: Length [m] that turns a yaw rate into a speed.
 _LEVER = 0.5
 #: Rate [rad/s] of legs whose speed has no limit.

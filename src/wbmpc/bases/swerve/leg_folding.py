@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
 from wbmpc.clearance.nearest import Finder, Poses
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -23,7 +23,7 @@ from wbmpc.ocp import Reference
 
 Array = NDArray[np.float64]
 #: Interval of what is looked at ahead [s]; how long ahead beyond the horizon [s]; how often [s] it is looked.
-STEP, BEYOND, REFRESH = 0.1, 4.0, 0.2
+STEP, BEYOND, REFRESH = 0.2, 4.0, 0.2
 #: Shares of the way of a leg, and how far [m] the base may move aside, from straight on.
 SHARES = np.linspace(0.0, 1.0, 13)
 ASIDE = np.array([0.0, 0.03, -0.03, 0.06, -0.06, 0.09, -0.09, 0.12, -0.12])
@@ -40,10 +40,10 @@ BEFORE, AFTER = 0.3, 0.6
 class LegFolding:
     """References of the legs and ``brakes`` for a robot with hinged legs whose ``mpc`` keeps clear of obstacles; ``delay`` [s]: of brakes."""
 
-    def __init__(self, robot: RobotModel, mpc: MPC, delay: float = 0.0) -> None:
+    def __init__(self, robot: RobotModel, mpc: MPC, delay: float = BRAKE_DELAY) -> None:
         self.robot, self._mpc = robot, mpc
         self.brakes = BrakeControl(robot, delay=delay, changed=mpc.set_schedule)
-        self._finder = Finder(robot_geometry(robot), REACH)
+        self._finder = Finder(robot_geometry(robot), REACH, deep=False)
         self._leg = robot.state["leg"]
         self._of_leg, self._body = self._parts()
         geometry = robot.base.geometry
