@@ -127,7 +127,9 @@ class Run:
     @property
     def failure(self) -> OutcomeName:
         """What kind of failure it was if it was one."""
-        return "fell" if self.ending.fell else "collided" if self.collision else "gave_up"
+        if self.ending.fell or self.collision:
+            return "fell" if self.ending.fell else "collided"
+        return "stuck" if self.ending.stuck else "gave_up"
 
     @property
     def controller(self) -> Any:

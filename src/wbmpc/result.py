@@ -11,7 +11,7 @@ import numpy as np
 from wbmpc.log import Log
 
 #: How a run ended: in one word. Only the first is a success. ``rejected``: it did not start.
-OutcomeName = Literal["completed", "gave_up", "fell", "collided", "rejected", "interrupted"]
+OutcomeName = Literal["completed", "gave_up", "stuck", "fell", "collided", "rejected", "interrupted"]
 #: A run in which a larger share of the solves gave no new plan was not controlled by the MPC: it is not completed.
 MAX_FAILED = 0.1
 

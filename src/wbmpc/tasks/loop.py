@@ -17,6 +17,7 @@ from wbmpc.experiment import Loop, Run, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.pace import PacedReferences
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot
@@ -27,7 +28,7 @@ from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
 from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.tasks.perception import Perception, PerceptionSettings
-from wbmpc.tasks.scene import SceneWatch
+from wbmpc.tasks.scene import SceneWatch, believed
 from wbmpc.tasks.settings import SimulationSettings
 from wbmpc.types import Truth
 
@@ -81,6 +82,7 @@ def closed_loop(
     scene: Sequence[SceneObstacle] | None = None,
     perception: PerceptionSettings | None = None,
     truth: Callable[[float, Truth], None] | None = None,
+    paced: bool = False,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on.
 
@@ -89,8 +91,9 @@ def closed_loop(
     period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
     ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. ``truth(t, truth)``
-    sees the simulated robot at every controller period. The references of ``mpc`` are the task; times begin with the loop. Raises
-    :class:`InputError` for bad settings.
+    sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
+    (:class:`wbmpc.mpc.pace.PacedReferences`), and a robot that is stuck ends the run. The references of ``mpc`` are the task; times begin
+    with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
@@ -102,8 +105,8 @@ def closed_loop(
     joints = JointRecord(log, robot, system)
     every = max(1, round(RECORDED / system.timing.period))
     perceive = None if perception is None else lambda: Perception(perception, robot, system, log, seed)
-    margin = robot.description.collision.margin
-    watch = SceneWatch(around, system, log, since, margin, perceive) if around else None
+    pace = PacedReferences(mpc) if paced and around and not mpc.path.active else None
+    watch = SceneWatch(around, system, log, since, robot, pace, perceive) if around else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:
@@ -182,13 +185,8 @@ def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
 
 
 def _record(log: Log, t: float, system: System, plans: Any, joints: JointRecord) -> None:
-    truth, controller, mpc = system.plant.truth(), system.controller, system.mpc
-    estimate, tool, rotation = truth.pose, truth.tool, truth.tool_rotation
-    if hasattr(controller, "base_pose"):
-        base = controller.base_pose()
-        turned = lie.quaternion_to_rotation(base[3:])
-        tool, rotation = base[:3] + turned @ truth.tool_in_base, turned @ truth.tool_rotation_in_base
-        estimate = np.array([*base[:2], lie.rotation_to_euler_zyx(turned)[0]])
+    truth, mpc = system.plant.truth(), system.mpc
+    estimate, tool, rotation = believed(system)
     log.add("base", t, truth.pose)
     log.add("base_estimated", t, estimate)
     log.add("end_effector", t, truth.tool)
