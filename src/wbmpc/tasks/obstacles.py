@@ -14,11 +14,13 @@ from pydantic import Field
 
 from wbmpc import lie
 from wbmpc.experiment import Experiment, Scenario
+from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.geometry import RobotShape, robot_geometry
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
 from wbmpc.ocp import Reference
+from wbmpc.result import Metric
 from wbmpc.tasks.following import PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
@@ -204,7 +206,8 @@ def experiment(
 
     def build(settings: Among, seed: int) -> Scenario:
         task = Task(settings, obstacles=True)
-        robot, mpc, end, metrics = task.robot, task.mpc, task.end, task.metrics
+        robot, mpc, end = task.robot, task.mpc, task.end
+        metrics: Callable[[Log], dict[str, Metric]] | None = task.metrics
         if settings.reference == "clock":
             end += settings.patience
             if isinstance(settings, Corridor):
