@@ -198,6 +198,27 @@ def test_settings_that_only_the_runs_reject_and_metrics_that_none_has_are_report
     assert (f"{file}: metrics: no run has 'eror'; valid: error" in said) is (status == 0)
 
 
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("constraints: {error: .nan}", "constraints.error=nan: input should be a finite number"),
+        ("constraints: {eror: 1}", "tune.constraints: no run has the metric 'eror'; valid: error"),
+        ("storage: 'nothing://there'", "tune.storage: 'nothing://there' cannot be opened ("),
+        ("storage: 'sqlite:////proc/nowhere/trials.db'", "trials.db' cannot be opened ("),
+    ],
+)
+def test_what_is_wrong_with_a_search_is_named(
+    more: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("optuna")
+    file = tmp_path / "search.yaml"
+    search = "search: {offset: {from: 0, to: 1}}, minimize: [{metric: error, limit: 9}], trials: 1"
+    file.write_text(f"experiments: [{HERE / 'valley.py'}]\nseeds: 1\ntune: {{seeds: 0, {search}, {more}}}\n")
+    assert main(["tune", str(file), "--workers", "0", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert message in said and said.count("wbmpc:") == 1
+
+
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_workers_that_are_being_started_are_started_and_ended(
     number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
