@@ -1,6 +1,6 @@
 """Runs the tests as `make test` does: side by side, then those by the wall clock, then once more and alone what failed.
 
-    python scripts/suite.py [--workers 2] [ARGUMENTS OF PYTEST]
+    python scripts/suite.py [--workers 2] [--ignore PATH]... [ARGUMENTS OF PYTEST]
 
 A test that fails beside others and passes alone does not fail the run: its name is printed. Whatever else goes wrong does: a test that
 fails twice, a module that cannot be collected, a process of tests that dies, an error of pytest itself.
@@ -14,9 +14,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
-PASSED, FAILED, NOTHING_SELECTED = 0, 1, 5
+PASSED, FAILED, INTERRUPTED, NOTHING_SELECTED = 0, 1, 2, 5
 #: `.ci/run` looks for these lines.
 AGAIN = "--- once more, alone"
 ALONE = "failed beside other tests, passed alone: "
@@ -34,11 +35,13 @@ def by_the_clock(folder: Path) -> list[str]:
     return [str(f) for f in sorted(folder.rglob("test_*.py")) if "mark.wallclock" in f.read_text()]
 
 
-def suite(workers: int, arguments: Sequence[str], cache: Path, run: Run = pytest) -> int:
-    """Exit status of the whole; ``cache`` is an empty directory, in which pytest remembers what failed."""
+def suite(workers: int, arguments: Sequence[str], cache: Path, run: Run = pytest, ignored: Sequence[str] = ()) -> int:
+    """Exit status of the whole; ``cache`` is an empty directory, in which pytest remembers what failed; of ``ignored`` files those
+    tests run alone that need the wall clock."""
     remember = ["-o", f"cache_dir={cache}"]
     # "worksteal" leaves the tests of a module with one process, so that what they share is made once
     beside = ["-n", "auto", "--maxprocesses", str(workers), "--dist", "worksteal", "-m", "not wallclock"]
+    beside += [f"--ignore={path}" for path in ignored]
     status = [run([*remember, *beside, *arguments])]
     # other tests would take the time of these
     if late := arguments or by_the_clock(Path("tests")):
@@ -60,11 +63,15 @@ def suite(workers: int, arguments: Sequence[str], cache: Path, run: Run = pytest
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
     parser.add_argument("--workers", type=int, default=2, help="at most this many test processes")
+    parser.add_argument("--ignore", action="append", default=[], help="a path whose tests have been run")
     known, arguments = parser.parse_known_args()
-    with tempfile.TemporaryDirectory() as cache:
-        return suite(known.workers, arguments, Path(cache))
+    with tempfile.TemporaryDirectory() as cache, suppress(KeyboardInterrupt):
+        return suite(known.workers, arguments, Path(cache), ignored=known.ignore)
+    return INTERRUPTED
 
 
 if __name__ == "__main__":

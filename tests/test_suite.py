@@ -93,3 +93,16 @@ def test_exit_status(tmp_path: Path, statuses: list[int], failed: list[str], exp
 
     assert suite.suite(2, ["tests"], tmp_path, run) == expected
     assert len(statuses) - len(left) == calls
+
+
+def test_what_has_been_run_is_left_out_but_for_tests_by_the_wall_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_a.py").write_text("@pytest.mark.wallclock")
+    (tmp_path / "tests" / "test_b.py").write_text("")
+    called: list[Sequence[str]] = []
+    suite.suite(2, [], tmp_path, lambda arguments: called.append(arguments) or 0, ["tests/test_a.py"])
+    assert "--ignore=tests/test_a.py" in called[0]
+    assert called[1][-3:] == ["-m", "wallclock", str(Path("tests", "test_a.py"))]

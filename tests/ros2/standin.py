@@ -106,7 +106,7 @@ class Pair:
                 self.control.step()
             self.standin.tick(wait=self.control.running)
 
-    def until(self, condition: Callable[[], object], seconds: float = 60.0) -> bool:
+    def until(self, condition: Callable[[], object], seconds: float = 180.0) -> bool:
         """Let time pass until a condition comes true; whether it did within ``seconds`` of the wall's time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
