@@ -72,7 +72,9 @@ class BallController:
         self._known: tuple[object, int, np.ndarray] | None = (
             None  # of which measurement and how many commands, the state now
         )
-        self._known_acted: tuple[object, int, np.ndarray] | None = None  # the same of the torques that acted at the measurement
+        self._known_acted: tuple[object, int, np.ndarray] | None = (
+            None  # the same of the torques that acted at the measurement
+        )
         self._steps_alike = type(self)._step is BallController._step
         self.clamped = False
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]

@@ -44,7 +44,12 @@ class LeanControl:
         arm = numbers("lean_control", "arm", arm, len(robot.state.groups["arm"]))
         self.balance, self.speed = Balance.of(robot, arm), speed
         self._force, self._out = np.zeros(BASE), np.zeros(4)
-        arrays = {"force": self._force, "out": self._out, "heading": np.zeros(BASE), "shift": self.balance.shift.ravel()}
+        arrays = {
+            "force": self._force,
+            "out": self._out,
+            "heading": np.zeros(BASE),
+            "shift": self.balance.shift.ravel(),
+        }
         self._worth = bind(worth, arrays | {"whole": (self.balance.shift + self.balance.stand).ravel()}, backend)
         self.reach = float(self.balance.reach.min())
         self._room = max(MAXIMUM - share, 0.0) * self.reach

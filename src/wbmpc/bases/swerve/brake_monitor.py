@@ -110,7 +110,15 @@ class BrakeMonitor:
 
     def restart_clock(self) -> None:
         """Times start anew: the next look is a first one, at brakes that are believed again. What was reported stays reported."""
-        for values in (self._since, self._anchor, self._gone, self._planned, self._resting, self._reported_at, self._reported):
+        for values in (
+            self._since,
+            self._anchor,
+            self._gone,
+            self._planned,
+            self._resting,
+            self._reported_at,
+            self._reported,
+        ):
             values[:] = 0.0
         self._first = True
         self._unsettled = -np.inf  # when legs that were reported last had not been held in the plan
