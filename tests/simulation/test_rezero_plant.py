@@ -13,9 +13,9 @@ from wbmpc import lie
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant, body_rates
 from wbmpc.bases.ball.sensor_step import minimal_of
-from wbmpc.kernel.step import bind
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError
+from wbmpc.kernel.step import bind
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
 
