@@ -343,7 +343,8 @@ class MPC:
         since = max(delta, self.period)
         for name, inputs in self._follow_last.items():
             last = current[inputs]
-            values = np.stack([np.append(last, since), np.append(last, since + horizon)])
+            values = np.empty((2, last.size + 1))
+            values[:, :-1], values[0, -1], values[1, -1] = last, since, since + horizon
             self.solver.set_reference(name, Reference(np.array([t, t + horizon]), values))
 
     def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:

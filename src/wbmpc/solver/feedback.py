@@ -221,7 +221,8 @@ class Evaluation(threading.local):
         self._resize(0, 0, 0)
 
     def _resize(self, nx: int, nu: int, room: int) -> None:
-        self._sizes, self._policy = (nx, nu, room), None
+        self._sizes = (nx, nu, room)
+        self._policy: NDArray[np.int64] | None = None  # whose part of the table is there
         self._x, self._u, self._room = np.zeros(nx), np.zeros(nu), np.zeros(room)
         self._table = np.zeros(_ARGUMENTS + 1, np.int64)
         self._numbers, self._address = self._table.view(np.float64), self._table.ctypes.data
