@@ -38,7 +38,7 @@ _KINDS = {
 #: Directions in which a spinning part is measured: its circle is so found to within 0.01 %.
 _DIRECTIONS = 256
 #: Half sides [m] of the cubes whose balls cover a solid, at most; cylinders up to this radius [m] are covered along their axis.
-BALL, THIN = 0.05, 0.15
+BALL, THIN = 0.03, 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,12 @@ def _cover(solid: Solid) -> list[tuple[Array, float]]:
     grid = [part[a] * (2 * np.arange(count3[a]) + 1) - half[a] for a in range(3)]
     places3 = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 3)
     radius = float(np.linalg.norm(part))
-    near = places3[np.abs(solid.distance(places3)) <= radius]
+    depth = -solid.distance(places3)
+    exact = solid.kind in (
+        "box",
+        "cylinder",
+    )  # of others the distance is that of the box around them, whose surface is not theirs
+    near = places3[(depth >= -radius) & ((depth <= radius) | (not exact))]
     if (
         solid.kind == "cylinder"
     ):  # what a ball covers of a convex solid is also covered from the ball's nearest point of it

@@ -39,6 +39,8 @@ ENTRY, SWING = 1.0, 0.8
 IN_THE_WAY = 0.05
 #: Share of the end effector's height that things have at most which stand in the way of the base alone.
 LOW = 0.6
+#: Way [m] between the end of the robot and what is in its way next.
+PAST = 0.4
 
 
 class Among(PathTaskSettings):
@@ -73,10 +75,11 @@ class Corridor(Among):
 
 
 class Clutter(Among):
-    """``count`` pillars and boxes at random beside the way and partly in it; plans know only what ``perception`` sees of them."""
+    """``count`` pillars and boxes at random beside the way and partly in it (left out: so many that the robot is past one in its way before the
+    next); plans know only what ``perception`` sees of them."""
 
     path: AnyPath = Line(length=4.0, speed=0.3)
-    count: int = Field(8, ge=1, le=100)
+    count: int | None = Field(None, ge=1, le=100)
     perception: PerceptionSettings = PerceptionSettings()
 
 
@@ -166,8 +169,10 @@ def clutter_scene(settings: Clutter, robot: RobotModel, seed: int) -> list[Scene
     """One obstacle in each part of the way, on a random side. Every other one reaches into the way of the base, and is so low that the arm passes
     over it; the others are of any height and stand beside all of the robot."""
     e, rng = Extent(robot, "clutter"), np.random.default_rng(seed)
-    part, found = settings.path.size(robot) / settings.count, []
-    for k in range(settings.count):
+    length, found = settings.path.size(robot), []
+    count = settings.count or max(int(2.0 * length / (e.high[0] - e.low[0] + PAST)), 1)
+    part = length / count
+    for k in range(count):
         half, side, inside = rng.uniform(0.08, 0.2), rng.choice([-1.0, 1.0]), k % 2 == 0
         high = (e.top - e.ground) * rng.uniform(0.7, 1.0) if inside else rng.uniform(0.4, 1.8)
         low, up = (e.base_low, e.base_high) if inside else (e.low, e.high)

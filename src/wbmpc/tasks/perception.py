@@ -56,8 +56,8 @@ class DepthCamera(SensorSettings):
 class MapSettings(Settings):
     """``size`` (3) [m] of the window, ``cell`` [m]; ``max_age`` [s]: what is older ends in a stop; ``padding`` [m] about the robot's own body."""
 
-    size: tuple[float, float, float] = (6.0, 6.0, 2.0)
-    cell: float = Field(0.05, ge=0.01, le=1)
+    size: tuple[float, float, float] = (5.0, 5.0, 1.6)
+    cell: float = Field(0.04, ge=0.01, le=1)
     max_age: float = Field(0.5, ge=0.01, le=10)
     padding: float = Field(0.05, ge=0, le=1)
 
