@@ -44,6 +44,21 @@ def test_a_robot_keeps_its_margin_to_a_box_in_its_world(driving: Path, tmp_path:
     assert m["obstacle_contacts"].value == 0.0 and m["stuck_time"].value == 0.0
 
 
+def test_progress_waits_for_a_wall_that_passes(driving: Path, tmp_path: Path) -> None:
+    """The wall is in the way of the chassis from 0.2 to 3 s; without it the path takes 1.55 s."""
+    path = tmp_path / "scene.yaml"
+    wall = "box: {half: [0.05, 0.5, 1]}, position: [0.45, -0.8, 0], velocity: [0, 0.5, 0]"
+    path.write_text(f"obstacles:\n  wall: {{{wall}, appears: 0}}\n")
+    more = (f"obstacles={path}", "settle_time=0.1", "path.length=0.5", "path.ramp=0.3", "path.speed=0.4", "mpc.rate=25")
+    result = run("end-effector-track", driving, *more, "reference=progress", "time_limit=4.2")
+    m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
+    assert 2.5 < m["path_time"].value < 4.1
+    assert m["obstacle_clearance_min"].value > margin - 0.01
+    assert m["obstacle_contacts"].value == 0.0 and m["braking_plans"].value == 0.0
+    # it slows down instead of leaving its path or its reference
+    assert m["contour_error_max_world"].value < 0.01 and m["end_effector_error_max_world"].value < 0.03
+
+
 def ball_and_floor(around: SimulatedObstacles) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """A ball of 0.1 m that falls upwards without gravity, among simulated obstacles."""
     spec = mujoco.MjSpec()

@@ -64,6 +64,19 @@ def test_a_base_that_drives_carries_the_tip_along_a_line(driving: Path) -> None:
     assert not {"contacts_unwanted", "clearance_min"} & m.keys()  # nothing looks for contacts without physics
 
 
+def test_progress_goes_as_fast_as_the_wheels_and_ends(driving: Path) -> None:
+    """Asked for 3 m/s, wheels of 0.1 m at 12 rad/s: 1 m/s along a line, which is the planner's limit of the base."""
+    more = ("path.length=1.5", "path.speed=3", "path.ramp=1", "reference=progress", "time_limit=2.6")
+    result = run("end-effector-track", driving, POSITION_ONLY, *more)
+    m, base = result.metrics, result.log.array("base")
+    speed = np.diff(base[:, 0]) / np.diff(result.log.times("base"))
+    assert 0.9 < speed.max() < 1.3 and m["limit_violation_max"].value < 1e-6
+    assert 1.5 / speed.max() < m["path_time"].value < 2.4
+    assert m["contour_error_max_world"].value < 0.01 and m["end_effector_error_max"].value < 0.03
+    tool, end = result.log.array("end_effector"), result.log.array("end_effector_reference")[-1]
+    assert np.linalg.norm(tool[-1] - end) < 5e-3 and end[0] - tool[0, 0] == pytest.approx(1.5, abs=5e-3)
+
+
 def test_a_robot_whose_base_stands_holds_in_mujoco(standing: Path) -> None:
     m = run("hold", standing, POSITION_ONLY, "duration=0.3", physics="mujoco").metrics
     assert m["end_effector_error_max_world"].value < 0.01 and "base_path_length" not in m

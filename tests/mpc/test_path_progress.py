@@ -64,7 +64,7 @@ def test_a_straight_line_takes_the_least_time(mpc: wb.MPC) -> None:
     least = length / speed + speed / FORCE
     arrival = np.argmax(np.abs(states[:, 0] - length) < 0.01) / RATE
     assert least - 0.15 < arrival < 1.1 * least  # the last centimetre takes √(2 · 0.01 / F) = 0.14 s
-    assert states[:, 0].max() < length + 1e-3 and states[:, 2].max() < 1.02 * speed
+    assert states[:, 0].max() < length + 1e-3 and states[:, 2].max() < 1.06 * speed
     assert progress[-1] == pytest.approx(length, abs=2e-3) and np.abs(states[:, 1]).max() < 1e-6
     # never faster than the force allows
     t = np.arange(len(states)) / RATE
@@ -77,8 +77,8 @@ def test_a_circle_is_driven_as_fast_as_the_force_allows(mpc: wb.MPC) -> None:
     mpc.path.follow(wb.Path.circle((radius, 0, 0), (0, 0, 0)), 5.0, 5.0)
     states, progress = drive(mpc, np.array([radius, 0.0, 0.0, 0.0]), 120)
     speed = np.linalg.norm(states[60:, 2:], axis=1)
-    assert speed == pytest.approx(np.full(61, np.sqrt(FORCE * radius)), rel=0.01)
-    assert np.linalg.norm(states[:, :2], axis=1) == pytest.approx(np.full(121, radius), abs=0.012)
+    assert speed == pytest.approx(np.full(61, np.sqrt(FORCE * radius)), rel=0.02)
+    assert np.linalg.norm(states[:, :2], axis=1) == pytest.approx(np.full(121, radius), abs=0.03)
     assert progress[-1] > 2.0 * np.pi * radius  # it counts on in the second round
 
 
@@ -122,23 +122,23 @@ def test_errors_and_their_derivatives_are_those_of_the_path(axes: str) -> None:
         np.testing.assert_allclose(jacobian, differences, atol=2e-3)
 
 
-def test_the_wish_ends_with_the_path(mpc: wb.MPC) -> None:
-    """v = √(2 a left) but for the very end; its slope by differences; no wish before a reference in time begins."""
+def test_the_desired_speed_ends_with_the_path(mpc: wb.MPC) -> None:
+    """v = √(2 a left) but for the very end; its slope by differences; no speed before a reference in time begins."""
     line = wb.Path.line((0, 0, 0), (2, 0, 0))
     speed = wb.Reference(np.array([0.0, 1.0]), np.array([[0.0], [0.9]]), "hold")
     mpc.path.follow(line, speed, 0.5)
     following = mpc.path.following
     assert following is not None
     s = np.array([0.0, 1.0, 1.7, 1.95, 1.99, 2.0])
-    wish = following.wish(np.full(6, 1.5), s)
-    assert wish[:2, 1] == pytest.approx([0.9, 0.9]) and not wish[:2, 2].any() and wish[5, 1] == 0.0
-    assert wish[2, 1] == pytest.approx(np.sqrt(2.0 * 0.5 * 0.3), rel=0.06)
+    target = following.target(np.full(6, 1.5), s)
+    assert target[:2, 1] == pytest.approx([0.9, 0.9]) and not target[:2, 2].any() and target[5, 1] == 0.0
+    assert target[2, 1] == pytest.approx(np.sqrt(2.0 * 0.5 * 0.3), rel=0.06)
     step = 1e-6
     differences = (
-        following.wish(np.full(6, 1.5), s + step)[:, 1] - following.wish(np.full(6, 1.5), s - step)[:, 1]
+        following.target(np.full(6, 1.5), s + step)[:, 1] - following.target(np.full(6, 1.5), s - step)[:, 1]
     ) / 2e-6
-    np.testing.assert_allclose(wish[2:5, 2], differences[2:5], rtol=1e-4)
-    assert not following.wish(np.zeros(6), s)[:, 1].any()
+    np.testing.assert_allclose(target[2:5, 2], differences[2:5], rtol=1e-4)
+    assert not following.target(np.zeros(6), s)[:, 1].any()
 
 
 def test_progress_of_a_model_is_an_integrator_beside_it() -> None:

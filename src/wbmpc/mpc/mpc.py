@@ -70,7 +70,6 @@ class MPC:
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
         self._clear = ClearanceRows(ocp, self.solver, obstacles)
-        self.guess = guess
         self.statistics = Statistics()
         terms = {t.name: t.residual for t in ocp.terms.values()}
         self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
@@ -81,6 +80,7 @@ class MPC:
         self.path = PathProgress(ocp, self.solver, self._input_rows.limits)
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = self.path.limits
+        self.guess = guess
         self.first_iterations = int(first_iterations)
         self._policy: Policy | None = None
         self._t: float | None = None

@@ -15,13 +15,15 @@ from wbmpc.model.augment import WithPath
 from wbmpc.mpc.guess import predicted
 from wbmpc.mpc.policy import InputLimits, Policy
 from wbmpc.ocp import OptimalControlProblem, Path, Reference, residuals
-from wbmpc.solver import Solver
+from wbmpc.solver import Solver, Trajectory
 
 Array = NDArray[np.float64]
 #: References along a path: values (n, width) at arc lengths s (n) [m].
 Along = Callable[[Array], Array]
-#: Near its end the wished speed falls in proportion to what is left [1/s]: that ends a plan softly, within a second.
+#: Near its end the desired speed falls in proportion to what is left [1/s]: that ends a plan softly, within a second.
 ENDING = 4.0
+#: Step [s] of progress that is foreseen.
+STEP = 0.05
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Following:
     acceleration: float
     along: dict[str, Along] = field(default_factory=dict)
 
-    def wish(self, times: Array, s: Array) -> Array:
+    def target(self, times: Array, s: Array) -> Array:
         """Of :class:`wbmpc.residuals.Progress` at ``times`` (n) [s] and progress s (n) [m]: (n, 3).
 
         v = √(2 a (left − a / 2 k²)), and k · left at the very end, if that is less than the speed that is asked for.
@@ -118,7 +120,7 @@ class PathProgress:
         for name in self._contours:
             self._solver.set_reference(name, Reference.constant(following.path.expansion(begin)))
         for name in self._speeds:
-            self._solver.set_reference(name, Reference.constant(following.wish(np.zeros(1), begin)))
+            self._solver.set_reference(name, Reference.constant(following.target(np.zeros(1), begin)))
         for name in self._accelerations:
             self._solver.set_reference(name, Reference.constant([following.acceleration]))
 
@@ -167,14 +169,14 @@ class PathProgress:
         times, states = predicted(self._solver, t, delta)
         if self._start is not None:
             states = states.copy()
-            states[:, self._n] = self._start
+            states[:, self._n] += self._start - states[0, self._n]
         s = np.minimum(states[:, self._n], following.path.end)
         s = s if following.path.periodic else np.maximum(s, 0.0)
-        expansion, wish = following.path.expansion(s), following.wish(times, s)
+        expansion, target = following.path.expansion(s), following.target(times, s)
         for name in self._contours:
             self._solver.set_reference(name, Reference(times, expansion))
         for name in self._speeds:
-            self._solver.set_reference(name, Reference(times, wish))
+            self._solver.set_reference(name, Reference(times, target))
         for name, values in following.along.items():
             self._solver.set_reference(name, Reference(times, values(s)))
 
@@ -186,6 +188,28 @@ class PathProgress:
         if since < 0.0:
             return float(plan.x[0, self._n] + since * plan.x[0, self._n + 1])
         return float(np.interp(since, plan.grid, plan.x[:, self._n]))
+
+    def desired(self, t: float, since: Array) -> Array:
+        """Progress (n) [m] at ``since`` (n) [s] after ``t`` [s] if nothing but the desired speed and the largest acceleration limits it."""
+        following = self.following
+        if following is None:
+            raise InputError("mpc.path.desired: nothing is followed; valid: after mpc.path.follow(path, speed)")
+        s = self.progress(t) if self._start is None else self._start
+        speed, times, found = 0.0, np.append(np.arange(0.0, since.max() + STEP, STEP), np.inf), []
+        for now in times[:-1]:
+            found.append(s)
+            target = float(following.target(np.array([t + now]), np.array([s]))[0, 1])
+            speed = min(speed + following.acceleration * STEP, max(target, 0.0))
+            s += speed * STEP
+        return np.interp(since, times[:-1], found)
+
+    def write(self, trajectory: Trajectory, way: Array) -> None:
+        """Set progress in a guess: ``way`` (N + 1) [m] from where it starts."""
+        h, n, m = np.diff(trajectory.grid), self._n, self._m
+        trajectory.x[:, n] = trajectory.x[0, n] + way
+        trajectory.x[:-1, n + 1] = np.diff(way) / h
+        trajectory.x[-1, n + 1] = trajectory.x[-2, n + 1]
+        trajectory.u[:, m] = np.diff(trajectory.x[:, n + 1]) / h
 
     def pose(self, t: float) -> Array:
         """Pose (7) on the path at that progress: position (3) [m] and quaternion (4)."""

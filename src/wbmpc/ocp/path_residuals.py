@@ -81,8 +81,8 @@ class Contour:
 
 @dataclass(frozen=True)
 class Progress:
-    """Speed along the path minus the wished one [m/s], (1). Reference: progress s [m], the wished speed [m/s] there and how it changes
-    with s [1/s]; set by :meth:`wbmpc.mpc.path.PathProgress.follow`, whose wish ends with the path."""
+    """Speed along the path minus the desired one [m/s], (1). Reference: progress s [m], the desired speed [m/s] there and how it changes
+    with s [1/s]; set by :meth:`wbmpc.mpc.path.PathProgress.follow`, which ends with the path."""
 
     dynamics: Any
 

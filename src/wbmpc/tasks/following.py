@@ -27,7 +27,7 @@ PATIENCE = 2.0
 
 class PathTaskSettings(TaskSettings):
     """``path``: a line, circle, sine, poses, or the table of a csv file. ``reference``: of a clock, which goes on with the path's speed
-    whatever happens; or progress: the speed is what is wished for, and the robot goes as fast as limits and obstacles allow, never
+    whatever happens; or progress: the speed is what is asked for, and the robot goes as fast as limits and obstacles allow, never
     behind a clock. ``time_limit`` [s] for that (left out: twice the clock's)."""
 
     path: AnyPath = Line()

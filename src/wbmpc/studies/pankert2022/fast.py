@@ -20,12 +20,14 @@ from wbmpc.bases.swerve.defaults import (
     SwerveCost,
     swerve_problem,
 )
+from wbmpc.bases.swerve.path_guess import PathGuess
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.path import Along
 from wbmpc.ocp import Cost, Path, Reference, path_problem, residuals
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import ExperimentSettings, MpcSettings
@@ -38,7 +40,7 @@ from wbmpc.tasks.path_settings import Curve, timed
 from wbmpc.tasks.paths import nearest_distance
 
 #: Weights of the base's position [1/m²] and yaw [1/rad²], the same for both references; seconds of them at the end of the horizon.
-POSITION, YAW, TERMINAL = 2000.0, 300.0, 10.0
+POSITION, YAW, TERMINAL = 2000.0, 300.0, 1.0
 #: Within this [m] of its end the path has been driven; points of the path.
 THERE, POINTS = 0.02, 1001
 IDEALISATIONS = ["tyres are soft contacts, not a tyre model", "the computation takes a constant 10 ms"]
@@ -99,10 +101,10 @@ def make_mpc(settings: SwerveFastSettings, robot: RobotModel, home: np.ndarray, 
     progress = settings.reference == "progress"
     if progress:
         ocp = path_problem(ocp, "base")
-    mpc = MPC(ocp, settings.mpc.solver(), settings.mpc.rate)
+    mpc = MPC(ocp, settings.mpc.solver(), settings.mpc.rate, guess=PathGuess(robot) if progress else None)
     if progress:
-        acceleration = settings.speed / settings.ramp
-        mpc.path.follow(Path(curve.points, curve.turns), settings.speed, acceleration)
+        path = Path(curve.points, curve.turns)
+        mpc.path.follow(path, settings.speed, settings.speed / settings.ramp, along={"state": on(robot, home, path)})
     else:
         mpc.reference["base"] = timed(curve, settings.speed, settings.ramp, 0.0)[0]
     position, orientation = robot.pose(home)
@@ -111,6 +113,19 @@ def make_mpc(settings: SwerveFastSettings, robot: RobotModel, home: np.ndarray, 
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     mpc.reset(home)
     return mpc
+
+
+def on(robot: RobotModel, home: np.ndarray, path: Path) -> Along:
+    """States (n, nx) with the base on the path at arc lengths (n) [m], else as at ``home`` (nx)."""
+    part = robot.state["base"].start
+
+    def states(s: np.ndarray) -> np.ndarray:
+        values, poses = np.tile(home, (len(s), 1)), path.at(s)
+        values[:, part : part + 2] = poses[:, :2]
+        values[:, part + 2] = [lie.quaternion_log(q)[2] for q in poses[:, 3:]]
+        return values
+
+    return states
 
 
 def build(settings: SwerveFastSettings, seed: int) -> Scenario:
