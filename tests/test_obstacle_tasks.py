@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import casadi as ca
@@ -10,11 +11,14 @@ import numpy as np
 import pytest
 
 import wbmpc as wb
+from clearing import write_arm
 from planar_driving import write_robot
 from test_tasks import WHEELS, run
+from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.ocp.symbols import Symbols
+from wbmpc.registry import load
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 
 BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
@@ -38,6 +42,32 @@ def test_a_robot_keeps_its_margin_to_a_box_in_its_world(driving: Path, tmp_path:
     m, margin = run("end-effector-track", driving, *more, "mpc.rate=25").metrics, robot.description.collision.margin
     assert margin - 0.01 < m["obstacle_clearance_min"].value < margin + 0.05
     assert m["obstacle_contacts"].value == 0.0 and m["stuck_time"].value == 0.0
+
+
+def test_a_robot_that_is_stuck_says_so(tmp_path: Path) -> None:
+    """An arm on a foot, and a wall across its way that reaches beyond it: it stands before the wall, and the run ends then."""
+    arm, path = write_arm(tmp_path), tmp_path / "scene.yaml"
+    robot = wb.load_robot(arm)
+    tip = robot.pose(robot.home)[0]
+    place = [float(tip[0]) + 0.15, 0.0, 0.0]
+    path.write_text(f"obstacles:\n  wall: {{box: {{half: [0.05, 3, 3]}}, position: {place}}}\n")
+    more = [
+        f"robot={arm}",
+        "physics=kinematic",
+        f"obstacles={path}",
+        "settle_time=0.1",
+        "path.length=0.3",
+        "mpc.rate=20",
+    ]
+    experiment = load("obstacles-static")
+    settings = configure(experiment.config_type, [*more, "path.ramp=0.3", "path.speed=0.3", "patience=10"], "x")
+    result = experiment.run(settings, 0, None)
+    assert result.outcome == "stuck" and re.search(r"stuck .* m from its goal", result.reason)
+    m, tool = result.metrics, result.log.array("end_effector")
+    assert m["obstacle_clearance_min"].value > 0.0 and (tool[:, 0] < tip[0] + 0.1).all()
+    assert m["goal_missed"].value == pytest.approx(np.linalg.norm(tool[-1] - tip - [0.3, 0, 0]), abs=0.02)
+    # the reference is at the wall after 0.5 s, stands after another 0.5 s, and waits are reported after WINDOW
+    assert result.log.times("end_effector")[-1] < 0.1 + 0.3 + 1.0 + 2.0
 
 
 def ball_and_floor(around: SimulatedObstacles) -> tuple[mujoco.MjModel, mujoco.MjData]:

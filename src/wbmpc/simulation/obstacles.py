@@ -120,9 +120,15 @@ class SimulatedObstacles:
         shift = estimated[:2] - np.array([[c, -s], [s, c]]) @ true[:2]
         world.set_frame(SCENE, [*shift, 0.0], [np.cos(0.5 * turn), 0.0, 0.0, np.sin(0.5 * turn)])
         for one in self.scene:
-            if t >= one.appears and one.name not in self._known:
-                self._known.add(one.name)
-                world.set(one.name, one.shape, seen=one.appears, frame=SCENE, **one.place)
+            obstacle = self._by_name[one.name]
+            moves = bool(obstacle.velocity.any())
+            if t < one.appears or (one.name in self._known and not moves):
+                continue
+            self._known.add(one.name)
+            seen = dict(one.place)
+            if moves:  # seen anew all the time: what is not known of its velocity counts from now on
+                seen["position"] = Snapshot().pose(obstacle, np.array([t]))[0][0]
+            world.set(one.name, one.shape, seen=max(t, one.appears) if moves else one.appears, frame=SCENE, **seen)
 
     # ------------------------------------------------------------------ the truth
     def distance(self, data: mujoco.MjData) -> float:
