@@ -104,6 +104,22 @@ def test_distances_and_contacts_are_those_of_the_world() -> None:
         mujoco.mj_step(model, data)
         around.count_contacts(data, k * model.opt.timestep)
     assert around.contacts == 1 and around.contact_speed == pytest.approx(0.4, abs=0.05)
+    assert around.caused == 1
+
+
+def test_a_contact_with_a_ball_at_rest_is_not_its_doing() -> None:
+    """The wall comes at 0.5 m/s, is there after 0.68 s, and pushes the ball ahead of it from then on."""
+    wall = SceneObstacle("wall", wb.shapes.Box((0.1, 1, 1)), {"position": (0.54, 0, 0.7), "velocity": (-0.5, 0, 0)})
+    around = SimulatedObstacles([wall], ground=-0.3)
+    model, data = ball_and_floor(around)
+    h = model.opt.timestep
+    for k in range(round(1.2 / h)):
+        around.place(data, k * h)
+        mujoco.mj_step(model, data)
+        data.qvel[0] = min(data.qvel[0], 0.0)
+        around.count_contacts(data, k * h)
+    assert around.contacts >= 1 and around.caused == 0 and around.contact_speed < 0.02
+    assert around.pushed > 0.0
 
 
 def test_the_planner_sees_a_scene_from_where_it_believes_to_be() -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.pairs import arm_pairs
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.ocp.scaling import scaled_weights
@@ -70,13 +71,17 @@ def default_problem(
 def keep_clear(
     ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
 ) -> OptimalControlProblem:
-    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is), and accelerations within their
-    limits: who evades at the last moment must be able to."""
+    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is) and its arm clear of itself, and
+    accelerations within their limits: who evades folds the arm, and must be able to at the last moment."""
     if obstacles is None:
         return ocp
     free = sets.NonNegative()
     rows = Constraint("clearance", residuals.Clearance(robot), free, at="path+terminal", hard=True, slack=slack)
     ocp.add(rows)
+    pairs = arm_pairs(robot)
+    if pairs:
+        own = residuals.SelfClearance(robot, pairs)
+        ocp.add(Constraint("self_clearance", own, free, at="path+terminal", hard=True, slack=slack))
     rates = robot.limits.input_rate
     limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
     if limited and "accelerations" not in ocp.terms:

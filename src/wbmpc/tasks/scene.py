@@ -120,6 +120,10 @@ class SceneWatch:
     def metrics(self) -> dict[str, Metric]:
         """Least true distance, contacts, and how long the robot stood away from its goal."""
         around, pace = self._around, self._pace
+        caused = {
+            "obstacle_contacts_caused": Metric(float(around.caused), "1", goal=0.0),
+            "pushed_time_max": Metric(around.pushed, "s", goal=2.0),
+        }
         waited = {} if pace is None else {
             "reference_delay": Metric(pace.delay, "s"), "goal_missed": Metric(pace.missed(self._last), "m", goal=GOAL),
         }  # fmt: skip
@@ -127,6 +131,7 @@ class SceneWatch:
             "obstacle_clearance_min": Metric(around.least, "m", least=self._margin - TOLERATED),
             "obstacle_contacts": Metric(float(around.contacts), "1", goal=0.0),
             "contact_speed_max": Metric(around.contact_speed, "m/s"),
+            **(caused if getattr(self._system.plant, "has_physics", True) else {}),
             "stuck_time": Metric(self._stuck, "s"),
             "braking_plans": Metric(float(self._system.mpc.statistics.braking_plans), "1"),
             **waited,
