@@ -29,8 +29,8 @@ PERSON = (0.2, 1.8)
 #: People are seen from so far [m] and for so long [s] before they cross the robot's path: who walks slowly does not appear right beside a
 #: robot that evades another one.
 SEEN_FROM, SEEN_FOR = 4.0, 4.0
-#: How exactly plans know people.
-SEEN_AS = {"std": 0.005, "velocity_std": 0.02}
+#: How exactly plans know people [m], [m/s]: as from a LIDAR.
+SEEN_AS = {"std": 0.015, "velocity_std": 0.02}
 #: A corridor begins so far [m] ahead of the robot; over how much of the way [m] the end effector swings ahead of the base.
 ENTRY, SWING = 1.0, 0.8
 #: How far [m] a pillar and a shelf stand in the way of the base that would go straight.
