@@ -95,7 +95,9 @@ class LegFolding:
         world = self._mpc.obstacles
         if t >= self._looked + REFRESH - 1e-9 and world is not None:
             self._looked = t
-            self._look(t, world.snapshot(t), self._asked)
+            there = world.snapshot(t)
+            still = tuple(o for o in there.obstacles if not o.velocity.any())  # who walks by is evaded or waited for
+            self._look(t, Snapshot(still, there.frames), self._asked)
         times = _times(t, self._mpc.ocp.horizon + 2.0 * self._mpc.period + STEP)
         values = np.array([self._asked.at(float(at)) for at in times])
         shares, aside = self._planned(times)
@@ -131,20 +133,23 @@ class LegFolding:
 
     def needed(self, snapshot: Snapshot, times: Array, states: Array) -> tuple[Array, Array]:
         """Of base poses in ``states`` (k, nx) at ``times`` (k) [s]: shares (k, n) of each leg's way to its narrowest angle, and how far
-        aside (k) [m] the base has to be."""
+        aside (k) [m] the base has to be; zeros where the body does not pass either."""
         k, m = len(times), len(ASIDE)
         wanted = float(self.robot.description.collision.margin) + GAP
         at = np.repeat(times, m)
         moved = self._shifted(np.repeat(states, m, axis=0), np.tile(ASIDE, k))
         body = self._distances(snapshot, at, moved, [self._body])[:, 0].reshape(k, m)
         capped = np.minimum(body, wanted)
-        aside = ASIDE[np.argmax(capped, axis=1)]  # the first of those that are as good: the nearest
+        passes = capped.max(axis=1) > 0.0
+        aside = np.where(
+            passes, ASIDE[np.argmax(capped, axis=1)], 0.0
+        )  # the first of those that are as good: the nearest
         turned = np.repeat(self._shifted(states, aside), len(SHARES), axis=0)
         asked = turned[:, self._leg]
         turned[:, self._leg] = asked + np.tile(SHARES, k)[:, None] * (self._narrow - asked)
         legs = self._distances(snapshot, np.repeat(times, len(SHARES)), turned, self._of_leg)
         clear = legs.reshape(k, len(SHARES), -1) >= wanted
-        shares = np.where(clear.any(axis=1), SHARES[np.argmax(clear, axis=1)], 1.0)
+        shares = np.where(clear.any(axis=1), SHARES[np.argmax(clear, axis=1)], 1.0) * passes[:, None]
         for pair in (self._pair, ~self._pair):
             shares[:, pair] = shares[:, pair].max(axis=1, keepdims=True, initial=0.0)
         return shares, aside
