@@ -76,6 +76,20 @@ def test_the_base_moves_aside_where_its_body_needs_it(robot: wb.RobotModel) -> N
     assert aside[0] == 0.0 and 0.03 <= aside[1] <= 0.08
 
 
+def test_where_the_body_does_not_pass_nothing_folds(robot: wb.RobotModel) -> None:
+    """A pillar in the middle of the way, and a person who crosses it."""
+    made, mpc = folding(robot, None)
+    pillar = wb.shapes.Cylinder((0, 0, 0), (0, 0, 1.5), 0.1)
+    mpc.obstacles.set("pillar", pillar, position=(2.0, 0.0, 0.0))
+    times = np.array([8.0, 8.0])
+    shares, aside = made.needed(mpc.obstacles.snapshot(0.0), times, path(robot, times))
+    assert not shares.any() and not aside.any()
+    mpc.obstacles.set("pillar", pillar, position=(1.75, 0.7, 0.0), velocity=(0.0, 0.01, 0.0), seen=0.0)
+    shares, _ = made.needed(mpc.obstacles.snapshot(0.0), np.array([4.0]), path(robot, np.array([4.0])))
+    made.update(0.0)
+    assert shares.any() and not made.brakes.commanded(4.0).any()
+
+
 def test_brakes_are_open_while_legs_turn_no_faster_than_they_can(robot: wb.RobotModel) -> None:
     made, mpc = folding(robot)
     leg, limit = robot.state["leg"], robot.limits.input_upper[robot.input["leg"]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import casadi as ca
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import wbmpc as wb
+from clearing import write_arm
 from planar_driving import write_robot
 from test_tasks import WHEELS, run
 from wbmpc.configuration import configure
@@ -59,6 +61,32 @@ def test_progress_waits_for_a_wall_that_passes(driving: Path, tmp_path: Path) ->
     assert m["contour_error_max_world"].value < 0.01 and m["end_effector_error_max_world"].value < 0.03
 
 
+def test_a_robot_that_is_stuck_says_so(tmp_path: Path) -> None:
+    """An arm on a foot, and a wall across its way that reaches beyond it: it stands before the wall, and the run ends then."""
+    arm, path = write_arm(tmp_path), tmp_path / "scene.yaml"
+    robot = wb.load_robot(arm)
+    tip = robot.pose(robot.home)[0]
+    place = [float(tip[0]) + 0.15, 0.0, 0.0]
+    path.write_text(f"obstacles:\n  wall: {{box: {{half: [0.05, 3, 3]}}, position: {place}}}\n")
+    more = [
+        f"robot={arm}",
+        "physics=kinematic",
+        f"obstacles={path}",
+        "settle_time=0.1",
+        "path.length=0.3",
+        "mpc.rate=20",
+    ]
+    experiment = load("obstacles-static")
+    settings = configure(experiment.config_type, [*more, "path.ramp=0.3", "path.speed=0.3", "patience=10"], "x")
+    result = experiment.run(settings, 0, None)
+    assert result.outcome == "stuck" and re.search(r"stuck .* m from its goal", result.reason)
+    m, tool = result.metrics, result.log.array("end_effector")
+    assert m["obstacle_clearance_min"].value > 0.0 and (tool[:, 0] < tip[0] + 0.1).all()
+    assert m["goal_missed"].value == pytest.approx(np.linalg.norm(tool[-1] - tip - [0.3, 0, 0]), abs=0.02)
+    # the reference is at the wall after 0.5 s, stands after another 0.5 s, and waits are reported after WINDOW
+    assert result.log.times("end_effector")[-1] < 0.1 + 0.3 + 1.0 + 2.0
+
+
 def ball_and_floor(around: SimulatedObstacles) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """A ball of 0.1 m that falls upwards without gravity, among simulated obstacles."""
     spec = mujoco.MjSpec()
@@ -93,6 +121,22 @@ def test_distances_and_contacts_are_those_of_the_world() -> None:
         mujoco.mj_step(model, data)
         around.count_contacts(data, k * model.opt.timestep)
     assert around.contacts == 1 and around.contact_speed == pytest.approx(0.4, abs=0.05)
+    assert around.caused == 1
+
+
+def test_a_contact_with_a_ball_at_rest_is_not_its_doing() -> None:
+    """The wall comes at 0.5 m/s, is there after 0.68 s, and pushes the ball ahead of it from then on."""
+    wall = SceneObstacle("wall", wb.shapes.Box((0.1, 1, 1)), {"position": (0.54, 0, 0.7), "velocity": (-0.5, 0, 0)})
+    around = SimulatedObstacles([wall], ground=-0.3)
+    model, data = ball_and_floor(around)
+    h = model.opt.timestep
+    for k in range(round(1.2 / h)):
+        around.place(data, k * h)
+        mujoco.mj_step(model, data)
+        data.qvel[0] = min(data.qvel[0], 0.0)
+        around.count_contacts(data, k * h)
+    assert around.contacts >= 1 and around.caused == 0 and around.contact_speed < 0.02
+    assert around.pushed > 0.0
 
 
 def test_walls_and_capsules_without_length_stand_in_the_world() -> None:

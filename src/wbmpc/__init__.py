@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.model.robot import load_robot as load_robot
     from wbmpc.mpc.filters import FilterMemory as FilterMemory
     from wbmpc.mpc.mpc import MPC as MPC
+    from wbmpc.mpc.pace import PacedReferences as PacedReferences
     from wbmpc.mpc.policy import Policy as Policy
     from wbmpc.mpc.policy_queue import PolicyQueue as PolicyQueue
     from wbmpc.obstacles import Obstacles as Obstacles
@@ -117,6 +118,7 @@ _MODULES = {
     "Status": "wbmpc.solver",
     "FilterMemory": "wbmpc.mpc.filters",
     "MPC": "wbmpc.mpc.mpc",
+    "PacedReferences": "wbmpc.mpc.pace",
     "Observation": "wbmpc.types",
     "export": "wbmpc.embedded.exporter",
     "Policy": "wbmpc.mpc.policy",

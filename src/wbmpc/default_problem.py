@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.speeds import SpeedMPC
-from wbmpc.obstacles.pairs import self_pairs
+from wbmpc.obstacles.pairs import arm_pairs, self_pairs
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import (
     Constraint,
@@ -137,13 +137,17 @@ def make_mpc(
 def keep_clear(
     ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
 ) -> OptimalControlProblem:
-    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is), and accelerations within their
-    limits: who evades at the last moment must be able to."""
+    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is) and its arm clear of itself, and
+    accelerations within their limits: who evades folds the arm, and must be able to at the last moment."""
     if obstacles is None:
         return ocp
     free = sets.NonNegative()
     rows = Constraint("clearance", residuals.Clearance(robot), free, at="path+terminal", hard=True, slack=slack)
     ocp.add(rows)
+    pairs = arm_pairs(robot)
+    if pairs and "self_clearance" not in ocp.terms:
+        own = residuals.SelfClearance(robot, pairs)
+        ocp.add(Constraint("self_clearance", own, free, at="path+terminal", hard=True, slack=slack))
     return ocp
 
 

@@ -45,8 +45,8 @@ class Ending:
     reason: str = ""
     fell: bool = False
     interrupted: bool = False
-    stuck: bool = False
     contacts: tuple[Contacts, ...] = field(default=(), compare=False, repr=False)
+    stuck: bool = False
 
     @classmethod
     def of(cls, *plants: Any, reason: str = "") -> Ending:

@@ -33,6 +33,8 @@ PERSON = (0.2, 1.8)
 #: People are seen from so far [m] and for so long [s] before they cross the robot's path: who walks slowly does not appear right beside a
 #: robot that evades another one.
 SEEN_FROM, SEEN_FOR = 4.0, 4.0
+#: How exactly plans know people [m], [m/s]: as from a LIDAR.
+SEEN_AS = {"std": 0.015, "velocity_std": 0.02}
 #: A corridor begins so far [m] ahead of the robot; over how much of the way [m] the end effector swings ahead of the base.
 ENTRY, SWING = 1.0, 0.8
 #: How far [m] a pillar and a shelf stand in the way of the base that would go straight.
@@ -142,7 +144,7 @@ def moving_scene(settings: Moving, robot: RobotModel, seed: int) -> list[SceneOb
         appears = max(meet - max(SEEN_FROM / pace, SEEN_FOR), 0.0)
         place = [*e.base[:2], e.ground] + np.array([share * length, 0.0, 0.0]) - (meet - appears) * velocity
         shape = Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0])
-        people.append(SceneObstacle(f"person{k}", shape, {"position": place, "velocity": velocity}, appears))
+        people.append(SceneObstacle(f"person{k}", shape, {"position": place, "velocity": velocity, **SEEN_AS}, appears))
     return people
 
 

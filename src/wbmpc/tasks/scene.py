@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -29,6 +30,9 @@ MEASURED = 0.02
 TOLERATED = 0.01
 #: A robot is stuck while its end effector is farther [m] than this from its reference and slower [m/s], for so long [s].
 BEHIND, SLOW, LONG = 0.05, 0.02, 1.0
+#: It ends the run if its references wait for so long [s] in which the end effector moves by less than this [m], or for so long however it
+#: moves.
+WINDOW, STAYS, HOPELESS = 1.5, 0.1, 4.0
 
 
 def believed(system: System) -> tuple[Array, Array, Array]:
@@ -63,6 +67,7 @@ class SceneWatch:
             pose = system.plant.truth().pose
             around.show(system.mpc.obstacles, 0.0, pose, pose)
         self._waits, self._stuck, self._last = 0.0, 0.0, np.zeros(3)
+        self._places: deque[tuple[float, Array]] = deque()
 
     def tick(self, t: float, plans: Any) -> None:
         """At a controller period."""
@@ -98,12 +103,23 @@ class SceneWatch:
             return
         behind = float(np.linalg.norm(goal[:3] - tool))
         h = self._every * self._system.timing.period
-        kept = behind > BEHIND if self._pace is None else self._pace.waits
-        self._waits = self._waits + h if kept and moved < SLOW * h else 0.0
+        self._waits = self._waits + h if behind > BEHIND and moved < SLOW * h else 0.0
         if self._waits >= LONG:
             self._stuck += h if self._waits > LONG + 0.5 * h else LONG
-            if self._pace is not None and not self._blocked_for_now(t):
-                raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal")
+        self._check_progress(t, tool)
+
+    def _check_progress(self, t: float, tool: Array) -> None:
+        """End the run of a robot whose references wait while it stays where it is."""
+        if self._pace is None:
+            return
+        if not self._pace.waits or self._blocked_for_now(t):
+            self._places.clear()
+        self._places.append((t, tool.copy()))
+        recent = next(place for since, place in self._places if since > t - WINDOW - 1e-9)
+        waited = t - self._places[0][0]
+        stays = waited > WINDOW and np.linalg.norm(tool - recent) < STAYS
+        if stays or waited > HOPELESS:
+            raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal")
 
     def _blocked_for_now(self, t: float) -> bool:
         """Whether what the plan is nearest to goes on by itself."""
@@ -115,6 +131,10 @@ class SceneWatch:
     def metrics(self) -> dict[str, Metric]:
         """Least true distance, contacts, and how long the robot stood away from its goal."""
         around, pace = self._around, self._pace
+        caused = {
+            "obstacle_contacts_caused": Metric(float(around.caused), "1", goal=0.0),
+            "pushed_time_max": Metric(around.pushed, "s", goal=2.0),
+        }
         waited = {} if pace is None else {
             "reference_delay": Metric(pace.delay, "s"), "goal_missed": Metric(pace.missed(self._last), "m", goal=GOAL),
         }  # fmt: skip
@@ -122,6 +142,7 @@ class SceneWatch:
             "obstacle_clearance_min": Metric(around.least, "m", least=self._margin - TOLERATED),
             "obstacle_contacts": Metric(float(around.contacts), "1", goal=0.0),
             "contact_speed_max": Metric(around.contact_speed, "m/s"),
+            **(caused if getattr(self._system.plant, "has_physics", True) else {}),
             "stuck_time": Metric(self._stuck, "s"),
             "braking_plans": Metric(float(self._system.mpc.statistics.braking_plans), "1"),
             **(self._perception.metrics() if self._perception else {}),

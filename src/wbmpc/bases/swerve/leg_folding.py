@@ -22,6 +22,7 @@ from wbmpc.obstacles.world import Snapshot
 from wbmpc.ocp import Reference
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 #: Interval of what is looked at ahead [s]; how long ahead beyond the horizon [s]; how often [s] it is looked.
 STEP, BEYOND, REFRESH = 0.2, 4.0, 0.2
 #: Shares of the way of a leg, and how far [m] the base may move aside, from straight on.
@@ -61,7 +62,7 @@ class LegFolding:
         self._asked: Reference | None = None
         self._set: Reference | None = None
 
-    def _parts(self) -> tuple[list[Array], Array]:
+    def _parts(self) -> tuple[list[Ints], Ints]:
         """Indices of the geometry's frames that hang on each leg, and of those that carry no arm and no leg."""
         robot, geometry = self.robot, self._finder.geometry
         links = robot.tree.links
@@ -94,8 +95,10 @@ class LegFolding:
         world = self._mpc.obstacles
         if t >= self._looked + REFRESH - 1e-9 and world is not None:
             self._looked = t
-            self._look(t, world.snapshot(t), self._asked)
-        times = t + STEP * np.arange(round((self._mpc.ocp.horizon + 2.0 * self._mpc.period) / STEP) + 2)
+            there = world.snapshot(t)
+            still = tuple(o for o in there.obstacles if not o.velocity.any())  # who walks by is evaded or waited for
+            self._look(t, Snapshot(still, there.frames), self._asked)
+        times = _times(t, self._mpc.ocp.horizon + 2.0 * self._mpc.period + STEP)
         values = np.array([self._asked.at(float(at)) for at in times])
         shares, aside = self._planned(times)
         self._turned = np.where(np.abs(shares[1] - shares[0]) > 1e-3, t, self._turned)
@@ -114,7 +117,7 @@ class LegFolding:
 
     # ------------------------------------------------------------------ what is ahead
     def _look(self, t: float, snapshot: Snapshot, asked: Reference) -> None:
-        times = t + STEP * np.arange(round((self._mpc.ocp.horizon + BEYOND) / STEP) + 1)
+        times = _times(t, self._mpc.ocp.horizon + BEYOND)
         states = np.array([asked.at(float(at))[: self.robot.state.size] for at in times])
         shares, aside = self.needed(snapshot, times, states)
         speeds = np.abs(self._narrow - states[:, self._leg]).max(axis=0)
@@ -130,20 +133,23 @@ class LegFolding:
 
     def needed(self, snapshot: Snapshot, times: Array, states: Array) -> tuple[Array, Array]:
         """Of base poses in ``states`` (k, nx) at ``times`` (k) [s]: shares (k, n) of each leg's way to its narrowest angle, and how far
-        aside (k) [m] the base has to be."""
+        aside (k) [m] the base has to be; zeros where the body does not pass either."""
         k, m = len(times), len(ASIDE)
         wanted = float(self.robot.description.collision.margin) + GAP
         at = np.repeat(times, m)
         moved = self._shifted(np.repeat(states, m, axis=0), np.tile(ASIDE, k))
         body = self._distances(snapshot, at, moved, [self._body])[:, 0].reshape(k, m)
         capped = np.minimum(body, wanted)
-        aside = ASIDE[np.argmax(capped, axis=1)]  # the first of those that are as good: the nearest
+        passes = capped.max(axis=1) > 0.0
+        aside = np.where(
+            passes, ASIDE[np.argmax(capped, axis=1)], 0.0
+        )  # the first of those that are as good: the nearest
         turned = np.repeat(self._shifted(states, aside), len(SHARES), axis=0)
         asked = turned[:, self._leg]
         turned[:, self._leg] = asked + np.tile(SHARES, k)[:, None] * (self._narrow - asked)
         legs = self._distances(snapshot, np.repeat(times, len(SHARES)), turned, self._of_leg)
         clear = legs.reshape(k, len(SHARES), -1) >= wanted
-        shares = np.where(clear.any(axis=1), SHARES[np.argmax(clear, axis=1)], 1.0)
+        shares = np.where(clear.any(axis=1), SHARES[np.argmax(clear, axis=1)], 1.0) * passes[:, None]
         for pair in (self._pair, ~self._pair):
             shares[:, pair] = shares[:, pair].max(axis=1, keepdims=True, initial=0.0)
         return shares, aside
@@ -154,7 +160,7 @@ class LegFolding:
         out[:, base + 1] += np.cos(states[:, base + 2]) * aside
         return out
 
-    def _distances(self, snapshot: Snapshot, times: Array, states: Array, groups: list[Array]) -> Array:
+    def _distances(self, snapshot: Snapshot, times: Array, states: Array, groups: list[Ints]) -> Array:
         """Least distance (n, groups) [m] of each group of frames to any obstacle, :data:`REACH` at most."""
         poses = Poses(times, *self._finder.kinematics(states))
         frames = len(self._finder.geometry.frames)
@@ -173,6 +179,10 @@ class LegFolding:
             is_open[near] |= turns[k]
         changes = [0, *(np.flatnonzero((is_open[1:] != is_open[:-1]).any(axis=1)) + 1)]
         self.brakes.replace([(float(times[k]), is_open[k].astype(float)) for k in changes])
+
+
+def _times(t: float, duration: float) -> Array:
+    return np.asarray(t + STEP * np.arange(round(duration / STEP) + 1), float)
 
 
 def _reachable(needed: Array, times: Array, rate: float, start: float) -> Array:
