@@ -53,7 +53,7 @@ def _tracking(log: Log, since: float) -> dict[str, Metric]:
     }
 
 
-def general_plots(log: Log, mpc: MPC, robot: RobotModel) -> list[Plot]:
+def general_plots(log: Log, mpc: MPC, robot: RobotModel, physics: bool) -> list[Plot]:
     """Paths seen from above, errors, inputs, solve times."""
     t, tool, base = log.times("end_effector"), log.array("end_effector"), log.array("base")
     paths = [Series("end effector", tool[:, 0], tool[:, 1]), Series("base", base[:, 0], base[:, 1])]
@@ -67,7 +67,7 @@ def general_plots(log: Log, mpc: MPC, robot: RobotModel) -> list[Plot]:
         ]
         plots = [Plot("End effector error", "time [s]", "error [mm]", errors)]
     inputs, names = log.array("input"), mpc.ocp.dynamics.input.names
-    if isinstance(mpc, SpeedMPC):
+    if isinstance(mpc, SpeedMPC) and physics:
         names = robot.input.names
     solve = 1e3 * np.array(mpc.statistics.solve_times)
     return [

@@ -110,7 +110,8 @@ def closed_loop(
         return {**found, **(metrics(log) if metrics else {})}
 
     def drawn(run: Run) -> list[Plot]:
-        return [*general_plots(log, mpc, robot), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
+        general = general_plots(log, mpc, robot, settings.physics == "mujoco")
+        return [*general, *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
     return Scenario.single(log, loop.run, measured, drawn, IDEALISATIONS[settings.physics])
