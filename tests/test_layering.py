@@ -18,14 +18,14 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
     "errors", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "input_file", "json_file", "yaml_file", "configuration",
-    "settings_table", "result", "units", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
+    "settings_table", "units", "plots", "result", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
     "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control", "runtime", "estimation", "simulation", "settings",
     "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "study", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip
 #: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
-    "plotly": {"report", "study"},
+    "plotly": {"plots", "report", "study"},
     "distributed": {"study"},
     "optuna": {"study"},
     "pyarrow": {"recording", "study"},

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 import wbmpc as wb
 from fake_experiment import FakeSettings, run
 from wbmpc.log import Log
+from wbmpc.plots.figures import MAX_POINTS, _colours, _legend_rows, _thin, hint, plotly_figure
 from wbmpc.report import goal_text, page, plots_page, to_json, versions, write_run
-from wbmpc.report.figures import MAX_POINTS, _colours, _legend_rows, _thin, hint, plotly_figure
 from wbmpc.report.run_page import solve_lines
 from wbmpc.result import Metric, MpcStatistics, Plot, Series
 from wbmpc.units import number, scale

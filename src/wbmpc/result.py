@@ -9,6 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from wbmpc.log import Log
+from wbmpc.plots.notebook import figure, html_table
+from wbmpc.plots.series import Drawing as Drawing
+from wbmpc.plots.series import Plot as Plot
+from wbmpc.plots.series import Series as Series
+from wbmpc.units import scale
 
 #: How a run ended: in one word. Only the first is a success. ``rejected``: it did not start.
 OutcomeName = Literal["completed", "gave_up", "stuck", "fell", "collided", "rejected", "interrupted"]
@@ -87,46 +92,11 @@ class MpcStatistics:
         )
 
 
-@dataclass(frozen=True)
-class Series:
-    """One line of a plot: its ``name``, ``x`` (n) and ``y`` (n) in the units of the plot's labels, whether it is ``dashed``.
-
-    Lines of the same ``colour`` (a number) look alike; left out: each has its own, and "NAME, reference", "NAME, planned" and the like
-    have that of "NAME". ``limits``: lowest and highest value that ``y`` may have (infinite: none), drawn dotted.
-    """
-
-    name: str
-    x: np.ndarray
-    y: np.ndarray
-    dashed: bool = False
-    colour: int | None = None
-    limits: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True)
-class Plot:
-    """A plot of the report: its ``title``, the labels of its axes with their units (``x_label``, ``y_label``) and its lines (``series``);
-    ``equal_axes``: a length is the same along both axes. Plots over "time [s]" share zoom and cursor."""
-
-    title: str
-    x_label: str
-    y_label: str
-    series: list[Series]
-    equal_axes: bool = False
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A picture of the report that is no plot, as SVG text."""
-
-    title: str
-    svg: str
-    equal_axes = False
-
-
 @dataclass
 class RunResult:
-    """Everything a run leaves behind; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
+    """Everything a run leaves behind, of an ``experiment`` by name with a ``seed``; ``completed``: whether it got to its end; ``metrics`` by name;
+    ``log``: its signals; ``plots`` of its report; ``idealisations``: what the simulation leaves out, as texts; ``settings`` as plain
+    values; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
     experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages; ``failure``: the
     ``outcome`` of a run that neither completed nor was interrupted; ``command`` repeats the run, and ``wall_time`` [s] is how long it
     took, both of runs of the command line."""
@@ -153,6 +123,23 @@ class RunResult:
         if self.interrupted:
             return "interrupted"
         return "completed" if self.completed else self.failure
+
+    def __repr__(self) -> str:
+        reason = f": {self.reason}" if self.reason else ""
+        return f"RunResult({self.experiment}, seed {self.seed}, {self.outcome}{reason}; {len(self.metrics)} metrics)"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name, m in self.metrics.items():
+            shown, met = scale(m.unit, m.value, m.paper, m.goal, m.least), self.reached(name)
+            bounds = [f"{sign} {shown.text(b)}" for sign, b in (("≥", m.least), ("≤", m.goal)) if b is not None]
+            said = {True: "reached", False: "missed", None: ""}[met]
+            rows.append([name, shown.text(m.value), shown.unit, " and ".join(bounds), said, m.definition])
+        return html_table(repr(self), ["metric", "this run", "unit", "goal", "", "definition"], rows)
+
+    def plot(self) -> Any:
+        """The plots of the report as one Plotly figure (drawings are left out)."""
+        return figure([plot for plot in self.plots if isinstance(plot, Plot)])
 
     def reached(self, name: str) -> bool | None:
         """Whether the goal of a metric is reached; None without a goal, and where the user ended the run: it says nothing about

@@ -104,8 +104,10 @@ def test_a_replays_plots_keep_peaks_and_mark_the_moment() -> None:
     values[1234] = 9.0
     t, y = thinned(times, values)
     assert len(t) <= POINTS_OF_REPLAYS and y.max() == 9.0 and (np.diff(t) > 0.0).all()
+    values[7] = np.nan  # no number at this time
+    t, y = thinned(times, values)
     data = marked(t, [y, np.full(t.size, 2.0)], 20.0)
-    now = np.isfinite(data[-1])
-    assert data[0][now].tolist() == [20.0, 20.0] and data[-1][now].tolist() == [0.0, 9.0]
+    assert all(np.isfinite(row).all() for row in data)
+    assert data[0][data[-1] > 0.0].tolist() == [20.0] and data[-1].max() == 9.0
     assert (np.diff(data[0]) >= 0.0).all() and len({len(row) for row in data}) == 1
-    assert np.isnan(data[1][now]).all()
+    np.testing.assert_array_equal(np.interp(t, data[0], data[1]), y)

@@ -49,7 +49,11 @@ class Dynamics:
 
 
 class RobotModel:
-    """A described robot as symbolic functions on CasADi SX, with named layouts."""
+    """A described robot as symbolic functions on CasADi SX, with named layouts.
+
+    ``description``: the robot's file; ``base``: the symbolic side of its base type; ``tree``: its links; layouts of ``state`` (nx), ``input``
+    (nu), ``parameters`` (np) that hold over a horizon, and ``mode`` values (nm): slices by group. Joints in rad or m, speeds in rad/s or m/s.
+    """
 
     def __init__(self, description: RobotDescription) -> None:
         self.description = description
@@ -58,6 +62,21 @@ class RobotModel:
         self.state, self.input = Layout(self.base.state), Layout(self.base.input)
         self.parameters, self.mode = Layout(self.base.parameters), Layout(self.base.mode)
         self._check_home()
+
+    def __repr__(self) -> str:
+        d = self.description
+        return f"RobotModel({d.name}: {d.base.type} base, {self.state.size} states, {self.input.size} inputs, tool {self.tool})"
+
+    def _repr_html_(self) -> str:
+        from wbmpc.plots.notebook import html_table
+
+        limits, rows = self.limits, []
+        for kind, layout, low, high in (
+            ("state", self.state, limits.state_lower, limits.state_upper), ("input", self.input, limits.input_lower, limits.input_upper),
+        ):  # fmt: skip
+            for name, a, b in zip(layout.names, low, high, strict=True):
+                rows.append([kind, name, f"{a:g} to {b:g}" if np.isfinite([a, b]).any() else ""])
+        return html_table(repr(self), ["", "name", "limits [SI]"], rows)
 
     def _check_home(self) -> None:
         for group, names in self.state.groups.items():

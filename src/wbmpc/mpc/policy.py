@@ -117,6 +117,29 @@ class Policy:
             *own, limits=limits, limit_violation=limit_violation, active=active, moving=moving, clearance=clearance
         )
 
+    def __repr__(self) -> str:
+        return (
+            f"Policy({self.times[0]:.3f} to {self.end:.3f} s, {len(self.u)} intervals, "
+            f"{self.x.shape[1]} states, {self.u.shape[1]} inputs)"
+        )
+
+    def _repr_html_(self) -> str:
+        from wbmpc.plots.notebook import html_table
+
+        rows = [
+            ("limit violation", f"{100 * self.limit_violation:.3g} %"),
+            ("largest gain", f"{np.abs(self.gain).max(initial=0.0):.4g}"),
+        ]
+        rows += [("input at its start", np.array2string(self.u[0], precision=4))]
+        return html_table(repr(self), (), rows)
+
+    def plot(self, dynamics: Any = None) -> Any:
+        """Planned states and inputs over absolute time as a Plotly figure; ``dynamics``: whose names they have (left out: numbers)."""
+        from wbmpc.plots.notebook import figure, names_of, trajectories
+
+        names = names_of(dynamics, self.x.shape[1], self.u.shape[1])
+        return figure(trajectories(self.times, self.x, self.u, names))
+
     @property
     def end(self) -> float:
         """The last time [s] for which the policy was planned."""

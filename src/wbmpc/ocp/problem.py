@@ -43,6 +43,8 @@ class SystemDynamics(Protocol):
 class OptimalControlProblem:
     """minimise Σ ∫ cost dt + terminal cost, subject to ẋ = f(x, u) and constraints, over ``horizon`` seconds.
 
+    ``dynamics``: the system; ``terms``: costs and constraints by name, in the order in which they were added.
+
     ``intervals``: number of intervals N. ``first_interval`` [s]: geometric grid, fine near now; uniform when left out;
     or ``grid``: the times of the N + 1 nodes from 0 [s]. ``integrator``: "rk2" (midpoint) or "rk4" steps.
     ``align_events``: move the nearest node onto every event of the mode schedule, so that no interval sees two modes.
@@ -111,6 +113,23 @@ class OptimalControlProblem:
         )  # fmt: skip
         other.terms = self.terms
         return other
+
+    def __repr__(self) -> str:
+        d, count = self.dynamics, len(self.terms)
+        return (
+            f"OptimalControlProblem({self.horizon:g} s, {self.intervals} intervals, {d.state.size} states, {d.input.size} inputs; "
+            f"{count} {'term' if count == 1 else 'terms'}: {', '.join(self.terms)})"
+        )
+
+    def _repr_html_(self) -> str:
+        from wbmpc.plots.notebook import html_table
+
+        rows = [
+            [name, "cost" if isinstance(term, Cost) else "equality" if term.equality else "inequality", type(term.residual).__name__,
+             term.residual.size, term.at, ", ".join(term.modes or ())]
+            for name, term in self.terms.items()
+        ]  # fmt: skip
+        return html_table(repr(self).partition(";")[0] + ")", ["term", "kind", "residual", "rows", "at", "modes"], rows)
 
     def add(self, term: Term) -> None:
         """Add a term; its name must be new. Solvers that were made before reject to go on."""

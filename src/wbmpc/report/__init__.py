@@ -1,8 +1,8 @@
 """A run on disk: metrics.json, log.npz and report.html, one self-contained page; and pages like it."""
 
+from wbmpc.plots.figures import template as template
 from wbmpc.report.document import document as document
 from wbmpc.report.document import table as table
-from wbmpc.report.figures import template as template
 from wbmpc.report.files import RECORDING as RECORDING
 from wbmpc.report.files import RUN_FILES as RUN_FILES
 from wbmpc.report.files import about_run as about_run

@@ -7,8 +7,8 @@ import json
 import math
 from collections.abc import Sequence
 
+from wbmpc.plots.figures import figure
 from wbmpc.report.document import document, table
-from wbmpc.report.figures import figure
 from wbmpc.report.plain import plain
 from wbmpc.report.provenance import commit, versions
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +29,9 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Solution:
-    """A trajectory with its feedback policy and its certificate.
+    """A trajectory with its feedback policy and its certificate: its ``status``, after so many ``iterations`` in ``solve_time`` [s].
 
+    ``violations``: the worst of each constraint by name, in its own unit; ``detail``: which term, node or entry the status is about.
     ``times`` (N + 1,) [s, from the start of the horizon]; ``x`` (N + 1, nx); ``u`` (N, nu), held over each interval;
     ``gain`` (N, nu, nx): u = u_k + K_k (x − x_k). ``cost`` and ``violation`` (1-norm of gaps, equalities, rows and start)
     are those of this trajectory; ``kkt`` (largest component of the Lagrangian's gradient; NaN when it was not asked for) is that
@@ -61,6 +63,26 @@ class Solution:
         """Whether the trajectory is finite and was not rejected."""
         bad = (Status.NOT_FINITE, Status.DIVERGED, Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
         return self.status not in bad and bool(np.isfinite(self.u[0]).all() and np.isfinite(self.x).all())
+
+    def __repr__(self) -> str:
+        return f"Solution({self})"
+
+    def _repr_html_(self) -> str:
+        from wbmpc.plots.notebook import html_table
+
+        figures = {
+            "status": self.status.value, "iterations": self.iterations, "cost": f"{self.cost:.6g}", "violation": f"{self.violation:.2e}",
+            "KKT residual": f"{self.kkt:.2e}", "solve time [ms]": f"{1e3 * self.solve_time:.3f}", "horizon [s]": f"{self.times[-1]:g}",
+            "intervals": len(self.u), "states, inputs": f"{self.x.shape[1]}, {self.u.shape[1]}", "detail": self.detail,
+        }  # fmt: skip
+        return html_table("Solution", (), [(name, value) for name, value in figures.items() if value != ""])
+
+    def plot(self, dynamics: Any = None) -> Any:
+        """States and inputs over the horizon as a Plotly figure; ``dynamics``: whose names they have (left out: numbers)."""
+        from wbmpc.plots.notebook import figure, names_of, trajectories
+
+        names = names_of(dynamics, self.x.shape[1], self.u.shape[1])
+        return figure(trajectories(self.times, self.x, self.u, names))
 
     def __str__(self) -> str:
         why = f" ({self.detail})" if self.detail else ""

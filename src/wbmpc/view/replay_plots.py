@@ -33,10 +33,10 @@ class ReplayPlots:
                 title, factor = _TITLES[name]
                 times, values = thinned(*numbers[name])
                 lines = [factor * values]
-                styles = [uplot.Series(label=name, stroke=_BLUE, width=1.5, spanGaps=True)]
+                styles = [uplot.Series(label=name, stroke=_BLUE, width=1.5)]
                 if name == "solve" and np.isfinite(deadline):
                     lines.append(np.full(times.size, factor * deadline))
-                    styles.append(uplot.Series(label="deadline", stroke=_AMBER, width=1.5, spanGaps=True))
+                    styles.append(uplot.Series(label="deadline", stroke=_AMBER, width=1.5))
                 styles.append(uplot.Series(label="now", stroke=_GREY, width=1.5))
                 handle = server.gui.add_uplot(
                     marked(times, lines, 0.0), (uplot.Series(label="t"), *styles), title=title, aspect=2.2,
@@ -55,16 +55,20 @@ class ReplayPlots:
 
 
 def thinned(times: Array, values: Array) -> tuple[Array, Array]:
-    """At most :data:`POINTS` points (n,), each the largest of its interval: a plot that leaves out peaks would show a better run."""
+    """At most :data:`POINTS` finite points (n,), each the largest of its interval: a plot that leaves out peaks would show a better run."""
+    known = np.isfinite(values)
+    times, values = times[known], values[known]
     every = -(-times.size // POINTS)
     starts = np.arange(0, times.size, max(every, 1))
-    return times[starts], np.fmax.reduceat(values, starts) if times.size else values
+    return times[starts], np.maximum.reduceat(values, starts) if times.size else values
 
 
 def marked(times: Array, lines: list[Array], t: float) -> tuple[Array, ...]:
-    """Data of a plot: times, lines, and last an upright line at time t [s] as high as they are."""
-    k = int(np.searchsorted(times, t))
-    finite = np.concatenate(lines)[np.isfinite(np.concatenate(lines))]
-    now = np.full(times.size, np.nan)
-    upright = np.insert(now, k, [min(0.0, float(finite.min())), float(finite.max())])
-    return (np.insert(times, k, [t, t]), *(np.insert(line, k, [np.nan, np.nan]) for line in lines), upright)
+    """Data of a plot: times, lines, and last a level line with a peak at time t [s] as high as they are.
+
+    All numbers are finite: the plotting library finds no range where one is not.
+    """
+    k, together = int(np.searchsorted(times, t)), np.concatenate(lines)
+    low, high = min(0.0, float(together.min())), float(together.max())
+    drawn = (np.insert(line, k, np.interp([t, t, t], times, line)) for line in lines)
+    return np.insert(times, k, [t, t, t]), *drawn, np.insert(np.full(times.size, low), k, [low, high, low])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.result import Drawing, Plot, Series
+from wbmpc.plots.series import Drawing, Plot, Series
 
 #: More points than this per line are thinned out (min and max of each bin are kept).
 MAX_POINTS = 1500
