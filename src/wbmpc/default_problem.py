@@ -9,16 +9,32 @@ from numpy.typing import NDArray
 
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.speeds import SpeedMPC
+from wbmpc.obstacles.pairs import arm_pairs, self_pairs
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, residuals, sets
+from wbmpc.ocp import (
+    Constraint,
+    Cost,
+    OptimalControlProblem,
+    Path,
+    Reference,
+    RelaxedBarrier,
+    path_problem,
+    residuals,
+    sets,
+    with_accelerations,
+)
 from wbmpc.ocp.scaling import scaled_weights
-from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.ocp.symbols import Residual
+from wbmpc.settings import MpcSettings, Settings, StabilitySettings, Weight
 
 Array = NDArray[np.float64]
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a metre from where it should be.
 CLEARANCE_SLACK = 3e4
 #: Of the accelerations, for plans among obstacles: wheels of a base are limited together, and feedback needs some.
 ACCELERATION_SHARE = 0.6
+#: Of stability rows: per share of a wheel's mean load and per meter of the zero-moment point, each per second.
+LOAD_SLACK, MARGIN_SLACK = 1e4, 1e5
 
 
 class DefaultCost(Settings):
@@ -40,9 +56,11 @@ def default_settings(**changes: Any) -> MpcSettings:
 
 
 def default_problem(
-    robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None
-) -> OptimalControlProblem:
-    """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds and the wheels' rates as inequalities."""
+    robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
+    stability: StabilitySettings | None = None,
+) -> OptimalControlProblem:  # fmt: skip
+    """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds, the wheels' rates, and distances of the pairs
+    that the robot file lists (``collision.self.pairs``) as inequalities; what keeps the robot upright: see :func:`keep_upright`."""
     settings, cost = settings or default_settings(), cost or DefaultCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
@@ -64,46 +82,100 @@ def default_problem(
     ocp.add(Constraint("positions", free_state, ranges, at="path+terminal", penalty=barrier, hard=hard))
     speeds = sets.Box(limits.input_lower, limits.input_upper)
     ocp.add(Constraint("speeds", residuals.Input(robot, reference=None), speeds, penalty=barrier, hard=hard))
+    rates = robot.limits.input_rate
+    limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
+    if limited:
+        ocp.add(
+            Constraint(
+                "accelerations",
+                residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE),
+                sets.NonNegative(),
+                hard=True,
+            )
+        )
+    if robot.description.collision.self.pairs and self_pairs(robot):
+        apart = residuals.SelfClearance(robot)
+        ocp.add(
+            Constraint(
+                "self_clearance", apart, sets.NonNegative(), at="path+terminal", hard=True, slack=CLEARANCE_SLACK
+            )
+        )
+    return keep_upright(ocp, robot, stability)
+
+
+def keep_upright(
+    ocp: OptimalControlProblem, robot: RobotModel, stability: StabilitySettings | None
+) -> OptimalControlProblem:
+    """The problem on accelerations (:func:`wbmpc.ocp.with_accelerations`) with hard rows "stability" that keep the robot from tipping over;
+    as it is where ``stability`` keeps nothing. Their reference is the world's wrench on the end effector (6), and mass [kg] and center [m]
+    of what it carries (4): both may change between any two updates. Raises :class:`InputError` for a base that stands on fewer than 3
+    feet, or whose wheels share the load in an unknown way."""
+    if stability is None or stability.keep == "nothing":
+        return ocp
+    ocp = with_accelerations(ocp, robot)
+    if stability.keep == "wheel_loads":
+        rows: Residual = residuals.WheelLoads(robot, dynamics=ocp.dynamics, payload=True)
+        ocp.add(Constraint("stability", rows, sets.Box(stability.min_load, np.inf), hard=True, slack=LOAD_SLACK))
+    else:
+        rows = residuals.SupportMargin(robot, dynamics=ocp.dynamics, payload=True)
+        ocp.add(Constraint("stability", rows, sets.Box(stability.margin, np.inf), hard=True, slack=MARGIN_SLACK))
     return ocp
+
+
+def make_mpc(
+    ocp: OptimalControlProblem, settings: MpcSettings, stability: StabilitySettings | None = None, **options: Any
+) -> MPC:
+    """The MPC of a problem that :func:`keep_upright` made with the same ``stability``, with the real-time ``settings``; ``options`` of
+    :class:`MPC`. Plans count with the payload of ``stability``."""
+    if stability is None or stability.keep == "nothing":
+        return MPC(ocp, settings.solver(), settings.rate, **options)
+    mpc = SpeedMPC(ocp, settings.solver(), settings.rate, **options)
+    mpc.reference["stability"] = Reference.constant([*[0.0] * 6, stability.payload, *stability.payload_center])
+    return mpc
 
 
 def keep_clear(
     ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
 ) -> OptimalControlProblem:
-    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is), and accelerations within their
-    limits: who evades at the last moment must be able to."""
+    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is) and its arm clear of itself, and
+    accelerations within their limits: who evades folds the arm, and must be able to at the last moment."""
     if obstacles is None:
         return ocp
     free = sets.NonNegative()
     rows = Constraint("clearance", residuals.Clearance(robot), free, at="path+terminal", hard=True, slack=slack)
     ocp.add(rows)
-    rates = robot.limits.input_rate
-    limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
-    if limited and "accelerations" not in ocp.terms:
-        ocp.add(
-            Constraint(
-                "accelerations", residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE), free, hard=True
-            )
-        )
+    pairs = arm_pairs(robot)
+    if pairs and "self_clearance" not in ocp.terms:
+        own = residuals.SelfClearance(robot, pairs)
+        ocp.add(Constraint("self_clearance", own, free, at="path+terminal", hard=True, slack=slack))
     return ocp
 
 
 def default_mpc(
     robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
-    obstacles: Obstacles | None = None,
+    obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, progress: bool = False,
 ) -> MPC:  # fmt: skip
-    """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``."""
+    """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``, and upright by
+    ``stability``. ``progress``: see :func:`wbmpc.path_problem`."""
     settings = settings or default_settings()
-    ocp = keep_clear(default_problem(robot, settings, cost), robot, obstacles)
-    mpc = MPC(ocp, settings.solver(), settings.rate, obstacles=obstacles)
+    ocp = default_problem(robot, settings, cost, stability)
+    ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
+    mpc = make_mpc(ocp, settings, stability, obstacles=obstacles)
     stay_at_home(robot, mpc)
     return mpc
 
 
 def stay_at_home(robot: RobotModel, mpc: MPC) -> None:
     """Begin at home, with references of end effector, state and input that rest there."""
-    position, orientation = robot.pose(robot.home)
-    mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)
+    hold_end_effector(mpc, *robot.pose(robot.home))
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     mpc.reset(robot.home)
+
+
+def hold_end_effector(mpc: MPC, position: Array, orientation: Array) -> None:
+    """The end effector's goal is a position (3) [m] with an orientation (4); of a problem with a path: it stands at the start of one."""
+    if mpc.path.active:
+        mpc.path.follow(Path.line(position, position + [1.0, 0.0, 0.0], orientation), speed=0.0)
+    else:
+        mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)

@@ -43,6 +43,10 @@ class FallPredicted(RunAborted):
     """A robot that balances will fall whatever it does: the motors are switched off before it does."""
 
 
+class RobotStuck(RunAborted):
+    """The robot stands away from its goal, and its plans do not lead there."""
+
+
 class DisturbanceTooLarge(RunAborted):
     """A force that no lean can hold drives a robot that balances ever faster: the motors are switched off."""
 

@@ -53,10 +53,11 @@ class Poses:
 
 class Finder:
     """Nearest points between one robot and any obstacles. ``reach`` [m]: what is farther away is not looked at; ``pairs``: how many pairs
-    of solids the last call compared one by one, the others were too far by their bounding spheres."""
+    of solids the last call compared one by one, the others were too far by their bounding spheres; ``deep``: whether it measures how deep
+    convex solids overlap (else their distance is 0)."""
 
-    def __init__(self, geometry: RobotGeometry, reach: float) -> None:
-        self.geometry, self.reach, self.pairs = geometry, reach, 0
+    def __init__(self, geometry: RobotGeometry, reach: float, deep: bool = True) -> None:
+        self.geometry, self.reach, self.pairs, self.deep = geometry, reach, 0, deep
         self._table = SolidTable(geometry)
         #: poses of the geometry's frames
         self.kinematics = CompiledKinematics(geometry.robot, [geometry.robot.tree.frames[f] for f in geometry.frames])
@@ -92,7 +93,7 @@ class Finder:
         which = [s[0] for s in solids]
         found = self._table.nearest(
             poses.position, poses.rotation, [s[1] for s in solids], np.stack([s[2] for s in solids], axis=1),
-            np.array([s[3] for s in solids]), below[:, :, which],
+            np.array([s[3] for s in solids]), below[:, :, which], self.deep,
         )  # fmt: skip
         self.pairs = found.compared
         there = found.distance < below[:, :, which]

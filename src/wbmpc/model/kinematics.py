@@ -64,6 +64,25 @@ class Placement:
     axis: SX
 
 
+@dataclass(frozen=True)
+class RootMotion:
+    """Of a chain's root, in its own axes: ``angular`` velocity (3) [rad/s], its ``spin_rate`` (3) [rad/s²], and the ``acceleration`` (3)
+    [m/s²] of its origin less gravity (9.81 upwards at rest)."""
+
+    angular: SX
+    spin_rate: SX
+    acceleration: SX
+
+
+@dataclass(frozen=True)
+class PointLoad:
+    """A point of ``mass`` [kg] fixed to link ``link`` at ``place`` (3) [m] in its axes."""
+
+    link: int
+    place: SX
+    mass: SX
+
+
 class Chain:
     """Links with their symbolic joint values (by link index); ``root``: pose of the root's outer frame in the world; ``load``:
     a frame and the mass [kg] of a point there."""
@@ -141,6 +160,32 @@ class Chain:
     # ------------------------------------------------------------------ dynamics
     def inverse_dynamics(self, rates: dict[int, SX], accelerations: dict[int, SX], gravity: float = 9.81) -> SX:
         """Generalised forces of the moving joints for given rates and accelerations (recursive Newton-Euler)."""
+        root = RootMotion(SX(3, 1), SX(3, 1), constant([0, 0, gravity]))
+        forces = self._forces(rates, accelerations, root, self._point_load())
+        return self._collect(*forces)
+
+    def root_wrench(
+        self, rates: dict[int, SX], accelerations: dict[int, SX], root: RootMotion, load: PointLoad | None = None
+    ) -> tuple[SX, SX]:
+        """Force (3) [N] and moment (3) [N m] about the root's outer frame, in its axes, that move all links as given (recursive
+        Newton-Euler). Joints that are not in ``rates`` are locked, those that are not in ``accelerations`` keep their rate. ``load``: a
+        point mass beside the links'."""
+        force, moment = self._forces(rates, accelerations, root, load)
+        total, about = SX(3, 1), SX(3, 1)
+        for i in reversed(range(len(self.links))):
+            p, up = self.places[i], self.links[i].parent
+            carried, turned = p.rotation @ force[i], p.rotation @ moment[i]
+            turned = turned + cross(p.offset, carried)
+            if up >= 0:
+                force[up], moment[up] = force[up] + carried, moment[up] + turned
+            else:
+                total, about = total + carried, about + turned
+        return total, about
+
+    def _forces(
+        self, rates: dict[int, SX], accelerations: dict[int, SX], root: RootMotion, load: PointLoad | None
+    ) -> tuple[list[SX], list[SX]]:
+        """What each link's own inertia asks for: force (3) and moment (3) about its frame, in its axes."""
         n = len(self.links)
         w: list[SX] = [SX(3, 1)] * n
         aw: list[SX] = [SX(3, 1)] * n
@@ -150,12 +195,13 @@ class Chain:
         for i, link in enumerate(self.links):
             p = self.places[i]
             up = link.parent
-            w0, aw0, av0 = (w[up], aw[up], av[up]) if up >= 0 else (SX(3, 1), SX(3, 1), constant([0, 0, gravity]))
+            w0, aw0, av0 = (w[up], aw[up], av[up]) if up >= 0 else (root.angular, root.spin_rate, root.acceleration)
             back = p.rotation.T
             w[i], aw[i] = back @ w0, back @ aw0
             av[i] = back @ (av0 + cross(aw0, p.offset) + cross(w0, cross(w0, p.offset)))
             if i in rates:
-                turn, push = p.axis * rates[i], p.axis * accelerations[i]
+                turn = p.axis * rates[i]
+                push = p.axis * accelerations[i] if i in accelerations else SX(3, 1)
                 if link.kind == "revolute":
                     aw[i] = aw[i] + cross(w[i], turn) + push
                     w[i] = w[i] + turn
@@ -165,11 +211,14 @@ class Chain:
                 com, inertia = constant(link.com), constant(link.inertia)
                 force[i] = link.mass * (av[i] + cross(aw[i], com) + cross(w[i], cross(w[i], com)))
                 moment[i] = inertia @ aw[i] + cross(w[i], inertia @ w[i]) + cross(com, force[i])
-        if self.load is not None:
-            (i, place), mass = self._loaded(), self.load[1]
-            weight = mass * (av[i] + cross(aw[i], place) + cross(w[i], cross(w[i], place)))
+        if load is not None:
+            i, place = load.link, load.place
+            weight = load.mass * (av[i] + cross(aw[i], place) + cross(w[i], cross(w[i], place)))
             force[i], moment[i] = force[i] + weight, moment[i] + cross(place, weight)
-        return self._collect(force, moment)
+        return force, moment
+
+    def _point_load(self) -> PointLoad | None:
+        return None if self.load is None else PointLoad(*self._loaded(), self.load[1])
 
     def _loaded(self) -> tuple[int, SX]:
         """The link that the load is fixed to, and where on it (3) [m]."""

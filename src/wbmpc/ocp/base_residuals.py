@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.symbols import Symbols
-from wbmpc.stability import GRAVITY, Support, counter_clockwise
+from wbmpc.stability import GRAVITY, Support, counter_clockwise, standing
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,10 @@ class LockedJoints:
 class SupportMargin:
     """Distances [m] of the zero-moment point to the edges of support polygons, positive inside: all to be at least zero.
 
-    ``supports``: groups of modules (indices), each the corners of a convex polygon: a support triangle, or several whose
-    overlap the point is to stay in (Pankert et al. 2022, section II-A); left out: the support polygon of all modules.
-    Reference: the wrench (6) of the world on the end effector, force [N] and moment [N m] in world axes. ``gravity`` (3)
+    ``supports``: groups of feet (indices), each the corners of a convex polygon: a support triangle, or several whose
+    overlap the point is to stay in (Pankert et al. 2022, section II-A); left out: the support polygon of all feet.
+    Reference: the wrench (6) of the world on the end effector, force [N] and moment [N m] in world axes; with ``payload`` then also what
+    it carries (4): a mass [kg] and its center [m] in the end effector's axes. ``gravity`` (3)
     [m/s²]: on a slope not along −z. Loads are static unless ``dynamics`` are given: then also the inertia of what their
     states say about the inputs' rates (:class:`wbmpc.model.augment.InputRate`; inputs that are no states count as constant).
     """
@@ -90,10 +92,13 @@ class SupportMargin:
     supports: Sequence[Sequence[int]] | None = None
     gravity: tuple[float, float, float] = GRAVITY
     dynamics: Any = None
+    payload: bool = False
     groups: Mapping[str, slice] = field(init=False, repr=False)
     polygons: tuple[tuple[int, ...], ...] = field(init=False, repr=False)
 
-    reference = 6
+    @property
+    def reference(self) -> int:
+        return 10 if self.payload else 6
 
     def __post_init__(self) -> None:
         supports = [None] if self.supports is None else list(self.supports)
@@ -113,10 +118,56 @@ class SupportMargin:
 
     def __call__(self, s: Symbols) -> ca.SX:
         support = Support(self.robot, s.x)
-        motion = None
-        if self.dynamics is not None:
-            change = self.dynamics(s.all_x, s.all_u, s.parameters, s.mode)
-            rates = ca.jtimes(ca.vertcat(s.x, s.u), s.all_x, change)
-            motion = (s.u, rates[: s.x.shape[0]], rates[s.x.shape[0] :])
-        zmp = support.zmp(support.load(s.reference, self.gravity, motion))
+        zmp = support.zmp(_ground_load(support, s, self))
         return ca.vertcat(*[support.distances(feet, zmp) for feet in self.polygons])
+
+
+@dataclass(frozen=True)
+class WheelLoads:
+    """Loads of the feet over their mean at rest (the weight of the robot alone, over the number of feet): 1 is the mean, 0 a wheel that
+    lifts. They share the load as equal springs under a stiff body do. Reference, ``gravity`` and ``dynamics``: see
+    :class:`SupportMargin`; with ``payload`` the reference ends with it. Raises :class:`InputError` for a base whose feet do not share the
+    load in this way.
+    """
+
+    robot: RobotModel
+    gravity: tuple[float, float, float] = GRAVITY
+    dynamics: Any = None
+    payload: bool = False
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+
+    @property
+    def reference(self) -> int:
+        return 10 if self.payload else 6
+
+    def __post_init__(self) -> None:
+        footprint = standing(self.robot)
+        if not footprint.even:
+            raise InputError(
+                f"wheel loads: nothing says how the wheels of '{self.robot.description.name}' share the load (casters on springs); "
+                "valid: the support margin, or a base without casters"
+            )
+        object.__setattr__(self, "groups", {name: slice(i, i + 1) for i, name in enumerate(footprint.names)})
+
+    @property
+    def size(self) -> int:
+        return len(self.groups)
+
+    @property
+    def row_names(self) -> list[str]:
+        return list(self.groups)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        support = Support(self.robot, s.x)
+        mean = support.mass * float(np.linalg.norm(self.gravity)) / self.size
+        return support.foot_loads(_ground_load(support, s, self)) / mean
+
+
+def _ground_load(support: Support, s: Symbols, residual: SupportMargin | WheelLoads) -> tuple[ca.SX, ca.SX]:
+    """Force and moment that the ground answers: see :meth:`wbmpc.stability.Support.load`."""
+    motion, n = None, s.x.shape[0]
+    if residual.dynamics is not None:
+        change = residual.dynamics(s.all_x, s.all_u, s.parameters, s.mode)
+        rates = ca.jtimes(ca.vertcat(s.x, s.u), s.all_x, change)
+        motion = (s.u, rates[:n], rates[n:])
+    return support.load(s.reference[:6], residual.gravity, motion, s.reference[6:10] if residual.payload else None)

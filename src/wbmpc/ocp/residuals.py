@@ -16,15 +16,17 @@ import numpy as np
 from wbmpc.errors import unknown_name
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
-from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin
+from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin, WheelLoads
 from wbmpc.ocp.clearance_residuals import Clearance, SelfClearance
 from wbmpc.ocp.contact_residuals import FrictionCone, PushForce, push_on_surface
 from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench, RelativeMotion, RelativePose
+from wbmpc.ocp.path_residuals import Contour, PathAcceleration, Progress
 from wbmpc.ocp.symbols import Residual, Symbols
 
 __all__ = [
     "AccelerationLimit",
     "Clearance",
+    "Contour",
     "Expression",
     "FramePose",
     "FrameTwist",
@@ -33,7 +35,9 @@ __all__ = [
     "Input",
     "Limits",
     "LockedJoints",
+    "PathAcceleration",
     "ProblemInput",
+    "Progress",
     "PushForce",
     "RelativeMotion",
     "RelativePose",
@@ -43,6 +47,7 @@ __all__ = [
     "State",
     "SupportMargin",
     "Symbols",
+    "WheelLoads",
     "push_on_surface",
 ]
 

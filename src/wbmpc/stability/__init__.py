@@ -17,7 +17,7 @@ from wbmpc.stability.geometry import (
     support_triangles,
     triangle_margins,
 )
-from wbmpc.stability.robot import Stance, StanceOf, Support, counter_clockwise
+from wbmpc.stability.robot import Stance, StanceOf, Support, counter_clockwise, standing
 from wbmpc.stability.zmp import GRAVITY, Load, slope_gravity, zero_moment_point
 
 __all__ = [
@@ -43,6 +43,7 @@ __all__ = [
     "overlap_regions",
     "region_margin",
     "slope_gravity",
+    "standing",
     "support_polygon",
     "support_triangles",
     "triangle_margins",

@@ -33,7 +33,7 @@ class Assessment:
     @property
     def names(self) -> list[str]:
         """Names of the wheels, in the order of the feet."""
-        return list(self.robot.state.groups["wheel"])
+        return list(standing(self.robot).names)
 
     @property
     def polygon_area(self) -> float:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from wbmpc.bases.base import Base, Footprint
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
-from wbmpc.model.kinematics import Chain, FramePose, constant, cross
+from wbmpc.model.kinematics import Chain, FramePose, PointLoad, RootMotion, constant, cross
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability.friction import friction_needed
 from wbmpc.stability.geometry import Array, Triangle, hull, support_polygon, triangle_margins
@@ -68,57 +68,72 @@ class Support:
         """The end effector's frame (3) [m]."""
         return self.chain.frame_pose(self.robot.tree.frames[self.robot.tool]).position
 
-    def momentum(self, u: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Momentum (3) [kg m/s] and angular momentum (3) [kg m²/s] about the centre of mass for rates u (nu)."""
-        rates, linear, angular = self.base.motion(self.x, u)
-        v: list[ca.SX] = []
-        w: list[ca.SX] = []
-        total, about = ca.SX(3, 1), ca.SX(3, 1)
-        for i, link in enumerate(self.chain.links):
-            place, up = self.chain.places[i], link.parent
-            v0, w0 = (v[up], w[up]) if up >= 0 else (linear, angular)
-            v.append(place.rotation.T @ (v0 + cross(w0, place.offset)))
-            w.append(place.rotation.T @ w0)
-            if i in rates:
-                if link.kind == "revolute":
-                    w[i] = w[i] + place.axis * rates[i]
-                else:
-                    v[i] = v[i] + place.axis * rates[i]
-            if link.mass > 0.0:
-                pose, com = self.chain.link_pose(i), constant(link.com)
-                moved = pose.rotation @ (link.mass * (v[i] + cross(w[i], com)))
-                total += moved
-                about += cross(pose.position + pose.rotation @ com - self.com, moved)
-                about += pose.rotation @ (constant(link.inertia) @ w[i])
-        return total, about
-
     def load(
         self,
         wrench: ca.SX | None = None,
         gravity: ArrayLike = GRAVITY,
         motion: tuple[ca.SX, ca.SX, ca.SX] | None = None,
+        payload: ca.SX | None = None,
     ) -> tuple[ca.SX, ca.SX]:
         """Force (3) [N] and moment (3) [N m] about the origin: gravity, the world's ``wrench`` (6) on the end effector (force and
-        moment in world axes) and the inertia of a ``motion``: rates u (nu), ẋ (nx), and u̇ (nu)."""
-        force = self.mass * constant(gravity)
-        moment = ca.SX(3, 1)
-        if motion is not None:
-            u, x_rate, u_rate = motion
-            p, spin = self.momentum(u)
-            every, change = ca.vertcat(self.x, u), ca.vertcat(x_rate, u_rate)
-            force = force - ca.jtimes(p, every, change)
-            moment = moment - ca.jtimes(spin, every, change)
-        moment = moment + cross(self.com, force)
+        moment in world axes) and the inertia of a ``motion``: rates u (nu), ẋ (nx), and u̇ (nu). ``payload`` (4): mass [kg] of a point that
+        the end effector carries, and its center [m] in the end effector's axes."""
+        if motion is None:
+            force = self.mass * constant(gravity)
+            moment = cross(self.com, force)
+            if payload is not None:
+                weight = payload[0] * constant(gravity)
+                frame = self.chain.frame_pose(self.robot.tree.frames[self.robot.tool])
+                force, moment = force + weight, moment + cross(frame.position + frame.rotation @ payload[1:4], weight)
+        else:
+            force, moment = self._dynamic_load(gravity, motion, payload)
         if wrench is not None:
             force = force + wrench[0:3]
             moment = moment + wrench[3:6] + cross(self.tool(), wrench[0:3])
         return force, moment
+
+    def _dynamic_load(
+        self, gravity: ArrayLike, motion: tuple[ca.SX, ca.SX, ca.SX], payload: ca.SX | None
+    ) -> tuple[ca.SX, ca.SX]:
+        """Gravity and inertia by a Newton-Euler recursion: a quarter of the operations of differentiating the momentum."""
+        u, x_rate, u_rate = motion
+        rates, linear, angular = self.base.motion(self.x, u)
+        links = list(rates)
+        every, change = ca.vertcat(self.x, u), ca.vertcat(x_rate, u_rate)
+        now = ca.vertcat(linear, angular, *rates.values())
+        rate = ca.jtimes(now, every, change)
+        root = self.chain.root
+        assert root is not None
+        lifted = rate[0:3] + cross(angular, linear) - root.rotation.T @ constant(gravity)
+        load = None
+        if payload is not None:
+            frame = self.robot.tree.frames[self.robot.tool]
+            place = constant(frame.position) + constant(frame.rotation) @ payload[1:4]
+            load = PointLoad(frame.link, place, payload[0])
+        moved = RootMotion(angular, rate[3:6], lifted)
+        accelerations = {link: rate[6 + k] for k, link in enumerate(links)}
+        force, moment = self.chain.root_wrench(rates, accelerations, moved, load)
+        force, moment = -(root.rotation @ force), -(root.rotation @ moment)
+        return force, moment + cross(root.position, force)
 
     @staticmethod
     def zmp(load: tuple[ca.SX, ca.SX]) -> ca.SX:
         """Zero-moment point (2) [m] of a force and a moment."""
         force, moment = load
         return ca.vertcat(-moment[1], moment[0]) / force[2]
+
+    def foot_loads(self, load: tuple[ca.SX, ca.SX]) -> ca.SX:
+        """Loads (n) [N] of the feet under a force and a moment, which they share as equal springs under a stiff body do: the load is
+        linear in a foot's place."""
+        (force, moment), n = load, self.feet.shape[0]
+        x, y = self.feet[:, 0] - ca.sum1(self.feet[:, 0]) / n, self.feet[:, 1] - ca.sum1(self.feet[:, 1]) / n
+        middle = ca.sum1(self.feet) / n
+        xx, xy, yy = ca.dot(x, x), ca.dot(x, y), ca.dot(y, y)
+        # moments about the middle of the feet: Σ N y and −Σ N x answer them
+        about_x, about_y = moment[0] - middle[1] * force[2], moment[1] + middle[0] * force[2]
+        along, aside, det = about_y, -about_x, xx * yy - xy**2
+        a, b = (yy * along - xy * aside) / det, (xx * aside - xy * along) / det
+        return -force[2] / n + a * x + b * y
 
     def distances(self, feet: Feet, point: ca.SX) -> ca.SX:
         """Distances [m] of a point (2) to the edges of a polygon of feet, in their order (counter-clockwise: inside > 0)."""

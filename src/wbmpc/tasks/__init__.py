@@ -17,4 +17,5 @@ EXPERIMENTS: dict[str, str] = {
     "obstacles-sudden": "wbmpc.tasks.obstacles:SUDDEN",
     "corridor": "wbmpc.tasks.obstacles:CORRIDOR",
     "clutter": "wbmpc.tasks.obstacles:CLUTTER",
+    "tip-over": "wbmpc.tasks.tip_over:EXPERIMENT",
 }

@@ -14,8 +14,9 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Cost
-from wbmpc.settings import Positive, Settings
+from wbmpc.settings import Positive, Settings, StabilitySettings
 from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.stability import standing
 
 
 class SimulationSettings(Settings):
@@ -45,20 +46,33 @@ class TaskMpcSettings(Settings):
 
 class TaskSettings(SimulationSettings):
     """``robot``: a name (see 'wbmpc list') or a file; ``weights``: factors of costs by name, as the sliders of a view set them; ``avoid``:
-    "nothing" for plans that know of no obstacles, to compare with."""
+    "nothing" for plans that know of no obstacles, to compare with; ``stability``: what keeps a robot from tipping over that stops fast
+    with a load."""
 
     robot: str = "differential-ur10"
     mpc: TaskMpcSettings = TaskMpcSettings()
     weights: dict[str, Positive] = Field(default={})
     avoid: Literal["obstacles", "nothing"] = "obstacles"
+    stability: StabilitySettings = StabilitySettings()
 
-    def prepare(self, obstacles: bool = False) -> tuple[RobotModel, MPC]:
-        """The robot with its default MPC at home, which keeps clear of ``obstacles`` where there are any. Raises :class:`InputError` for a
-        weight of no cost."""
-        robot = load_robot(self.robot)
+    def prepare(
+        self, obstacles: bool = False, robot: RobotModel | None = None, progress: bool = False
+    ) -> tuple[RobotModel, MPC]:
+        """The robot (or another one of it, with a home of its own) with its default MPC at home, which keeps clear of ``obstacles`` where
+        there are any, and with ``progress`` follows a path at its own speed. Raises :class:`InputError` for a weight of no cost."""
+        robot = robot or load_robot(self.robot)
         changes: dict[str, Any] = {name: value for name, value in self.mpc.model_dump().items() if value is not None}
         if self.avoid == "obstacles" and (obstacles or self.obstacles is not None):
             changes["obstacles"] = Obstacles()
+        if self.stability.keep != "nothing":
+            standing(robot)
+            changes["stability"] = self.stability
+        if progress:
+            if self.stability.keep != "nothing":
+                raise InputError(
+                    "stability.keep: plans with progress along a path have no stability rows; valid: nothing"
+                )
+            changes["progress"] = True
         mpc = base_type(robot.description.base.type).mpc(robot, **changes)
         scale_weights(mpc, self.weights)
         return robot, mpc

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.planar.model import PlanarBase
+from wbmpc.bases.differential.description import DifferentialBaseDescription
+from wbmpc.bases.planar.model import PlanarBase, PointFootprint, standing_on
 from wbmpc.bases.planar.wheels import FixedWheels
 from wbmpc.errors import InputError
 from wbmpc.model.tree import Tree
@@ -32,4 +33,20 @@ def differential_base(description: RobotDescription, tree: Tree, wheels: FixedWh
             f"is {1e3 * abs(side[odd, 1]):.3g} mm ahead of or behind their middle and turned by "
             f"{np.degrees(np.arcsin(min(1.0, abs(side[odd, 0])))):.2g} deg; wheels that are dragged have no base type"
         )
-    return PlanarBase(description, tree, wheels, wheels.rates(np.zeros(len(side))), ("v", "wz"), allowed_twist(wheels))
+    twist = allowed_twist(wheels)
+    base = PlanarBase(description, tree, wheels, wheels.rates(np.zeros(len(side))), ("v", "wz"), twist)
+    casters = caster_places(description, wheels)
+    names = [*description.base.joints(), *(f"caster {i}" for i in range(len(casters)))]
+    # casters on springs: how much of the load they carry the file does not say
+    base.footprint = standing_on(PointFootprint(np.vstack([wheels.position, casters]), names, even=False))
+    return base
+
+
+def caster_places(description: RobotDescription, wheels: FixedWheels) -> Array:
+    """(n, 2) [m] in the axes of the body: the description's, or one ahead of and one behind the axle."""
+    assert isinstance(description.base, DifferentialBaseDescription)
+    if description.base.casters is not None:
+        return np.array(description.base.casters)
+    track = float(np.linalg.norm(np.ptp(wheels.position, axis=0)))
+    middle = wheels.position.mean(axis=0)
+    return np.array([middle + track * wheels.forward[0], middle - track * wheels.forward[0]])

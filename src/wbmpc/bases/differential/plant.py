@@ -9,7 +9,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from wbmpc.bases.differential.description import DifferentialBaseDescription
+from wbmpc.bases.differential.model import caster_places
 from wbmpc.bases.planar.plant import PlanarPlant, contact_settings
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.world import Array
@@ -31,17 +31,7 @@ class DifferentialPlant(PlanarPlant):
 
     def add_supports(self, spec: mujoco.MjSpec, weight: float) -> None:
         """The casters."""
-        add_casters(self, spec, weight, self._casters())
-
-    def _casters(self) -> Array:
-        """(n, 2) [m] in the axes of the body."""
-        assert isinstance(self.base, DifferentialBaseDescription)
-        if self.base.casters is not None:
-            return np.array(self.base.casters)
-        wheels = self.model_base.geometry
-        track = float(np.linalg.norm(np.ptp(wheels.position, axis=0)))
-        middle = wheels.position.mean(axis=0)
-        return np.array([middle + track * wheels.forward[0], middle - track * wheels.forward[0]])
+        add_casters(self, spec, weight, caster_places(self.description, self.model_base.geometry))
 
 
 def add_tyre(joint: mujoco.MjsJoint, radius: float, friction: list[float]) -> None:

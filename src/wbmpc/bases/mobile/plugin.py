@@ -11,7 +11,7 @@ from pydantic import Field
 
 from wbmpc.bases.base import Base, BaseType, Proposal, Question
 from wbmpc.bases.planar.description import PlanarBaseDescription
-from wbmpc.bases.planar.model import PlanarBase
+from wbmpc.bases.planar.model import PlanarBase, PointFootprint, standing_on
 from wbmpc.bases.planar.plugin import PlanarBaseType
 from wbmpc.bases.planar.wheels import FixedWheels
 from wbmpc.model.robot import RobotModel
@@ -63,6 +63,9 @@ class MobileBase(PlanarBase):
         wheels = FixedWheels(np.zeros((0, 2)), np.zeros(0), 1.0, height)
         super().__init__(description, tree, wheels, np.asarray(np.linalg.pinv(twist), float), names, twist)
         self.wheel_upper = self.wheel_acceleration = np.full(len(names), np.inf)
+        assert isinstance(description.base, MobileBaseDescription)
+        casters = np.array(description.base.casters).reshape(-1, 2)
+        self.footprint = standing_on(PointFootprint(casters, [f"caster {i}" for i in range(len(casters))], True))
 
     def _check_rank(self, description: RobotDescription) -> None:
         """Nothing: there are no wheels."""

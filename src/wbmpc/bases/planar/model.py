@@ -21,12 +21,40 @@ from wbmpc.robots import RobotDescription
 if TYPE_CHECKING:
     from wbmpc.bases.base import Footprint
     from wbmpc.model.robot import RobotModel
+    from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.ocp import Constraint
 
 Array = NDArray[np.float64]
 _UP = np.array([0.0, 0.0, 1.0])
 #: Smallest ratio of singular values of the wheel matrix, turns counted at the wheels' distance, at which wheels hold the base.
 _SINGULAR = 1e-3
+#: Feet whose spread across a line is a smaller share of that along it stand on the line.
+FLAT = 1e-3
+
+
+class PointFootprint:
+    """Points (n, 2) [m] that do not move in the axes of the body: wheels, casters. ``even``: see
+    :class:`wbmpc.bases.base.Footprint`."""
+
+    modules: ModuleGeometry | None = None
+
+    def __init__(self, points: Array, names: Sequence[str], even: bool) -> None:
+        self._points, self.size, self.names, self.even = points, len(points), list(names), even
+
+    def positions(self, x: Array) -> Array:
+        """Feet (n, 2) [m]."""
+        return self._points.copy()
+
+    def expressions(self, x: ca.SX) -> list[ca.SX]:
+        """The same (2 each) as symbols."""
+        return [constant(point) for point in self._points]
+
+
+def standing_on(footprint: Footprint, home: Array | None = None) -> Footprint | None:
+    """The footprint of a base that stands on three points or more, which are not on one line at its state ``home``; or None."""
+    points = footprint.positions(np.zeros(0) if home is None else home)
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 2 else np.zeros(2)
+    return footprint if spread[1] > FLAT * spread[0] else None
 
 
 class PlanarBase:
@@ -59,7 +87,9 @@ class PlanarBase:
         self.mode_bounds: dict[str, tuple[float, float]] = {}
         self.brakes: dict[str, str] = {}
         self.unit_quaternions: tuple[int, ...] = ()
-        self.footprint: Footprint | None = None
+        self.footprint: Footprint | None = standing_on(
+            PointFootprint(wheels.position, section(description).wheel_joints(), True)
+        )
         self.wheels, self.balances = 0, False  # no constraint makes the wheels roll: their rates follow from the input
         self.ground, self.body_height = 0.0, wheels.height
         limits, driven = description.limits, section(description).wheel_joints()

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.ros2.plants import RosPlant
     from wbmpc.ros2.settings import RosSettings
+    from wbmpc.settings import StabilitySettings
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
@@ -52,11 +53,16 @@ class PlanarBaseType(BaseType):
         tree = read_tree(spec, description.base.body)
         return tree, read_wheels(description, tree, wheel_radius(description, spec.compile()))
 
-    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+    def mpc(
+        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
+        progress: bool = False, **changes: Any,
+    ) -> MPC:  # fmt: skip
         """Weights that follow from the robot's size and limits."""
         from wbmpc.default_problem import default_mpc, default_settings
 
-        return default_mpc(robot, default_settings(**changes), obstacles=obstacles)
+        return default_mpc(
+            robot, default_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
+        )
 
     def system(
         self,

@@ -9,13 +9,13 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
-from wbmpc.default_problem import keep_clear
+from wbmpc.default_problem import keep_clear, keep_upright, make_mpc
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Guess
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
-from wbmpc.settings import MpcSettings, Settings, Weight
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, path_problem, residuals, sets
+from wbmpc.settings import MpcSettings, Settings, StabilitySettings, Weight
 
 #: Of the rolling rows in a receding horizon. The planned steering angles that a plan is shifted to are consistent up to the
 #: integration error of an interval only, and rows of four wheels that nearly depend on each other can then be met exactly
@@ -121,10 +121,15 @@ def swerve_mpc(
     *,
     allow_side_slip: bool = False,
     obstacles: Obstacles | None = None,
+    stability: StabilitySettings | None = None,
+    progress: bool = False,
 ) -> MPC:
-    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``."""
+    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and upright by ``stability``; ``progress``:
+    see :func:`wbmpc.path_problem`."""
     ocp = swerve_problem(robot, settings, cost, side_softness, accelerations=True, allow_side_slip=allow_side_slip)
-    return MPC(keep_clear(ocp, robot, obstacles), settings.solver(), settings.rate, guess=guess, obstacles=obstacles)
+    ocp = keep_upright(ocp, robot, stability)
+    ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
+    return make_mpc(ocp, settings, stability, guess=guess, obstacles=obstacles)
 
 
 def closed_brakes(robot: RobotModel, mpc: MPC) -> Callable[[BrakeFault], None] | None:

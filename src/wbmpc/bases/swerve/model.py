@@ -131,6 +131,7 @@ class ModuleFootprint:
     def __init__(self, base: SwerveBase) -> None:
         self._base, self.size = base, base.geometry.modules
         self.modules: ModuleGeometry | None = base.geometry
+        self.names, self.even = list(base.state["wheel"]), True
 
     def positions(self, x: Array) -> Array:
         """Feet (n, 2) [m] in the axes of the body at a state (nx)."""
@@ -231,6 +232,13 @@ class SwerveBase:
             return ca.vertcat(velocity, 0.5 * lie.quaternion_multiply(x[3:7], rate), rates)
         c, s = ca.cos(x[2]), ca.sin(x[2])
         return ca.vertcat(c * u[0] - s * u[1], s * u[0] + c * u[1], u[2], rates)
+
+    def acceleration(self, limits: Limits) -> Array:
+        """(3) [m/s², m/s², rad/s²]: how the twist may change where wheels keep their ``limits`` in whatever direction they point."""
+        g = self.geometry
+        slowest = float(np.min(limits.input_rate[Layout(self.input)["wheel"]])) * g.wheel_radius
+        lever = float(np.max(np.linalg.norm(g.hinge, axis=1) + g.leg_length))
+        return slowest * np.array([1.0, 1.0, 1.0 / lever])
 
     def check_brakes(self, leg: ArrayLike, brake: ArrayLike) -> None:
         """Raise :class:`InputError` if legs at ``leg`` (n) [rad] with brakes (n, 1 = open) hold the base against nothing."""

@@ -8,13 +8,14 @@ from wbmpc.bases.base import System
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.goal_guess import GoalGuess
+from wbmpc.bases.swerve.path_guess import PathGuess
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.default_problem import stay_at_home
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.settings import MpcSettings
+from wbmpc.settings import MpcSettings, StabilitySettings
 from wbmpc.simulation.lockstep import Timing
 
 #: Rate of the controller [Hz], drive lag that it assumes [s].
@@ -27,12 +28,14 @@ LEG_WEIGHT = 20.0
 COMPUTATION_DELAY = 0.010
 
 
-def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+def make_mpc(
+    robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
+    progress: bool = False, **changes: Any,
+) -> MPC:  # fmt: skip
     """The MPC whose goal is home; ``changes`` of its settings."""
     settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})
-    mpc = swerve_mpc(
-        robot, settings, SwerveCost(state=StateCost(leg=LEG_WEIGHT)), GoalGuess(robot), obstacles=obstacles
-    )
+    cost, guess = SwerveCost(state=StateCost(leg=LEG_WEIGHT)), PathGuess(robot) if progress else GoalGuess(robot)
+    mpc = swerve_mpc(robot, settings, cost, guess, obstacles=obstacles, stability=stability, progress=progress)
     stay_at_home(robot, mpc)
     return mpc
 

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.planar.model import PlanarBase
+from wbmpc.bases.planar.model import PlanarBase, standing_on
 from wbmpc.bases.planar.wheels import FixedWheels
 from wbmpc.bases.wheels.description import WheelsBaseDescription
 from wbmpc.errors import InputError
@@ -24,6 +24,7 @@ from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
+    from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.ocp import Constraint
 
 Array = NDArray[np.float64]
@@ -45,6 +46,15 @@ class Contact:
     place: int
     roller: float | None
     driven: bool
+
+    def place_of(self, steer: Any) -> Any:
+        """Where the wheel stands (2) [m] in the axes of the body."""
+        symbolic = isinstance(steer, ca.SX)
+        cos, sin = (ca.cos, ca.sin) if symbolic else (np.cos, np.sin)
+        angle = self.heading + (self.sign * steer[self.place] if self.sign else 0.0)
+        c, s, (x, y), (ox, oy) = cos(angle), sin(angle), self.axis, self.offset
+        place = [x + c * ox - s * oy, y + s * ox + c * oy]
+        return ca.vertcat(*place) if symbolic else np.array(place, float)
 
     def rows(self, steer: Any, steering: int) -> tuple[Any, Any]:
         """Velocity of the center along its heading and to the left, as rows (3 + ``steering``) of twist and steering rates. ``steer``:
@@ -106,6 +116,27 @@ def allowed_twist(description: RobotDescription, contacts: list[Contact]) -> tup
     return twist, ("v", "wz")
 
 
+class WheelsFootprint:
+    """Where a mix of wheels stands: contacts beside their steering axes move with those; casters do not."""
+
+    modules: ModuleGeometry | None = None
+
+    def __init__(self, base: WheelsBase, description: WheelsBaseDescription) -> None:
+        self._contacts, self._casters = base.wheel_contacts, np.array(description.casters).reshape(-1, 2)
+        self._part = slice(3, 3 + base.steering)
+        self.names = [w.joint for w in description.wheels] + [f"caster {i}" for i in range(len(self._casters))]
+        # a caster's spring is not a tyre's
+        self.size, self.even = len(self.names), not len(self._casters)
+
+    def positions(self, x: Array) -> Array:
+        """Feet (n, 2) [m] in the axes of the body at a state (nx)."""
+        return np.vstack([*(c.place_of(x[self._part]) for c in self._contacts), *self._casters])
+
+    def expressions(self, x: ca.SX) -> list[ca.SX]:
+        """The same (2 each) as symbols of the state."""
+        return [*(c.place_of(x[self._part]) for c in self._contacts), *(constant(at) for at in self._casters)]
+
+
 class WheelsBase(PlanarBase):
     """State: (x, y, yaw) of the body's frame, steering, arm; input: the base's speeds, steering and arm rates."""
 
@@ -117,6 +148,8 @@ class WheelsBase(PlanarBase):
         home = np.array([description.home.get(n, 0.0) for n in description.base.joint_groups().get("steer", [])])
         roll, side = self.matrices(home)
         super().__init__(description, tree, wheels, np.vstack([roll, side])[:, :3], names, twist)
+        assert isinstance(description.base, WheelsBaseDescription)
+        self.footprint = standing_on(WheelsFootprint(self, description.base), np.concatenate([np.zeros(3), home]))
 
     def matrices(self, steer: Any) -> tuple[Any, Any]:
         """Rows (k, 3 + s) of the body's twist and s steering rates: rates [rad/s] of driven wheels, and how fast tyres slip sideways over

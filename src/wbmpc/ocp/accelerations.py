@@ -1,0 +1,116 @@
+"""Accelerations as inputs: a problem on speeds becomes one whose plans know their inertia.
+
+Speeds of base and arm become states (:class:`wbmpc.model.augment.InputRate`). Equalities that then have no input left, as those that keep
+wheels from slipping sideways, ġ + κ g = 0 takes the place of: it holds g where it is zero, and brings it back at the rate κ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.errors import InputError
+from wbmpc.model.augment import InputRate
+from wbmpc.model.robot import RobotModel
+from wbmpc.ocp import sets
+from wbmpc.ocp.norms import RelaxedBarrier
+from wbmpc.ocp.problem import OptimalControlProblem
+from wbmpc.ocp.residuals import AccelerationLimit, ProblemInput
+from wbmpc.ocp.symbols import Residual, Symbols
+from wbmpc.ocp.terms import Constraint, Cost
+
+Array = NDArray[np.float64]
+#: Rate κ [1/s] at which wheels that slip sideways in a plan come to roll, and softness of such rows. (With κ = 5 and 1e-4 plans slip by
+#: several cm/s.)
+RETURN_RATE, SOFTNESS = 20.0, 1e-5
+#: Cost per second of an acceleration as large as its limit.
+ACCELERATION_COST = 10.0
+#: Of what accelerations may be, what plans use: arms that carry a payload have less torque left for it.
+SHARES: Mapping[str, float] = {"base": 0.9, "arm": 0.4}
+
+
+@dataclass(frozen=True)
+class RateRows:
+    """The rows of an equality ``inner``; of those that have no input of the problem while brakes are closed ġ + ``rate`` g [1/s], in the
+    row's unit over a second; inputs behind open brakes count as constant."""
+
+    inner: Residual
+    dynamics: InputRate
+    rate: float = RETURN_RATE
+
+    @property
+    def size(self) -> int:
+        return self.inner.size
+
+    @property
+    def groups(self) -> Mapping[str, slice]:
+        """Those of ``inner``."""
+        return self.inner.groups
+
+    @property
+    def reference(self) -> int:
+        return self.inner.reference
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        rows = self.inner(s)
+        change = self.dynamics(s.all_x, s.all_u, s.parameters, s.mode)
+        rates = ca.jtimes(rows, s.all_x, change) + self.rate * rows
+        # an input behind a closed brake is none
+        braked = ca.substitute(rows, s.mode, ca.SX.zeros(s.mode.shape)) if s.mode.numel() else rows
+        chosen = [rows[i] if ca.depends_on(braked[i], s.all_u) else rates[i] for i in range(rows.shape[0])]
+        return ca.vertcat(*chosen)
+
+
+def accelerations(robot: RobotModel, group: str) -> Array:
+    """(n) [1/s²] how fast inputs of a group may change, infinite where nothing says it; of a base what its wheels allow."""
+    limits = robot.limits
+    rates = limits.input_rate[robot.input[group]]
+    if group == "base" and not np.isfinite(rates).all() and hasattr(robot.base, "acceleration"):
+        return np.asarray(robot.base.acceleration(limits), float)
+    return np.asarray(rates, float)
+
+
+def with_accelerations(
+    ocp: OptimalControlProblem, robot: RobotModel, shares: Mapping[str, float] = SHARES
+) -> OptimalControlProblem:
+    """The same problem with speeds of some groups of inputs as states and their accelerations as inputs, which cost a little and stay
+    within ``shares`` of the robot's limits, by group; ``ocp`` is left as it is.
+
+    ``dynamics`` of the result is an :class:`wbmpc.model.augment.InputRate` of those of ``ocp``, which must be the robot's own. Costs and
+    inequalities go on as they are; limits that come from the last command (:class:`wbmpc.residuals.AccelerationLimit`) go on for the other
+    groups, but for wheels, which roll with the base. Raises :class:`InputError` for other dynamics, and for groups that do not exist.
+    """
+    own = ocp.dynamics
+    if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
+        raise InputError("accelerations: a problem on the robot's own dynamics (robot.dynamics()) is needed")
+    dynamics = InputRate(own, tuple(shares))
+    wrapped = OptimalControlProblem(
+        dynamics, ocp.horizon, ocp.intervals, grid=[float(t) for t in ocp.grid], integrator=ocp.integrator,
+        align_events=ocp.align_events, modes=ocp.modes,
+    )  # fmt: skip
+    for term in ocp.terms.values():
+        if isinstance(term, Constraint) and term.equality:
+            softness = max(term.softness, SOFTNESS)
+            wrapped.add(replace(term, residual=RateRows(term.residual, dynamics), softness=softness))
+        elif isinstance(term, Constraint) and isinstance(term.residual, AccelerationLimit):
+            rest = [g for g in term.residual.names if g not in shares and g != "wheel"]
+            if rest:
+                kept = AccelerationLimit(robot, rest, term.residual.share)
+                wrapped.add(replace(term, name="other accelerations", residual=kept))
+        else:
+            wrapped.add(term)
+    _limit(wrapped, robot, dynamics, shares)
+    return wrapped
+
+
+def _limit(ocp: OptimalControlProblem, robot: RobotModel, dynamics: InputRate, shares: Mapping[str, float]) -> None:
+    limits = np.concatenate([share * accelerations(robot, group) for group, share in shares.items()])
+    rows = ProblemInput(dynamics, [f"{group}_rate" for group in dynamics.groups])
+    typical = np.where(np.isfinite(limits), limits, 10.0)
+    ocp.add(Cost("acceleration", rows, list(ACCELERATION_COST / typical**2)))
+    box = sets.Box(-limits, limits)
+    ocp.add(Constraint("accelerations", rows, box, penalty=RelaxedBarrier(3e-3, 0.02), hard=True))
