@@ -85,8 +85,7 @@ class Perception:
         self._oldest = 0.0
         for sensor in self._sensors:  # the first plan knows what is there
             self._add(sensor.measure(0.0, system.plant.model, system.plant.data), robot.home)
-        if system.mpc.obstacles is not None:
-            self.map.publish(system.mpc.obstacles, 0.0)
+        self._publish(0.0)
 
     def tick(self, t: float) -> None:
         """Take in what sensors deliver at ``t`` [s], and make the map known to plans."""
@@ -100,10 +99,14 @@ class Perception:
             if scan is not None:
                 self._add(scan, self._states.pop((sensor.name, scan.time)))
                 new = True
-        if new and system.mpc.obstacles is not None:
-            self.map.publish(system.mpc.obstacles, t)
-            self._log.add("occupied_cells", t, float(self.map.occupied.sum()))
+        if new:
+            self._publish(t)
         self._oldest = max(self._oldest, self.map.age(t))
+
+    def _publish(self, t: float) -> None:
+        if self._system.mpc.obstacles is not None:
+            self.map.publish(self._system.mpc.obstacles, t)
+        self._log.add("occupied_cells", t, float(self.map.occupied.sum()))
 
     def _state(self) -> Array:
         """The robot's estimated state (nx)."""
