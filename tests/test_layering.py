@@ -36,6 +36,7 @@ ONLY_IN = {
     "llvmlite": {"kernel"},
     "threading": {
         "logs",
+        "registry",
         "model",
         "obstacles",
         "kernel",
