@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import itertools
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from wbmpc import lie
 from wbmpc.checks import real_numbers, unit_quaternions
 from wbmpc.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 #: Numbers of a path near a point: arc length, position, tangent, curvature vector, quaternion, turning, where it begins and ends.
@@ -57,6 +60,8 @@ class Path:
 
     def _fit(self, points: Array, turns: Array, chord: Array) -> None:
         """Splines over the chord, their arc length, splines over that."""
+        from scipy.interpolate import CubicHermiteSpline, CubicSpline  # a third of the start of a run
+
         given = CubicSpline(chord, points, bc_type="periodic" if self.periodic else "not-a-knot")
         cuts = max(1, -(-PIECES // (len(chord) - 1)))
         u = np.concatenate(
@@ -187,6 +192,8 @@ class Path:
 
 def _turn_spline(chord: Array, turns: Array, periodic: bool, at: Array, s: Array) -> CubicSpline:
     """Quaternions, of any length, over the arc length; ``at``: the chord at arc lengths s."""
+    from scipy.interpolate import CubicSpline
+
     if periodic:  # three rounds, because after one the sign may be another
         chord = np.concatenate([chord[:-1] - chord[-1], chord[:-1], chord + chord[-1]])
         turns = np.vstack([turns[:-1], turns[:-1], turns])
