@@ -22,7 +22,7 @@ from wbmpc.ocp.terms import Constraint, Cost
 SHARE = 0.02
 #: Speeds [m/s] that are farther from the desired one than this pull no harder: who asks for more than a robot can do does not get a
 #: path with its corners cut.
-PULL = 0.5
+PULL = 0.1
 #: Weight of the acceleration along the path as a share of the speed's [s²]: it chooses among plans that are equally fast.
 SMOOTH = 0.01
 
@@ -32,10 +32,16 @@ def path_problem(
 ) -> OptimalControlProblem:
     """The same problem with progress along a path in the place of a clock; ``ocp`` is left as it is.
 
-    The cost ``pose``, of a :class:`wbmpc.residuals.FramePose`, becomes ``contour``: the weights [1/m²] of its positions are those of
-    the contour, the largest that of the lag. ``progress`` weighs the difference of the speed along the path to the desired one with
-    ``share`` of that; ``path_acceleration`` is a hard limit with the barrier ``mu``. All other terms stay. Raises :class:`InputError` where
-    there is no such cost.
+        The cost ``pose``, of a :class:`wbmpc.residuals.FramePose`, becomes ``contour``: the weights [1/m²] of its positions are those of
+    <<<<<<< HEAD
+        the contour, the largest that of the lag. ``progress`` weighs the difference of the speed along the path to the desired one with
+        ``share`` of that; ``path_acceleration`` is a hard limit with the barrier ``mu``. All other terms stay. Raises :class:`InputError` where
+        there is no such cost.
+    =======
+        the contour, the largest that of the lag. ``progress`` weighs the speed along the path against the desired one with ``share`` of it;
+        ``path_acceleration`` is a hard limit with the barrier ``mu``. All other terms stay. Raises :class:`InputError`
+        where there is no such cost.
+    >>>>>>> origin/path7
     """
     dynamics = WithPath(ocp.dynamics)
     cost = ocp.term(pose)
