@@ -60,11 +60,7 @@ class Path:
 
     def _fit(self, points: Array, turns: Array, chord: Array) -> None:
         """Splines over the chord, their arc length, splines over that."""
-<<<<<<< HEAD
         from scipy.interpolate import CubicHermiteSpline, CubicSpline  # a third of the start of runs without paths
-=======
-        from scipy.interpolate import CubicHermiteSpline, CubicSpline  # a third of the start of a run
->>>>>>> origin/path7
 
         given = CubicSpline(chord, points, bc_type="periodic" if self.periodic else "not-a-knot")
         cuts = max(1, -(-PIECES // (len(chord) - 1)))
