@@ -32,11 +32,11 @@ def path_problem(
 ) -> OptimalControlProblem:
     """The same problem with progress along a path in the place of a clock; ``ocp`` is left as it is.
 
-        The cost ``pose``, of a :class:`wbmpc.residuals.FramePose`, becomes ``contour``: the weights [1/m²] of its positions are those of
-            the contour, the largest that of the lag. ``progress`` weighs the difference of the speed along the path to the desired one with
-        ``share`` of that; ``path_acceleration`` is a hard limit with the barrier ``mu``. All other terms stay. Raises :class:`InputError` where
-        there is no such cost.
-        """
+    The cost ``pose``, of a :class:`wbmpc.residuals.FramePose`, becomes ``contour``: the weights [1/m²] of its positions are those of
+        the contour, the largest that of the lag. ``progress`` weighs the difference of the speed along the path to the desired one with
+    ``share`` of that; ``path_acceleration`` is a hard limit with the barrier ``mu``. All other terms stay. Raises :class:`InputError` where
+    there is no such cost.
+    """
     dynamics = WithPath(ocp.dynamics)
     cost = ocp.term(pose)
     if not (isinstance(cost, Cost) and isinstance(cost.residual, FramePose)):
