@@ -16,15 +16,9 @@ setup: $(VENV)/.installed
 demo: $(VENV)/.installed
 	$(ENVIRONMENT) $(BIN)/wbmpc demo
 
-# those that need the wall clock run after the others and alone, so that other tests do not take their time;
-# both parts run whatever the first one said (5: nothing selected); "worksteal" leaves the tests of a module with one process, so
-# that what they share is made once; AFTER_FAST=1 leaves out what "make fast" has run
+# side by side, then those by the wall clock, then once more and alone what failed; AFTER_FAST=1 leaves out what "make fast" has run
 test: $(VENV)/.tested
-	@status=0; \
-	$(ENVIRONMENT) $(BIN)/python -m pytest -n auto --maxprocesses $(PYTEST_WORKERS) --dist worksteal -m "not wallclock" $(PYTEST_ARGS) \
-		$(if $(AFTER_FAST),$(addprefix --ignore=,$(FAST_TESTS))) || status=$$?; \
-	$(ENVIRONMENT) $(BIN)/python -m pytest -m wallclock $(or $(PYTEST_ARGS),$$(grep -rl 'mark\.wallclock' tests)) || { late=$$?; [ $$late = 5 ] || status=$$late; }; \
-	[ $$status = 5 ] || exit $$status
+	@$(ENVIRONMENT) $(BIN)/python scripts/suite.py --workers $(PYTEST_WORKERS) $(PYTEST_ARGS) $(if $(AFTER_FAST),$(addprefix --ignore=,$(FAST_TESTS)))
 
 # a minute of tests that need no long run: what breaks often
 FAST_TESTS := tests/test_layering.py tests/test_no_base_names.py tests/test_lie.py tests/test_configuration.py tests/ocp \

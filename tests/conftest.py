@@ -1,9 +1,11 @@
 """Tests may import what stands beside them (``driving``, ``oracles``)."""
 
+import gc
 import os
 import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -17,6 +19,26 @@ sys.path.insert(0, str(Path(__file__).parent))
 # A job in the background is started with Ctrl-C ignored, and so would be every process that a test starts.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    """The tests themselves stay: the garbage collector need not look at them again and again."""
+    gc.collect()
+    gc.freeze()
+
+
+DIED = pytest.StashKey[bool]()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_handlecrashitem(sched: Any) -> None:
+    """A process of tests died: more than a test that failed beside others, whatever that test does alone."""
+    sched.config.stash[DIED] = True
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if session.config.stash.get(DIED, False):
+        session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
 
 
 @pytest.fixture

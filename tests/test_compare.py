@@ -10,8 +10,9 @@ import pytest
 
 from fake_experiment import REGISTRY
 from wbmpc.cli import main
-from wbmpc.compare import Run, overlay, wheels
+from wbmpc.compare import Run, difference_text, overlay, wheels
 from wbmpc.recording.writer import McapFile
+from wbmpc.units import Scale
 
 
 @pytest.fixture
@@ -224,3 +225,29 @@ def test_curves_have_names_and_the_runs_the_same_colours() -> None:
         assert [s.colour for s in series[:half]] == [s.colour for s in series[half:]] == list(range(half))
         assert all(s.dashed for s in series[half:])
     assert wheels({"settings": {"robot": "nowhere.yaml"}}) == wheels({}) == ()
+
+
+def test_differences_to_the_first_run_are_in_the_table_and_on_the_page(
+    runs: list[dict],  # type: ignore[type-arg]
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["run", "fake", "--seed", "3", "--out", "c<b>", "--json"], REGISTRY) == 0
+    third = json.loads(capsys.readouterr().out)
+    assert main(["compare", "a", "b", "c<b>", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    row = next(row for row in data["metrics"] if row["metric"] == "hand_error_mean_odometry")
+    a, b, c = (r["metrics"]["hand_error_mean_odometry"]["value"] for r in (*runs, third))
+    assert row["differences"] == [0.0, b - a, c - a]
+    assert main(["compare", "a", "b", "c<b>", "--force"]) == 0
+    shown = next(line for line in capsys.readouterr().out.splitlines() if "hand_error_mean_odometry" in line)
+    body = Path(data["page"]).read_text().partition("<body>")[2]
+    for text in (f"{1e3 * a:.4g}", f"({100 * (c - a) / a:+.1f} %)"):  # in mm
+        assert text in shown and text in body
+    assert "<th class=n>c&lt;b&gt;</th>" in body and "c<b>" not in body
+
+
+@pytest.mark.parametrize(("difference", "first", "text"), [
+    (0.0005, 0.002, "+0.5 (+25.0 %)"), (-0.001, 0.002, "-1 (-50.0 %)"), (0.0, 0.002, "0"), (0.001, 0.0, "+1"), (None, 0.002, ""),
+])  # fmt: skip
+def test_a_difference_has_its_unit_and_share(difference: float | None, first: float, text: str) -> None:
+    assert difference_text(difference, first, Scale("mm", 1e3)) == text

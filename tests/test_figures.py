@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from wbmpc import report
+from wbmpc.report import provenance
 
 ROOT = Path(__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
@@ -27,17 +27,17 @@ def git(*words: str) -> str:
 
 def test_a_run_records_the_commit_of_its_checkout() -> None:
     changed = git("status", "--porcelain", "--untracked-files=no", "src/wbmpc")
-    assert report.versions()["commit"] == git("rev-parse", "--short=10", "HEAD") + "+" * bool(changed)
+    assert provenance.versions()["commit"] == git("rev-parse", "--short=10", "HEAD") + "+" * bool(changed)
 
 
 def test_an_installed_package_has_no_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither outside of a repository nor as an untracked file in somebody else's."""
-    monkeypatch.setattr(report, "__file__", str(tmp_path / "report.py"))
-    assert report.commit.__wrapped__() == ""
+    monkeypatch.setattr(provenance, "PACKAGE", tmp_path)
+    assert provenance.commit.__wrapped__() == ""
     subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
     made = ["-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "--allow-empty", "-m", "somebody's"]
     subprocess.run(["git", "-C", str(tmp_path), *made], check=True)
-    assert report.commit.__wrapped__() == ""
+    assert provenance.commit.__wrapped__() == ""
 
 
 def finished_run(site: Path, name: str, seed: int, error: float, commit: str) -> None:

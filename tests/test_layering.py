@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 ROOMS = (
     "errors", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "input_file", "json_file", "yaml_file", "configuration",
     "settings_table", "result", "units", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
-    "obstacles", "ocp", "kernel", "clearance", "solver", "mpc", "embedded", "control", "runtime", "estimation", "simulation", "settings",
+    "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control", "runtime", "estimation", "simulation", "settings",
     "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "study", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import casadi as ca
@@ -10,12 +11,17 @@ import numpy as np
 import pytest
 
 import wbmpc as wb
+from clearing import write_arm
 from planar_driving import write_robot
 from test_tasks import WHEELS, run
+from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.obstacles.scene import SceneObstacle
+from wbmpc.obstacles.shapes import Capsule, HalfSpace, Sphere
 from wbmpc.ocp.symbols import Symbols
+from wbmpc.registry import load
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
+from wbmpc.tasks.obstacles import Clutter, Extent, clutter_scene
 
 BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
 
@@ -38,6 +44,47 @@ def test_a_robot_keeps_its_margin_to_a_box_in_its_world(driving: Path, tmp_path:
     m, margin = run("end-effector-track", driving, *more, "mpc.rate=25").metrics, robot.description.collision.margin
     assert margin - 0.01 < m["obstacle_clearance_min"].value < margin + 0.05
     assert m["obstacle_contacts"].value == 0.0 and m["stuck_time"].value == 0.0
+
+
+def test_progress_waits_for_a_wall_that_passes(driving: Path, tmp_path: Path) -> None:
+    """The wall is in the way of the chassis from 0.2 to 3 s; without it the path takes 1.55 s."""
+    path = tmp_path / "scene.yaml"
+    wall = "box: {half: [0.05, 0.5, 1]}, position: [0.45, -0.8, 0], velocity: [0, 0.5, 0]"
+    path.write_text(f"obstacles:\n  wall: {{{wall}, appears: 0}}\n")
+    more = (f"obstacles={path}", "settle_time=0.1", "path.length=0.5", "path.ramp=0.3", "path.speed=0.4", "mpc.rate=25")
+    result = run("end-effector-track", driving, *more, "reference=progress", "time_limit=4.2")
+    m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
+    assert 2.5 < m["path_time"].value < 4.1
+    assert m["obstacle_clearance_min"].value > margin - 0.01
+    assert m["obstacle_contacts"].value == 0.0 and m["braking_plans"].value == 0.0
+    # it slows down instead of leaving its path or its reference
+    assert m["contour_error_max_world"].value < 0.01 and m["end_effector_error_max_world"].value < 0.03
+
+
+def test_a_robot_that_is_stuck_says_so(tmp_path: Path) -> None:
+    """An arm on a foot, and a wall across its way that reaches beyond it: it stands before the wall, and the run ends then."""
+    arm, path = write_arm(tmp_path), tmp_path / "scene.yaml"
+    robot = wb.load_robot(arm)
+    tip = robot.pose(robot.home)[0]
+    place = [float(tip[0]) + 0.15, 0.0, 0.0]
+    path.write_text(f"obstacles:\n  wall: {{box: {{half: [0.05, 3, 3]}}, position: {place}}}\n")
+    more = [
+        f"robot={arm}",
+        "physics=kinematic",
+        f"obstacles={path}",
+        "settle_time=0.1",
+        "path.length=0.3",
+        "mpc.rate=20",
+    ]
+    experiment = load("obstacles-static")
+    settings = configure(experiment.config_type, [*more, "path.ramp=0.3", "path.speed=0.3", "patience=10"], "x")
+    result = experiment.run(settings, 0, None)
+    assert result.outcome == "stuck" and re.search(r"stuck .* m from its goal", result.reason)
+    m, tool = result.metrics, result.log.array("end_effector")
+    assert m["obstacle_clearance_min"].value > 0.0 and (tool[:, 0] < tip[0] + 0.1).all()
+    assert m["goal_missed"].value == pytest.approx(np.linalg.norm(tool[-1] - tip - [0.3, 0, 0]), abs=0.02)
+    # the reference is at the wall after 0.5 s, stands after another 0.5 s, and waits are reported after WINDOW
+    assert result.log.times("end_effector")[-1] < 0.1 + 0.3 + 1.0 + 2.0
 
 
 def ball_and_floor(around: SimulatedObstacles) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -74,6 +121,50 @@ def test_distances_and_contacts_are_those_of_the_world() -> None:
         mujoco.mj_step(model, data)
         around.count_contacts(data, k * model.opt.timestep)
     assert around.contacts == 1 and around.contact_speed == pytest.approx(0.4, abs=0.05)
+    assert around.caused == 1
+
+
+def test_a_contact_with_a_ball_at_rest_is_not_its_doing() -> None:
+    """The wall comes at 0.5 m/s, is there after 0.68 s, and pushes the ball ahead of it from then on."""
+    wall = SceneObstacle("wall", wb.shapes.Box((0.1, 1, 1)), {"position": (0.54, 0, 0.7), "velocity": (-0.5, 0, 0)})
+    around = SimulatedObstacles([wall], ground=-0.3)
+    model, data = ball_and_floor(around)
+    h = model.opt.timestep
+    for k in range(round(1.2 / h)):
+        around.place(data, k * h)
+        mujoco.mj_step(model, data)
+        data.qvel[0] = min(data.qvel[0], 0.0)
+        around.count_contacts(data, k * h)
+    assert around.contacts >= 1 and around.caused == 0 and around.contact_speed < 0.02
+    assert around.pushed > 0.0
+
+
+def test_walls_and_capsules_without_length_stand_in_the_world() -> None:
+    """They have no mass: robots' files have a largest one. Truth: MuJoCo's rays from 2 m above, half-space and bead where they were put."""
+    shapes = {
+        "wall": HalfSpace((0.0, 0.0, 1.0), -1.0),
+        "bead": Capsule((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1),
+        "hill": Sphere(900.0),
+    }
+    place = {"hill": {"position": (0.0, 0.0, -2000.0)}}
+    spec = mujoco.MjSpec()
+    SimulatedObstacles([SceneObstacle(n, s, place.get(n, {})) for n, s in shapes.items()]).edit(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert not model.body_mass.any()
+    down, hit = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
+    for x, z in ((1.0, 0.1), (3.0, -1.0)):
+        ray = mujoco.mj_ray(model, data, np.array([x, 0.0, 2.0]), down, None, 1, -1, hit)
+        assert abs(2.0 - ray - z) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["~", "true", "1.5", '"a\\nb"', '"a\\u202eb"'])
+def test_names_of_obstacles_can_be_printed(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_text("obstacles: {" + name + ": {sphere: {radius: 0.1}}}\n")
+    with pytest.raises(wb.InputError, match=r"scene\.yaml"):
+        load_scene(file)
 
 
 def test_the_planner_sees_a_scene_from_where_it_believes_to_be() -> None:
@@ -114,3 +205,43 @@ def test_plans_among_obstacles_use_a_share_of_the_accelerations() -> None:
         given[:2] = last + sign * 0.5 * rate * 0.1  # what half of the acceleration reaches in 0.1 s
         h = np.array(found(robot.home, given, [*last, 0.1])).ravel()
         np.testing.assert_allclose(h[which], 0.0, atol=1e-12)
+
+
+def test_a_robot_finds_a_box_by_its_sensors_alone(driving: Path, tmp_path: Path) -> None:
+    """The left wheel would pass it at 10 mm. Plans keep what a grid may be wrong by, and what balls stick out, beyond their margin."""
+    path = scene(tmp_path, "0.45, 0.28, 0")
+    more = (f"obstacles={path}", "settle_time=0.1", "path.length=0.4", "path.ramp=0.3", "path.speed=0.5", "mpc.rate=25")
+    small = ("perception.map.size=[3, 3, 1]", "perception.lidar.columns=180", "perception.camera.width=16")
+    result = run("clutter", driving, *more, *small)
+    m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
+    assert margin - 0.01 < m["obstacle_clearance_min"].value < margin + 0.2
+    assert m["map_age_max"].value < 0.2 and result.log.array("occupied_cells").min() > 0
+
+
+def test_a_robot_whose_camera_fails_is_stopped(driving: Path, tmp_path: Path) -> None:
+    experiment = load("clutter")
+    keys = [f"robot={driving}", "physics=kinematic", f"obstacles={scene(tmp_path, '9, 9, 0')}", "settle_time=0.1"]
+    keys += ["path.length=1.0", "mpc.rate=25", "perception.map.size=[3, 3, 1]", "perception.lidar.columns=36"]
+    settings = configure(experiment.config_type, [*keys, "perception.camera.fails=0.25"], "clutter")
+    result = experiment.run(settings, 0, None)
+    assert not result.completed and "'map' was seen" in result.reason
+    assert 0.58 <= result.log.times("base")[-1] <= 0.62  # the scan of 0.2 s would have come at 0.25 s
+
+
+@pytest.mark.parametrize("name", ["differential-ur10", "swerve-ur10"])
+def test_clutter_is_in_the_way_of_the_base_alone(name: str) -> None:
+    """Every other thing reaches 5 cm into its way, lower than the end effector; the rest stands 0.3 m and more beside the robot."""
+    robot = wb.load_robot(name)
+    e, places = Extent(robot, "clutter"), []
+    assert e.low[1] <= e.base_low[1] < e.base_high[1] <= e.high[1]
+    for seed in range(5):
+        for k, one in enumerate(clutter_scene(Clutter(), robot, seed)):
+            place, solid = np.array(one.place["position"]), one.shape.solid  # type: ignore[union-attr]
+            left, right = (place + solid.position)[1] + np.array([-1, 1]) * solid.size[0]
+            low, high = (e.base_low, e.base_high) if k % 2 == 0 else (e.low, e.high)
+            gap = max(left - high[1], low[1] - right)
+            assert gap == pytest.approx(-0.05) if k % 2 == 0 else gap >= 0.3
+            top = 2.0 * (place + solid.position)[2] - e.ground  # they stand on the floor
+            assert k % 2 == 1 or top < e.tool[2]
+            places.append(place[0])
+    assert min(places) > e.high[0] + 0.5

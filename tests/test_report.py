@@ -19,19 +19,9 @@ from hypothesis import strategies as st
 import wbmpc as wb
 from fake_experiment import FakeSettings, run
 from wbmpc.log import Log
-from wbmpc.report import (
-    MAX_POINTS,
-    _colours,
-    _legend_rows,
-    _thin,
-    goal_text,
-    page,
-    plotly_figure,
-    plots_page,
-    to_json,
-    versions,
-    write_run,
-)
+from wbmpc.report import goal_text, page, plots_page, to_json, versions, write_run
+from wbmpc.report.figures import MAX_POINTS, _colours, _legend_rows, _thin, hint, plotly_figure
+from wbmpc.report.run_page import solve_lines
 from wbmpc.result import Metric, MpcStatistics, Plot, Series
 from wbmpc.units import number, scale
 
@@ -124,7 +114,7 @@ def test_figures_are_of_plotlys_schema() -> None:
 def test_page_shows_everything(html_page: str) -> None:
     body = html_page[html_page.index("<body>") :]
     for text in (
-        "hand_error_mean_odometry",
+        "hand_<wbr>error_<wbr>mean_<wbr>odometry",
         "<td class=n>16.7</td>",
         "<td class=n>≤ 3</td>",
         "reached",
@@ -159,17 +149,26 @@ def test_plots_stay_within_their_cards(tmp_path: Path, width: int) -> None:
         " ? 'fits' : 'spills').join(' ') }, 1500))</script></body>"
     )
     text = page(result)
-    (tmp_path / "page.html").write_text(text.replace("</body>", measure) if text.count("</body>") == 1 else "")
+    assert title_after(text.replace("</body>", measure), tmp_path, width) == "fits fits fits"
+
+
+def title_after(text: str, directory: Path, width: int) -> str:
+    """The title that a page has when its scripts have run in a browser."""
+    (directory / "page.html").write_text(text)
     options = (
         "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
         f"--disable-component-update --disable-sync --virtual-time-budget=6000 --window-size={width},2000 "
-        f"--user-data-dir={tmp_path / 'profile'} --dump-dom"
+        f"--user-data-dir={directory / 'profile'} --dump-dom"
     )
     out = subprocess.run(
-        [str(CHROMIUM), *options.split(), (tmp_path / "page.html").as_uri()], capture_output=True, text=True, timeout=90
+        [str(CHROMIUM), *options.split(), (directory / "page.html").as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=90,
     )
     found = re.search(r"<title>(.*?)</title>", out.stdout)
-    assert found is not None and found.group(1) == "fits fits fits"
+    assert found is not None
+    return found.group(1)
 
 
 def test_thinning_keeps_the_extremes_and_the_ends() -> None:
@@ -307,3 +306,66 @@ def test_names_of_axes_make_no_links() -> None:
     text = plots_page("t", "a", [wb.Plot("t", "<a href='http://x'>", "<b>", [line])])
     assert "\\u003ca href" not in text
     assert "\\u003cb\\u003e" not in text
+
+
+def joint(name: str, values: list[float], limits: tuple[float, float] | None, dashed: bool = False) -> Series:
+    return Series(name, np.arange(float(len(values))), np.array(values), dashed, limits=limits)
+
+
+def test_limits_are_drawn_in_the_colour_of_their_line_and_shared_ones_once() -> None:
+    """Truth: a limit is a level line over all times at its own height; an infinite one is none."""
+    plot = Plot("t", "time [s]", "angle [rad]", [
+        joint("a", [0.0, 1.0, 0.5], (-1.5, 2.0)), joint("a, planned", [0.1, 0.9, 0.4], None, True), joint("b", [0.2, 0.1, 0.0], (-np.inf, 2.0)),
+    ])  # fmt: skip
+    a, planned, b, *limits = plotly_figure(plot)["data"]
+    assert a["line"]["color"] == planned["line"]["color"] != b["line"]["color"]
+    assert [row["showlegend"] for row in (a, planned, b)] == [True, False, True]
+    assert {tuple(row["y"]): row["line"]["color"] for row in limits} == {
+        (-1.5, -1.5): a["line"]["color"],
+        (2.0, 2.0): "#7b8894",
+    }
+    assert all(row["x"] == [0.0, 2.0] and row["line"]["dash"] == "dot" for row in limits)
+    low, high = plotly_figure(plot)["layout"]["yaxis"]["range"]
+    assert low < -1.5 and high > 2.0 and hint(plot) == "dashed: planned; dotted: limits"
+
+
+def test_far_limits_do_not_flatten_a_plot() -> None:
+    plot = Plot("t", "time [s]", "torque [N m]", [joint("a", [-1.0, 1.0], (-56.0, 56.0))])
+    low, high = plotly_figure(plot)["layout"]["yaxis"]["range"]
+    assert -2.0 < low < -1.0 and 1.0 < high < 2.0
+    assert "56 N m and further are outside of the picture" in hint(plot)
+
+
+def test_definitions_are_shown_beside_names_and_stay_text() -> None:
+    result = run(FakeSettings(), 3)
+    result.metrics["fell"] = replace(result.metrics["fell"], definition='whether "it" <fell>')
+    text = page(result)
+    assert 'data-about="whether &quot;it&quot; &lt;fell&gt;">fell</span>' in text
+
+
+def test_the_outcome_says_what_late_and_failed_solves_mean() -> None:
+    """Truth: counts of the statistics; 20 ms is the period of 50 Hz."""
+    result = run(FakeSettings(), 3)
+    result.mpc = MpcStatistics.of(50.0, [0.001, 0.030, 0.025], 100, failures=4, no_step=2)
+    result.settings = {"mpc": {"computation_delay": 0.010}}
+    failed, stuck, late = solve_lines(result)
+    assert failed.startswith("4 of 100 solves failed") and stuck.startswith("2 of 100 solves found no step")
+    assert late.startswith("2 of 100 solves took longer than the period of 20 ms on this machine (30 ms at most)")
+    assert "after the same delay of 10 ms" in late and late in page(result).replace("&#x27;", "'")
+    result.mpc = MpcStatistics.of(50.0, [0.001], 100)
+    assert solve_lines(result) == ["All 100 solves gave a plan, each within the period of 20 ms."]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+def test_plots_over_time_share_their_zoom(tmp_path: Path) -> None:
+    """In a browser: one plot is zoomed; the script ends when the other one over time has its range. The path keeps its own."""
+    zoom = """<script>addEventListener("load", async () => {
+  const [path, first, second] = document.querySelectorAll(".js-plotly-plot");
+  const before = JSON.stringify(path.layout.xaxis.range);
+  const followed = new Promise(done => second.on("plotly_relayout", change => "xaxis.range" in change && done()));
+  await Plotly.relayout(first, { "xaxis.range[0]": 1, "xaxis.range[1]": 2 });
+  await followed;
+  document.title = [second.layout.xaxis.range.join(" to "), before === JSON.stringify(path.layout.xaxis.range)].join(", ");
+})</script></body>"""
+    text = page(run(FakeSettings(), 3))
+    assert title_after(text.replace("</body>", zoom), tmp_path, 1200) == "1 to 2, true"

@@ -79,7 +79,7 @@ def test_runs_go_on_beside_each_other(tmp_path: Path) -> None:
     """Each of two runs waits for the other one: alone neither would end."""
     meet = (
         f"import pathlib, time; here = pathlib.Path({str(tmp_path)!r})\n"
-        "(here / sys.argv[sys.argv.index('--seed') + 1]).touch(); end = time.monotonic() + 30\n"
+        "(here / sys.argv[sys.argv.index('--seed') + 1]).touch(); end = time.monotonic() + 300\n"
         "while not all((here / s).exists() for s in '01') and time.monotonic() < end: time.sleep(0.01)\n"
         "assert time.monotonic() < end"
     )

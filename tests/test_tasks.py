@@ -64,6 +64,19 @@ def test_a_base_that_drives_carries_the_tip_along_a_line(driving: Path) -> None:
     assert not {"contacts_unwanted", "clearance_min"} & m.keys()  # nothing looks for contacts without physics
 
 
+def test_progress_goes_as_fast_as_the_wheels_and_ends(driving: Path) -> None:
+    """Asked for 3 m/s, wheels of 0.1 m at 12 rad/s: 1 m/s along a line, which is the planner's limit of the base."""
+    more = ("path.length=1.5", "path.speed=3", "path.ramp=1", "reference=progress", "time_limit=2.6")
+    result = run("end-effector-track", driving, POSITION_ONLY, *more)
+    m, base = result.metrics, result.log.array("base")
+    speed = np.diff(base[:, 0]) / np.diff(result.log.times("base"))
+    assert 0.9 < speed.max() < 1.3 and m["limit_violation_max"].value < 1e-6
+    assert 1.5 / speed.max() < m["path_time"].value < 2.4
+    assert m["contour_error_max_world"].value < 0.01 and m["end_effector_error_max"].value < 0.03
+    tool, end = result.log.array("end_effector"), result.log.array("end_effector_reference")[-1]
+    assert np.linalg.norm(tool[-1] - end) < 5e-3 and end[0] - tool[0, 0] == pytest.approx(1.5, abs=5e-3)
+
+
 def test_a_robot_whose_base_stands_holds_in_mujoco(standing: Path) -> None:
     m = run("hold", standing, POSITION_ONLY, "duration=0.3", physics="mujoco").metrics
     assert m["end_effector_error_max_world"].value < 0.01 and "base_path_length" not in m
@@ -254,6 +267,19 @@ def test_simulate_runs_and_writes_what_a_run_has(driving: Path, tmp_path: Path) 
         wb.simulate(robot, own_mpc(robot), 0.2, out=out)
     with pytest.raises(wb.InputError, match=r"simulate: physics='paper'"):
         wb.simulate(robot, own_mpc(robot), 0.2, physics="paper")
+
+
+@pytest.mark.parametrize("physics", ["kinematic", "mujoco"])
+def test_an_mpc_of_another_robot_is_an_error(physics: str, driving: Path, standing: Path, tmp_path: Path) -> None:
+    """One without the base, and one with the same joints whose arm is mounted 0.1 m higher."""
+    mpc = own_mpc(wb.load_robot(driving))
+    with pytest.raises(wb.InputError, match=r"'mpc': .* its state 'base' is \(\), the robot's is \(x, y, yaw\)"):
+        wb.simulate(wb.load_robot(driving), own_mpc(wb.load_robot(standing)), 0.1, physics=physics)
+    raised = write_robot(tmp_path, WHEELS, {"type": "differential"})
+    model = raised.with_name("robot.xml")
+    model.write_text(model.read_text().replace('name="shoulder" pos="0 0 0.1"', 'name="shoulder" pos="0 0 0.2"'))
+    with pytest.raises(wb.InputError, match=r"the end effector of its model is elsewhere, by 0\.1 m at home"):
+        wb.simulate(wb.load_robot(raised), mpc, 0.1, physics=physics)
 
 
 @thorough

@@ -16,16 +16,20 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.experiment import Loop as Loop
     from wbmpc.experiment import Scenario as Scenario
     from wbmpc.log import Log as Log
+    from wbmpc.mapping import LocalMap as LocalMap
+    from wbmpc.mapping import distance_grid as distance_grid
     from wbmpc.model.augment import DriveLag as DriveLag
     from wbmpc.model.augment import FrequencyShaping as FrequencyShaping
     from wbmpc.model.augment import InputFilter as InputFilter
     from wbmpc.model.augment import InputRate as InputRate
+    from wbmpc.model.augment import WithPath as WithPath
     from wbmpc.model.layout import Layout as Layout
     from wbmpc.model.ode import Ode as Ode
     from wbmpc.model.robot import RobotModel as RobotModel
     from wbmpc.model.robot import load_robot as load_robot
     from wbmpc.mpc.filters import FilterMemory as FilterMemory
     from wbmpc.mpc.mpc import MPC as MPC
+    from wbmpc.mpc.pace import PacedReferences as PacedReferences
     from wbmpc.mpc.policy import Policy as Policy
     from wbmpc.mpc.policy_queue import PolicyQueue as PolicyQueue
     from wbmpc.obstacles import Obstacles as Obstacles
@@ -36,10 +40,13 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.ocp import Mode as Mode
     from wbmpc.ocp import ModeSchedule as ModeSchedule
     from wbmpc.ocp import OptimalControlProblem as OptimalControlProblem
+    from wbmpc.ocp import Path as Path
     from wbmpc.ocp import Reference as Reference
     from wbmpc.ocp import RelaxedBarrier as RelaxedBarrier
     from wbmpc.ocp import SmoothL1 as SmoothL1
+    from wbmpc.ocp import add_progress as add_progress
     from wbmpc.ocp import frequency_aware as frequency_aware
+    from wbmpc.ocp import path_problem as path_problem
     from wbmpc.ocp import residuals as residuals
     from wbmpc.ocp import sets as sets
     from wbmpc.recording.reader import Recording as Recording
@@ -82,19 +89,25 @@ _MODULES = {
     "FrequencyShaping": "wbmpc.model.augment",
     "InputFilter": "wbmpc.model.augment",
     "InputRate": "wbmpc.model.augment",
+    "WithPath": "wbmpc.model.augment",
     "Constraint": "wbmpc.ocp",
     "Cost": "wbmpc.ocp",
     "Mode": "wbmpc.ocp",
     "ModeSchedule": "wbmpc.ocp",
     "OptimalControlProblem": "wbmpc.ocp",
+    "Path": "wbmpc.ocp",
     "Reference": "wbmpc.ocp",
     "RelaxedBarrier": "wbmpc.ocp",
     "SmoothL1": "wbmpc.ocp",
+    "add_progress": "wbmpc.ocp",
     "frequency_aware": "wbmpc.ocp",
+    "path_problem": "wbmpc.ocp",
     "residuals": "wbmpc.ocp",
     "sets": "wbmpc.ocp",
     "Obstacles": "wbmpc.obstacles",
     "shapes": "wbmpc.obstacles",
+    "LocalMap": "wbmpc.mapping",
+    "distance_grid": "wbmpc.mapping",
     "AugmentedLagrangian": "wbmpc.ocp",
     "ILQR": "wbmpc.solver",
     "InteriorPoint": "wbmpc.solver",
@@ -105,6 +118,7 @@ _MODULES = {
     "Status": "wbmpc.solver",
     "FilterMemory": "wbmpc.mpc.filters",
     "MPC": "wbmpc.mpc.mpc",
+    "PacedReferences": "wbmpc.mpc.pace",
     "Observation": "wbmpc.types",
     "export": "wbmpc.embedded.exporter",
     "Policy": "wbmpc.mpc.policy",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,11 +13,13 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.json_file import parse_json
+from wbmpc.recording.quantities import channel_unit, joint_groups
 from wbmpc.recording.reader import read_recording
 from wbmpc.report import RECORDING
+from wbmpc.report import table as html_table
 from wbmpc.result import Plot, Series
-from wbmpc.robots import load_description
 from wbmpc.run_files import check_metric, read_log, read_metrics
+from wbmpc.units import Scale, scale
 
 #: Runs that are compared at once.
 MAX_RUNS = 8
@@ -114,8 +117,8 @@ def _from_recording(run: Run) -> Run:
 
 
 def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row for each metric of any run: ``metric``, ``unit``, ``values`` by run (None where there is none), ``change`` of the last run
-    against the first (1), ``spread``: largest minus smallest."""
+    """A row for each metric of any run: ``metric``, ``unit``, ``values`` by run (None where there is none), ``differences`` of every run
+    to the first, ``change`` of the last run against the first (1), ``spread``: largest minus smallest."""
     names = dict.fromkeys(name for run in runs for name in run["metrics"])
     rows = []
     for name in names:
@@ -124,9 +127,11 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
         known = [v for v in values if v is not None]
         first, last = values[0], values[-1]
         change = (last - first) / abs(first) if first not in (None, 0) and last is not None else None
+        differences = [None if v is None or first is None else v - first for v in values]
         spread = max(known) - min(known) if len(known) == len(values) else None
         unit = max(m["unit"] for m in found if m)  # a recording alone knows none
-        rows.append({"metric": name, "unit": unit, "values": values, "change": change, "spread": spread})
+        row = {"metric": name, "unit": unit, "values": values, "differences": differences, "change": change}
+        rows.append({**row, "spread": spread})
     return rows
 
 
@@ -162,12 +167,7 @@ def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def wheels(run: dict[str, Any]) -> tuple[str, ...]:
     """What the wheels of a run's robot are called; nothing where that is not known."""
-    robot = run.get("settings", {}).get("robot")
-    try:
-        groups = load_description(robot).base.joint_groups() if isinstance(robot, str) else {}
-    except InputError:  # a file that is elsewhere
-        return ()
-    return tuple(name.removeprefix("wheel_") for name in groups.get("wheel", ()))
+    return tuple(name.removeprefix("wheel_") for name in joint_groups(run.get("settings", {})).get("wheel", ()))
 
 
 def _components(channel: str, count: int, modules: tuple[str, ...]) -> tuple[str, ...]:
@@ -188,12 +188,55 @@ def overlay(runs: Sequence[Run], names: list[str], modules: tuple[str, ...] = ()
     channels = [c for c in logs[0] if all({c, f"{c}.time"} <= log.keys() for log in logs)]
     lines = {channel: _lines(channel, runs, names, modules) for channel in channels}
     if len(runs) == 2:
-        return [Plot(c, "time [s]", c, [s for s, _ in by_run]) for c, by_run in lines.items()]
+        return [Plot(c, "time [s]", _label(c, c), [s for s, _ in by_run]) for c, by_run in lines.items()]
     return [
-        Plot(title, "time [s]", title, [replace(s, name=n, dashed=False, colour=k) for k, (s, n) in enumerate(group)])
+        Plot(
+            title,
+            "time [s]",
+            _label(title, channel),
+            [replace(s, name=n, dashed=False, colour=k) for k, (s, n) in enumerate(group)],
+        )
         for channel, by_run in lines.items()
         for title, group in _by_component(channel, by_run, len(runs))
     ]
+
+
+def _label(title: str, channel: str) -> str:
+    return f"{title} [{channel_unit(channel)}]"
+
+
+def figures_table(rows: list[dict[str, Any]], names: Sequence[str], ended: Sequence[str | None]) -> str:
+    """The rows of :func:`table` as HTML: figures by run in one unit, differences to the first run, spread."""
+    head = ["metric", "unit", html.escape(names[0])]
+    head += [text for name in names[1:] for text in (html.escape(name), "difference")]
+    cells = [
+        [
+            "outcome",
+            "",
+            html.escape(ended[0] or ""),
+            *(text for end in ended[1:] for text in (html.escape(end or ""), "")),
+        ]
+    ]
+    for row in rows:
+        unit = scale(row["unit"], *row["values"])
+        first, *others = map(unit.text, row["values"])
+        pairs = zip(others, row["differences"][1:], strict=True)
+        cells.append([html.escape(row["metric"]), html.escape(unit.unit), first])
+        cells[-1] += [text for value, d in pairs for text in (value, difference_text(d, row["values"][0], unit))]
+    if len(names) > 2:
+        head.append("spread")
+        cells[0].append("")
+        for line, row in zip(cells[1:], rows, strict=True):
+            line.append(scale(row["unit"], *row["values"]).text(row["spread"]))
+    return html_table(head, cells, set(range(2, len(head))))
+
+
+def difference_text(difference: float | None, first: float | None, unit: Scale) -> str:
+    """A difference in ``unit``, and its share of the ``first`` figure: ``+0.2 (+12.5 %)``."""
+    if difference is None or first is None:
+        return ""
+    text = f"{'+' if difference > 0 else ''}{unit.text(difference)}"
+    return f"{text} ({100 * difference / abs(first):+.1f} %)" if first and difference else text
 
 
 def _by_component(

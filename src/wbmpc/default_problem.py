@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.speeds import SpeedMPC
+from wbmpc.obstacles.pairs import arm_pairs, self_pairs
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import (
     Constraint,
     Cost,
     OptimalControlProblem,
+    Path,
     Reference,
     RelaxedBarrier,
+    path_problem,
     residuals,
     sets,
     with_accelerations,
@@ -56,8 +59,8 @@ def default_problem(
     robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
     stability: StabilitySettings | None = None,
 ) -> OptimalControlProblem:  # fmt: skip
-    """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds and the wheels' rates as inequalities;
-    what keeps the robot upright: see :func:`keep_upright`."""
+    """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds, the wheels' rates, and distances of the pairs
+    that the robot file lists (``collision.self.pairs``) as inequalities; what keeps the robot upright: see :func:`keep_upright`."""
     settings, cost = settings or default_settings(), cost or DefaultCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
@@ -79,6 +82,24 @@ def default_problem(
     ocp.add(Constraint("positions", free_state, ranges, at="path+terminal", penalty=barrier, hard=hard))
     speeds = sets.Box(limits.input_lower, limits.input_upper)
     ocp.add(Constraint("speeds", residuals.Input(robot, reference=None), speeds, penalty=barrier, hard=hard))
+    rates = robot.limits.input_rate
+    limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
+    if limited:
+        ocp.add(
+            Constraint(
+                "accelerations",
+                residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE),
+                sets.NonNegative(),
+                hard=True,
+            )
+        )
+    if robot.description.collision.self.pairs and self_pairs(robot):
+        apart = residuals.SelfClearance(robot)
+        ocp.add(
+            Constraint(
+                "self_clearance", apart, sets.NonNegative(), at="path+terminal", hard=True, slack=CLEARANCE_SLACK
+            )
+        )
     return keep_upright(ocp, robot, stability)
 
 
@@ -116,32 +137,29 @@ def make_mpc(
 def keep_clear(
     ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
 ) -> OptimalControlProblem:
-    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is), and accelerations within their
-    limits: who evades at the last moment must be able to."""
+    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is) and its arm clear of itself, and
+    accelerations within their limits: who evades folds the arm, and must be able to at the last moment."""
     if obstacles is None:
         return ocp
     free = sets.NonNegative()
     rows = Constraint("clearance", residuals.Clearance(robot), free, at="path+terminal", hard=True, slack=slack)
     ocp.add(rows)
-    rates = robot.limits.input_rate
-    limited = [g for g in robot.input.groups if np.isfinite(rates[robot.input[g]]).all()]
-    if limited and "accelerations" not in ocp.terms:
-        ocp.add(
-            Constraint(
-                "accelerations", residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE), free, hard=True
-            )
-        )
+    pairs = arm_pairs(robot)
+    if pairs and "self_clearance" not in ocp.terms:
+        own = residuals.SelfClearance(robot, pairs)
+        ocp.add(Constraint("self_clearance", own, free, at="path+terminal", hard=True, slack=slack))
     return ocp
 
 
 def default_mpc(
     robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
-    obstacles: Obstacles | None = None, stability: StabilitySettings | None = None,
+    obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, progress: bool = False,
 ) -> MPC:  # fmt: skip
     """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``, and upright by
-    ``stability``."""
+    ``stability``. ``progress``: see :func:`wbmpc.path_problem`."""
     settings = settings or default_settings()
-    ocp = keep_clear(default_problem(robot, settings, cost, stability), robot, obstacles)
+    ocp = default_problem(robot, settings, cost, stability)
+    ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
     mpc = make_mpc(ocp, settings, stability, obstacles=obstacles)
     stay_at_home(robot, mpc)
     return mpc
@@ -149,8 +167,15 @@ def default_mpc(
 
 def stay_at_home(robot: RobotModel, mpc: MPC) -> None:
     """Begin at home, with references of end effector, state and input that rest there."""
-    position, orientation = robot.pose(robot.home)
-    mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)
+    hold_end_effector(mpc, *robot.pose(robot.home))
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     mpc.reset(robot.home)
+
+
+def hold_end_effector(mpc: MPC, position: Array, orientation: Array) -> None:
+    """The end effector's goal is a position (3) [m] with an orientation (4); of a problem with a path: it stands at the start of one."""
+    if mpc.path.active:
+        mpc.path.follow(Path.line(position, position + [1.0, 0.0, 0.0], orientation), speed=0.0)
+    else:
+        mpc.reference["end_effector"] = Reference.poses([0.0], [position], orientation)

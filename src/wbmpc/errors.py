@@ -43,12 +43,17 @@ class FallPredicted(RunAborted):
     """A robot that balances will fall whatever it does: the motors are switched off before it does."""
 
 
+class RobotStuck(RunAborted):
+    """The robot stands away from its goal, and its plans do not lead there."""
+
+
 class DisturbanceTooLarge(RunAborted):
     """A force that no lean can hold drives a robot that balances ever faster: the motors are switched off."""
 
 
 class SensorFailure(RunAborted):
-    """A robot that balances does not know its state any more, for its encoders stand still: the motors are switched off."""
+    """What a robot must know is not seen any more: of its own state (encoders stand still) or of what is around it. It is stopped, or its
+    motors are switched off."""
 
 
 class SolveFailed(WbmpcError):

@@ -31,6 +31,12 @@ from wbmpc.result import Drawing, Metric, MpcStatistics, OutcomeName, Plot, RunR
 from wbmpc.simulation.contacts import Contacts
 from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
 
+#: Definitions of what every experiment with a simulated robot reports.
+_COMMON = {
+    "contacts_unwanted": "how often parts of the robot touched each other or something that they should not",
+    "fell": "whether the robot fell: 1 if it did",
+    "clearance_min": "smallest distance of the robot's parts to obstacles and to each other, 1 m at most; not to the floor",
+}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -121,7 +127,9 @@ class Run:
     @property
     def failure(self) -> OutcomeName:
         """What kind of failure it was if it was one."""
-        return "fell" if self.ending.fell else "collided" if self.collision else "gave_up"
+        if self.ending.fell or self.collision:
+            return "fell" if self.ending.fell else "collided"
+        return "stuck" if self.ending.stuck else "gave_up"
 
     @property
     def controller(self) -> Any:
@@ -185,7 +193,8 @@ def _common(run: Run, metrics: Mapping[str, Metric]) -> dict[str, Metric]:
     fell = {} if any(n == "fell" or n.startswith("fell_") for n in metrics) else {"fell": float(run.ending.fell)}
     touches, nearest = sum(len(c.touches) for c in run.contacts), min(c.clearance for c in run.contacts)
     counts = {"contacts_unwanted": float(touches), **fell}
-    return {n: Metric(v, "1", goal=0.0) for n, v in counts.items()} | {"clearance_min": Metric(nearest, "m")}
+    found = {n: Metric(v, "1", goal=0.0, definition=_COMMON[n]) for n, v in counts.items()}
+    return {**found, "clearance_min": Metric(nearest, "m", definition=_COMMON["clearance_min"])}
 
 
 def _statistics(mpc: MPC) -> MpcStatistics:

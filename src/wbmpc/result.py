@@ -11,17 +11,18 @@ import numpy as np
 from wbmpc.log import Log
 
 #: How a run ended: in one word. Only the first is a success. ``rejected``: it did not start.
-OutcomeName = Literal["completed", "gave_up", "fell", "collided", "rejected", "interrupted"]
+OutcomeName = Literal["completed", "gave_up", "stuck", "fell", "collided", "rejected", "interrupted"]
 #: A run in which a larger share of the solves gave no new plan was not controlled by the MPC: it is not completed.
 MAX_FAILED = 0.1
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A figure with its unit, the paper's figure and the goal (a largest value) where there is one.
+    """A figure: its ``value`` in SI units, the ``unit`` as text, the ``paper``'s figure and the ``goal`` (a largest value) where there is
+    one.
 
     ``least``: a smallest value, alone or with ``goal``. ``goal_note``: what a reader must know about the goal when one run
-    misses it.
+    misses it. ``definition``: what is measured, in a few words; reports show it beside the name.
     """
 
     value: float
@@ -30,6 +31,7 @@ class Metric:
     goal: float | None = None
     goal_note: str = ""
     least: float | None = None
+    definition: str = ""
 
     @property
     def met(self) -> bool | None:
@@ -87,18 +89,24 @@ class MpcStatistics:
 
 @dataclass(frozen=True)
 class Series:
-    """One line of a plot. Lines of the same ``colour`` (a number) look alike; left out: each has its own."""
+    """One line of a plot: its ``name``, ``x`` (n) and ``y`` (n) in the units of the plot's labels, whether it is ``dashed``.
+
+    Lines of the same ``colour`` (a number) look alike; left out: each has its own, and "NAME, reference", "NAME, planned" and the like
+    have that of "NAME". ``limits``: lowest and highest value that ``y`` may have (infinite: none), drawn dotted.
+    """
 
     name: str
     x: np.ndarray
     y: np.ndarray
     dashed: bool = False
     colour: int | None = None
+    limits: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Plot:
-    """A plot of the report."""
+    """A plot of the report: its ``title``, the labels of its axes with their units (``x_label``, ``y_label``) and its lines (``series``);
+    ``equal_axes``: a length is the same along both axes. Plots over "time [s]" share zoom and cursor."""
 
     title: str
     x_label: str

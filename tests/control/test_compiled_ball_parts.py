@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from wbmpc.bases.ball.estimator import BallEstimator
-from wbmpc.bases.ball.plant import BallPlant, minimal_state
+from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.ball.sensors import BallSensors, WheelGeometry
 from wbmpc.bases.ball.torque_limits import TorqueLimits
@@ -97,7 +97,7 @@ def test_the_estimated_state_is_that_of_the_filter() -> None:
         estimator.filter.state = state
         estimator.filter.arrays["rate"][:] = d.qvel[3:6]
         copy = deepcopy(estimator)
-        truth = minimal_state(d.qpos[3:7], d.qvel[:6], d.qpos[:3], HOME[5:8], np.zeros(3))
+        truth = plant.state()
         truth[2] = expected
         np.testing.assert_allclose(estimator.state, truth, atol=1e-9)
         estimator.filter.arrays["x"][0] += 1.0

@@ -12,7 +12,7 @@ from scipy.linalg import solve_continuous_are
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from effort import draws
+from effort import draws, some
 from toys import robot
 from wbmpc import lie
 from wbmpc.bases.ball.estimator import BallEstimator
@@ -26,7 +26,7 @@ from wbmpc.bases.base import InertialDescription
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.simulation.perturbation import Perturbation
 
-H, SEEDS = 0.0025, draws(12, 50)
+H, SEEDS = 0.0025, draws(8, 50)
 ROBOT = robot("rezero")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 MOUNT = np.array([0.0, 0.0, 0.3])
@@ -216,7 +216,7 @@ def test_state_of_the_minimal_model() -> None:
     assert error[8:10].max() < 0.01 and error[10:13].max() < 0.03 and error[13:16].max() < 0.1
 
 
-@pytest.mark.parametrize("speed", [1.0, -4.0])
+@pytest.mark.parametrize("speed", some([1.0, -4.0], [0]))
 def test_a_slipping_wheel_is_found_and_does_no_harm(speed: float) -> None:
     fault = SensorFault("slip", 1, 1.0, 1.3, speed)
     run = Balancing(0, fault).run(2.0)
@@ -230,12 +230,12 @@ def test_a_slipping_wheel_is_found_and_does_no_harm(speed: float) -> None:
 
 
 def test_a_stalled_encoder_is_found_and_does_no_harm() -> None:
-    run = Balancing(0, SensorFault("stalled", 2, 1.0, 2.0)).run(2.5)
+    run = Balancing(0, SensorFault("stalled", 2, 1.0, 1.5)).run(1.8)
     times = [t for t, name in run.seen if name == "wheel_2 stalled"]
-    assert times and 1.0 < times[0] < 1.1 and times[-1] < 2.01
-    assert len(times) > 0.8 * 1.0 / H
+    assert times and 1.0 < times[0] < 1.1 and times[-1] < 1.51
+    assert len(times) > 0.8 * 0.5 / H
     assert np.hypot(*run.error()[:2]) < 3e-3
-    assert not [n for _, n in Balancing(0).run(2.5).seen if "stalled" in n]
+    assert not [n for _, n in Balancing(0).run(1.8).seen if "stalled" in n]
 
 
 def test_a_ball_that_spins_on_the_floor_is_found() -> None:

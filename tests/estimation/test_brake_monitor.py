@@ -220,3 +220,19 @@ def test_brakes_at_rest_are_judged_like_all_others() -> None:
         assert faults == other.update(0.01 * k, leg, brake, rate + 1e-300)
         found += len(faults)
     assert found > 5
+
+
+def test_both_back_ends_find_the_same() -> None:
+    """Legs that are held, slip, stand and move after all, under brakes that open and close at random."""
+    rng, kinds = np.random.default_rng(5), set()
+    one, other = BrakeMonitor(NAMES), BrakeMonitor(NAMES, backend="interpreted")
+    leg, brake, stuck = np.zeros(4), CLOSED, np.zeros(4, bool)
+    for k in range(1500):
+        if k % 250 == 0:
+            brake, stuck = (rng.random(4) < 0.6).astype(float), rng.random(4) < 0.5
+        rate = 0.3 * brake
+        leg = leg + 0.01 * rate * ~stuck + (rng.random(4) < 0.002) * 0.02
+        found = one.update(0.01 * k, leg, brake, rate)
+        assert found == other.update(0.01 * k, leg, brake, rate)
+        kinds |= {fault.kind for fault in found}
+    assert {"does not hold", "does not open"} <= kinds

@@ -10,8 +10,11 @@ import pytest
 from wbmpc import lie
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_memory import FilterMemory
+from wbmpc.bases.ball.filter_solve import explain
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState, rotation_of
+from wbmpc.bases.ball.filter_step import linearise
 from wbmpc.bases.ball.joint_tracker import JointTracker
+from wbmpc.kernel.step import bind
 
 H, GRAVITY = 0.0025, np.array([0.0, 0.0, 9.81])
 
@@ -86,7 +89,7 @@ def test_slopes_are_the_derivatives_of_the_residuals() -> None:
     memory.state = x
     a = memory.arrays
     a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, gyro, accel
-    memory.linearise(H, 0.4, 0.0, 0.0)
+    bind(linearise, a, n=3, radius=float(g.radius))(H, 0.4, 0.0, 0.0)
     a["z"][:] = a["y"]
     y = memory.new_state()
     r = residuals(g, s, x, y, wheel, gyro, accel)
@@ -112,7 +115,7 @@ def test_the_older_state_is_marginalised() -> None:
     q, p = np.diag(rng.uniform(0.5, 2.0, m)), np.diag(rng.uniform(0.5, 2.0, size))
     for name, value in (("jx", jx), ("jy", jy), ("r", r), ("q", q), ("p", p)):
         a[name][:] = value.ravel()
-    choice, cost = memory.explain(np.inf)
+    choice, cost = bind(explain, a, n=3)(np.inf)
     assert choice == 0
     rows = np.block(
         [[np.diag(np.diag(q) ** -0.5) @ np.hstack([jx, jy])], [np.diag(np.diag(p) ** -0.5), np.zeros((size, size))]]
@@ -128,7 +131,7 @@ def test_the_older_state_is_marginalised() -> None:
 def test_no_solution_is_said() -> None:
     memory = FilterMemory(geometry(np.random.default_rng(0)), BallNoise(), "compiled")
     memory.arrays["p"][:] = np.nan
-    assert memory.explain(1.0)[0] == -1
+    assert bind(explain, memory.arrays, n=3)(1.0)[0] == -1
 
 
 def test_a_copy_goes_its_own_way() -> None:

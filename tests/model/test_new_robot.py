@@ -172,10 +172,9 @@ def test_a_home_is_better_than_most_postures(tmp_path: Path) -> None:
 def test_options_instead_of_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = model(tmp_path, MECANUM + ARM)
     assert main(["new", str(path), "--yes", "--base", "differential", "--out", str(tmp_path / "a.yaml")]) == 2
-    assert (
-        "unknown base type for this model 'differential'; valid: omnidirectional, planar, fixed"
-        in capsys.readouterr().err
-    )
+    said = capsys.readouterr().err
+    assert "unknown base type for this model 'differential'; valid: omnidirectional, planar, fixed" in said
+    assert said.count("(driven)") == 4
     assert main(["new", str(path), "--tool", "head", "--out", str(tmp_path / "a.yaml"), "--yes"]) == 2
     assert "valid: grasp_frame, palm, fore" in capsys.readouterr().err
     out = new(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import tracemalloc
+from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 import numpy as np
@@ -59,6 +60,27 @@ def test_after_a_push_the_policy_is_at_its_bound(mpc: MPC) -> None:
         np.testing.assert_allclose(policy.law(0.0, x), asked, atol=1e-12)
         np.testing.assert_allclose(given, [np.clip(asked[0], LOWER, UPPER), asked[1]], atol=1e-12)
         assert mpc.limits.count - previous == (not LOWER <= asked[0] <= UPPER) == (abs(push[1]) > 1.0)
+
+
+def test_threads_and_policies_of_several_sizes_do_not_disturb_each_other() -> None:
+    """Memory of evaluations is shared by all policies of a thread. Truth: the affine law written out."""
+    rng = np.random.default_rng(3)
+
+    def made(nx: int, nu: int) -> Policy:
+        return Policy(np.arange(4.0), rng.normal(size=(4, nx)), rng.normal(size=(3, nu)), rng.normal(size=(3, nu, nx)))
+
+    policies = [made(2, 1), made(5, 3), made(5, 3)]
+    states = [[rng.normal(size=p.x.shape[1]) for _ in range(50)] for p in policies]
+
+    def wrong(_: int) -> float:
+        apart = 0.0
+        for k in range(50):
+            for p, xs in zip(policies, states, strict=True):
+                apart = max(apart, np.abs(p.law(1.0, xs[k]) - (p.u[1] + p.gain[1] @ (xs[k] - p.x[1]))).max())
+        return apart
+
+    with ThreadPoolExecutor(4) as pool:
+        assert max(pool.map(wrong, range(8))) < 1e-12
 
 
 def test_a_state_of_another_shape_is_an_error_and_not_spread(mpc: MPC) -> None:

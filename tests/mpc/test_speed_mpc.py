@@ -67,6 +67,16 @@ def test_plans_keep_the_margin_which_others_do_not(upright: tuple[wb.RobotModel,
     assert stance(robot.home).polygon_margin > 1.5 * MARGIN
 
 
+def test_speeds_are_held_in_simulation(upright: tuple[wb.RobotModel, SpeedMPC]) -> None:
+    """Truth: the plain MPC of the same robot."""
+    robot, mpc = upright
+    plain, u = default_mpc(robot, default_settings(horizon=1.5, intervals=15)), np.linspace(0.1, 0.4, robot.input.size)
+    for given in (u, np.array([u, -2.0 * u])):
+        assert mpc.simulate(robot.home, given, 0.05) == pytest.approx(plain.simulate(robot.home, given, 0.05), abs=1e-9)
+    with pytest.raises(InputError, match="inputs are needed"):
+        mpc.simulate(robot.home, u[1:], 0.05)
+
+
 def test_other_problems_are_rejected(upright: tuple[wb.RobotModel, SpeedMPC]) -> None:
     robot, _ = upright
     with pytest.raises(InputError, match="accelerations as inputs"):

@@ -11,6 +11,7 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.obstacles import solids
 from wbmpc.obstacles.collider import Collider
+from wbmpc.obstacles.geometry import _cover
 from wbmpc.obstacles.solids import Solid
 
 BALL = solids.sphere(0.05, np.zeros(3))
@@ -141,3 +142,19 @@ def test_a_wrong_shape_is_named(make, words) -> None:  # type: ignore[no-untyped
     with pytest.raises(InputError) as error:
         make()
     assert all(word in str(error.value) for word in words)
+
+
+@pytest.mark.parametrize("kind", ["sphere", "capsule", "cylinder", "box"])
+def test_balls_about_a_solid_are_nowhere_farther_than_it(kind: str) -> None:
+    """Truth: the exact distance of points outside. The balls stick out by less than a ball's radius."""
+    rng = np.random.default_rng(0)
+    for size in (np.array([0.06, 0.3, 0.1]), np.array([0.25, 0.3, 0.1]), np.array([0.4, 0.05, 0.02])):
+        solid = Solid(kind, size, np.array([0.1, -0.2, 0.3]), rotation(rng))
+        balls = _cover(solid)
+        points = rng.uniform(-0.8, 0.8, (500, 3))
+        truth = solid.distance(points)
+        places = solid.position + points @ solid.rotation.T
+        found = np.min([np.linalg.norm(places - c, axis=1) - r for c, r in balls], axis=0)
+        outside = truth > 0.0
+        assert (found <= truth + 1e-9)[outside].all()
+        assert (found >= truth - 0.1)[outside].all()

@@ -60,13 +60,17 @@ def test_a_part_that_rolls_is_a_ball_on_the_base() -> None:
 
 @pytest.mark.parametrize("kind", ["capsule", "cylinder", "box", "ellipsoid"])
 def test_balls_cover_a_solid(kind: str) -> None:
-    """Truth: random points of the solid."""
+    """Truth: random points of the surface, on rays from the center."""
     rng = np.random.default_rng(0)
     solid = Solid(kind, np.array([0.1, 0.25, 0.15]), np.array([0.3, 0.0, -0.1]))
     d = rng.normal(size=(4000, 3))
-    d /= np.linalg.norm(d, axis=1)[:, None]
-    points = solid.position + solid.support(d)  # the surface's extreme points
-    points = np.concatenate([points, solid.position + rng.uniform(0, 1, (4000, 1)) * (points - solid.position)])
+    low, high = np.zeros((4000, 1)), 2.0 / np.linalg.norm(d, axis=1)[:, None]
+    for _ in range(50):  # bisection
+        middle = 0.5 * (low + high)
+        inside = solid.distance(middle * d)[:, None] < 0.0
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    points = solid.position + low * d
+    points = np.concatenate([points, solid.position + solid.support(d / np.linalg.norm(d, axis=1)[:, None])])
     gaps = np.min([np.linalg.norm(points - c, axis=1) - r for c, r in _cover(solid)], axis=0)
     assert gaps.max() < 1e-9
 

@@ -39,7 +39,7 @@ def everything() -> dict[str, str]:
     return {**os.environ, **private()}
 
 
-def wait_until(condition: Callable[[], object], seconds: float = 60.0) -> bool:
+def wait_until(condition: Callable[[], object], seconds: float = 180.0) -> bool:
     """Whether a condition came true within ``seconds``: long, for the machine may be busy."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:

@@ -70,7 +70,7 @@ class Simulated:
     def _spin(self) -> None:
         self.why = self.sim.spin(self._end.is_set)
 
-    def until(self, condition: Callable[[], object], seconds: float = 60.0) -> bool:
+    def until(self, condition: Callable[[], object], seconds: float = 180.0) -> bool:
         """Step the controller's node until a condition comes true; whether it did within ``seconds`` of the wall's time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -83,7 +83,7 @@ class Simulated:
     def run(self, seconds: float) -> None:
         """Let simulated time pass; fails if it does not."""
         end = self.sim.time + seconds
-        assert self.until(lambda: self.sim.time >= end or self.why, 60.0 + 30.0 * seconds), self.control.state
+        assert self.until(lambda: self.sim.time >= end or self.why, 180.0 + 30.0 * seconds), self.control.state
 
     def ready(self) -> None:
         """Until a goal can be given."""

@@ -23,7 +23,11 @@ from wbmpc.ros2.opening import open_node
 ROBOT = load_robot("swerve-ur10")
 ENVIRONMENT = {**private(), "ROS_DOMAIN_ID": "45"}
 NETWORK = Network.of(ENVIRONMENT)
-PERIOD = 1.0 / 400.0
+#: Rate of the controller and of the states [1/s] where a test does not ask for another one, a quarter of the default: less to do.
+RATE = 100
+PERIOD = 1.0 / RATE
+#: How often the node looks at requests [s].
+STEP = 0.02
 GROUPS = ("leg", "steer", "wheel", "arm")
 Change = Callable[[dict[str, Any]], Mapping[str, Any] | None]
 
@@ -31,8 +35,8 @@ Change = Callable[[dict[str, Any]], Mapping[str, Any] | None]
 class Standin:
     """Publishes joint states and time, moves its joints as commanded. ``change``: what becomes of a JointState (None: lost)."""
 
-    def __init__(self, robot: RobotModel, network: Network) -> None:
-        self.robot, self.time = robot, 1.0
+    def __init__(self, robot: RobotModel, network: Network, rate: float = RATE) -> None:
+        self.robot, self.time, self.period = robot, 1.0, 1.0 / rate
         self.node = open_node("standin", "dds", network)
         self.names = {g: list(robot.state.groups[g]) for g in GROUPS}
         self.joints = {g: robot.home[robot.state[g]].copy() for g in GROUPS}
@@ -66,8 +70,8 @@ class Standin:
         while wait and any(self.counts[g] == previous[g] for g in previous) and time.monotonic() < end:
             time.sleep(1e-4)
         for group, rates in self.commands.items():
-            self.joints[group] = self.joints[group] + PERIOD * rates
-        self.time += PERIOD
+            self.joints[group] = self.joints[group] + self.period * rates
+        self.time += self.period
 
     @property
     def speed(self) -> float:
@@ -81,13 +85,14 @@ class Pair:
     def __init__(self, **settings: Any) -> None:
         time = {"use_sim_time": True, "lockstep": settings.get("use_sim_time", True)}
         safety = {"clock": 60.0, **settings.pop("safety", {})}  # a busy machine gives the time no time
-        self.settings = SwerveRosSettings.model_validate({**time, **settings, "safety": safety})
+        rates = {"control": RATE, **settings.pop("rates", {})}
+        self.settings = SwerveRosSettings.model_validate({**time, "rates": rates, **settings, "safety": safety})
         with ExitStack() as made:  # whatever fails, nothing is left on the bus for the next test
             self.node = open_node("wbmpc", "dds", NETWORK)
             made.callback(self.node.close)
             self.control = ControlNode(self.node, ROBOT, self.settings)
             made.callback(self.control.close)
-            self.standin = Standin(ROBOT, NETWORK)
+            self.standin = Standin(ROBOT, NETWORK, self.settings.rates.control)
             made.callback(self.standin.node.close)
             self.close = made.pop_all().close
         self.said: list[Any] = []
@@ -95,16 +100,17 @@ class Pair:
 
     def run(self, seconds: float) -> None:
         """Let time pass."""
-        for k in range(round(seconds / PERIOD)):
-            if k % 8 == 0:
+        often = round(STEP / self.standin.period)
+        for k in range(round(seconds / self.standin.period)):
+            if k % often == 0:
                 self.control.step()
             self.standin.tick(wait=self.control.running)
 
-    def until(self, condition: Callable[[], object], seconds: float = 60.0) -> bool:
+    def until(self, condition: Callable[[], object], seconds: float = 180.0) -> bool:
         """Let time pass until a condition comes true; whether it did within ``seconds`` of the wall's time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            self.run(8 * PERIOD)
+            self.run(STEP)
             if condition():
                 return True
         return False

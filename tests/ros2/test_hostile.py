@@ -135,7 +135,7 @@ def test_joints_that_are_nowhere_and_wrenches_that_nobody_exerts(pair: Callable[
     control = pair(use_sim_time=False).control
     body = control.robot_io
     names, at = body._reader.names, SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=0))
-    body._take_joints(SimpleNamespace(header=at, name=names, position=[-1e300] * len(names)), "robot")
+    body._take_joints(SimpleNamespace(header=at, name=names, position=[-1e300] * len(names)))
     assert "joint states: a number is too large" in body.fault and body._joints is None
     force = SimpleNamespace(force=TOO_LARGE, torque=VECTOR)
     control.request_queue._try(

@@ -23,7 +23,7 @@ if not MISSING:
 def test_a_tick_keeps_the_interpreter(pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Who lets it go, if for a microsecond, may wait for milliseconds to have it back: NumPy does in its search, in copies of
     more than 500 numbers and in some 20 other functions."""
-    p = pair()
+    p = pair(rates={"control": 400})
     drive(p)
     ticking: list[int] = []
     where: Counter[str] = Counter()

@@ -54,7 +54,7 @@ def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCap
     sending = [True]
 
     def change(message: dict[str, Any]) -> dict[str, Any]:
-        if sending and round(p.standin.time / PERIOD) % 10 == 0:
+        if sending and round(p.standin.time / PERIOD) % 3 == 0:
             publisher.publish({"header": {"frame_id": "odom"}, "pose": {"pose": {"position": {"x": 3.0, "y": -1.0}}}})
         return message
 

@@ -10,6 +10,7 @@ import time
 import pytest
 from needs import everything, needs_dds, private, wait_until
 
+from effort import thorough
 from wbmpc.errors import InputError
 from wbmpc.ros2.bus import LATCHED
 from wbmpc.ros2.network import Network
@@ -31,6 +32,8 @@ def test_the_older_variable_wins_when_it_is_on() -> None:
 def test_ranges_become_settings_of_the_middleware() -> None:
     local = Network(reach="LOCALHOST").cyclone()
     assert "<AllowMulticast>false<" in local and '<Peer address="localhost"/>' in local
+    # "InitialLocatorPruneDelay" in Cyclone's documentation: how long peers are asked that do not answer
+    assert "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>" in local
     off = Network(reach="OFF").cyclone()
     assert "<Tag>ros_discovery_off_" in off and "Peer " not in off
     assert "<LeaseDuration>3 s</LeaseDuration><SPDPInterval>0.5 s</SPDPInterval>" in off
@@ -102,7 +105,7 @@ def test_a_killed_process_leaves_the_bus_soon() -> None:
         victim.kill()
         begin = time.monotonic()
         assert wait_until(lambda: not node.publishers("/victim"))
-        assert time.monotonic() - begin < 6.0
+        assert time.monotonic() - begin < 9.5
     finally:
         victim.kill()
         victim.wait()
@@ -121,7 +124,7 @@ own += "<Peers AddLocalhost='false'/></Discovery>"
 domain = Domain(number, f"<CycloneDDS><Domain>{own}</Domain></CycloneDDS>,{os.environ['CYCLONEDDS_URI']}")
 participant = DomainParticipant(number)
 reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
-end = time.monotonic() + 10.0
+end = time.monotonic() + 60.0
 while time.monotonic() < end and not any(s.topic_name == "rt/early" for s in reader.take(N=100)):
     time.sleep(0.05)
 print("found" if time.monotonic() < end else "not found")
@@ -135,6 +138,7 @@ time.sleep(600.0)
 """
 
 
+@thorough
 @needs_dds
 def test_who_starts_half_a_minute_later_finds_us() -> None:
     """Without multicast. By default Cyclone DDS looks for peers in the first 30 s of its life only."""
@@ -144,7 +148,7 @@ def test_who_starts_half_a_minute_later_finds_us() -> None:
         assert early.stdout is not None and early.stdout.readline() == "there\n"
         time.sleep(36.0)
         run = subprocess.run(
-            [sys.executable, "-c", LATE], env=environment, timeout=60.0, capture_output=True, text=True
+            [sys.executable, "-c", LATE], env=environment, timeout=120.0, capture_output=True, text=True
         )
     finally:
         early.kill()

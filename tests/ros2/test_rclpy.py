@@ -108,6 +108,8 @@ def test_topics_services_graph_and_mismatches(made: list[Any]) -> None:
 def test_whose_a_message_is_is_known_while_there_is_one_publisher(made: list[Any]) -> None:
     """Of one type: who publishes another one is not heard. Truth: the stand-in's identities, names as bytes."""
     node, other = open_node("wbmpc"), open_node("robot")
+    from wbmpc.ros2.ros import RosWriter
+
     got: list[Any] = []
     node.subscribe("/x", "std_msgs/msg/String", lambda m, source: got.append(source), sourced=True)
     publisher = other.publisher("/x", "std_msgs/msg/String")
@@ -117,7 +119,7 @@ def test_whose_a_message_is_is_known_while_there_is_one_publisher(made: list[Any
     publisher.publish({})
     made[0].topics.pop()
     publisher.publish({})
-    assert got == [b"robot", AMBIGUOUS, b"robot"]
+    assert got == [RosWriter(b"robot"), AMBIGUOUS, RosWriter(b"robot")]
     node.close()
     other.close()
 

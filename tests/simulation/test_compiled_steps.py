@@ -8,6 +8,7 @@ import pytest
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.simulation.arm_step import carry, keep
 from wbmpc.simulation.contact_step import near
+from wbmpc.simulation.frame_step import from_base
 
 BACKENDS: list[Backend] = ["compiled", "interpreted"]
 
@@ -46,3 +47,14 @@ def test_shapes_that_may_be_near_are_found(backend: Backend) -> None:
     count = bind(near, arrays, backend, n=30)(0.7)
     apart = np.linalg.norm(centers[pairs[:, 0]] - centers[pairs[:, 1]], axis=1) - reach
     assert 3 < count < 27 and np.array_equal(found[:count], np.flatnonzero(apart < 0.7))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_tool_is_seen_from_the_base(backend: Backend) -> None:
+    rng = np.random.default_rng(6)
+    (base, tool), (rotation, turned) = rng.normal(size=(2, 3)), rng.normal(size=(2, 3, 3))
+    a = {"base": base, "rotation": rotation.ravel(), "tool": tool, "tool_rotation": turned.ravel()}
+    a |= {"seen": np.ones(3), "turned": np.ones(9)}
+    bind(from_base, a, backend).call()
+    np.testing.assert_allclose(a["seen"], rotation.T @ (tool - base), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(a["turned"].reshape(3, 3), rotation.T @ turned, rtol=1e-12, atol=1e-14)

@@ -3,6 +3,7 @@ on paper."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -65,6 +66,7 @@ def test_a_robot_that_is_given_up_has_fallen_if_it_lies_in_the_end() -> None:
         (Ending(), False, "completed"),
         (Ending(), True, "collided"),
         (Ending("stopped"), False, "gave_up"),
+        (Ending("stopped", stuck=True), False, "stuck"),
         (Ending("stopped"), True, "collided"),
         (Ending("stopped", fell=True), True, "fell"),
         (Ending("stopped", interrupted=True), True, "interrupted"),
@@ -75,7 +77,7 @@ def test_one_outcome_for_a_run(ending: Ending, touched: bool, outcome: str) -> N
 
     touches = [Touch(1.0, "base", "door")] if touched else []
     contacts = SimpleNamespace(touches=touches, clearance=0.02)
-    given = Ending(ending.reason, ending.fell, ending.interrupted, (contacts,))  # type: ignore[arg-type]
+    given = replace(ending, contacts=(contacts,))  # type: ignore[arg-type]
 
     def build(settings: Any, seed: int) -> Scenario:
         log = Log()

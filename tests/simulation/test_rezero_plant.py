@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 
 from wbmpc import lie
 from wbmpc.bases.ball.messages import BallCommand
-from wbmpc.bases.ball.plant import BallPlant, body_rates, minimal_state
+from wbmpc.bases.ball.plant import BallPlant, body_rates
+from wbmpc.bases.ball.sensor_step import minimal_of
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError
+from wbmpc.kernel.step import bind
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
 
@@ -53,9 +55,12 @@ rate = st.floats(-3.0, 3.0)
 def test_states_survive_the_way_to_mujoco_and_back(yaw, pitch, roll, rates):
     omega = body_rates([yaw, pitch, roll], rates)
     quaternion = lie.rotation_to_quaternion(lie.euler_zyx_to_rotation(yaw, pitch, roll))
-    velocity = np.array([0.1, -0.2, 0.0, *omega])
-    x = minimal_state(quaternion, velocity, np.array([1.0, 2.0, 0.125]), np.zeros(3), np.ones(3))
-    assert x == pytest.approx([1.0, 2.0, yaw, pitch, roll, 0, 0, 0, 0.1, -0.2, *rates, 1, 1, 1], abs=1e-9)
+    q, v = np.array([1.0, 2.0, 0.125, *quaternion, 0.3, 0.4, 0.5]), np.array([0.1, -0.2, 0.0, *omega, 3.0, 2.0, 1.0])
+    for backend in ("compiled", "interpreted"):
+        a = {"q": q, "v": v, "state": np.zeros(16), "arm_q": np.array([9, 8, 7]), "arm_v": np.array([8, 7, 6])}
+        bind(minimal_of, a, backend, m=3)()
+        expected = [1.0, 2.0, yaw, pitch, roll, 0.5, 0.4, 0.3, 0.1, -0.2, *rates, 1, 2, 3]
+        assert a["state"] == pytest.approx(expected, abs=1e-9)
 
 
 @settings(max_examples=50, deadline=None)

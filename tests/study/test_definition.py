@@ -16,7 +16,7 @@ VALLEY = Path(__file__).with_name("valley.py")
 
 def planned(tmp_path: Path, text: str):  # type: ignore[no-untyped-def]
     file = tmp_path / "study.yaml"
-    file.write_text(text.replace("VALLEY", str(VALLEY)))
+    file.write_text(text.replace("VALLEY", str(VALLEY)).replace("RANGE", "{from: 0, to: 1, steps: 10000}"))
     definition = load_definition(file)
     return definition, combinations(definition, tmp_path, "study.yaml")
 
@@ -85,6 +85,9 @@ WRONG = {
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: {from: 0, to: 1, steps: 4, log: true}}": "a log range needs from > 0",
     "experiments: [VALLEY]\nseeds: 3\ndraws: 4": "draws: nothing is random",
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: [1, 1.0]}": "offset=1: these settings are there twice",
+    # counted, not made: they would fill the memory
+    "experiments: [VALLEY]\nseeds: 3\nvary: {offset: RANGE, control.gain: RANGE, robot: [a, b]}": "200000000 combinations of settings; at most",
+    "experiments: [VALLEY]\nseeds: 3\ndraws: 100000\nvary: {offset: {from: 0, to: 1, random: true}}": "100000 combinations of settings",
     "experiments: [VALLEY]\nseeds: 3\nconditions: {a: }\ncompare_with: b": "compare_with: unknown condition 'b'",
     "experiments: [VALLEY]\nseeds: 0-9\ntune: {seeds: 5-12, search: {offset: [0, 1]}, minimize: [{metric: error, limit: 1}]}":
         "tune.seeds: 5, 6, 7, 8, 9 are in 'seeds' too",

@@ -10,6 +10,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 from valley import error
@@ -182,6 +183,64 @@ def test_the_command_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFix
     assert all(Path(f).is_file() for f in said["files"].values())
     assert main(["study", str(file), "--report", "--out", str(tmp_path / "out")]) == 0
     assert "far" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("robots", "status"), [("[unknown]", 1), ("[one, unknown]", 0)])
+def test_settings_that_only_the_runs_reject_and_metrics_that_none_has_are_reported(
+    robots: str, status: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A study of which every run rejected its settings has failed."""
+    file = tmp_path / "rejected.yaml"
+    file.write_text(f"experiments: [{HERE / 'valley.py'}]\nrobots: {robots}\nseeds: 1-2\nmetrics: [eror]\n")
+    assert main(["study", str(file), "--workers", "0", "--out", str(tmp_path / "out"), "--json"]) == status
+    said = capsys.readouterr().err
+    assert "wbmpc: 2 runs rejected their settings: there is no such robot\n" in said
+    assert (f"{file}: metrics: no run has 'eror'; valid: error" in said) is (status == 0)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("constraints: {error: .nan}", "constraints.error=nan: input should be a finite number"),
+        ("constraints: {eror: 1}", "tune.constraints: no run has the metric 'eror'; valid: error"),
+        ("storage: 'nothing://there'", "tune.storage: 'nothing://there' cannot be opened ("),
+        ("storage: 'sqlite:////proc/nowhere/trials.db'", "trials.db' cannot be opened ("),
+    ],
+)
+def test_what_is_wrong_with_a_search_is_named(
+    more: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("optuna")
+    file = tmp_path / "search.yaml"
+    search = "search: {offset: {from: 0, to: 1}}, minimize: [{metric: error, limit: 9}], trials: 1"
+    file.write_text(f"experiments: [{HERE / 'valley.py'}]\nseeds: 1\ntune: {{seeds: 0, {search}, {more}}}\n")
+    assert main(["tune", str(file), "--workers", "0", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert message in said and said.count("wbmpc:") == 1
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_workers_that_are_being_started_are_started_and_ended(
+    number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Dask cannot close a cluster that is half there. The signal comes while it is made; truth: the order of what happens."""
+    seen: list[str] = []
+
+    class Cluster:
+        workers: ClassVar[dict[str, Any]] = {}
+
+        def __init__(self, **_: object) -> None:
+            os.kill(os.getpid(), number)
+            seen.append("made")
+
+        def close(self, timeout: float) -> None:
+            seen.append("closed")
+
+    monkeypatch.setattr("distributed.LocalCluster", Cluster)
+    monkeypatch.setattr("distributed.Client", lambda cluster, set_as_default: cluster)
+    assert main(["study", str(study(tmp_path)), "--workers", "1", "--out", str(tmp_path / "out")]) == status
+    assert seen[0] == "made" and set(seen[1:]) == {"closed"}
+    assert "wbmpc: interrupted" in capsys.readouterr().err
 
 
 def test_an_unknown_study_names_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:

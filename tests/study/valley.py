@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from wbmpc.errors import RunAborted
+from wbmpc.errors import InputError, RunAborted
 from wbmpc.experiment import Experiment
 from wbmpc.log import Log
 from wbmpc.result import Metric, MpcStatistics, RunResult
@@ -46,6 +46,8 @@ def run(s: ValleySettings, seed: int, progress: Callable[[float, str], None] | N
         raise ZeroDivisionError("of this seed")
     if s.robot == "lost":
         raise RunAborted("this robot does not move")
+    if s.robot == "unknown":
+        raise InputError("there is no such robot")
     fell = seed >= s.fall_from
     # a run that fell measured little before its end
     metrics = {

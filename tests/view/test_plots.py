@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 
 from wbmpc import lie
+from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
+from wbmpc.stability import leg_angles
 from wbmpc.view.actuator_load import GROUPS, Loads
-from wbmpc.view.history import SAMPLES, SPAN, History
-from wbmpc.view.snapshot import errors
+from wbmpc.view.history import POINTS, SAMPLES, SPAN, History, Trail
+from wbmpc.view.leg_configuration import LegConfiguration, configuration_text
+from wbmpc.view.snapshot import TRAIL, errors, status_text
+
+pytest.importorskip("viser")
+from wbmpc.view.replay_plots import POINTS as POINTS_OF_REPLAYS
+from wbmpc.view.replay_plots import marked, thinned
 
 
 @pytest.mark.parametrize("pictures", [30, 230, 2000])
@@ -59,3 +66,46 @@ def test_errors() -> None:
     )
     assert found == pytest.approx({"error": 0.5, "turn": 0.2, "base": 0.1})
     assert np.isnan([*errors(turned, np.full(7, np.nan), turned, np.full(3, np.nan)).values()]).all()
+
+
+def test_a_trail_is_the_way_that_was_taken_and_stays_short() -> None:
+    """Truth: points of a straight way of 10 m, in steps of 1 mm."""
+    trail = Trail()
+    for k in range(10_001):
+        points = trail.add(np.array([0.001 * k, 0.0, 0.3]))
+    assert len(points) <= POINTS + 1 <= TRAIL
+    assert points[0, 0] == 0.0 and points[-1, 0] == pytest.approx(10.0)
+    assert np.diff(points[:, 0]).max() < 0.2 and (np.diff(points[:, 0]) >= 0.0).all()
+    assert len(trail.add(np.full(3, np.nan))) <= POINTS  # there is no pose now
+    trail.reset()
+    assert len(trail.add(np.zeros(3))) == 2
+
+
+@pytest.mark.parametrize("name", ["H", "X", "A"])
+def test_the_configuration_of_legs_is_named(name: str) -> None:
+    """Truth: the angles that a configuration asks for."""
+    robot = load_robot("swerve-ur10")
+    joints = [*robot.state.groups["wheel"], *robot.state.groups["leg"]]
+    legs = LegConfiguration(robot, joints)
+    positions = np.concatenate([np.full(4, 7.0), leg_angles(robot, name)])
+    assert configuration_text(legs.number(positions)) == f"legs: {name}"
+    assert f"legs: {name}" in status_text(
+        {"error": np.nan, "margin": np.nan, "triangle_margin": np.nan, "configuration": legs.number(positions)}
+    )
+    positions[5] += 0.2
+    assert configuration_text(legs.number(positions)) == "legs: between configurations"
+    arm = load_robot("panda")
+    assert configuration_text(LegConfiguration(arm, list(arm.state.groups["arm"])).number(arm.home)) == ""
+
+
+def test_a_replays_plots_keep_peaks_and_mark_the_moment() -> None:
+    """Truth: the highest value, and the upright line's place and height, by hand."""
+    times, values = np.arange(5000) / 100.0, np.zeros(5000)
+    values[1234] = 9.0
+    t, y = thinned(times, values)
+    assert len(t) <= POINTS_OF_REPLAYS and y.max() == 9.0 and (np.diff(t) > 0.0).all()
+    data = marked(t, [y, np.full(t.size, 2.0)], 20.0)
+    now = np.isfinite(data[-1])
+    assert data[0][now].tolist() == [20.0, 20.0] and data[-1][now].tolist() == [0.0, 9.0]
+    assert (np.diff(data[0]) >= 0.0).all() and len({len(row) for row in data}) == 1
+    assert np.isnan(data[1][now]).all()

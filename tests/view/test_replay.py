@@ -21,6 +21,7 @@ from wbmpc import lie, reproduce
 from wbmpc.cli import main
 from wbmpc.errors import InputError, WbmpcError
 from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.recording.plots import positions
 from wbmpc.recording.reader import Recording, read_recording
 from wbmpc.recording.writer import McapFile
 from wbmpc.simulation.lockstep import Ending, Running
@@ -88,6 +89,9 @@ def test_numbers_and_forces(run: SimpleNamespace) -> None:
     weight = np.sum(forces[:, 1, 2] - forces[:, 0, 2]) / 0.002
     assert len(forces) == 4 and weight == pytest.approx(run.truth.plant.weight, rel=0.05)
     numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
+    taken = s["trail"][np.isfinite(s["trail"]).all(axis=1)]
+    times, poses = positions(run.film.recording, "/hand/pose")  # type: ignore[misc]
+    assert len(taken) == np.sum(times <= 0.1) and np.array_equal(taken[-1], poses[len(taken) - 1])
     assert numbers["t"] == 0.1 and 0.0 < numbers["solve"] < 1.0 and numbers["deadline"] == 0.02
 
 

@@ -268,6 +268,13 @@ class WheelFit(Protocol):
         """Combinations of "steer zeros" and of "radii" that the log does not show: weights (k, n), standard deviations (k)."""
 
 
+class Reshaping(Protocol):
+    """What adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`)."""
+
+    def update(self, t: float) -> None:
+        """Set references and modes of its MPC for updates from ``t`` [s] on, after whoever sets the reference "state"."""
+
+
 class Calibrator(Protocol):
     """Finds steer zeros and wheel radii of one robot from the log of a run with global poses. ``names``: of the wheels in
     calibration files; ``geometry``: of the wheels as described."""
@@ -308,9 +315,12 @@ class BaseType(Protocol):
         """The simulated robot at home, perturbed against the model; see :class:`System`."""
         reject_missing_part(robot.description, "plant")
 
-    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+    def mpc(
+        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
+    ) -> MPC:
         """The MPC with default weights, whose goal is the robot's home, and which keeps clear of ``obstacles``; ``changes``: of its
-        :class:`wbmpc.settings.MpcSettings`, by name. Its references "end_effector" (poses) and, where a view may move the base, "state"
+        :class:`wbmpc.settings.MpcSettings`, by name. ``progress``: the end effector follows a path (``mpc.path``) at its own speed, and no
+        clock (:func:`wbmpc.path_problem`). Its references "end_effector" (poses) and, where a view may move the base, "state"
         (nx) follow the robot's task."""
         reject_missing_part(robot.description, "mpc")
 
@@ -325,6 +335,11 @@ class BaseType(Protocol):
         """Plant, controller and MPC: what views and general experiments start from. ``perturbation`` of the plant and ``mpc``: the default
         ones where they are left out; another MPC has the robot's own dynamics. ``edit`` adds to MuJoCo's scene."""
         reject_missing_part(robot.description, "system")
+
+    def reshaping(self, robot: RobotModel, mpc: MPC, controller: Any) -> Reshaping | None:
+        """What makes the base as wide or narrow as the obstacles of ``mpc`` allow where its reference leads, and commands what that needs
+        through ``controller``; None for a base that has one shape."""
+        return None
 
     def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
         """The settings of this base type's controller on a ROS 2 bus."""
@@ -346,7 +361,7 @@ class BaseType(Protocol):
 
 #: What the parts of a plug-in are called in errors; one that it does not define is inherited from :class:`BaseType`.
 PARTS = {
-    "check": "check of its mechanics", "propose": "proposal for a new robot", "diagnose": "diagnosis",
+    "check": "check of its mechanics", "propose": "proposal for a new robot", "reshaping": "change of shape", "diagnose": "diagnosis",
     "model": "model", "plant": "simulated robot", "mpc": "problem with default weights", "system": "simulated robot with a controller",
     "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
     "calibrator": "calibration of steered wheels",

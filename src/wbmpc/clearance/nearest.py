@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.clearance import grid_step
 from wbmpc.clearance.kinematics import CompiledKinematics
 from wbmpc.clearance.table import SolidTable
 from wbmpc.obstacles.geometry import RobotGeometry
@@ -16,6 +18,8 @@ from wbmpc.obstacles.solids import Solid
 from wbmpc.obstacles.world import Obstacle, Snapshot
 
 Array = NDArray[np.float64]
+#: Nearest points of a frame and a distance grid, in different directions.
+SIDES = 2
 
 
 @dataclass
@@ -49,10 +53,11 @@ class Poses:
 
 class Finder:
     """Nearest points between one robot and any obstacles. ``reach`` [m]: what is farther away is not looked at; ``pairs``: how many pairs
-    of solids the last call compared one by one, the others were too far by their bounding spheres."""
+    of solids the last call compared one by one, the others were too far by their bounding spheres; ``deep``: whether it measures how deep
+    convex solids overlap (else their distance is 0)."""
 
-    def __init__(self, geometry: RobotGeometry, reach: float) -> None:
-        self.geometry, self.reach, self.pairs = geometry, reach, 0
+    def __init__(self, geometry: RobotGeometry, reach: float, deep: bool = True) -> None:
+        self.geometry, self.reach, self.pairs, self.deep = geometry, reach, 0, deep
         self._table = SolidTable(geometry)
         #: poses of the geometry's frames
         self.kinematics = CompiledKinematics(geometry.robot, [geometry.robot.tree.frames[f] for f in geometry.frames])
@@ -71,7 +76,9 @@ class Finder:
             if isinstance(obstacle.shape, HalfSpace):
                 self._half_space(obstacle.shape, place, turn, poses, below[:, :, o], out, o)
             elif isinstance(obstacle.shape, DistanceGrid):
-                self._grid(obstacle.shape, place[0], turn, poses, below[:, :, o], out, o)
+                if obstacle.side == 0:  # with all its sides, which follow
+                    which = slice(o, o + sum(other.name == obstacle.name for other in obstacles))
+                    self._grid(obstacle.shape, place[0], turn, poses, below[:, :, which], out, which)
             else:
                 solid = obstacle.shape.solid
                 solids.append((o, solid, place + turn @ solid.position, turn @ solid.rotation))
@@ -86,7 +93,7 @@ class Finder:
         which = [s[0] for s in solids]
         found = self._table.nearest(
             poses.position, poses.rotation, [s[1] for s in solids], np.stack([s[2] for s in solids], axis=1),
-            np.array([s[3] for s in solids]), below[:, :, which],
+            np.array([s[3] for s in solids]), below[:, :, which], self.deep,
         )  # fmt: skip
         self.pairs = found.compared
         there = found.distance < below[:, :, which]
@@ -132,24 +139,37 @@ class Finder:
             out.point[better, f, o], out.level[better, f, o] = point[better], level[better]
 
     def _grid(
-        self, shape: DistanceGrid, place: Array, turn: Array, poses: Poses, below: Array, out: Nearest, o: int
+        self, shape: DistanceGrid, place: Array, turn: Array, poses: Poses, below: Array, out: Nearest, which: slice
     ) -> None:
-        frame, local, radius = self.geometry.spheres
-        own = poses.rotation[:, frame]
-        centers = poses.position[:, frame] + np.einsum("nbij,bj->nbi", own, local)
-        value, gradient = shape.sample(((centers - place) @ turn).reshape(-1, 3))
-        value, gradient = value.reshape(centers.shape[:2]), gradient.reshape(centers.shape) @ turn.T
-        slope = np.linalg.norm(gradient, axis=2)
-        distance = np.where(slope > 0.1, value - radius, np.inf)
-        for f in range(len(self.geometry.frames)):
-            mine = np.flatnonzero(frame == f)
-            best = mine[np.argmin(distance[:, mine], axis=1)]
-            for k in np.flatnonzero(distance[np.arange(len(best)), best] < below[:, f]).tolist():
-                b = int(best[k])
-                n = gradient[k, b] / slope[k, b]
-                p = centers[k, b] - radius[b] * n
-                out.distance[k, f, o], out.normal[k, f, o] = distance[k, b], n
-                out.point[k, f, o], out.level[k, f, o] = poses.into(k, f, p), n @ p - distance[k, b]
+        (frame, local, radius), (n, frames, sides) = self.geometry.spheres, below.shape
+        values, ball = np.asarray(shape.values), np.full(below.shape, -1)
+        error, center = float(shape.error or 0.0), np.empty((n, len(frame), 3))
+        distance, normal = below + error, np.zeros((*below.shape, 3))
+        origin = place + turn @ np.asarray(shape.origin, float)
+        arrays = (frame, local, radius, poses.position, poses.rotation)
+        nearest: Any = grid_step.nearest
+        nearest(
+            n, frames, len(frame), sides, *(np.ascontiguousarray(a).reshape(-1) for a in arrays), *values.shape,
+            float(shape.cell), values.reshape(-1), origin, np.ascontiguousarray(turn).reshape(-1),
+            distance.reshape(-1), normal.reshape(-1), ball.reshape(-1), center.reshape(-1),
+        )  # fmt: skip
+        k, f, s = np.nonzero(ball >= 0)
+        b, o = ball[k, f, s], which.start + s
+        found, normals = distance[k, f, s] - error, normal[k, f, s]
+        points = center[k, b] - radius[b, None] * normals
+        out.distance[k, f, o], out.normal[k, f, o] = found, normals
+        out.point[k, f, o] = np.einsum("mi,mij->mj", points - poses.position[k, f], poses.rotation[k, f])
+        out.level[k, f, o] = np.sum(normals * points, axis=1) - found
+
+
+def with_sides(snapshot: Snapshot) -> Snapshot:
+    """The same obstacles with an entry for each of the :data:`SIDES` of a distance grid, so that rows know several of its nearest points."""
+    each = [replace(o, side=s) for o in snapshot.obstacles for s in range(_sides(o))]
+    return Snapshot(tuple(each), snapshot.frames)
+
+
+def _sides(obstacle: Obstacle) -> int:
+    return SIDES if isinstance(obstacle.shape, DistanceGrid) else 1
 
 
 def turned(a: Array, b: Array) -> Array:

@@ -8,6 +8,7 @@ distance at the prediction, exactly. Rows without an obstacle are zeros, for whi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,6 +155,16 @@ class ObstacleRows:
         )  # fmt: skip
 
 
+class _Found(NamedTuple):
+    """By node and pair: ``distance`` (n, p) [m], infinite out of reach; ``normal`` (n, p, 3) in the world; nearest points (n, p, 3) in the
+    axes of their frames."""
+
+    distance: Array
+    normal: Array
+    point_a: Array
+    point_b: Array
+
+
 class SelfRows:
     """Rows of pairs of a robot's frames: the nearest points of their shapes."""
 
@@ -171,16 +182,23 @@ class SelfRows:
         frames = [geometry.robot.tree.frames[f] for f in geometry.frames]
         self._kinematics = CompiledKinematics(geometry.robot, frames)
         self._common = CompiledKinematics(geometry.robot, link_frames(self.common))
+        self._states = geometry.robot.home[None].copy()
+        self._found = self._measured(self._states)
 
     @property
     def size(self) -> int:
         """Rows at a node."""
         return len(self.pairs)
 
-    def measure(self, states: Array, reach: float) -> tuple[Array, Array, Array, Array]:
-        """By node and pair: distance (n, p) [m], infinite beyond ``reach``; normal (n, p, 3) in the world; both points (n, p, 3) in the
-        axes of their frames."""
+    def measure(self, states: Array) -> _Found:
+        """Nearest points at states (n, nx), which are kept: a plan is asked for before and after its solve, each time for several things."""
+        if not np.array_equal(states, self._states):
+            self._states, self._found = states.copy(), self._measured(states)
+        return self._found
+
+    def _measured(self, states: Array) -> _Found:
         n, position, rotation = len(states), *self._kinematics(states)
+        reach = SELF_REACH + self.margin
         found = self._table.nearest_own(
             position, rotation, self._row, self._first, self._second, np.full((n, self.size), reach)
         )
@@ -189,26 +207,26 @@ class SelfRows:
         second = ((found.other - position[:, b])[..., None, :] @ rotation[:, b])[..., 0, :]
         there = found.distance < reach
         first, second = (np.where(there[..., None], v, 0.0) for v in (first, second))
-        return np.where(there, found.distance, np.inf), found.normal, first, second
+        return _Found(np.where(there, found.distance, np.inf), found.normal, first, second)
 
     def refresh(self, states: Array) -> Array:
         """Parameters (n, size · :data:`SELF_WIDTH`) for predicted ``states`` (n, nx)."""
-        distance, normal, first, second = self.measure(states, SELF_REACH + self.margin)
+        found = self.measure(states)
         out = np.zeros((len(states), self.size, SELF_WIDTH))
-        there = np.isfinite(distance)
-        own = (normal[..., None, :] @ self._common(states)[1])[..., 0, :]
-        out[..., :3], out[..., 3:6], out[..., 6:9] = own, first, second
-        out[..., 9] = np.where(there, self.margin, 0.0)
+        own = (found.normal[..., None, :] @ self._common(states)[1])[..., 0, :]
+        out[..., :3], out[..., 3:6], out[..., 6:9] = own, found.point_a, found.point_b
+        out[..., 9] = np.where(np.isfinite(found.distance), self.margin, 0.0)
         return out.reshape(len(states), -1)
 
     def clearance(self, times: Array, states: Array) -> Clearance:
         """The least distance of a plan, states (n, nx) at ``times`` (n) [s]."""
-        return self._least(times, self.measure(states, self.margin + EXACT)[0])
+        return self._least(times, self.measure(states).distance)
 
-    def deepest(self, times: Array, states: Array, limit: float, deeper: float) -> Clearance | None:
-        """Where states (n, nx) bring a pair nearer than ``limit`` [m], and by ``deeper`` [m] nearer than the first one; None: nowhere."""
-        found = self.measure(states, limit)[0]
-        found = np.where(found < found[:1] - deeper, found, np.inf)
+    def deepest(self, times: Array, states: Array, count: int, limit: float, deeper: float) -> Clearance | None:
+        """Where the first ``count`` of states (n, nx) bring a pair nearer than ``limit`` [m], and by ``deeper`` [m] nearer than the first one;
+        None: nowhere."""
+        found = self.measure(states).distance[:count]
+        found = np.where((found < limit) & (found < found[:1] - deeper), found, np.inf)
         return self._least(times, found) if np.isfinite(found).any() else None
 
     def _least(self, times: Array, distance: Array) -> Clearance:

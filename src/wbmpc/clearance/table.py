@@ -87,10 +87,11 @@ class SolidTable:
         return place, axes
 
     def nearest(
-        self, position: Array, rotation: Array, others: Sequence[Solid], places: Array, turns: Array, limit: Array
-    ) -> Found:
+        self, position: Array, rotation: Array, others: Sequence[Solid], places: Array, turns: Array, limit: Array,
+        deep: bool = True,
+    ) -> Found:  # fmt: skip
         """Of the robot's frames at poses (n, F, ...) and other solids at ``places`` (n, o, 3) with axes ``turns`` (o, 3, 3), what is nearer
-        than ``limit`` (n, F, o) [m]."""
+        than ``limit`` (n, F, o) [m]. ``deep``: whether to measure how deep solids overlap; their distance is 0 else."""
         self.load(others)
         out, (n, frames, count), s = Found.below(limit), limit.shape, len(self._own)
         place, axes = self.put(position, rotation)
@@ -102,6 +103,9 @@ class SolidTable:
         )  # fmt: skip
         if touch:
             k, a, o = np.unravel_index(touching[:touch], (n, s, count))
+        if touch and not deep:
+            np.minimum.at(out.distance, (k, self._frame_of[a], o), 0.0)
+        elif touch:
             self._collider.load(others)
             for node in np.unique(k):
                 self._collider.place(

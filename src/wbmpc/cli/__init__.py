@@ -36,7 +36,8 @@ from wbmpc.cli.terminal import (
     BAD_INPUT,
     COMPLETED,
     INTERRUPTED,
-    TERMINATED,
+    act_on_waiting,
+    asked_by_system,
     experiment_names,
     interrupted,
     logged,
@@ -288,9 +289,9 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     debug, quiet, verbose = ("--debug" in words, "--quiet" in words, "--verbose" in words)
     words = _rearranged(words)
     open_streams()
-    with unread_allowed(), terminable() as termination:
+    with unread_allowed(), terminable():
         status = _run(words, debug, quiet, verbose, registry)
-    return TERMINATED if termination.came and status == INTERRUPTED else status
+        return (asked_by_system() or status) if status == INTERRUPTED else status
 
 
 def _run(
@@ -300,6 +301,7 @@ def _run(
     try:
         with logged(verbose, debug), silent(quiet and "--json" not in arguments):
             status = app(args=arguments, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
+            act_on_waiting()
         return status if isinstance(status, int) else COMPLETED
     except RunAborted as error:
         _complain(error, debug)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -35,6 +36,10 @@ def pairs(option: str, given: list[str] | None) -> dict[str, str]:
             raise InputError(f"{option}: NAME=VALUE is needed, got '{text}'")
         found[name.rstrip(":")] = value
     return found
+
+
+#: Of what is printed [characters]: a list of pairs has many lines.
+WIDTH = 140
 
 
 def _collisions(path: str) -> list[Finding]:
@@ -78,7 +83,8 @@ def doctor(
         typer.echo(json.dumps({**summary, "check_ms": round(result.milliseconds, 1), "findings": findings}))
     else:
         for finding in result.findings:
-            typer.echo(printable(f"{finding.severity:8s}{finding.check:14s}{finding.message}"))
+            line = printable(f"{finding.severity:8s}{finding.check:14s}{finding.message}")
+            typer.echo(fill(line, WIDTH, subsequent_indent=" " * 22, break_long_words=False, break_on_hyphens=False))
         typer.echo(
             f"{result.robot}: {result.count('error')} errors, {result.count('warning')} warnings, {result.count('info')} notes"
         )

@@ -1,4 +1,4 @@
-"""Commands on recordings: ``wbmpc log info``, ``plot``, ``export``."""
+"""Commands on recordings: ``wbmpc log info``, ``plot``, ``export``, ``layout``; ``wbmpc compare``."""
 
 from __future__ import annotations
 
@@ -117,6 +117,25 @@ def export(
         )
 
 
+@log.command()
+def layout(
+    file: File,
+    out: Annotated[
+        Path | None, typer.Option(help="The file (default: a new foxglove.json beside the recording).")
+    ] = None,
+    force: Force = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a layout for Foxglove that shows the recording at once: the robot, its paths, plots."""
+    from wbmpc.recording.layout import layout as made
+    from wbmpc.recording.reader import read_recording
+
+    recording = read_recording(file)
+    path = new_file("--out", out, recording.path.with_name("foxglove.json"), force)
+    write_text(path, json.dumps(made(recording), indent=1) + "\n")
+    typer.echo(json.dumps({"layout": str(path)}) if as_json else f"the layout is {path}: import it in Foxglove")
+
+
 def compare(
     paths: Annotated[
         list[Path], typer.Argument(metavar="RUN RUN...", help="Directories of runs, or their recordings.")
@@ -128,7 +147,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare runs: their metrics in a table, their signals over each other in a page."""
-    from wbmpc.compare import differences, experiments, load_all, outcomes, overlay, table, wheels
+    from wbmpc.compare import differences, experiments, figures_table, load_all, outcomes, overlay, table, wheels
     from wbmpc.report import plots_page
 
     out = new_file("--out", out, Path("compare.html"), force)
@@ -145,7 +164,8 @@ def compare(
     shown = f"{paths[0]} (solid) and {paths[1]} (dashed)" if len(paths) == 2 else ", ".join(map(str, paths))
     about = "; ".join([shown, *notes])
     plots = overlay(runs, names, wheels(figures[0]))
-    write_text(out, plots_page(" and ".join(names), about, plots))
+    before = f"<h2>Figures</h2>{figures_table(rows, names, outcomes(figures))}" if rows else ""
+    write_text(out, plots_page(" and ".join(names), about, plots, before))
     if as_json:
         output = {"runs": [str(path) for path in paths], "outcomes": outcomes(figures), "metrics": rows}
         output |= {"settings": changed, "notes": notes}
@@ -173,18 +193,27 @@ def _print_differences(figures: list[dict[str, Any]], changed: dict[str, list[An
 
 def _compare_table(rows: list[dict[str, Any]], names: list[str], ended: list[str | None]) -> None:
     from wbmpc.cli.terminal import console, table
+    from wbmpc.compare import difference_text
     from wbmpc.units import scale
 
     shown = table()
     for column in ("metric", "unit"):
         shown.add_column(column)
-    last = "change" if len(names) == 2 else "spread"
-    for column in (*map(printable, names), last):
+    first, *others = map(printable, names)
+    headings = [
+        first,
+        *(text for name in others for text in (name, "difference")),
+        *(["spread"] if len(names) > 2 else []),
+    ]
+    for column in headings:
         shown.add_column(column, justify="right", no_wrap=True)
-    shown.add_row("outcome", "", *(printable(end or "") for end in ended), "")
+    ends = [printable(end or "") for end in ended]
+    shown.add_row("outcome", "", ends[0], *(text for end in ends[1:] for text in (end, "")))
     for row in rows:
         unit = scale(row["unit"], *row["values"])
-        change = "" if row["change"] is None else f"{100 * row['change']:+.1f} %"
-        end = change if len(names) == 2 else unit.text(row["spread"])
-        shown.add_row(printable(row["metric"]), printable(unit.unit), *map(unit.text, row["values"]), end)
+        values = [unit.text(v) for v in row["values"]]
+        changes = [difference_text(d, row["values"][0], unit) for d in row["differences"][1:]]
+        cells = [text for pair in zip(values[1:], changes, strict=True) for text in pair]
+        spread = [unit.text(row["spread"])] if len(names) > 2 else []
+        shown.add_row(printable(row["metric"]), printable(unit.unit), values[0], *cells, *spread)
     console().print(shown)

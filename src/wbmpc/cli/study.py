@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -86,12 +87,13 @@ def study(
     opened = _open(name, out)
     with _progress(opened, opened.definition.title, not (as_json or context.obj.quiet)) as progress:
         found = opened.report() if report else opened.run(workers, scheduler, progress)
+    useless = _warn(opened, found)
     if as_json:
         typer.echo(json.dumps({**found.to_json(), "files": _files(opened)}, allow_nan=False))
     else:
         _print(found)
         typer.echo(f"the page is {opened.out / 'index.html'}")
-    if found.lost:
+    if found.lost or useless:
         raise typer.Exit(1)
 
 
@@ -120,6 +122,19 @@ def tune(
         typer.echo(f"the page is {opened.out / 'index.html'}")
     if not found.settings:
         raise typer.Exit(1)
+
+
+def _warn(study: Study, found: Summary) -> bool:
+    """Say which settings runs rejected, and which metrics no run has. Whether no run took its settings."""
+    runs = [(outcome, why) for c in found.cells for outcome, why in zip(c.outcomes, c.reasons, strict=True)]
+    rejected = Counter(why for outcome, why in runs if outcome == "rejected")
+    for why, count in rejected.items():
+        typer.echo(printable(f"wbmpc: {count} runs rejected their settings: {why}"), err=True)
+    strange = [name for name in study.definition.metrics if found.units and name not in found.units]
+    if strange:
+        known = ", ".join(found.units)
+        typer.echo(printable(f"wbmpc: {study.path}: metrics: no run has '{strange[0]}'; valid: {known}"), err=True)
+    return bool(runs) and rejected.total() == len(runs)
 
 
 def _files(study: Study) -> dict[str, str]:

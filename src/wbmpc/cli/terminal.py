@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -22,11 +23,15 @@ if TYPE_CHECKING:
 #: After so long [s] a signal acts that came where its exception would be lost.
 _AGAIN = 0.01
 #: Exit statuses.
-COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
-class Termination:
-    """SIGTERM is Ctrl-C from another process: a handler that remembers it, so that the exit status shows it."""
+#: Signals that came where their exception would be lost, and that have not acted yet.
+_WAITING: set[int] = set()
+
+
+class Request:
+    """A signal that asks a command to end, as Ctrl-C does: a handler that raises KeyboardInterrupt. ``came``: whether it has."""
 
     def __init__(self) -> None:
         self.came = False
@@ -37,8 +42,8 @@ class Termination:
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.came = True
-        if _is_dropped(frame) and signal.getsignal(signal.SIGALRM) in (signal.SIG_DFL, _send_again):
-            signal.signal(signal.SIGALRM, _send_again)
+        if _is_dropped(frame) and signal.getsignal(signal.SIGALRM) is _send_again:
+            _WAITING.add(number)
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)
             return
         raise KeyboardInterrupt
@@ -46,8 +51,17 @@ class Termination:
 
 def _send_again(number: int, frame: FrameType | None) -> None:
     """To whoever handles it by now."""
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.raise_signal(signal.SIGTERM)
+    waiting = sorted(_WAITING)
+    _WAITING.clear()
+    for each in waiting:
+        signal.raise_signal(each)
+
+
+def act_on_waiting() -> None:
+    """Raise KeyboardInterrupt if a signal came that has not acted yet."""
+    if _WAITING:
+        _WAITING.clear()
+        raise KeyboardInterrupt
 
 
 def _is_dropped(frame: FrameType | None) -> bool:
@@ -61,10 +75,14 @@ def _is_dropped(frame: FrameType | None) -> bool:
     return False
 
 
-def terminated() -> bool:
-    """Whether SIGTERM has come, for commands that end as wanted by Ctrl-C but not by SIGTERM."""
-    handler = signal.getsignal(signal.SIGTERM)
-    return isinstance(handler, Termination) and handler.came
+def asked_by_system() -> int:
+    """128 and the number of the signal by which somebody but Ctrl-C asked this command to end: SIGTERM, or SIGHUP, as when the terminal
+    was closed. 0: nobody has."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        handler = signal.getsignal(number)
+        if isinstance(handler, Request) and handler.came:
+            return 128 + number
+    return 0
 
 
 class _Printable(logging.Formatter):
@@ -75,21 +93,28 @@ class _Printable(logging.Formatter):
 
 
 @contextmanager
-def terminable() -> Iterator[Termination]:
-    """Handle SIGTERM, unless somebody else does or this is not the main thread."""
-    handler = Termination()
-    if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        yield handler
+def terminable() -> Iterator[None]:
+    """Handle Ctrl-C, SIGTERM and SIGHUP, but for those that somebody else handles, in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
         return
+    taken: dict[int, tuple[Any, Any]] = {
+        signal.SIGALRM: (signal.SIG_DFL, _send_again),
+        signal.SIGINT: (signal.default_int_handler, Request()),
+        signal.SIGTERM: (signal.SIG_DFL, Request()),
+        signal.SIGHUP: (signal.SIG_DFL, Request()),
+    }
+    taken = {number: (usual, own) for number, (usual, own) in taken.items() if signal.getsignal(number) == usual}
     try:
-        signal.signal(signal.SIGTERM, handler)
-    except ValueError:  # only the main thread may
-        yield handler
-        return
-    try:
-        yield handler
+        for number, (_, own) in taken.items():
+            signal.signal(number, own)
+        yield
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        _WAITING.clear()  # an alarm that comes yet does nothing
+        for number, (usual, _) in reversed(taken.items()):
+            if number == signal.SIGALRM:
+                signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(number, usual)
 
 
 def interrupted(error: BaseException) -> bool:

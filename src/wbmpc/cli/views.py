@@ -14,7 +14,7 @@ import typer
 
 from wbmpc.cli.directories import RECORD_LIMIT, Force, RecordLimit, new_file, run_directory, size_of
 from wbmpc.cli.recordings import AsJson
-from wbmpc.cli.terminal import ABORTED, TERMINATED, robot_names, terminated
+from wbmpc.cli.terminal import ABORTED, asked_by_system, robot_names
 from wbmpc.errors import InputError
 from wbmpc.view.access import Access, is_loopback
 
@@ -123,8 +123,8 @@ def _view_realtime(robot: str, seed: int, host: str, port: int, no_token: bool, 
 
 
 def _leave(status: int) -> None:
-    """End with a status; after SIGTERM, by which nobody at the view ended it, with its own."""
-    status = TERMINATED if terminated() else status
+    """End with a status; after SIGTERM or SIGHUP, by which nobody at the view ended it, with its own."""
+    status = asked_by_system() or status
     if status:
         raise typer.Exit(status)
 

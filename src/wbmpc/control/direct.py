@@ -55,7 +55,7 @@ class DirectController:
         positive("controller", period=period)
         not_negative("controller", lag=lag)
         self.robot, self.mpc, self.period, self.lag, self.feedback = robot, mpc, period, lag, feedback
-        size = mpc.ocp.dynamics.input.size
+        size = mpc.dynamics.input.size
         self._step = np.full(size, np.inf) if rate is None else rate * period
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self.sent, self._rates = np.zeros((2, size))
@@ -63,7 +63,7 @@ class DirectController:
 
     def measure(self, measurement: StateMeasurement) -> None:
         """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
-        numbers("controller", "state", measurement.state, self.mpc.ocp.dynamics.state.size)
+        numbers("controller", "state", measurement.state, self.mpc.dynamics.state.size)
         self.measured = measurement
 
     def state(self) -> Array:
@@ -75,13 +75,13 @@ class DirectController:
         """The state at time ``until``, by what will be sent from ``t`` on and what lagging drives still owe."""
         x, sent = self.state(), self.sent
         if self.lag > 0.0:
-            x = self.mpc.solver.simulate(x, self._rates, self.lag)
+            x = self.mpc.simulate(x, self._rates, self.lag)
         for k in range(round((until - t) / self.period)):
             now = t + k * self.period
             if plans.at(now) is None:
                 break
             sent = self._limited(sent, self._asked(now, x, plans))
-            x = self.mpc.solver.simulate(x, sent, self.period)
+            x = self.mpc.simulate(x, sent, self.period)
         return Observation(until + self.lag, x)
 
     def _asked(self, t: float, x: Array, plans: PolicyQueue) -> Array:

@@ -164,6 +164,10 @@ def check_exportable(mpc: object) -> None:
         raise InputError(
             f"export: the MPC's guess ({type(mpc.guess).__name__}) is Python and cannot be exported; valid: mpc.guess = None"
         )
+    if mpc.path.active:
+        raise InputError(
+            "export: paths are expanded in Python before every solve; valid: problems without wbmpc.WithPath"
+        )
     if mpc.solver.kernel is None:
         raise InputError(
             "export: this problem runs in CasADi's interpreter (backend='interpreted', or an operation that cannot be compiled);"

@@ -71,7 +71,7 @@ class DisturbanceObserver:
             "settings": np.array([self.speed_gain, self.force_gain, self.hold, self.longest, self.settled, *self.calm], float),
         }  # fmt: skip
         self._observe = bind(observe, self._arrays, self.backend, size=n, gates=gates)
-        self._state, self._started, self._period = np.zeros(2 * n), False, np.inf
+        self._state, self._started = np.zeros(2 * n), False
         self.learning = 1.0  # how much of a constant disturbance the last update can have learnt
 
     @property
@@ -84,15 +84,9 @@ class DisturbanceObserver:
         self._arrays["force"][:] = value
 
     @property
-    def velocity(self) -> np.ndarray:
-        """As last measured (nq)."""
-        return self._arrays["velocity"].copy()
-
-    @property
-    def acceleration(self) -> np.ndarray:
-        """What the model, the estimate in it, made of the last input (nq)."""
-        a = self._arrays
-        return (a["after"] - a["velocity"] + a["innovation"]) / self._period
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Its arrays by their names in :mod:`wbmpc.estimation.disturbance_step`, for other steps to read and to change."""
+        return self._arrays
 
     def update(self, t: float, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """Estimate (nq,) after a measured state x (2 nq) at time t [s]; the input u acts from then for h [s].
@@ -109,5 +103,5 @@ class DisturbanceObserver:
         self._state[:n], self._state[n:] = x[:n], a["speed"]
         a["after"][:] = self.step(self._state.copy(), u, h)[n : 2 * n]
         a["mass"][:] = self.mass(x[:n]).reshape(-1)
-        self.learning, self._period = self._observe(t, h), h
+        self.learning = self._observe(t, h)
         return self.force

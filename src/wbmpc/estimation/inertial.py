@@ -15,7 +15,7 @@ REPEATS, STANDS = 10, 0.025
 FULL = 0.999
 #: More than this [rad/s], [m/s²] from one message to the next is a jump: beyond hits that are true. (Pushes of 200 N: 0.07 and 8;
 #: the ball runs onto cables of 5 mm: 0.24 and 70.)
-JUMP = np.array([[1.0], [90.0]])
+JUMP = (1.0, 90.0)
 #: What the rates [rad/s] and forces [m/s²] of a message that does not count may differ by from those of the last good one.
 UNKNOWN = (1.0, 20.0)
 
@@ -47,7 +47,11 @@ class InertialGate:
 
     def jumps(self, message: Array) -> bool:
         """Whether a message (2, 3) is farther from the last one that counted than a robot on its wheels can get it."""
-        return self._counted and bool((np.abs(message - self.last) > JUMP).any())
+        if not self._counted:
+            return False
+        (gyro, accel), (last_gyro, last_accel) = message.tolist(), self.last.tolist()
+        far = max(abs(a - b) for a, b in zip(gyro, last_gyro, strict=True))
+        return far > JUMP[0] or max(abs(a - b) for a, b in zip(accel, last_accel, strict=True)) > JUMP[1]
 
     def persists(self, message: Array) -> bool:
         """Whether what jumped is still there: no more needs to contradict it."""

@@ -1,4 +1,4 @@
-"""Wrappers that add states for inputs: rates of inputs (acceleration limits, input-rate costs), lagging drives, filters.
+"""Wrappers that add states: rates of inputs (acceleration limits, input-rate costs), lagging drives, filters; progress along a path.
 
 The wrapped state is [x, the groups' states]; residuals keep seeing the robot's own x and u (:meth:`view`). A group may be
 wrapped only if no equality is left without an input: with hard side-slip rows the twist of a base on steered wheels may not.
@@ -191,3 +191,48 @@ class FrequencyShaping(_Augmented):
         """Filter states after the inner input ``u`` (nu) has acted for ``h`` [s]; exact: ẋ_s = g u − p x_s."""
         kept = np.exp(-self.pole * h)
         return kept * states + (1.0 - kept) * self.high / self.pole * u[self._own_input]
+
+
+class WithPath:
+    """A model with progress along a path beside it: arc length s [m] and its speed [m/s] join the state, its acceleration [m/s²] the input.
+
+    Group ``path`` of state and input, both at the end. Residuals keep seeing the robot's own x and u; those of
+    :class:`wbmpc.residuals.Contour` and :class:`wbmpc.residuals.Progress` see the path. Nothing of it is measured or commanded:
+    an :class:`wbmpc.MPC` goes on from its own plan.
+    """
+
+    def __init__(self, dynamics: Any) -> None:
+        if "path" in dynamics.state or "path" in dynamics.input:
+            raise InputError("with path: the model has a group 'path' already; valid: a model without")
+        self.dynamics = dynamics
+        self.state = Layout({**dynamics.state.groups, "path": ("position", "speed")})
+        self.input = Layout({**dynamics.input.groups, "path": ("acceleration",)})
+        self.parameters, self.mode = dynamics.parameters, dynamics.mode
+        self.unit_quaternions = dynamics.unit_quaternions
+        self.mode_bounds = getattr(dynamics, "mode_bounds", {})
+        self._nx, self._nu = dynamics.state.size, dynamics.input.size
+        if hasattr(dynamics, "jump"):
+            self.jump = self._jump
+
+    def _jump(self, x: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        return ca.vertcat(self.dynamics.jump(x[: self._nx], w, m), x[self._nx :])
+
+    def view(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """The robot's own state and input."""
+        own = x[: self._nx], u[: self._nu]
+        view = getattr(self.dynamics, "view", None)
+        return own if view is None else view(*own)
+
+    def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
+        """ẋ of the wrapped state."""
+        return ca.vertcat(self.dynamics(x[: self._nx], u[: self._nu], w, m), x[self._nx + 1], u[self._nu])
+
+    def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """ẋ and its Jacobian by [x; u], through the inner dynamics' own Jacobian."""
+        nx, nu = self._nx, self._nu
+        inner_x, inner_u = ca.SX.sym("xi", nx), ca.SX.sym("ui", nu)
+        f, j = self.dynamics.jacobian(inner_x, inner_u, w, m)
+        f, j = ca.substitute([f, j], [inner_x, inner_u], [x[:nx], u[:nu]])
+        own = ca.vertcat(x[nx + 1], u[nu])
+        rows = ca.horzcat(j[:, :nx], ca.SX(nx, 2), j[:, nx:], ca.SX(nx, 1))
+        return ca.vertcat(f, own), ca.vertcat(rows, ca.jacobian(own, ca.vertcat(x, u)))

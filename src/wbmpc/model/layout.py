@@ -50,7 +50,9 @@ class Layout:
 
     def vector(self, values: Mapping[str, ArrayLike], default: float = 0.0) -> NDArray[np.float64]:
         """A vector (size,) from values by group."""
-        out = np.full(self.size, default)
+        out = np.zeros(self.size)
+        if default != 0.0:
+            out[:] = default
         for group, value in values.items():
             part = self[group]
             array = real_numbers(f"group '{group}'", value)

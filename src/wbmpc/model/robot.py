@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 
 
 class Dynamics:
-    """ẋ = f(x, u; w, m): state, input, parameters that hold over the horizon, and mode values per node."""
+    """ẋ = f(x, u; w, m): state, input, parameters that hold over the horizon, and mode values per node. ``base``: the model behind it."""
 
     def __init__(self, base: Any) -> None:
-        self._base = base
+        self.base = base
         self.state, self.input = Layout(base.state), Layout(base.input)
         self.parameters, self.mode = Layout(base.parameters), Layout(base.mode)
         self.unit_quaternions: tuple[int, ...] = base.unit_quaternions
@@ -38,12 +38,12 @@ class Dynamics:
 
     def __call__(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
         """ẋ (nx)."""
-        return self._base.derivative(x, u, w, m)
+        return self.base.derivative(x, u, w, m)
 
     def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
         """ẋ and its Jacobian (nx, nx + nu) by [x; u]."""
-        if hasattr(self._base, "jacobian"):
-            return self._base.jacobian(x, u, w, m)  # type: ignore[no-any-return]
+        if hasattr(self.base, "jacobian"):
+            return self.base.jacobian(x, u, w, m)  # type: ignore[no-any-return]
         f = self(x, u, w, m)
         return f, ca.jacobian(f, ca.vertcat(x, u))
 

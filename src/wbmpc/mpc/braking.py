@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.model.augment import InputRate
+from wbmpc.model.augment import InputRate, WithPath
 from wbmpc.model.robot import RobotModel
 from wbmpc.solver import Solver
 
@@ -39,6 +39,9 @@ def braking_plan(solver: Solver, robot: RobotModel, x0: Array, u0: Array, grid: 
     left = _remaining(grid, duration)
     lasts = np.clip((duration - grid[:-1]) / np.diff(grid), 0.0, 1.0)
     inputs = left[:, None] * u0
+    if isinstance(dynamics, WithPath):  # its speed is a state
+        inputs[:, dynamics.input["path"]] = -np.outer(lasts, x0[dynamics.state["path"]][1:]) / duration
+        dynamics = dynamics.dynamics
     if isinstance(dynamics, InputRate):
         for group in dynamics.groups:
             inputs[:, dynamics.input[f"{group}_rate"]] = (

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.clearance.nearest import with_sides
 from wbmpc.clearance.rows import Clearance as LeastClearance
 from wbmpc.clearance.rows import ObstacleRows, SelfRows
 from wbmpc.errors import InputError
 from wbmpc.mpc.braking import BrakingPlan, braking_plan, braking_time
+from wbmpc.mpc.guess import predicted
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import OptimalControlProblem, Reference, residuals
 from wbmpc.solver import Solver
@@ -59,15 +61,11 @@ class ClearanceRows:
     def look(self, t: float) -> None:
         """Take the obstacles as they are at ``t`` [s]."""
         if self.obstacles is not None:
-            self._snapshot = self.obstacles.snapshot(t)
+            self._snapshot = with_sides(self.obstacles.snapshot(t))
 
     def predicted(self, t: float, delta: float) -> tuple[Array, Array]:
-        """Times (N + 1) [s] of the next solve's nodes, and where the last plan, ``delta`` [s] old, is then (N + 1, nx)."""
-        grid, plan = self._solver.node_times(t), self._solver.trajectory(copy=False)
-        at = np.minimum(grid + delta, plan.grid[-1])
-        k = np.clip(np.searchsorted(plan.grid, at, side="right") - 1, 0, len(plan.grid) - 2)
-        share = ((at - plan.grid[k]) / (plan.grid[k + 1] - plan.grid[k]))[:, None]
-        return t + grid, (1.0 - share) * plan.x[k] + share * plan.x[k + 1]
+        """See :func:`wbmpc.mpc.guess.predicted`."""
+        return predicted(self._solver, t, delta)
 
     def refresh(self, t: float, delta: float) -> None:
         """Set all rows for a solve at ``t`` [s] that goes on from a plan which is ``delta`` [s] old."""
@@ -89,10 +87,10 @@ class ClearanceRows:
     def unsafe(self, times: Array, states: Array, until: float) -> LeastClearance | None:
         """Where a plan comes much too near to something before ``until`` [s], and nearer than it is at its first node; None: nowhere."""
         count = max(int(np.searchsorted(times, until, side="right")), 2)
-        times, states = times[:count], states[:count]
         share = 1.0 - TOLERATED
-        found = [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self._around.values()]
-        found += [r.deepest(times, states, share * r.margin, DEEPER) for r in self._within.values()]
+        found = [r.deepest(times, states, count, share * r.margin, DEEPER) for r in self._within.values()]
+        times, states = times[:count], states[:count]
+        found += [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self._around.values()]
         return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)
 
     # ------------------------------------------------------------------ solves that end clear, or in a stop

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from wbmpc.solver import Trajectory
+from wbmpc.solver import Solver, Trajectory
 
 if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
@@ -24,3 +24,12 @@ class Bound(Protocol):
     """A guess that needs the MPC it serves: its references, to read or to set before a solve, its schedule."""
 
     def bind(self, mpc: MPC) -> None: ...
+
+
+def predicted(solver: Solver, t: float, delta: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times (N + 1) [s] of the nodes of a solve at ``t`` [s], and where the last plan, ``delta`` [s] old, is then (N + 1, nx)."""
+    grid, plan = solver.node_times(t), solver.trajectory(copy=False)
+    at = np.minimum(grid + delta, plan.grid[-1])
+    k = np.clip(np.searchsorted(plan.grid, at, side="right") - 1, 0, len(plan.grid) - 2)
+    share = ((at - plan.grid[k]) / (plan.grid[k + 1] - plan.grid[k]))[:, None]
+    return t + grid, (1.0 - share) * plan.x[k] + share * plan.x[k + 1]

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from wbmpc.kernel.step import Step, bind
 from wbmpc.mpc.policy import InputLimits
 from wbmpc.solver import Solver
+
+if TYPE_CHECKING:
+    from wbmpc.solver.receding import Tables
 
 
 class InputRows:
@@ -19,18 +25,30 @@ class InputRows:
         first = solver.problem.node.slices["switch"].start
         self.switches = np.append(np.where(planes.switches >= 0, planes.switches + first, -1), -1).astype(np.int64)
         self.table = np.concatenate([planes.by_node.ravel(), planes.by_constant.ravel(), np.zeros(1)])
+        self._step: Step | None = None
+        self._tables: Tables | None = None  # which the step reads
 
     def of_plan(self) -> tuple[np.ndarray | None, np.ndarray | None]:
         """See :meth:`wbmpc.mpc.mpc.MPC.input_rows`."""
         if not self.limits.offset.size:
             return None, None
+        tables = self._solver.tables()
+        if self._step is None or tables is not self._tables:
+            self._step, self._tables = self._bound(tables), tables
+        self._step()
+        return self._active.copy(), self._moving.copy() if self.planes.move else None
+
+    def _bound(self, tables: Tables) -> Step:
+        """The compiled step on the solver's memory as it is now."""
         from wbmpc.solver.feedback import plan_rows
 
         solver, planes, p = self._solver, self.planes, self._solver.node_parameters
         n, r, width = len(p) - 1, self.limits.offset.size, planes.by_node.shape[1]
-        active, moving = np.empty((n, r)), np.empty((n, 2, r))
-        plan_rows(
-            p, 0, n, p.shape[1], solver.constants, 0, solver.tables().integers, solver.problem.nu, self.limits.table, self.table,
-            self.switches, r, int(planes.move), width, planes.by_constant.shape[1], np.empty(max(width, 1)), active, moving,
-        )  # fmt: skip
-        return active, moving if planes.move else None
+        self._active, self._moving = np.empty((n, r)), np.empty((n, 2, r))
+        arrays = {
+            "p": p, "w": solver.constants, "integers": tables.integers, "limits": self.limits.table, "rows": self.table,
+            "switches": self.switches, "room": np.empty(max(width, 1)), "active": self._active, "moving": self._moving,
+        }  # fmt: skip
+        sizes = {"n": n, "size": p.shape[1], "nu": solver.problem.nu, "r": r, "moves": int(planes.move)}
+        widths = {"by_node": width, "by_constant": planes.by_constant.shape[1]}
+        return bind(plan_rows, arrays, p_at=0, w_at=0, **sizes, **widths)

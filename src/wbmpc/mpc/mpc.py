@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,14 +11,17 @@ from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
 from wbmpc.clearance.rows import Clearance
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
+from wbmpc.mpc.checks import check_settings, check_vector
 from wbmpc.mpc.clearance import ClearanceRows
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.input_rows import InputRows
+from wbmpc.mpc.path import PathProgress
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.references import References
 from wbmpc.mpc.statistics import Statistics
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
+from wbmpc.ocp.problem import SystemDynamics
 from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.events import one_jump
@@ -63,20 +65,22 @@ class MPC:
         ):
             raise InputError(f"mpc.first_iterations: must be a whole number from 1 on, got {first_iterations!r}")
         settings = solver or SQP.real_time()
-        _check_settings(ocp, settings)
+        check_settings(ocp, settings)
         self.ocp, self.rate = ocp, float(rate)
         self.solver = Solver(ocp, settings)
         self.reference = References(self.solver)
         self._clear = ClearanceRows(ocp, self.solver, obstacles)
-        self.guess = guess
         self.statistics = Statistics()
         terms = {t.name: t.residual for t in ocp.terms.values()}
         self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
         if not plan_only_limits:
             self._check_limits()
         self._input_rows = InputRows(self.solver)
+        #: what is followed, where the problem has progress along a path: see :class:`wbmpc.mpc.path.PathProgress`
+        self.path = PathProgress(ocp, self.solver, self._input_rows.limits)
         #: bounds and straight hard rows of the inputs, which all policies hold
-        self.limits = self._input_rows.limits
+        self.limits = self.path.limits
+        self.guess = guess
         self.first_iterations = int(first_iterations)
         self._policy: Policy | None = None
         self._t: float | None = None
@@ -120,6 +124,18 @@ class MPC:
         return self._clear.obstacles
 
     @property
+    def dynamics(self) -> SystemDynamics:
+        """The model whose states are observed and whose inputs policies have: the problem's, without a path (:class:`wbmpc.WithPath`)."""
+        return self.path.dynamics  # type: ignore[no-any-return]
+
+    def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+        """State (nx) of ``dynamics`` after h [s] under its input u (nu), or after k times h under inputs (k, nu): see
+        :meth:`Solver.simulate`."""
+        if not self.path.active:
+            return self.solver.simulate(x, u, h)
+        return self.solver.simulate(self.path.wide(x), self.path.wide_input(u), h)[: np.size(x)]
+
+    @property
     def period(self) -> float:
         """Time between two updates [s]."""
         return 1.0 / self.rate
@@ -157,12 +173,12 @@ class MPC:
 
         Raises :class:`InputError` naming the entry that is not finite.
         """
-        d = self.ocp.dynamics
+        d = self.path.dynamics
         for names, value in ((d.state.names, x), (d.input.names, u)):
             if value is not None or names is d.state.names:
                 for row in np.atleast_2d(real_numbers("reset", value)):
-                    _check_vector("reset", names, row)
-        self.solver.warm_start(x, u)
+                    check_vector("reset", names, row)
+        self.solver.warm_start(self.path.wide(x), None if u is None else self.path.wide_input(u))
         self.solver.reset()
         self._t, self._policy = None, None
 
@@ -188,10 +204,11 @@ class MPC:
         mismatch = self.solver.initial_state_mismatch
         if mismatch:
             self.statistics.count_initial_state_mismatch(mismatch)
+        limits = self._input_rows.limits
         self._policy = Policy.of(
-            solution, observation.t, self.limits, self.limit_violation, *self.input_rows(), self.clearance
+            solution, observation.t, limits, self.limit_violation, *self.input_rows(), self.clearance
         )
-        return self._policy
+        return self.path.own_policy(self._policy)
 
     def input_rows(self) -> tuple[np.ndarray | None, np.ndarray | None]:
         """Of the rows of ``limits`` in each interval of the last plan: which count, (N, r), 1 or 0, None without rows; and their
@@ -240,8 +257,8 @@ class MPC:
 
     def _advance(self, observation: Observation) -> bool:
         self._check(observation)
-        x0 = np.ascontiguousarray(observation.x, float)
         delta = 0.0 if self._t is None else observation.t - self._t
+        x0 = np.ascontiguousarray(self.path.wide(observation.x, delta), float)
         passes = self.first_iterations if self._t is None else 1
         if self._follow_last:
             self._continue_from(observation.t, delta)
@@ -261,11 +278,14 @@ class MPC:
             start = time.perf_counter()
             if k == 0:
                 self._apply_guess(t, x0, t - delta)
+            if self.path.active:
+                self.path.refresh(t, delta if k == 0 else 0.0)
             if self._clear.active:
                 self._clear.refresh(t, delta if k == 0 else 0.0)
             status, count = self.solver.run(x0, t, delta if k == 0 else 0.0)
             self._iterations += count
             elapsed = time.perf_counter() - start
+            self.path.begun()
         self._outcome = (status, count, elapsed)
 
     def _judge(self, observation: Observation) -> bool:
@@ -323,7 +343,8 @@ class MPC:
         since = max(delta, self.period)
         for name, inputs in self._follow_last.items():
             last = current[inputs]
-            values = np.stack([np.append(last, since), np.append(last, since + horizon)])
+            values = np.empty((2, last.size + 1))
+            values[:, :-1], values[0, -1], values[1, -1] = last, since, since + horizon
             self.solver.set_reference(name, Reference(np.array([t, t + horizon]), values))
 
     def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
@@ -344,7 +365,7 @@ class MPC:
 
         after = recovery.python(self._outcome[0], self._broken, self._faults)
         if after == RESTART:
-            self.solver.warm_start(np.asarray(observation.x, float))
+            self.solver.warm_start(self.path.wide(observation.x))
             self.solver.reset()
             self._t = None
         elif after == RESUME:
@@ -367,7 +388,7 @@ class MPC:
     def _check(self, observation: Observation) -> None:
         if not abs(observation.t) <= LATEST:
             absolute_time("observation", observation.t)
-        _check_vector("observation", self.ocp.dynamics.state.names, observation.x)
+        check_vector("observation", self.path.dynamics.state.names, observation.x)
         if self._t is not None and observation.t < self._t:
             raise InputError(f"observation: time went back from {self._t:.4f} to {observation.t:.4f} s")
 
@@ -380,25 +401,4 @@ class MPC:
             detail = f" ({found.detail})" if found.detail else ""
             raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
         self.recover(observation, last.x, last.u, float(last.times[0]))
-        return last
-
-
-def _check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
-    """Raise :class:`InputError` for settings under which nothing would say that a plan misses hard limits or equalities."""
-    limits = any(term.hard for term in ocp.inequalities)
-    unreported = limits and settings.interior_point.mode != "real_time"
-    if unreported or (settings.compute_kkt and (limits or ocp.equalities)):
-        name = type(settings).__name__
-        raise InputError(
-            f"mpc: {name}(compute_kkt={settings.compute_kkt}, interior point '{settings.interior_point.mode}') does not say in every plan"
-            f" by how much it misses constraints; valid: {name}.real_time(...), with as many iterations as you like"
-        )
-
-
-def _check_vector(where: str, names: Sequence[str], value: np.ndarray) -> None:
-    """Raise :class:`InputError` unless ``value`` has one finite number for each name."""
-    vector = real_numbers(where, value)
-    if vector.shape != (len(names),):
-        raise InputError(f"{where}: {len(names)} numbers are needed, got shape {vector.shape}")
-    if not np.isfinite(vector).all():
-        raise NotFinite(f"{where}: '{names[int(np.argmax(~np.isfinite(vector)))]}' is not finite")
+        return self.path.own_policy(last)

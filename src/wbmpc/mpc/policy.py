@@ -151,9 +151,9 @@ class Policy:
 
     def _checked(self, t: float, x: np.ndarray) -> np.ndarray:
         x = real_numbers("policy", x)
-        if x.shape != self.x[0].shape:
+        if x.shape != self.x.shape[1:]:
             raise InputError(f"policy: a state of {self.x.shape[1]} numbers is needed, got shape {x.shape}")
-        if not (_is_finite(t) and np.isfinite(x).all()):
+        if not (_is_finite(t) and all(map(math.isfinite, x.tolist()))):
             raise NotFinite("policy: time and state must be finite")
         return x
 
@@ -186,9 +186,9 @@ class _Code:
     """The compiled functions of :mod:`wbmpc.solver.feedback` with the addresses of a policy's arrays: a call costs microseconds."""
 
     def __init__(self, policy: Policy) -> None:
-        from wbmpc.solver.feedback import evaluate, hold
+        from wbmpc.solver.feedback import EVALUATION, hold
 
-        self._evaluate, self._hold = evaluate.pointer, hold.pointer
+        self._evaluate, self._hold = EVALUATION, hold.pointer
         (n, nu), nx, limits = policy.u.shape, policy.x.shape[1], policy.limits
         rows = 0 if limits is None else limits.offset.size
         active = np.ones((n, max(rows, 1))) if policy.active is None else policy.active
@@ -200,21 +200,19 @@ class _Code:
         )  # fmt: skip
         self._kept = [np.ascontiguousarray(a, float) for a in arrays]
         times, x, u, gain, table, active_at, moving = (a.ctypes.data for a in self._kept)
-        self._inputs, self._room = nu, 3 * nu + rows  # room of its own for each call: threads share a policy
-        self._law = (times, x, u, gain, table, active_at, moving, n, nx, nu, rows, int(moves))
+        self._room, self._sizes = 3 * nu + rows, (nx, nu, 3 * nu + rows)
+        self._law = np.array([times, x, u, gain, table, active_at, moving, n, nx, nu, rows, int(moves)], np.int64)
         self._held = (times, u, table, active_at, moving, n, nu, rows, int(moves), 0)
 
     def input(self, t: float, x: np.ndarray, limited: bool) -> tuple[np.ndarray, bool]:
         """With feedback; whether it was cut. Raises :class:`NotFinite`."""
-        x, u, out = np.ascontiguousarray(x, float), np.empty(self._inputs), ctypes.c_int64()
-        room = np.empty(self._room)
-        self._evaluate(*self._law, limited, t, x.ctypes.data, room.ctypes.data, u.ctypes.data, ctypes.addressof(out))
-        if out.value < 0:  # no limit could hold it
+        u, outcome = self._evaluate(self._law, self._sizes, limited, t, x)
+        if outcome < 0:  # no limit could hold it
             raise NotFinite("policy: the state is so far from the plan that the input is not finite")
-        return u, out.value > 0
+        return u, outcome > 0
 
     def hold(self, t: float, u: np.ndarray) -> bool:
         """Cut a planned input, in place; whether it was."""
-        out, room = ctypes.c_int64(), np.empty(self._room)
+        out, room = ctypes.c_int64(), np.empty(self._room)  # of this call's own: threads share a policy
         self._hold(*self._held, t, room.ctypes.data, u.ctypes.data, ctypes.addressof(out))
         return out.value > 0

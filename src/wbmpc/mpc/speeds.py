@@ -58,7 +58,7 @@ class SpeedMPC(MPC):
         self.guess = None if guess is None else _SpeedGuess(guess, self._dynamics)
 
     @property
-    def robot_dynamics(self) -> Any:
+    def dynamics(self) -> Any:
         """The dynamics on speeds, which controllers know."""
         return self._dynamics.dynamics
 
@@ -68,6 +68,19 @@ class SpeedMPC(MPC):
         if x.ndim == 1 and x.size == self._own:
             x = np.concatenate([x, np.zeros(self._dynamics.state.size - self._own)])
         super().reset(x, u)
+
+    def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+        """As of :class:`MPC`: state (nx) of the robot after speeds u (nu), or (k, nu), which are held."""
+        d, inputs = self._dynamics, self._dynamics.dynamics.input
+        for row in np.atleast_2d(np.asarray(u, float)):
+            if row.size != inputs.size:
+                raise InputError(f"simulate: {inputs.size} inputs are needed, got shape {np.shape(u)}")
+            held = np.concatenate([row[inputs[group]] for group in d.groups])
+            rates = np.zeros(d.input.size)
+            for group in set(inputs.groups) - set(d.groups):
+                rates[d.input[group]] = row[inputs[group]]
+            x = super().simulate(np.concatenate([x, held]), rates, h)[: self._own]
+        return x
 
     def _update(self, observation: Observation) -> Policy:
         if np.size(observation.x) != self._own:

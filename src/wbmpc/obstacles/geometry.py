@@ -37,6 +37,8 @@ _KINDS = {
 }
 #: Directions in which a spinning part is measured: its circle is so found to within 0.01 %.
 _DIRECTIONS = 256
+#: Half sides [m] of the cubes whose balls cover a solid, at most; cylinders up to this radius [m] are covered along their axis.
+BALL, THIN = 0.03, 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,7 @@ class RobotGeometry:
 
     @cached_property
     def spheres(self) -> tuple[Array, Array, Array]:
-        """Balls that cover all shapes, for distances to points and grids: frame (b), center in it (b, 3), radius (b) [m]."""
+        """Balls that cover all surfaces, for distances to points and grids: frame (b), center in it (b, 3), radius (b) [m]."""
         frames, centers, radii = [], [], []
         for shape, frame in zip(self.shapes, self.frame_of, strict=True):
             for center, radius in _cover(shape.solid):
@@ -115,26 +117,36 @@ class RobotGeometry:
         return positions[:, self.frame_of] + np.einsum("nsij,sj->nsi", own, local), own @ turn
 
 
-def _cover(solid: Solid, cell: float = 0.08) -> list[tuple[Array, float]]:
-    """Balls (center in the frame, radius) that together contain a solid."""
+def _cover(solid: Solid) -> list[tuple[Array, float]]:
+    """Balls (center in the frame, radius) that together contain a solid's surface: what is outside is nowhere nearer to the solid."""
     if solid.kind == "sphere":
         return [(solid.position, float(solid.size[0]))]
     half = solid.size.copy()
     if solid.kind in ("capsule", "cylinder"):
         r, h = float(solid.size[0]), float(solid.size[1])
-        if solid.kind == "capsule":
-            count = max(int(np.ceil(2.0 * h / max(r, cell))), 1)
-            radius, places = float(np.hypot(r, h / count)), np.linspace(-h, h, 2 * count + 1)[1::2]
-            ends = [(np.array([0.0, 0.0, z]), r) for z in (-h, h)]
-            inner = [(np.array([0.0, 0.0, z]), radius) for z in places]
-            return [(solid.position + solid.rotation @ c, rho) for c, rho in [*ends, *inner]]
+        if solid.kind == "capsule" or r <= THIN:
+            count = max(int(np.ceil(2.0 * h / max(r, BALL))), 1)
+            radius, along = float(np.hypot(r, h / count)), np.linspace(-h, h, 2 * count + 1)[1::2]
+            ends = [(-h, r), (h, r)] if solid.kind == "capsule" else []
+            inner = [(float(z), radius) for z in along]
+            return [(solid.position + z * solid.rotation[:, 2], rho) for z, rho in [*ends, *inner]]
         half = np.array([r, r, h])
-    count3 = np.ceil(half / cell).astype(int)
+    count3 = np.ceil(half / BALL).astype(int)
     part = half / count3
     grid = [part[a] * (2 * np.arange(count3[a]) + 1) - half[a] for a in range(3)]
     places3 = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 3)
     radius = float(np.linalg.norm(part))
-    return [(solid.position + solid.rotation @ c, radius) for c in places3 if solid.distance(c) <= radius]
+    depth = -solid.distance(places3)
+    exact = solid.kind in (
+        "box",
+        "cylinder",
+    )  # of others the distance is that of the box around them, whose surface is not theirs
+    near = places3[(depth >= -radius) & ((depth <= radius) | (not exact))]
+    if (
+        solid.kind == "cylinder"
+    ):  # what a ball covers of a convex solid is also covered from the ball's nearest point of it
+        near[:, :2] *= np.minimum(1.0, half[0] / np.maximum(np.linalg.norm(near[:, :2], axis=1), 1e-9))[:, None]
+    return [(solid.position + solid.rotation @ c, radius) for c in near]
 
 
 _GEOMETRIES: WeakKeyDictionary[RobotModel, RobotGeometry] = WeakKeyDictionary()

@@ -118,6 +118,14 @@ def self_pairs(robot: RobotModel) -> tuple[Pair, ...]:
     return tuple(p for p in found if frozenset(p) not in ignored)
 
 
+def arm_pairs(robot: RobotModel) -> tuple[Pair, ...]:
+    """Those of :func:`self_pairs` in which no part hangs on a joint of the base: what the arm can run into by itself."""
+    moving = {robot.tree.joint(n) for n in robot.description.base.joints() if n in {k.joint for k in robot.tree.links}}
+    frames = robot.tree.frames
+    still = lambda name: moving.isdisjoint(path_of(robot, frames[name].link))
+    return tuple((a, b) for a, b in self_pairs(robot) if still(a) and still(b))
+
+
 def diagnose(robot: RobotModel) -> Iterator[Finding]:
     """What of its own a robot keeps apart, for a person to confirm."""
     geometry, own = robot_geometry(robot), robot.description.collision.self

@@ -56,6 +56,8 @@ def read_scene(path: str | Path, simulated: bool = False) -> Iterator[SceneObsta
         raise InputError(f"{path}: one key is needed, 'obstacles', with a mapping of names")
     names = [str(name) for name in section]
     for name, entry in section.items():
+        if isinstance(name, bool) or not isinstance(name, str | int) or not str(name).isprintable():
+            raise InputError(f"{path}: key 'obstacles': a name that can be printed is needed, got {name!r}")
         where = f"{path}: key 'obstacles.{name}'"
         if names.count(str(name)) > 1:  # 1 and "1" are two keys
             raise InputError(f"{where}: is there twice")

@@ -180,11 +180,12 @@ class DistanceGrid:
             raise InputError(
                 f"distance grid: 'values' needs three dimensions of 2 or more and {MAX_CELLS} cells at most, got {values.shape}"
             )
-        if not np.isfinite(values).all():
+        ends = np.array([values.min(), values.max()])  # of millions of values, at each scan
+        if not np.isfinite(ends).all():
             raise InputError("distance grid: 'values' must be finite")
         _set(self, origin=checks.numbers("distance grid", "origin", self.origin, 3), values=values, error=float(error))
         _size("distance grid", cell=self.cell)
-        checks.at_most("distance grid", LARGEST, origin=self.origin, error=error, values=values)
+        checks.at_most("distance grid", LARGEST, origin=self.origin, error=error, values=ends)
 
     def sample(self, points: Array) -> tuple[Array, Array]:
         """Distance (n), ``error`` taken off, and its gradient (n, 3) at points (n, 3); infinite and 0 outside of the grid."""

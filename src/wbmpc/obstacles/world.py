@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import checks, lie
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import InputError, SensorFailure, unknown_name
 from wbmpc.obstacles.scene import read_scene
 from wbmpc.obstacles.shapes import (
     LARGEST,
@@ -37,7 +37,8 @@ MAX_OBSTACLES = 10_000
 @dataclass(frozen=True, eq=False)
 class Obstacle:
     """One obstacle: its ``shape`` at ``position`` (3) [m] and ``orientation`` (4) in ``frame`` at time ``seen`` [s]; it moves with
-    ``velocity`` (3) [m/s]. ``std`` [m] and ``velocity_std`` [m/s]: standard deviations; ``expire`` [s]: how long after ``seen`` it is there.
+    ``velocity`` (3) [m/s]. ``std`` [m] and ``velocity_std`` [m/s]: standard deviations; ``expire`` [s]: how long after ``seen`` it is there;
+    ``max_age`` [s]: how long after ``seen`` one may still plan with it. ``side``: of a distance grid, which of its nearest points is meant.
     """
 
     name: str
@@ -50,6 +51,8 @@ class Obstacle:
     seen: float
     expire: float
     frame: str
+    max_age: float = np.inf
+    side: int = 0
 
     def age(self, times: Array) -> Array:
         """How long ago (n) [s] it was seen; 0 before."""
@@ -102,13 +105,15 @@ class Obstacles:
         velocity_std: float = 0.0,
         seen: float | None = None,
         expire: float = np.inf,
+        max_age: float = np.inf,
         frame: str = WORLD,
     ) -> None:
         """Add an obstacle, or replace the one of that name.
 
         ``shape`` stands at ``position`` (3) [m] and ``orientation`` (4, w, x, y, z) of ``frame`` at time ``seen`` [s] (left out: when the
         next solve begins), and goes on with ``velocity`` (3) [m/s]. Margins grow by twice the standard deviation of where it is
-        predicted: ``std`` [m], and ``velocity_std`` [m/s] times the time since. It is gone ``expire`` [s] after ``seen``. Raises
+        predicted: ``std`` [m], and ``velocity_std`` [m/s] times the time since. It is gone ``expire`` [s] after ``seen``. Later than
+        ``max_age`` [s] after it there are no plans any more, but a stop: for what sensors have to see again and again. Raises
         :class:`InputError` naming the obstacle.
         """
         who = _named(name)
@@ -116,16 +121,18 @@ class Obstacles:
             raise InputError(f"{who}: a shape is needed, got {type(shape).__name__}; valid: {', '.join(_SHAPES)}")
         checks.not_negative(who, std=std, velocity_std=velocity_std)
         checks.at_most(who, LARGEST, std=std, velocity_std=velocity_std)
-        if not (isinstance(expire, float) and expire == np.inf):
-            checks.positive(who, expire=expire)
+        for key, value in (("expire", expire), ("max_age", max_age)):
+            if not (isinstance(value, float) and value == np.inf):
+                checks.positive(who, **{key: value})
         if seen is not None:
             checks.absolute_time(f"{who}: 'seen'", seen)
-        elif np.isfinite(expire):
-            raise InputError(f"{who}: 'expire' counts from 'seen', which is left out")
+        elif np.isfinite(min(expire, max_age)):
+            key = "expire" if np.isfinite(expire) else "max_age"
+            raise InputError(f"{who}: '{key}' counts from 'seen', which is left out")
         found = Obstacle(
             name, shape, checks.numbers(who, "position", position, 3).copy(), unit_quaternion(who, "orientation", orientation),
             checks.numbers(who, "velocity", velocity, 3).copy(), float(std), float(velocity_std),
-            np.nan if seen is None else float(seen), float(expire), frame,
+            np.nan if seen is None else float(seen), float(expire), frame, float(max_age),
         )  # fmt: skip
         checks.at_most(who, LARGEST, position=found.position, velocity=found.velocity)
         if isinstance(shape, DistanceGrid) and found.velocity.any():
@@ -154,7 +161,7 @@ class Obstacles:
             turn = old.orientation if orientation is None else orientation
             self.set(
                 name, old.shape, position=position, orientation=turn, velocity=velocity, std=old.std,
-                velocity_std=old.velocity_std, seen=seen, expire=old.expire, frame=old.frame,
+                velocity_std=old.velocity_std, seen=seen, expire=old.expire, max_age=old.max_age, frame=old.frame,
             )  # fmt: skip
 
     def set_frame(self, name: str, position: ArrayLike, orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
@@ -211,7 +218,7 @@ class Obstacles:
 
     def snapshot(self, t: float) -> Snapshot:
         """What is there at time ``t`` [s]. Obstacles without a time are seen now; expired ones are dropped for good. Raises
-        :class:`InputError` for what is no time."""
+        :class:`InputError` for what is no time, and :class:`~wbmpc.errors.SensorFailure` where one is older than its ``max_age``."""
         t = checks.absolute_time("obstacles", t)
         with self._lock:
             for name, obstacle in list(self._obstacles.items()):
@@ -219,6 +226,10 @@ class Obstacles:
                     self._obstacles[name] = replace(obstacle, seen=t)
                 elif t > obstacle.seen + obstacle.expire:
                     del self._obstacles[name]
+                elif t > obstacle.seen + obstacle.max_age:
+                    raise SensorFailure(
+                        f"obstacle '{name}' was seen {t - obstacle.seen:.2f} s ago, {obstacle.max_age:g} s at most are possible"
+                    )
             return Snapshot(tuple(self._obstacles[n] for n in sorted(self._obstacles)), dict(self._frames))
 
     def _check_frame(self, who: str, frame: str) -> None:

@@ -20,11 +20,13 @@ from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin, Wheel
 from wbmpc.ocp.clearance_residuals import Clearance, SelfClearance
 from wbmpc.ocp.contact_residuals import FrictionCone, PushForce, push_on_surface
 from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench, RelativeMotion, RelativePose
+from wbmpc.ocp.path_residuals import Contour, PathAcceleration, Progress
 from wbmpc.ocp.symbols import Residual, Symbols
 
 __all__ = [
     "AccelerationLimit",
     "Clearance",
+    "Contour",
     "Expression",
     "FramePose",
     "FrameTwist",
@@ -33,7 +35,9 @@ __all__ = [
     "Input",
     "Limits",
     "LockedJoints",
+    "PathAcceleration",
     "ProblemInput",
+    "Progress",
     "PushForce",
     "RelativeMotion",
     "RelativePose",

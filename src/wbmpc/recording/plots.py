@@ -7,8 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from wbmpc.errors import InputError
+from wbmpc.recording.quantities import column_unit, entry_name, joint_groups
 from wbmpc.recording.reader import Recording
 from wbmpc.result import Plot, Series
+
+#: What is measured in a unit, for labels.
+_QUANTITIES = {
+    "m": "position", "rad": "angle", "m/s": "speed", "rad/s": "speed", "m/s²": "acceleration", "N": "force", "N m": "torque", "s": "time",
+}  # fmt: skip
 
 
 def overview(recording: Recording) -> list[Plot]:
@@ -20,7 +26,7 @@ def overview(recording: Recording) -> list[Plot]:
         _solve_times(recording),
     ]
     plots = [p for p in drawn if p is not None]
-    plots += [_columns(recording, name, f"Command: {name[9:]}", "") for name in _under(recording, "/command/")]
+    plots += [p for name in _under(recording, "/command/") for p in _columns(recording, name, f"Command: {name[9:]}")]
     forces = [(name, recording.table(name)) for name in _under(recording, "/contact/")]
     if forces:
         lines = [Series(name[9:], t.times, t.columns["wrench.force.z"]) for name, t in forces]
@@ -29,20 +35,37 @@ def overview(recording: Recording) -> list[Plot]:
 
 
 def of_topics(recording: Recording, topics: Sequence[str]) -> list[Plot]:
-    """One plot of all numbers of each topic."""
-    return [_columns(recording, name, name, "") for name in topics]
+    """The numbers of each topic: a plot for each unit that it has."""
+    return [plot for name in topics for plot in _columns(recording, name, name)]
 
 
 def _under(recording: Recording, prefix: str) -> list[str]:
     return [name for name in recording.topics if name.startswith(prefix)]
 
 
-def _columns(recording: Recording, topic: str, title: str, unit: str) -> Plot:
-    table = recording.table(topic)
-    lines = [Series(n, table.times, c) for n, c in table.columns.items() if c.dtype.kind == "f"]
-    if not lines:
+def _columns(recording: Recording, topic: str, title: str) -> list[Plot]:
+    table, kind = recording.table(topic), recording.topics[topic].kind
+    columns = {n: c for n, c in table.columns.items() if c.dtype.kind == "f"}
+    if not columns:
         raise InputError(f"{recording.path}: topic '{topic}' holds no numbers to plot")
-    return Plot(title, "time [s]", unit, lines)
+    joints, by_unit = joint_groups(recording.settings), {}  # type: dict[str, tuple[str, ...]], dict[str, list[Series]]
+    for name, column in columns.items():
+        shown = (
+            name.partition(".")[2]
+            if kind == "sensor_msgs/JointState"
+            else entry_name(topic, name, len(columns), joints)
+        )
+        line = Series(shown, table.times, column)
+        by_unit.setdefault(column_unit(topic, kind, name), []).append(line)
+    several = len(by_unit) > 1
+    return [
+        Plot(f"{title}, {unit}" if several else title, "time [s]", _label(topic, unit), lines)
+        for unit, lines in by_unit.items()
+    ]
+
+
+def _label(topic: str, unit: str) -> str:
+    return f"{_QUANTITIES.get(unit, topic.rpartition('/')[2].replace('_', ' '))} [{unit}]"
 
 
 def positions(recording: Recording, topic: str) -> tuple[np.ndarray, np.ndarray] | None:
@@ -63,9 +86,9 @@ def end_effector_error(recording: Recording) -> tuple[np.ndarray, np.ndarray] | 
 
 
 def _end_effector_path(recording: Recording) -> Plot | None:
-    named = {"hand": "/hand/pose_odom", "reference": "/hand/reference"}
+    named = {"end effector": "/hand/pose_odom", "end effector, reference": "/hand/reference"}
     found = {name: positions(recording, topic) for name, topic in named.items()}
-    lines = [Series(n, p[1][:, 0], p[1][:, 1], n == "reference") for n, p in found.items() if p is not None]
+    lines = [Series(n, p[1][:, 0], p[1][:, 1], "reference" in n) for n, p in found.items() if p is not None]
     return Plot("End effector from above, estimated frame", "x [m]", "y [m]", lines, equal_axes=True) if lines else None
 
 

@@ -80,6 +80,14 @@ class Recording:
         run = self.metadata.get("run", {})
         return f"{run.get('experiment', self.path.stem)}, seed {run.get('seed', '?')}"
 
+    @property
+    def settings(self) -> Any:
+        """Settings of the run; empty if the file does not say them, or not as JSON."""
+        try:
+            return parse_json(self.metadata.get("run", {}).get("settings", "{}"), f"{self.path}: settings of its run")
+        except InputError:
+            return {}
+
     def attachment(self, name: str) -> Any:
         """A JSON file inside the recording."""
         if name not in self.attachments:

@@ -82,9 +82,15 @@ class Draft:
         return found
 
     def choose_base(self, name: str) -> None:
-        """A base type that can describe the model. Raises :class:`InputError` listing them."""
+        """A base type that can describe the model. Raises :class:`InputError` listing them, and the wheels that were found."""
         if name not in self.bases:
-            raise unknown_name("base type for this model", name, self.bases)
+            wheels = [
+                f"{w.joint} ({'caster' if w.passive else 'driven' if w.driven else 'not driven'})"
+                for w in self.subject.wheels
+            ]
+            what = ", ".join(wheels) or "none (a hinge near the ground with a horizontal axis and no range is one)"
+            error = unknown_name("base type for this model", name, self.bases)
+            raise InputError(f"{error}; its wheels, as found: {what}")
         self.base = name
 
     def choose_tool(self, name: str) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 
 from wbmpc.ros2.settings import GONE
-from wbmpc.ros2.sources import OneSource
+from wbmpc.ros2.sources import OneSource, Source
 
 #: Differences of times [s] below this are none.
 _ROUNDING = 1e-7
@@ -36,7 +36,7 @@ class BusClock:
         self.speed = 1.0
         self.source = OneSource("/clock")
 
-    def set(self, time_of_bus: float, source: Hashable = None) -> None:
+    def set(self, time_of_bus: float, source: Source | None = None) -> None:
         """The bus's time [s] is now this, says a publisher. Time that goes back is a simulator that was started anew."""
         if not self.source.takes(source):
             return

@@ -33,6 +33,7 @@ from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
+from wbmpc.ros2.dds_source import DdsWriter, FilteredTopic
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
@@ -75,6 +76,7 @@ class DdsNode:
             raise InputError(f"DDS: no participant in domain {network.domain} ({error})") from error
         self._key = self._participant.guid
         self._topics: dict[str, dict[str, Any]] = {}  # by name and type
+        self._filtered: list[FilteredTopic] = []
         self._readers: list[DataReader] = []
         self._unregister: dict[
             DataReader, Callable[[], None]
@@ -115,16 +117,17 @@ class DdsNode:
         go on. Returns what ends it."""
         name = full_name(topic)
 
-        def call(sample: tuple[bytes, int]) -> None:
+        def call(sample: tuple[bytes, Any]) -> None:
             data, source = sample
             try:
-                callback(self.types.decode(kind, data), *([source] if sourced else []))
+                callback(self.types.decode(kind, data), *([] if filtered is None else [source]))
             except Exception as error:
                 self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
-                for data, source in self._small(name, reader, largest):
+                for data, handle in self._small(name, reader, largest):
+                    source = DdsWriter(handle, reader, filtered) if filtered is not None else None
                     if deferred:
                         self._deferred.put(name, call, (data, source), len(data))
                     else:
@@ -132,6 +135,10 @@ class DdsNode:
 
         ours = OwnEndpoint("subscription", name, kind, qos, others)
         place = self._topic(f"rt{name}", kind, others=others)
+        filtered = FilteredTopic(self._participant, place) if sourced else None
+        if filtered is not None:
+            self._filtered.append(filtered)
+            place = filtered.topic
         reader = self._read(place, self._qos(qos, kind), take, self, lambda policy: self._mismatch(ours, policy))
         return lambda: self._end(reader)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import error_message, nearest_angle, planar, read_pose, seconds
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
-from wbmpc.ros2.sources import OneSource
+from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.runtime.safety import SafeStop
 
 _LOG = logging.getLogger("wbmpc")
@@ -90,7 +90,7 @@ class PoseSource:
         if not jumped:
             self._good = self.now()
 
-    def _take(self, message: Any, source: Hashable = None) -> None:
+    def _take(self, message: Any, source: Source | None = None) -> None:
         if not self.source.takes(source):
             return
         try:

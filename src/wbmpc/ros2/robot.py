@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -21,7 +21,7 @@ from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.joints import Inertial, JointReader, JointSample, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
-from wbmpc.ros2.sources import OneSource
+from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import Sender, senders
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.safety import SafeStop
@@ -83,7 +83,7 @@ class BusRobot:
         self._senders: list[Sender] = senders(node, adapter.robot, settings)
 
     # ------------------------------------------------------------------ from the bus
-    def _take_joints(self, message: Any, source: Hashable = None) -> None:
+    def _take_joints(self, message: Any, source: Source | None = None) -> None:
         ours = self._reader.concerns(message)
         if not (self._joint_source.takes(source) if ours else self._joint_source.follows(source)):
             return
@@ -102,7 +102,7 @@ class BusRobot:
             self._waiting.append(self._joints)
         self._good("joints")
 
-    def _take_imu(self, message: Any, source: Hashable = None) -> None:
+    def _take_imu(self, message: Any, source: Source | None = None) -> None:
         if not self._imu_source.takes(source):
             return
         try:

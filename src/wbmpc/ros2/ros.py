@@ -8,6 +8,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -22,7 +23,7 @@ from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.parameters import Parameters, descriptor_of
-from wbmpc.ros2.sources import AMBIGUOUS
+from wbmpc.ros2.sources import AMBIGUOUS, Source
 
 try:
     from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -179,22 +180,40 @@ class RosNode:
         self._mismatches.notice(ours, "type" if policy.startswith("invalid") else policy)
 
 
+@dataclass(frozen=True)
+class RosWriter:
+    """See :class:`wbmpc.ros2.sources.Source`: the publisher of an identity, named only while it is the only one of its topic."""
+
+    identity: bytes
+
+    def gone(self) -> bool:
+        """Whoever is named after it is alone by then."""
+        return True
+
+    def prefer(self) -> None:
+        """rclpy cannot choose."""
+
+
 class _Source:
     """Whose the messages of a topic are, as far as the graph says so: rclpy has no publisher's identity beside a message. One that was
     killed is in the graph until its lease ends (Fast DDS: 20 s)."""
 
     def __init__(self, node: Any, topic: str, kind: str) -> None:
         self._node, self._topic, self._kind = node, topic, kind
-        self._count, self._due, self._seen = -1, -np.inf, AMBIGUOUS
+        self._count, self._due = -1, -np.inf
+        self._seen: Source | None = None
 
-    def current(self) -> Any:
-        """The only publisher, or :data:`AMBIGUOUS`. The whole list is read when its length changes, and every :data:`_LOOK`."""
+    def current(self) -> Source | None:
+        """The only publisher, or :data:`AMBIGUOUS`; None before one is in the graph.
+
+        The whole list is read when its length changes, and every :data:`_LOOK`."""
         count, now = self._node.count_publishers(self._topic), time.monotonic()
         if count != self._count or now >= self._due:
             self._count, self._due = count, now + _LOOK
             infos = self._node.get_publishers_info_by_topic(self._topic)
             ids = {bytes(i.endpoint_gid) for i in infos if i.topic_type == self._kind}
-            self._seen = ids.pop() if len(ids) == 1 else AMBIGUOUS if ids else None
+            if ids:  # else it has left with its last message on the way
+                self._seen = RosWriter(ids.pop()) if len(ids) == 1 else AMBIGUOUS
         return self._seen
 
 

@@ -5,21 +5,45 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Hashable
+from typing import Protocol
 
 from wbmpc.logs import RateLimit
 
 _LOG = logging.getLogger("wbmpc")
-#: A publisher that has been silent for so long [s] makes room for another one: a killed process is on the bus until its lease ends.
-SILENT = 1.0
 #: Others are reported for so long [s] after their last message, and at most so many are counted.
 _REPORTED, _COUNTED = 2.0, 100
+
+
+class Source(Hashable, Protocol):
+    """What a back end knows a publisher by; equal for messages of one publisher."""
+
+    def gone(self) -> bool:
+        """Whether it has left the bus: it ended, or its lease did. A silent one, or one that is not heard, has not."""
+        ...
+
+    def prefer(self) -> None:
+        """Only this publisher's messages count: the back end may drop most of the others'."""
+        ...
+
+
+class _Ambiguous:
+    """See :data:`AMBIGUOUS`."""
+
+    def gone(self) -> bool:
+        return False
+
+    def prefer(self) -> None:
+        pass
+
+
 #: In place of a publisher's identity: one of several, and the back end does not know which one.
-AMBIGUOUS = object()
+AMBIGUOUS = _Ambiguous()
 
 
 class OneSource:
-    """The publisher whose messages on a topic count: the first one that is heard, until it has been silent for :data:`SILENT` and
-    another one speaks. ``replaced``: whether that has happened since :meth:`settle`; ``switched`` is called when it does.
+    """The publisher whose messages on a topic count: the first one that is heard, until it is gone from the bus and another one
+    speaks. One that is silent is not replaced: whoever floods a topic may keep the first one's messages from arriving.
+    ``replaced``: whether that has happened since :meth:`settle`; ``switched`` is called when it does.
 
     Called from one thread of a back end; :attr:`conflict` from any. ``take_ambiguous``: messages count although nobody knows whose they are.
     """
@@ -28,29 +52,30 @@ class OneSource:
         self.topic, self.replaced = topic, ""
         self._switched, self._take_ambiguous = switched, take_ambiguous
         self._limit = RateLimit()
-        self._source: Hashable | None = None
-        self._heard = 0.0
-        self._others: dict[Hashable, float] = {}  # when they were heard last
+        self._source: Source | None = None
+        self._others: dict[Source, float] = {}  # when they were heard last
 
-    def follows(self, source: Hashable) -> bool:
+    def follows(self, source: Source | None) -> bool:
         """Whether it is this publisher's messages that count, or nobody's yet."""
         return self._source is None or source == self._source
 
-    def takes(self, source: Hashable) -> bool:
-        """Whether a message that has just come from a publisher counts."""
-        now = time.monotonic()
+    def takes(self, source: Source | None) -> bool:
+        """Whether a message that has just come from a publisher counts. None: there is only one."""
+        if source is None or source == self._source:
+            return True
         if source is AMBIGUOUS:
-            self._others[source] = now
+            self._note(source)
             return self._take_ambiguous
-        if not self.follows(source):
-            if now - self._heard <= SILENT:
-                self._note(source, now)
+        if self._source is not None:
+            if not self._source.gone():
+                self._note(source)
                 return False
             self.replaced = f"the publisher of {self.topic} was replaced by another one"
             self._limit.log(_LOG, logging.WARNING, "replaced", self.replaced)
             self._others.pop(source, None)
             self._switched()
-        self._source, self._heard = source, now
+        self._source = source
+        source.prefer()
         return True
 
     def settle(self) -> None:
@@ -66,10 +91,9 @@ class OneSource:
             return ""
         if AMBIGUOUS in recent:
             return f"more than one publisher on {self.topic}, which has one source"
-        many = f"{len(recent) + 1} publishers on {self.topic}, which has one source"
-        return f"{many}: only the first one counts, until it is silent for {SILENT:g} s"
+        return f"{len(recent) + 1} publishers on {self.topic}, which has one source: only the first one counts"
 
-    def _note(self, source: Hashable, now: float) -> None:
+    def _note(self, source: Source) -> None:
         if source not in self._others and len(self._others) >= _COUNTED:
             del self._others[min(self._others, key=lambda s: self._others[s])]
-        self._others[source] = now
+        self._others[source] = time.monotonic()

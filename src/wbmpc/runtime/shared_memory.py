@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wbmpc.errors import InputError
+from wbmpc.model.augment import WithPath
 from wbmpc.mpc.policy import InputLimits, Policy
 from wbmpc.ocp import OptimalControlProblem, Transcription
 
@@ -169,6 +170,10 @@ class Sizes:
     def of(cls, ocp: OptimalControlProblem) -> Sizes:
         """The sizes of a problem, of ``mpc.solver.ocp`` where the solver refines the grid (:class:`wbmpc.SLQ`)."""
         d, hard = ocp.dynamics, any(t.hard for t in ocp.inequalities)
+        if isinstance(d, WithPath):
+            raise InputError(
+                "runner: a problem with progress along a path runs in virtual time only; valid: one without WithPath"
+            )
         own = (d.state.size, d.input.size, ocp.intervals, d.parameters.size)
         if not hard:
             return cls(*own)

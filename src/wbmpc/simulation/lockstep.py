@@ -21,6 +21,7 @@ from wbmpc.errors import (
     FallPredicted,
     InputError,
     NotFinite,
+    RobotStuck,
     RunAborted,
     SensorFailure,
 )
@@ -38,13 +39,14 @@ LONGEST_RUN = 1e6
 
 @dataclass(frozen=True)
 class Ending:
-    """How a run ended: an empty ``reason`` when nothing ended it early; ``fell`` and ``interrupted`` (by the user: Ctrl-C, a view) say
-    what kind of end it was. ``contacts``: of its simulated robots, where they are monitored."""
+    """How a run ended: an empty ``reason`` when nothing ended it early; ``fell``, ``stuck`` and ``interrupted`` (by the user: Ctrl-C, a
+    view) say what kind of end it was. ``contacts``: of its simulated robots, where they are monitored."""
 
     reason: str = ""
     fell: bool = False
     interrupted: bool = False
     contacts: tuple[Contacts, ...] = field(default=(), compare=False, repr=False)
+    stuck: bool = False
 
     @classmethod
     def of(cls, *plants: Any, reason: str = "") -> Ending:
@@ -145,7 +147,9 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
     pressed = threading.Event()
     previous: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        handlers: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        handlers: dict[int, Any] = {
+            number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        }
         previous = {n: h for n, h in handlers.items() if h is signal.default_int_handler or hasattr(h, "noted")}
 
     def note(number: int, frame: Any) -> None:
@@ -282,6 +286,8 @@ def _tick(
         return Ending(f"stopped at {t:.2f} s: {error}", fell=True)
     except (SensorFailure, DisturbanceTooLarge) as error:
         return Ending(f"stopped at {t:.2f} s: {error}")
+    except RobotStuck as error:
+        return Ending(f"stopped at {t:.2f} s: {error}", stuck=True)
     except RunAborted as error:
         return Ending(f"aborted at {t:.2f} s: {error}", interrupted=isinstance(error, EndedByUser))
     except NotFinite as error:

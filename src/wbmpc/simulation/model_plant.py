@@ -36,7 +36,7 @@ class ModelPlant:
         self, robot: RobotModel, mpc: MPC, start: Array, timestep: float = TIMESTEP, edit: Edit | None = None
     ) -> None:
         self.robot, self.description, self.mpc, self.timestep = robot, robot.description, mpc, timestep
-        layout = mpc.ocp.dynamics.state
+        layout = mpc.dynamics.state
         self.x = numbers("start", "state", start, layout.size).copy()
         self._own = np.concatenate([np.arange(layout.size)[layout[group]] for group in robot.state.groups])
         s = ca.SX.sym("x", robot.state.size)
@@ -71,7 +71,7 @@ class ModelPlant:
         self._steps += steps
         self._drawn = False
         if not command.rest[0]:
-            self.x = self.mpc.solver.simulate(self.x, command.input, steps * self.timestep)
+            self.x = self.mpc.simulate(self.x, command.input, steps * self.timestep)
 
     def push(self, force: Array) -> None:
         """Nothing: a model of speeds has no forces."""

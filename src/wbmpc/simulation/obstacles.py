@@ -24,6 +24,8 @@ SCENE = "scene"
 #: Names of the obstacles' bodies begin so; where those are that have not appeared.
 _PREFIX, _HIDDEN = "obstacle:", np.array([0.0, 0.0, -100.0])
 _COLOR = [0.85, 0.45, 0.2, 1.0]
+#: A robot that moves into an obstacle with less than this [m/s] does not cause the contact.
+AT_REST = 0.02
 #: Half lengths [m] of the plate that a half-space is in the world.
 _PLATE = 50.0
 
@@ -44,7 +46,9 @@ class SimulatedObstacles:
     ``ground`` [m].
 
     ``least`` [m]: the smallest true distance of the robot to any of them so far; ``contacts``: how often it began to touch one;
-    ``contact_speed`` [m/s]: the largest speed at which a part of the robot moved into one when a contact began.
+    ``contact_speed`` [m/s]: the largest speed at which a part of the robot moved into one when a contact began; ``caused``: how many began
+    with such a speed above :data:`AT_REST`, the others came to a robot that stood or backed off; ``pushed`` [s]: the longest time in
+    which one of them touched the robot.
     """
 
     def __init__(self, scene: Sequence[SceneObstacle], ground: float = 0.0) -> None:
@@ -56,13 +60,15 @@ class SimulatedObstacles:
             world.set(one.name, one.shape, seen=one.appears, **one.place)
         self._by_name = {o.name: o for o in world.snapshot(0.0).obstacles}
         self.least, self.contacts, self.contact_speed = FAR, 0, 0.0
+        self.caused, self.pushed = 0, 0.0
         self._model: mujoco.MjModel | None = None
         self._known: set[str] = set()
         self._touching: dict[tuple[int, int], float] = {}
+        self._pushes: dict[str, tuple[float, float]] = {}  # of an obstacle: since when and until when it touches
 
     # ------------------------------------------------------------------ the world
     def edit(self, spec: mujoco.MjSpec) -> None:
-        """Add a body for each obstacle to MuJoCo's scene."""
+        """Add a body for each obstacle to MuJoCo's scene; none has a mass, for nothing moves them."""
         for one in self.scene:
             at, turn = self._pose(self._by_name[one.name], 0.0)
             body = spec.worldbody.add_body(name=_PREFIX + one.name, mocap=True, pos=at, quat=turn)
@@ -71,9 +77,10 @@ class SimulatedObstacles:
                 continue
             assert not isinstance(one.shape, DistanceGrid)
             solid = one.shape.solid
+            point = solid.kind == "capsule" and solid.size[1] == 0.0  # a sphere, for MuJoCo
             geom = body.add_geom(
-                type=getattr(mujoco.mjtGeom, f"mjGEOM_{solid.kind.upper()}"), size=solid.size,
-                pos=solid.position, quat=lie.rotation_to_quaternion(solid.rotation), rgba=_COLOR, **OBSTACLE,
+                type=getattr(mujoco.mjtGeom, f"mjGEOM_{'SPHERE' if point else solid.kind.upper()}"), size=solid.size,
+                pos=solid.position, quat=lie.rotation_to_quaternion(solid.rotation), rgba=_COLOR, density=0.0, **OBSTACLE,
             )  # fmt: skip
             if solid.kind == "mesh":
                 mesh = spec.add_mesh(name=_PREFIX + one.name, uservert=solid.vertices.ravel())
@@ -85,7 +92,7 @@ class SimulatedObstacles:
         n = np.asarray(shape.normal, float)
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX, size=[_PLATE, _PLATE, 1.0], pos=n * (shape.offset - 1.0),
-            quat=lie.rotation_to_quaternion(axes_along(n)), rgba=_COLOR, **OBSTACLE,
+            quat=lie.rotation_to_quaternion(axes_along(n)), rgba=_COLOR, density=0.0, **OBSTACLE,
         )  # fmt: skip
 
     def bind(self, model: mujoco.MjModel) -> None:
@@ -120,9 +127,15 @@ class SimulatedObstacles:
         shift = estimated[:2] - np.array([[c, -s], [s, c]]) @ true[:2]
         world.set_frame(SCENE, [*shift, 0.0], [np.cos(0.5 * turn), 0.0, 0.0, np.sin(0.5 * turn)])
         for one in self.scene:
-            if t >= one.appears and one.name not in self._known:
-                self._known.add(one.name)
-                world.set(one.name, one.shape, seen=one.appears, frame=SCENE, **one.place)
+            obstacle = self._by_name[one.name]
+            moves = bool(obstacle.velocity.any())
+            if t < one.appears or (one.name in self._known and not moves):
+                continue
+            self._known.add(one.name)
+            seen = dict(one.place)
+            if moves:  # seen anew all the time: what is not known of its velocity counts from now on
+                seen["position"] = Snapshot().pose(obstacle, np.array([t]))[0][0]
+            world.set(one.name, one.shape, seen=max(t, one.appears) if moves else one.appears, frame=SCENE, **seen)
 
     # ------------------------------------------------------------------ the truth
     def distance(self, data: mujoco.MjData) -> float:
@@ -152,6 +165,10 @@ class SimulatedObstacles:
         own, other = bodies if bodies[1] in self._name_of else bodies[::-1]
         if not own:
             return
+        name = self._name_of[other]
+        since, until = self._pushes.get(name, (t, t))
+        self._pushes[name] = (since if t - until < APART else t, t)
+        self.pushed = max(self.pushed, t - self._pushes[name][0])
         last, self._touching[own, other] = self._touching.get((own, other), -np.inf), t
         if t - last < APART:
             return
@@ -159,4 +176,6 @@ class SimulatedObstacles:
         mujoco.mj_objectVelocity(self._model, data, mujoco.mjtObj.mjOBJ_XBODY, own, velocity, 0)
         point = velocity[3:] + np.cross(velocity[:3], contact.pos - data.xpos[own])
         self.contacts += 1
-        self.contact_speed = max(self.contact_speed, sign * float(point @ contact.frame[:3]))
+        speed = sign * float(point @ contact.frame[:3])
+        self.caused += int(speed > AT_REST)
+        self.contact_speed = max(self.contact_speed, speed)

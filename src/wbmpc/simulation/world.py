@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.mujoco_warnings import log_warnings
 from wbmpc.simulation.contacts import GROUND, Contacts, enable
+from wbmpc.simulation.frame_step import from_base
 from wbmpc.simulation.speed_torque import SpeedTorque
 
 Array = NDArray[np.float64]
@@ -37,7 +39,8 @@ def set_options(spec: mujoco.MjSpec, timestep: float, integrator: mujoco.mjtInte
     o = spec.option
     o.timestep, o.integrator = timestep, integrator
     o.cone, o.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
-    o.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    # one robot is one island: looking for several finds the same motion and takes longer
+    o.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
     spec.visual.quality.shadowsize = 4096
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
@@ -134,10 +137,20 @@ class World:
         m = self.model
         self.contacts, self._drives = Contacts(m, self.data), SpeedTorque(m, self.data, rated)
         self.body, self.site = m.body(description.base.body).id, self._tool(description.arm.tool)
+        self._bind_frames()
         self._root, self._mount = self._free_root()
         self._joints = {name: (int(m.joint(name).qposadr[0]), int(m.joint(name).dofadr[0])) for name in joints}
         self._pushes: dict[int, tuple[Array, Array, Array | None]] = {}
         self._steps, self._fresh, self._lost, self._yaw = 0, False, False, 0.0
+
+    def _bind_frames(self) -> None:
+        """What :meth:`frames` reads, and its step."""
+        d, (is_site, index) = self.data, self.site
+        places, rotations = (d.site_xpos, d.site_xmat) if is_site else (d.xpos, d.xmat)
+        self._tool_now = places[index], rotations[index]
+        own = {"tool": np.zeros(3), "tool_rotation": np.zeros(9), "seen": np.zeros(3), "turned": np.zeros(9)}
+        self._frames = own | {"base": d.xpos[self.body], "rotation": d.xmat[self.body]}
+        self._from_base: Callable[[], None] = bind(from_base, self._frames).call
 
     def _tool(self, name: str) -> tuple[bool, int]:
         """The tool's frame: (it is a site, id)."""
@@ -302,17 +315,18 @@ class World:
     def frames(self, height: float) -> dict[str, Array]:
         """Base and tool as :class:`Truth` wants them; ``height`` [m] of the planner's z = 0 above the floor."""
         self.refresh()
-        d = self.data
-        base, rotation = d.xpos[self.body].copy(), d.xmat[self.body].reshape(3, 3).copy()
-        is_site, index = self.site
-        tool = (d.site_xpos if is_site else d.xpos)[index].copy()
-        tool_rotation = (d.site_xmat if is_site else d.xmat)[index].reshape(3, 3).copy()
+        a = self._frames
+        a["tool"][:], a["tool_rotation"][:] = self._tool_now
+        self._from_base()
+        tool = a["tool"].copy()
+        tool[2] -= height
+        x, y = self.base_pose()[:2].tolist()
         return {
-            "pose": np.array([*self.base_pose()[:2], self.yaw]),
-            "tool": tool - [0.0, 0.0, height],
-            "tool_rotation": tool_rotation,
-            "tool_in_base": rotation.T @ (tool - base),
-            "tool_rotation_in_base": rotation.T @ tool_rotation,
+            "pose": np.array([x, y, self.yaw]),
+            "tool": tool,
+            "tool_rotation": a["tool_rotation"].reshape(3, 3).copy(),
+            "tool_in_base": a["seen"].copy(),
+            "tool_rotation_in_base": a["turned"].reshape(3, 3).copy(),
         }
 
     def joints(self) -> dict[str, float]:

@@ -7,7 +7,10 @@ offsets (r,), which inputs a row may scale back (r, nu; 1 or 0), and the input o
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
+from numpy.typing import NDArray
 
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
@@ -205,3 +208,38 @@ def plan_rows(
                 start += slope * p[at + j]
                 end += slope * (p[at + size + j] if room[j] > 0.0 else p[at + j])
             moving[2 * k * r + row], moving[(2 * k + 1) * r + row] = start, end
+
+
+#: How many arguments of :func:`evaluate` are the policy's; then come ``limited``, t, x, room, u, and the result.
+_OWN, _ARGUMENTS = 12, 17
+
+
+class Evaluation(threading.local):
+    """Calls of :func:`evaluate` with memory of the calling thread's own: a policy may be shared by several."""
+
+    def __init__(self) -> None:
+        self._resize(0, 0, 0)
+
+    def _resize(self, nx: int, nu: int, room: int) -> None:
+        self._sizes = (nx, nu, room)
+        self._policy: NDArray[np.int64] | None = None  # whose part of the table is there
+        self._x, self._u, self._room = np.zeros(nx), np.zeros(nu), np.zeros(room)
+        self._table = np.zeros(_ARGUMENTS + 1, np.int64)
+        self._numbers, self._address = self._table.view(np.float64), self._table.ctypes.data
+        self._table[_OWN + 2 : _ARGUMENTS] = [a.ctypes.data for a in (self._x, self._room, self._u)]
+
+    def __call__(
+        self, policy: NDArray[np.int64], sizes: tuple[int, int, int], limited: bool, t: float, x: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], int]:
+        """(input (nu), what became of it) of a ``policy``: its part of the table of arguments; ``sizes``: (nx, nu, numbers of the room)."""
+        if sizes != self._sizes:
+            self._resize(*sizes)
+        if policy is not self._policy:
+            self._table[:_OWN], self._policy = policy, policy
+        self._table[_OWN], self._numbers[_OWN + 1], self._x[:] = limited, t, x
+        evaluate.by_table(self._address)
+        return self._u.copy(), int(self._table[_ARGUMENTS])
+
+
+#: For all policies.
+EVALUATION = Evaluation()

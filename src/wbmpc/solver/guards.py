@@ -10,8 +10,8 @@ from typing import Any
 
 from wbmpc.errors import SolverBusy
 
-#: Signals whose handlers may raise: Python's own for Ctrl-C, the command line's for the other.
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: Signals whose handlers may raise: Python's own for Ctrl-C, the command line's for the others.
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Exclusive:

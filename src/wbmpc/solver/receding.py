@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
-from wbmpc.solver.compilation import Floats, Integers, compiled
+from wbmpc.solver.compilation import LIBRARY, Floats, Integers, compiled
 from wbmpc.solver.driver import solve
 from wbmpc.solver.line_search import take
 from wbmpc.solver.memory_layout import (
@@ -244,7 +244,7 @@ def forget(m: Floats, o: Integers) -> None:
         m[o[ROW_T] + i], m[o[ROW_L] + i] = 0.0, 0.0
 
 
-@compiled
+@LIBRARY.step
 def simulate(m: Floats, o: Integers, x: Floats, u: Floats, count: int, h: float) -> None:
     """``count`` Runge-Kutta steps of the state x, in place, each under the next nu numbers of u, with the parameters of node 0."""
     xt, ut, end = o[XT], o[UT], o[SLOPES] + 5 * o[LX]
@@ -256,6 +256,3 @@ def simulate(m: Floats, o: Integers, x: Floats, u: Floats, count: int, h: float)
         integrate(m, o, xt, ut, o[P], h, end)
         for i in range(o[NX]):
             x[i] = m[end + i]
-
-
-simulate.short = True

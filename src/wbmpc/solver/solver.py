@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ import numpy as np
 
 from wbmpc.checks import absolute_time, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
+from wbmpc.kernel.step import bind
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
@@ -174,7 +176,7 @@ class Solver:
             if isinstance(values, Mapping)
             else real_numbers("parameters", values)
         )
-        if vector.shape != (part.stop - part.start,) or not np.isfinite(vector).all():
+        if vector.shape != (part.stop - part.start,) or not all(map(math.isfinite, vector.tolist())):
             raise InputError(f"parameters: {part.stop - part.start} finite numbers are needed, got {vector}")
         with self.exclusive:
             self.ws.w[part] = vector
@@ -303,9 +305,9 @@ class Solver:
         from wbmpc.solver.receding import receding_solve, simulate
 
         self._entry, self._out = receding_solve.pointer, (ctypes.c_int64 * 2)()
-        self._simulate, self._nothing = simulate.pointer, ctypes.addressof(self._out)
         self._x, self._u = np.zeros(self.problem.nx), np.zeros(SIMULATED * self.problem.nu)
-        self._x_at, self._u_at = self._x.ctypes.data, self._u.ctypes.data
+        own = {"m": self.ws.memory, "o": self.ws.table, "x": self._x, "u": self._u}
+        self._simulate = bind(simulate, own)
         self.x0 = np.zeros(self.problem.nx)
         arrays = (self.ws.memory, self.ws.table, self.x0, self.numbers, self.log)
         self._memory, self._table, self._start, self._numbers, self._log = (a.ctypes.data for a in arrays)
@@ -327,8 +329,7 @@ class Solver:
         with self.exclusive:
             self._x[:] = x
             self._u[: u.size] = u.reshape(-1)
-            count = len(u) if u.ndim == 2 else 1
-            self._simulate(self._memory, self._table, self._x_at, self._u_at, count, h, self._nothing)
+            self._simulate(len(u) if u.ndim == 2 else 1, h)
             return self._x.copy()
 
     def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:

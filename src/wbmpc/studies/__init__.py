@@ -16,6 +16,7 @@ EXPERIMENTS: dict[str, str] = {
     "swerve-stability": "wbmpc.studies.pankert2022.stability:EXPERIMENT",
     "swerve-unified": "wbmpc.studies.pankert2022.unified:EXPERIMENT",
     "swerve-wobble": "wbmpc.studies.pankert2022.wobble:EXPERIMENT",
+    "swerve-fast": "wbmpc.studies.pankert2022.fast:EXPERIMENT",
     "rezero-steps": "wbmpc.studies.minniti2019.steps:EXPERIMENT",
     "rezero-circle": "wbmpc.studies.minniti2019.circle:EXPERIMENT",
     "rezero-door": "wbmpc.studies.minniti2019.door:EXPERIMENT",

@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from wbmpc.configuration import describe
 from wbmpc.errors import InputError, unknown_name
@@ -134,7 +143,7 @@ class Tuning(Section):
     seeds: Seeds
     search: dict[str, Searched] = Field(min_length=1)
     minimize: tuple[Term, ...] = Field(min_length=1)
-    constraints: dict[str, float] = {}
+    constraints: dict[str, FiniteFloat] = {}
     allow_failures: bool = False
     trials: int = Field(200, ge=1, le=1_000_000)
     sampler: Literal["tpe", "cmaes", "random", "nsga2"] = "tpe"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -89,10 +90,11 @@ def combinations(definition: Definition, folder: Path, where: str) -> list[Combi
     Raises :class:`InputError` naming ``where`` (the file), the experiment, the condition and the key.
     """
     conditions: dict[str, Condition | None] = {**definition.conditions} or {"": None}
-    points = [(draw, varied) for draw in range(definition.draws) for varied in _points(definition, draw)]
-    count = len(definition.experiments) * len(conditions) * max(len(definition.robots), 1) * len(points)
+    count = len(definition.experiments) * len(conditions) * max(len(definition.robots), 1) * definition.draws
+    count *= math.prod(map(len, _grid(definition).values()))
     if count > MAX_COMBINATIONS:
         raise InputError(f"{where}: {count} combinations of settings; at most {MAX_COMBINATIONS} are run")
+    points = [(draw, varied) for draw in range(definition.draws) for varied in _points(definition, draw)]
     found = [
         _combination(definition, folder, where, name, condition, robot, draw, varied)
         for name in definition.experiments
@@ -101,17 +103,25 @@ def combinations(definition: Definition, folder: Path, where: str) -> list[Combi
         for robot in definition.robots or ("",)
         for draw, varied in points
     ]
-    if len({c.key for c in found}) < len(found):
-        twice = next(c for k, c in enumerate(found) if c.key in {d.key for d in found[:k]})
-        raise InputError(f"{where}: experiment '{twice.experiment}': {twice.label}: these settings are there twice")
+    known: set[str] = set()
+    for c in found:
+        if c.key in known:
+            raise InputError(f"{where}: experiment '{c.experiment}': {c.label}: these settings are there twice")
+        known.add(c.key)
     return found
+
+
+def _grid(definition: Definition) -> dict[str, Any]:
+    """Values by key of what is not random."""
+    vary = {key: axis for key, axis in definition.vary.items() if not isinstance(axis, Random)}
+    return {key: axis.values() if isinstance(axis, Range) else axis for key, axis in vary.items()}
 
 
 def _points(definition: Definition, draw: int) -> Iterator[dict[str, Any]]:
     """Varied settings of one draw: the grid, with random ones the same all over it."""
     rng = np.random.default_rng([definition.draw_seed, draw])
     drawn = {key: axis.draw(rng) for key, axis in definition.vary.items() if isinstance(axis, Random)}
-    grid = {k: a.values() if isinstance(a, Range) else a for k, a in definition.vary.items() if k not in drawn}
+    grid = _grid(definition)
     for values in itertools.product(*grid.values()):
         at = dict(zip(grid, values, strict=True))
         yield {key: drawn[key] if key in drawn else at[key] for key in definition.vary}

@@ -57,10 +57,16 @@ def _bounded(term: Term, row: Row) -> float:
 
 
 def broken(tuning: Tuning, rows: list[Row]) -> dict[str, float]:
-    """By how much a trial breaks each constraint, above 0 where it does: of metrics, and ``outcome``: runs that did not complete."""
+    """By how much a trial breaks each constraint, above 0 where it does: of metrics, and ``outcome``: runs that did not complete.
+
+    Raises :class:`InputError` for a metric that none of its runs has."""
     out = {}
     for metric, largest in tuning.constraints.items():
         values = [row["metrics"][metric] for row in rows if metric in row.get("metrics", {})]
+        known = [row.get("metrics", {}) for row in rows if row["outcome"] == "completed"]
+        if known and not values:
+            names = ", ".join(dict.fromkeys(name for row in known for name in row))
+            raise InputError(f"tune.constraints: no run has the metric '{metric}'; valid: {names}")
         by = max((v - largest for v in values), default=0.0)
         out[metric] = by if math.isfinite(by) else 1e9
     failed = sum(row["outcome"] != "completed" for row in rows)
@@ -106,13 +112,21 @@ class Tuner:
             "random": lambda: optuna.samplers.RandomSampler(seed=t.sampler_seed),
         }
         pruner = optuna.pruners.MedianPruner(n_startup_trials=10) if t.prune else optuna.pruners.NopPruner()
-        storage = t.storage or f"sqlite:///{(self.out / DATABASE).resolve()}"
         found = optuna.create_study(
-            storage=storage, study_name=self.definition.title or "tune", sampler=makers[t.sampler](), pruner=pruner, load_if_exists=True,
+            storage=self._storage(), study_name=self.definition.title or "tune", sampler=makers[t.sampler](), pruner=pruner, load_if_exists=True,
             directions=["minimize"] * (len(t.minimize) if t.pareto else 1),
         )  # fmt: skip
         self._check_searched(found)
         return found
+
+    def _storage(self) -> Any:
+        """Optuna's database."""
+        address = self.tuning.storage or f"sqlite:///{(self.out / DATABASE).resolve()}"
+        try:
+            return _optuna().storages.get_storage(address)
+        except Exception as error:  # of Optuna, of SQLAlchemy, of any driver
+            why = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(f"{self.where}: tune.storage: '{address}' cannot be opened ({why})") from error
 
     def _check_searched(self, found: optuna.Study) -> None:
         """Trials of other ranges or seeds do not go with these."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
 from wbmpc.errors import InputError, RunAborted
+from wbmpc.simulation.lockstep import interrupt_noted
 from wbmpc.study.store import MISSING
 from wbmpc.study.work import lost
 
@@ -144,13 +145,15 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         with _closing(client, None):
             yield Cluster(client, scheduler)
         return
-    with _deaf(), _threads_pinned():
+    with interrupt_noted() as interrupted, _deaf(), _threads_pinned():  # one that is half there cannot be closed
         cluster = LocalCluster(
             n_workers=count or len(os.sched_getaffinity(0)), threads_per_worker=1, processes=True, dashboard_address=None,
             silence_logs=logging.CRITICAL,
         )  # fmt: skip
         client = Client(cluster, set_as_default=False)
     with _closing(client, cluster):
+        if interrupted():
+            raise KeyboardInterrupt
         yield Cluster(client)
 
 

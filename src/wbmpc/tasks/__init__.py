@@ -16,5 +16,6 @@ EXPERIMENTS: dict[str, str] = {
     "obstacles-moving": "wbmpc.tasks.obstacles:MOVING",
     "obstacles-sudden": "wbmpc.tasks.obstacles:SUDDEN",
     "corridor": "wbmpc.tasks.obstacles:CORRIDOR",
+    "clutter": "wbmpc.tasks.obstacles:CLUTTER",
     "tip-over": "wbmpc.tasks.tip_over:EXPERIMENT",
 }

@@ -1,4 +1,4 @@
-"""What is measured and drawn of every general experiment."""
+"""What is measured and drawn of every general experiment; of its joints: :mod:`wbmpc.tasks.joint_figures`."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import numpy as np
 
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC
-from wbmpc.mpc.speeds import SpeedMPC
 from wbmpc.result import Metric, Plot, Series
 
 #: A drift over a shorter way [m] says nothing.
 MIN_DISTANCE = 0.1
+FELL = "whether the robot fell: 1 if it did"
 
 
 def travelled(base: np.ndarray) -> float:
@@ -21,18 +20,23 @@ def travelled(base: np.ndarray) -> float:
 
 def general_metrics(log: Log, robot: RobotModel, since: float, fell: bool) -> dict[str, Metric]:
     """Errors of the end effector against its reference from ``since`` [s] on, the base's way and its odometry, limits."""
-    found = {"fell": Metric(float(fell), "1", goal=0.0)}
+    found = {"fell": Metric(float(fell), "1", goal=0.0, definition=FELL)}
     if "end_effector_reference" in log.channels:
         found |= _tracking(log, since)
     base, estimated = log.array("base"), log.array("base_estimated")
     if "base" in robot.state:
         way = travelled(base)
-        found["base_path_length"] = Metric(way, "m")
+        found["base_path_length"] = Metric(way, "m", definition="length of the way of the base over the floor, true")
         if way > MIN_DISTANCE:
-            found["odometry_drift_ratio"] = Metric(float(np.hypot(*(estimated - base)[-1, :2])) / way, "1")
+            found["odometry_drift_ratio"] = Metric(
+                float(np.hypot(*(estimated - base)[-1, :2])) / way, "1",
+                definition="final error of the estimated position of the base, as a share of its way",
+            )  # fmt: skip
     state, limits = log.array("state"), robot.limits
     outside = np.maximum(limits.state_lower - state, state - limits.state_upper)
-    found["limit_violation_max"] = Metric(max(0.0, float(outside.max(initial=-np.inf))), "rad")
+    found["limit_violation_max"] = Metric(
+        max(0.0, float(outside.max(initial=-np.inf))), "rad", definition="largest angle of a joint beyond its range"
+    )
     return found
 
 
@@ -44,35 +48,36 @@ def _tracking(log: Log, since: float) -> dict[str, Metric]:
     estimated, world = (
         np.linalg.norm(log.array(n) - reference, axis=1)[use] for n in ("end_effector_estimated", "end_effector")
     )
+    frames = {"": (estimated, "true kinematics on the estimated base"), "_world": (world, "true")}
+    found = {
+        f"end_effector_error_{kind}{ending}": Metric(
+            float(figure(errors)), "m", definition=f"{word} distance of the end effector from its reference; {how}"
+        )
+        for kind, word, figure in (("mean", "mean", np.mean), ("max", "largest", np.max))
+        for ending, (errors, how) in frames.items()
+    }
+    turned = float(log.array("rotation_error")[use].max())
     return {
-        "end_effector_error_mean": Metric(float(estimated.mean()), "m"),
-        "end_effector_error_max": Metric(float(estimated.max()), "m"),
-        "end_effector_error_mean_world": Metric(float(world.mean()), "m"),
-        "end_effector_error_max_world": Metric(float(world.max()), "m"),
-        "rotation_error_max": Metric(float(log.array("rotation_error")[use].max()), "rad"),
+        **found,
+        "rotation_error_max": Metric(turned, "rad", definition="largest angle of the end effector to its reference"),
     }
 
 
-def general_plots(log: Log, mpc: MPC, robot: RobotModel, physics: bool) -> list[Plot]:
-    """Paths seen from above, errors, inputs, solve times."""
+def general_plots(log: Log) -> list[Plot]:
+    """Paths seen from above, and errors."""
     t, tool, base = log.times("end_effector"), log.array("end_effector"), log.array("base")
-    paths = [Series("end effector", tool[:, 0], tool[:, 1]), Series("base", base[:, 0], base[:, 1])]
+    paths = [Series("end effector", tool[:, 0], tool[:, 1], colour=0), Series("base", base[:, 0], base[:, 1], colour=2)]
     plots = []
     if "end_effector_reference" in log.channels:
         reference = log.array("end_effector_reference")
-        paths.insert(0, Series("reference", reference[:, 0], reference[:, 1], dashed=True))
+        paths.insert(1, Series("end effector, reference", reference[:, 0], reference[:, 1], dashed=True))
         errors = [
             Series(name, t, 1e3 * np.linalg.norm(log.array(channel) - reference, axis=1))
             for name, channel in (("estimated frame", "end_effector_estimated"), ("world", "end_effector"))
         ]
-        plots = [Plot("End effector error", "time [s]", "error [mm]", errors)]
-    inputs, names = log.array("input"), mpc.ocp.dynamics.input.names
-    if isinstance(mpc, SpeedMPC) and physics:
-        names = robot.input.names
-    solve = 1e3 * np.array(mpc.statistics.solve_times)
-    return [
-        Plot("Paths seen from above", "x [m]", "y [m]", paths, equal_axes=True),
-        *plots,
-        Plot("Planned inputs", "time [s]", "input [SI]", [Series(n, t, inputs[:, i]) for i, n in enumerate(names)]),
-        Plot("Solve times", "MPC update", "time [ms]", [Series("solve", np.arange(solve.size), solve)]),
-    ]
+        turned = Series("estimated frame", log.times("rotation_error"), np.degrees(log.array("rotation_error")))
+        plots = [
+            Plot("End effector error", "time [s]", "error [mm]", errors),
+            Plot("End effector orientation error", "time [s]", "error [°]", [turned]),
+        ]
+    return [Plot("Paths seen from above", "x [m]", "y [m]", paths, equal_axes=True), *plots]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from wbmpc import checks, lie
@@ -16,15 +17,18 @@ from wbmpc.experiment import Loop, Run, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.mpc.speeds import SpeedMPC
+from wbmpc.mpc.pace import PacedReferences
 from wbmpc.obstacles.scene import SceneObstacle
+from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot
 from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
 from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
-from wbmpc.tasks.scene import SceneWatch
+from wbmpc.tasks.joint_figures import JointRecord
+from wbmpc.tasks.perception import Perception, PerceptionSettings
+from wbmpc.tasks.scene import SceneWatch, believed
 from wbmpc.tasks.settings import SimulationSettings
 from wbmpc.types import Truth
 
@@ -32,6 +36,8 @@ Array = np.ndarray
 #: Rates of the controller without physics [Hz], of which the first counts that the MPC's rate is a whole part of; interval of what is
 #: recorded [s].
 MODEL_RATES, RECORDED = (200.0, 400.0), 0.01
+#: End effectors of the MPC's model and of the simulated robot are at most this [m] from each other: a calibrated model is a little off.
+SAME = 0.05
 
 IDEALISATIONS = {
     "mujoco": ["tyres are soft contacts, not a tyre model", "the computation takes a constant time"],
@@ -47,10 +53,10 @@ def make_system(
     if settings.physics == "kinematic":
         whole = [rate for rate in MODEL_RATES if (rate / mpc.rate).is_integer()]
         rate = (whole or MODEL_RATES)[0]
-        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0], 1.0 / rate, edit)
+        plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0, : mpc.dynamics.state.size], 1.0 / rate, edit)
         timing = Timing.of(plant.timestep, rate, mpc.rate, settings.computation_delay)
         return System(plant, DirectController(robot, mpc, timing.period, feedback=True), mpc, timing)
-    own = mpc.robot_dynamics if isinstance(mpc, SpeedMPC) else mpc.ocp.dynamics
+    own = mpc.dynamics
     if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError(
             "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
@@ -74,7 +80,9 @@ def closed_loop(
     metrics: Callable[[Log], dict[str, Metric]] | None = None,
     plots: Callable[[Log], Sequence[Plot]] | None = None,
     scene: Sequence[SceneObstacle] | None = None,
+    perception: PerceptionSettings | None = None,
     truth: Callable[[float, Truth], None] | None = None,
+    paced: bool = False,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on.
 
@@ -82,8 +90,10 @@ def closed_loop(
     estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
     period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
-    ``mpc`` has obstacles. ``truth(t, truth)`` sees the simulated robot at every controller period. The references of ``mpc`` are the task;
-    times begin with the loop. Raises :class:`InputError` for bad settings.
+    ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. ``truth(t, truth)``
+    sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
+    (:class:`wbmpc.mpc.pace.PacedReferences`), and a robot that is stuck ends the run. The references of ``mpc`` are the task; times begin
+    with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
@@ -92,8 +102,11 @@ def closed_loop(
         scene = load_scene(settings.obstacles)
     around = SimulatedObstacles(scene, robot.description.base.ground) if scene is not None else None
     system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
+    joints = JointRecord(log, robot, system)
     every = max(1, round(RECORDED / system.timing.period))
-    watch = SceneWatch(around, system, log, since, robot.description.collision.margin) if around else None
+    perceive = None if perception is None else lambda: Perception(perception, robot, system, log, seed)
+    pace = PacedReferences(mpc) if paced and around and not mpc.path.active else None
+    watch = SceneWatch(around, system, log, since, robot, pace, perceive) if around else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:
@@ -103,15 +116,14 @@ def closed_loop(
         if watch is not None:
             watch.tick(t, plans)
         if round(t / system.timing.period) % every == 0:
-            _record(log, t, system, robot, plans)
+            _record(log, t, system, plans, joints)
 
     def measured(run: Run) -> dict[str, Metric]:
         found = {**general_metrics(log, robot, since, run.ending.fell), **(watch.metrics() if watch else {})}
         return {**found, **(metrics(log) if metrics else {})}
 
     def drawn(run: Run) -> list[Plot]:
-        general = general_plots(log, mpc, robot, settings.physics == "mujoco")
-        return [*general, *(watch.plots() if watch else []), *(plots(log) if plots else [])]
+        return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
     return Scenario.single(log, loop.run, measured, drawn, IDEALISATIONS[settings.physics])
@@ -128,6 +140,7 @@ def check_loop(
     ):
         if not isinstance(value, kind):
             raise InputError(f"closed loop: '{name}': {kind.__name__} is needed, got {type(value).__name__}")
+    _check_same_robot(robot, mpc)
     checks.whole_number("closed loop: 'seed'", seed, 0)
     for name, time in (("duration", duration), ("since", since)):
         checks.real_number(f"closed loop: '{name}'", time, LONGEST_RUN)
@@ -135,28 +148,53 @@ def check_loop(
     checks.not_negative("closed loop", since=since)
 
 
+def _check_same_robot(robot: RobotModel, mpc: MPC) -> None:
+    """Raise :class:`InputError` for an MPC that plans for another robot: with other states, or whose end effector is elsewhere. Of
+    dynamics that are not the library's own only the states are known."""
+    dynamics: Any = mpc.ocp.dynamics
+    for group, names in robot.state.groups.items():
+        planned = dynamics.state.groups.get(group, ())
+        if tuple(planned) != tuple(names):
+            raise InputError(
+                f"closed loop: 'mpc': it is not for the robot '{robot.description.name}': its state '{group}' is "
+                f"({', '.join(planned)}), the robot's is ({', '.join(names)})"
+            )
+    while hasattr(dynamics, "dynamics"):  # of wrappers
+        dynamics = dynamics.dynamics
+    base = getattr(dynamics, "base", None)
+    if base is None:
+        return
+    off = np.inf
+    if robot.tool in base.tree.frames:
+        x = ca.SX.sym("x", robot.state.size)
+        position = base.chain(x).frame_pose(base.tree.frames[robot.tool]).position
+        planned_tool = np.array(ca.Function("tool", [x], [position])(robot.home)).ravel()
+        off = float(np.linalg.norm(planned_tool - robot.pose(robot.home)[0]))
+    if type(base) is not type(robot.base) or not off <= SAME:
+        raise InputError(
+            f"closed loop: 'mpc': it is not for the robot '{robot.description.name}': the end effector of its model is elsewhere"
+            + (f", by {off:.3g} m at home" if np.isfinite(off) else "")
+        )
+
+
 def _start_at_home(robot: RobotModel, mpc: MPC) -> None:
     """An MPC that has never been reset starts from the robot's home."""
     start = mpc.solver.trajectory(0.0, copy=False).x[0]
-    if not start.any() and start.size == robot.state.size:
+    if not start.any() and start.size == mpc.ocp.dynamics.state.size and mpc.dynamics.state == robot.state:
         mpc.reset(robot.home)
 
 
-def _record(log: Log, t: float, system: System, robot: RobotModel, plans: Any) -> None:
-    truth, controller, mpc = system.plant.truth(), system.controller, system.mpc
-    estimate, tool, rotation = truth.pose, truth.tool, truth.tool_rotation
-    if hasattr(controller, "base_pose"):
-        base = controller.base_pose()
-        turned = lie.quaternion_to_rotation(base[3:])
-        tool, rotation = base[:3] + turned @ truth.tool_in_base, turned @ truth.tool_rotation_in_base
-        estimate = np.array([*base[:2], lie.rotation_to_euler_zyx(turned)[0]])
+def _record(log: Log, t: float, system: System, plans: Any, joints: JointRecord) -> None:
+    truth, mpc = system.plant.truth(), system.mpc
+    estimate, tool, rotation = believed(system)
     log.add("base", t, truth.pose)
     log.add("base_estimated", t, estimate)
     log.add("end_effector", t, truth.tool)
     log.add("end_effector_estimated", t, tool)
     log.add("state", t, truth.state)
     log.add("input", t, plans.current.feedforward(t))
-    if "end_effector" in mpc.reference and mpc.reference["end_effector"].values.shape[1] == 7:
-        goal = mpc.reference["end_effector"].at(t)
+    joints.tick(t, truth, plans)
+    goal = end_effector_goal(mpc, t, np.zeros(3))
+    if goal is not None:
         log.add("end_effector_reference", t, goal[:3])
         log.add("rotation_error", t, lie.rotation_angle(rotation, lie.quaternion_to_rotation(goal[3:])))

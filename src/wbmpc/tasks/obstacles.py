@@ -1,4 +1,4 @@
-"""`obstacles-static`, `obstacles-moving`, `obstacles-sudden`, `corridor`: any robot that moves follows a path among obstacles.
+"""`obstacles-static`, `obstacles-moving`, `obstacles-sudden`, `corridor`, `clutter`: any robot that moves follows a path among obstacles.
 
 Scenes are as large as the robot: they are laid out about what its shapes take up at home. Plans know shape, place and velocity of what
 is there, and nothing of what has not appeared yet.
@@ -12,26 +12,44 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from wbmpc import lie
 from wbmpc.experiment import Experiment, Scenario
+from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.obstacles.geometry import robot_geometry
+from wbmpc.obstacles.geometry import RobotShape, robot_geometry
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
+from wbmpc.ocp import Reference
+from wbmpc.result import Metric
+from wbmpc.tasks.following import PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
-from wbmpc.tasks.path_settings import AnyPath, Line, follow, timed
-from wbmpc.tasks.settings import TaskSettings, moving_base
+from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
+from wbmpc.tasks.perception import PerceptionSettings
+from wbmpc.tasks.settings import moving_base
 
 Array = NDArray[np.float64]
 #: A person: radius and height [m].
 PERSON = (0.2, 1.8)
+#: People are seen from so far [m] and for so long [s] before they cross the robot's path: who walks slowly does not appear right beside a
+#: robot that evades another one.
+SEEN_FROM, SEEN_FOR = 4.0, 4.0
+#: How exactly plans know people [m], [m/s]: as from a LIDAR.
+SEEN_AS = {"std": 0.015, "velocity_std": 0.02}
+#: A corridor begins so far [m] ahead of the robot; over how much of the way [m] the end effector swings ahead of the base.
+ENTRY, SWING = 1.0, 0.8
 #: How far [m] a pillar and a shelf stand in the way of the base that would go straight.
 IN_THE_WAY = 0.05
+#: Share of the end effector's height that things have at most which stand in the way of the base alone.
+LOW = 0.6
+#: Way [m] between the end of the robot and what is in its way next.
+PAST = 0.4
 
 
-class Among(TaskSettings):
-    """``path`` of the end effector; ``obstacles``: another scene than the experiment's own."""
+class Among(PathTaskSettings):
+    """``obstacles``: another scene than the experiment's own; ``patience`` [s]: how long the path of a clock may wait for the robot in all."""
 
     path: AnyPath = Line(length=4.0)
+    patience: float = Field(6.0, ge=0.0, le=600.0)
 
 
 class Moving(Among):
@@ -49,11 +67,22 @@ class Sudden(Among):
 
 
 class Corridor(Among):
-    """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go."""
+    """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go. The end effector
+    swings ahead of the base before it enters."""
 
+    path: AnyPath = Line(length=5.0, speed=0.25)
     width: float = Field(0.9, ge=0.1, le=100.0)
     long: float = Field(2.0, ge=0.1, le=100.0)
     offset: float = Field(0.05, ge=-10.0, le=10.0)
+
+
+class Clutter(Among):
+    """``count`` pillars and boxes at random beside the way and partly in it (left out: so many that the robot is past one in its way before the
+    next); plans know only what ``perception`` sees of them."""
+
+    path: AnyPath = Line(length=4.0, speed=0.3)
+    count: int | None = Field(None, ge=1, le=100)
+    perception: PerceptionSettings = PerceptionSettings()
 
 
 class Extent:
@@ -65,11 +94,20 @@ class Extent:
         self.ground = robot.description.base.ground
         geometry = robot_geometry(robot)
         centers, axes = (v[0] for v in geometry.at(*geometry.kinematics(robot.home[None])))
-        ends = []
-        for direction in (*-np.eye(3), *np.eye(3)):
-            parts = zip(geometry.shapes, centers, axes, strict=True)
-            ends.append(max(float(c @ direction + _reach(s.solid, direction @ a)) for s, c, a in parts))
-        self.low, self.high = -np.array(ends[:3]), np.array(ends[3:])
+        parts = list(zip(geometry.shapes, centers, axes, strict=True))
+        self.low, self.high = _box(parts)
+        #: of what is lower than most of the arm
+        self.top = self.ground + LOW * (self.tool[2] - self.ground)
+        self.base_low, self.base_high = _box([part for part in parts if _box([part])[0][2] < self.top] or parts)
+
+
+def _box(parts: list[tuple[RobotShape, Array, Array]]) -> tuple[Array, Array]:
+    """Lower and upper ends (3) [m] of shapes at centers with axes."""
+    ends = [
+        max(float(c @ direction + _reach(s.solid, direction @ a)) for s, c, a in parts)
+        for direction in (*-np.eye(3), *np.eye(3))
+    ]
+    return -np.array(ends[:3]), np.array(ends[3:])
 
 
 def _reach(solid: object, direction: Array) -> float:
@@ -101,11 +139,12 @@ def moving_scene(settings: Moving, robot: RobotModel, seed: int) -> list[SceneOb
         share = (k + 0.5) / settings.people
         meet = settings.settle_time + 0.5 * settings.path.ramp + share * length / speed
         angle = rng.choice([-1.0, 1.0]) * rng.uniform(0.25, 0.75) * np.pi
-        velocity = rng.uniform(low, high) * np.array([np.cos(angle), np.sin(angle), 0.0])
-        appears = max(meet - 4.0, 0.0)
+        pace = rng.uniform(low, high)
+        velocity = pace * np.array([np.cos(angle), np.sin(angle), 0.0])
+        appears = max(meet - max(SEEN_FROM / pace, SEEN_FOR), 0.0)
         place = [*e.base[:2], e.ground] + np.array([share * length, 0.0, 0.0]) - (meet - appears) * velocity
         shape = Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0])
-        people.append(SceneObstacle(f"person{k}", shape, {"position": place, "velocity": velocity}, appears))
+        people.append(SceneObstacle(f"person{k}", shape, {"position": place, "velocity": velocity, **SEEN_AS}, appears))
     return people
 
 
@@ -123,9 +162,48 @@ def corridor_scene(settings: Corridor, robot: RobotModel, seed: int) -> list[Sce
     """Two walls as high as the robot."""
     e = Extent(robot, "corridor")
     half = np.array([0.5 * settings.long, 0.1, 0.5 * (e.high[2] - e.ground)])
-    middle = np.array([e.high[0] + 0.5 + half[0], e.base[1] + settings.offset, e.ground + half[2]])
+    middle = np.array([e.high[0] + ENTRY + half[0], e.base[1] + settings.offset, e.ground + half[2]])
     aside = np.array([0.0, 0.5 * settings.width + half[1], 0.0])
     return [SceneObstacle(n, Box(half), {"position": middle + s * aside}) for n, s in (("left", 1.0), ("right", -1.0))]
+
+
+def clutter_scene(settings: Clutter, robot: RobotModel, seed: int) -> list[SceneObstacle]:
+    """One obstacle in each part of the way, on a random side. Every other one reaches into the way of the base, and is so low that the arm passes
+    over it; the others are of any height and stand beside all of the robot."""
+    e, rng = Extent(robot, "clutter"), np.random.default_rng(seed)
+    length, found = settings.path.size(robot), []
+    count = settings.count or max(int(2.0 * length / (e.high[0] - e.low[0] + PAST)), 1)
+    part = length / count
+    for k in range(count):
+        half, side, inside = rng.uniform(0.08, 0.2), rng.choice([-1.0, 1.0]), k % 2 == 0
+        high = (e.top - e.ground) * rng.uniform(0.7, 1.0) if inside else rng.uniform(0.4, 1.8)
+        low, up = (e.base_low, e.base_high) if inside else (e.low, e.high)
+        edge = (up[1] if side > 0.0 else -low[1]) + (-IN_THE_WAY if inside else rng.uniform(0.3, 1.0))
+        place = [e.high[0] + 0.5 + (k + rng.uniform(0.3, 0.7)) * part, side * (edge + half), e.ground]
+        pillar = Cylinder((0, 0, 0), (0, 0, high), half)
+        shape = pillar if rng.random() < 0.5 else Box((half, half, 0.5 * high), (0, 0, 0.5 * high))
+        found.append(SceneObstacle(f"clutter{k}", shape, {"position": place}))
+    return found
+
+
+def swung_ahead(robot: RobotModel, reference: Reference) -> Reference:
+    """Poses in which the end effector turns about the base from where it is beside it to straight ahead, over the first :data:`SWING` [m]."""
+    base, poses = carried_base(robot, reference.values), reference.values.copy()
+    share = np.clip(np.linalg.norm(poses[:, :3] - poses[0, :3], axis=1) / SWING, 0.0, 1.0)
+    beside = poses[:, :2] - base[:, :2]
+    angle = -_wrapped(np.arctan2(beside[:, 1], beside[:, 0]) - base[:, 2]) * share**2 * (3.0 - 2.0 * share)
+    c, s = np.cos(angle), np.sin(angle)
+    poses[:, 0] = base[:, 0] + c * beside[:, 0] - s * beside[:, 1]
+    poses[:, 1] = base[:, 1] + s * beside[:, 0] + c * beside[:, 1]
+    turns = [
+        lie.quaternion_multiply(lie.quaternion_about((0.0, 0.0, 1.0), float(a)), q)
+        for a, q in zip(angle, poses[:, 3:], strict=True)
+    ]
+    return Reference.poses(reference.times, poses[:, :3], np.array(turns))
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))
 
 
 def experiment(
@@ -134,12 +212,18 @@ def experiment(
     """A path of the end effector among what ``scene(settings, robot, seed)`` makes."""
 
     def build(settings: Among, seed: int) -> Scenario:
-        robot, mpc = settings.prepare(obstacles=True)
-        path, start = settings.path, mpc.reference["end_effector"].at(0.0)
-        reference, end = timed(path.curve(robot, start[:3], start[3:]), path.speed, path.ramp, settings.settle_time)
-        follow(robot, mpc, reference)
+        task = Task(settings, obstacles=True)
+        robot, mpc, end = task.robot, task.mpc, task.end
+        metrics: Callable[[Log], dict[str, Metric]] | None = task.metrics
+        if settings.reference == "clock":
+            end += settings.patience
+            if isinstance(settings, Corridor):
+                mpc.reference["end_effector"], metrics = swung_ahead(robot, mpc.reference["end_effector"]), None
         made = scene(settings, robot, seed) if settings.obstacles is None else None
-        return closed_loop(robot, mpc, end + 1.0, seed, settings, since=settings.settle_time, scene=made)
+        return closed_loop(
+            robot, mpc, end, seed, settings, since=settings.settle_time, scene=made, metrics=metrics, paced=True,
+            perception=getattr(settings, "perception", None),
+        )  # fmt: skip
 
     return Experiment.of(name, summary, settings_type, build)
 
@@ -148,3 +232,4 @@ STATIC = experiment("obstacles-static", "a path past a pillar, a bar and a shelf
 MOVING = experiment("obstacles-moving", "a path that people cross", Moving, moving_scene)
 SUDDEN = experiment("obstacles-sudden", "a pillar appears right ahead", Sudden, sudden_scene)
 CORRIDOR = experiment("corridor", "a path through a narrow corridor", Corridor, corridor_scene)
+CLUTTER = experiment("clutter", "a path among things that sensors have to find", Clutter, clutter_scene)

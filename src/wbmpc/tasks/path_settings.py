@@ -14,6 +14,7 @@ from wbmpc.configuration import kind_alone
 from wbmpc.errors import InputError
 from wbmpc.input_file import read_file
 from wbmpc.model.robot import RobotModel
+from wbmpc.ocp import Path as SmoothPath
 from wbmpc.ocp import Reference
 from wbmpc.ocp.scaling import reach
 from wbmpc.settings import Settings
@@ -63,6 +64,11 @@ class PathSettings(Settings):
             points, np.array([lie.quaternion_multiply(lie.quaternion_about(up, float(a)), quaternion) for a in turns])
         )
 
+    def smooth(self, robot: RobotModel, position: Array, quaternion: Array) -> SmoothPath:
+        """The same path by its arc length."""
+        curve = self.curve(robot, position, quaternion)
+        return SmoothPath(curve.points, curve.turns)
+
 
 class Line(PathSettings):
     """Straight; it rises by ``climb`` [m]."""
@@ -107,28 +113,42 @@ class Sine(PathSettings):
         return np.stack([length * share, *waves], axis=1), 0.0 * share
 
 
-class Poses(PathSettings):
+class Waypoints(PathSettings):
+    """Straight pieces; at the robot's own speed their corners are rounded by a centimetre."""
+
+    def waypoints(self, position: Array, quaternion: Array) -> tuple[Array, Array]:
+        """Positions (n, 3) and quaternions (n, 4) in the world of the planner, the first one where the path starts."""
+        raise NotImplementedError
+
+    def curve(self, robot: RobotModel, position: Array, quaternion: Array) -> Curve:
+        return _dense(*self.waypoints(position, quaternion))
+
+    def smooth(self, robot: RobotModel, position: Array, quaternion: Array) -> SmoothPath:
+        return SmoothPath.polyline(*self.waypoints(position, quaternion))
+
+
+class Poses(Waypoints):
     """Straight from one to the next. ``poses``: each 3 numbers (x, y, z) [m] from the start in axes with x ahead, or 7 with a quaternion
     (w, x, y, z) that turns the first orientation."""
 
     kind: Literal["poses"] = "poses"
     poses: tuple[tuple[float, ...], ...] = Field(((0.3, 0.0, 0.0), (0.3, 0.3, 0.0)), min_length=1, max_length=1000)
 
-    def curve(self, robot: RobotModel, position: Array, quaternion: Array) -> Curve:
+    def waypoints(self, position: Array, quaternion: Array) -> tuple[Array, Array]:
         if any(len(p) not in (3, 7) for p in self.poses):
             raise InputError("path.poses: each needs 3 numbers (x, y, z), or 7 with a quaternion (w, x, y, z)")
         rows = np.array([[*p, 1.0, 0.0, 0.0, 0.0][:7] if len(p) == 3 else p for p in self.poses], float)
-        return _curve_of(rows, position, quaternion, self.direction, "path.poses")
+        return _waypoints(rows, position, quaternion, self.direction, "path.poses")
 
 
-class Table(PathSettings):
+class Table(Waypoints):
     """As with poses. ``file``: a CSV whose first line names its columns x, y, z [m], or these and qw, qx, qy, qz."""
 
     kind: Literal["csv"] = "csv"
     file: Path = Path("path.csv")
 
-    def curve(self, robot: RobotModel, position: Array, quaternion: Array) -> Curve:
-        return _curve_of(read_table(self.file), position, quaternion, self.direction, str(self.file))
+    def waypoints(self, position: Array, quaternion: Array) -> tuple[Array, Array]:
+        return _waypoints(read_table(self.file), position, quaternion, self.direction, str(self.file))
 
 
 #: Bytes of a CSV file, at most.
@@ -167,23 +187,24 @@ def _row(line: str, count: int, where: str) -> list[float]:
     return values
 
 
-def _curve_of(rows: Array, position: Array, quaternion: Array, direction: float, where: str) -> Curve:
+def _waypoints(rows: Array, position: Array, quaternion: Array, direction: float, where: str) -> tuple[Array, Array]:
     lengths = np.linalg.norm(rows[:, 3:], axis=1)
     if np.abs(lengths - 1.0).max() > 1e-2:
         raise InputError(f"{where}: pose {int(np.argmax(np.abs(lengths - 1.0)))}: its quaternion must have length 1")
     c, s = np.cos(direction), np.sin(direction)
     points = position + rows[:, :3] @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     turns = np.array([lie.quaternion_multiply(q, quaternion) for q in rows[:, 3:] / lengths[:, None]])
-    return _dense(np.vstack([position, points]), np.vstack([quaternion, turns]), where)
+    points, turns = np.vstack([position, points]), np.vstack([quaternion, turns])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if steps.sum() < 1e-6:
+        raise InputError(f"{where}: the path has no length; 'wbmpc run goals' turns in place")
+    keep = np.concatenate([[True], steps > 1e-9])
+    return points[keep], turns[keep]
 
 
-def _dense(points: Array, turns: Array, where: str) -> Curve:
+def _dense(points: Array, turns: Array) -> Curve:
     """Straight pieces with many points each, so that orientations go along the arc."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    if way[-1] < 1e-6:
-        raise InputError(f"{where}: the path has no length; 'wbmpc run goals' turns in place")
-    keep = np.concatenate([[True], np.diff(way) > 1e-9])
-    points, turns, way = points[keep], turns[keep], way[keep]
     at = np.linspace(0.0, way[-1], POINTS)
     piece = np.clip(np.searchsorted(way, at, side="right") - 1, 0, len(way) - 2)
     share = (at - way[piece]) / np.diff(way)[piece]

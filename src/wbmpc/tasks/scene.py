@@ -2,39 +2,72 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.bases import base_type
 from wbmpc.bases.base import System
+from wbmpc.errors import RobotStuck
 from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.pace import PacedReferences
+from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.obstacles import SimulatedObstacles
+from wbmpc.tasks.perception import Perception
 
 Array = NDArray[np.float64]
+#: How near [m] to the end of its path the end effector shall be at the end.
+GOAL = 0.05
 #: How often [s] true distances are measured.
 MEASURED = 0.02
 #: What may be missing [m] of the margin in the world: odometry and drives are not exact.
 TOLERATED = 0.01
 #: A robot is stuck while its end effector is farther [m] than this from its reference and slower [m/s], for so long [s].
 BEHIND, SLOW, LONG = 0.05, 0.02, 1.0
+#: It ends the run if its references wait for so long [s] in which the end effector moves by less than this [m], or for so long however it
+#: moves.
+WINDOW, STAYS, HOPELESS = 1.5, 0.1, 4.0
+
+
+def believed(system: System) -> tuple[Array, Array, Array]:
+    """Where the controller believes to be the base (x, y, yaw), the end effector (3) [m] and its axes (3, 3)."""
+    truth, controller = system.plant.truth(), system.controller
+    if not hasattr(controller, "base_pose"):
+        return truth.pose, truth.tool, truth.tool_rotation
+    base = controller.base_pose()
+    turned = lie.quaternion_to_rotation(base[3:])
+    pose = np.array([*base[:2], lie.rotation_to_euler_zyx(turned)[0]])
+    return pose, base[:3] + turned @ truth.tool_in_base, turned @ truth.tool_rotation_in_base
 
 
 class SceneWatch:
-    """Moves the obstacles of a simulated world, shows them to the MPC, and measures how near the robot comes; ``margin`` [m]: what is
-    asked for."""
+    """Moves the obstacles of a simulated world, shows them to the MPC (with ``perceive``: its sensors do), and measures how near the
+    ``robot`` comes. ``pace``: what lets the references wait; with it a base that can adapts its shape, and a robot that is stuck ends its
+    run."""
 
-    def __init__(self, around: SimulatedObstacles, system: System, log: Log, since: float, margin: float) -> None:
+    def __init__(
+        self, around: SimulatedObstacles, system: System, log: Log, since: float, robot: RobotModel,
+        pace: PacedReferences | None = None, perceive: Callable[[], Perception] | None = None,
+    ) -> None:  # fmt: skip
         self._around, self._system, self._log, self._since = around, system, log, since
-        self._margin = margin
+        self._margin, self._pace = robot.description.collision.margin, pace
+        kind = base_type(robot.description.base.type)
+        self._reshaping = None if pace is None else kind.reshaping(robot, system.mpc, system.controller)
         self._every = max(1, round(MEASURED / system.timing.period))
         around.bind(system.plant.model)
-        if system.mpc.obstacles is not None:  # the first plan knows them
+        around.place(system.plant.data, 0.0)
+        self._perception = perceive() if perceive else None
+        if self._perception is None and system.mpc.obstacles is not None:  # the first plan knows them
             pose = system.plant.truth().pose
             around.show(system.mpc.obstacles, 0.0, pose, pose)
         self._waits, self._stuck, self._last = 0.0, 0.0, np.zeros(3)
+        self._places: deque[tuple[float, Array]] = deque()
 
     def tick(self, t: float, plans: Any) -> None:
         """At a controller period."""
@@ -42,9 +75,16 @@ class SceneWatch:
         k = round(t / system.timing.period)
         data = system.plant.data
         around.place(data, t)
-        if k % system.timing.mpc_every == 0 and system.mpc.obstacles is not None:
-            true = system.plant.truth().pose
-            around.show(system.mpc.obstacles, t, true, self._estimated(true))
+        if self._perception is not None:
+            self._perception.tick(t)
+        if k % system.timing.mpc_every == 0:
+            pose, tool, _ = believed(system)
+            if self._perception is None and system.mpc.obstacles is not None:
+                around.show(system.mpc.obstacles, t, system.plant.truth().pose, pose)
+            if self._pace is not None:
+                self._pace.advance(t, tool)
+            if self._reshaping is not None:
+                self._reshaping.update(t)
         around.count_contacts(data, t)
         if k % self._every == 0:
             planned = plans.current.clearance
@@ -52,34 +92,61 @@ class SceneWatch:
             self._log.add("planned_clearance", t, planned.distance if planned is not None and planned.frame else np.nan)
             self._progress(t)
 
-    def _estimated(self, true: Array) -> Array:
-        """Where the controller believes the base (x, y, yaw) to be."""
-        if not hasattr(self._system.controller, "base_pose"):
-            return true
-        pose = self._system.controller.base_pose()
-        return np.array([*pose[:2], lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(pose[3:]))[0]])
-
     def _progress(self, t: float) -> None:
         """Count the time in which the robot stands away from its goal."""
-        reference, tool = self._system.mpc.reference, self._system.plant.truth().tool
+        mpc, tool = self._system.mpc, self._system.plant.truth().tool
         moved, self._last = float(np.linalg.norm(tool - self._last)), tool
-        if t < self._since or "end_effector" not in reference:
+        path = mpc.path.following.path if mpc.path.following else None
+        # who goes as far as obstacles allow is where it is to be, and stuck nevertheless
+        goal = end_effector_goal(mpc, t, np.zeros(3)) if path is None else path.at([path.length])[0]
+        if t < self._since or goal is None:
             return
-        behind = float(np.linalg.norm(reference["end_effector"].at(t)[:3] - tool))
+        behind = float(np.linalg.norm(goal[:3] - tool))
         h = self._every * self._system.timing.period
         self._waits = self._waits + h if behind > BEHIND and moved < SLOW * h else 0.0
         if self._waits >= LONG:
             self._stuck += h if self._waits > LONG + 0.5 * h else LONG
+        self._check_progress(t, tool)
+
+    def _check_progress(self, t: float, tool: Array) -> None:
+        """End the run of a robot whose references wait while it stays where it is."""
+        if self._pace is None:
+            return
+        if not self._pace.waits or self._blocked_for_now(t):
+            self._places.clear()
+        self._places.append((t, tool.copy()))
+        recent = next(place for since, place in self._places if since > t - WINDOW - 1e-9)
+        waited = t - self._places[0][0]
+        stays = waited > WINDOW and np.linalg.norm(tool - recent) < STAYS
+        if stays or waited > HOPELESS:
+            raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal")
+
+    def _blocked_for_now(self, t: float) -> bool:
+        """Whether what the plan is nearest to goes on by itself."""
+        world, name = self._system.mpc.obstacles, self._system.mpc.clearance.other
+        if world is None:
+            return False
+        return any(o.name == name and o.velocity.any() for o in world.snapshot(t).obstacles)
 
     def metrics(self) -> dict[str, Metric]:
         """Least true distance, contacts, and how long the robot stood away from its goal."""
-        around = self._around
+        around, pace = self._around, self._pace
+        caused = {
+            "obstacle_contacts_caused": Metric(float(around.caused), "1", goal=0.0),
+            "pushed_time_max": Metric(around.pushed, "s", goal=2.0),
+        }
+        waited = {} if pace is None else {
+            "reference_delay": Metric(pace.delay, "s"), "goal_missed": Metric(pace.missed(self._last), "m", goal=GOAL),
+        }  # fmt: skip
         return {
             "obstacle_clearance_min": Metric(around.least, "m", least=self._margin - TOLERATED),
             "obstacle_contacts": Metric(float(around.contacts), "1", goal=0.0),
             "contact_speed_max": Metric(around.contact_speed, "m/s"),
+            **(caused if getattr(self._system.plant, "has_physics", True) else {}),
             "stuck_time": Metric(self._stuck, "s"),
             "braking_plans": Metric(float(self._system.mpc.statistics.braking_plans), "1"),
+            **(self._perception.metrics() if self._perception else {}),
+            **waited,
         }
 
     def plots(self) -> list[Plot]:
@@ -90,4 +157,5 @@ class SceneWatch:
             Series(name, t, 1e3 * log.array(channel).ravel())
             for name, channel in (("true, now", "obstacle_clearance"), ("least of the plan", "planned_clearance"))
         ]
-        return [Plot("Distance to obstacles", "time [s]", "distance [mm]", found)]
+        more = self._perception.plots() if self._perception else []
+        return [Plot("Distance to obstacles", "time [s]", "distance [mm]", found), *more]

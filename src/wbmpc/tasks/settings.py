@@ -55,9 +55,11 @@ class TaskSettings(SimulationSettings):
     avoid: Literal["obstacles", "nothing"] = "obstacles"
     stability: StabilitySettings = StabilitySettings()
 
-    def prepare(self, obstacles: bool = False, robot: RobotModel | None = None) -> tuple[RobotModel, MPC]:
+    def prepare(
+        self, obstacles: bool = False, robot: RobotModel | None = None, progress: bool = False
+    ) -> tuple[RobotModel, MPC]:
         """The robot (or another one of it, with a home of its own) with its default MPC at home, which keeps clear of ``obstacles`` where
-        there are any. Raises :class:`InputError` for a weight of no cost."""
+        there are any, and with ``progress`` follows a path at its own speed. Raises :class:`InputError` for a weight of no cost."""
         robot = robot or load_robot(self.robot)
         changes: dict[str, Any] = {name: value for name, value in self.mpc.model_dump().items() if value is not None}
         if self.avoid == "obstacles" and (obstacles or self.obstacles is not None):
@@ -65,6 +67,12 @@ class TaskSettings(SimulationSettings):
         if self.stability.keep != "nothing":
             standing(robot)
             changes["stability"] = self.stability
+        if progress:
+            if self.stability.keep != "nothing":
+                raise InputError(
+                    "stability.keep: plans with progress along a path have no stability rows; valid: nothing"
+                )
+            changes["progress"] = True
         mpc = base_type(robot.description.base.type).mpc(robot, **changes)
         scale_weights(mpc, self.weights)
         return robot, mpc

@@ -64,7 +64,7 @@ def followed(mpc: MPC | None, t: float, lift: Array) -> ReferencePoses:
     if mpc is not None and "end_effector" in mpc.reference:
         way = mpc.reference["end_effector"].values[:, :3] + lift
     if mpc is not None and Steering.base_of(mpc):
-        base = mpc.reference["state"].at(t)[mpc.ocp.dynamics.state["base"]]
+        base = mpc.reference["state"].at(t)[mpc.dynamics.state["base"]]
     return ReferencePoses(np.full(7, np.nan) if goal is None else goal, base, way)
 
 

@@ -11,6 +11,8 @@ Array = np.ndarray
 WINDOW, MINIMUM = 1.0, 0.2
 #: Seconds of the run that are kept, and samples in them.
 SPAN, SAMPLES = 20.0, 300
+#: Distance of a trail's points at first [m], and how many there are at most.
+SPACING, POINTS = 0.005, 200
 
 
 class Factor:
@@ -34,6 +36,29 @@ class Factor:
         if len(self._points) < 2 or clock - self._points[0][0] < MINIMUM:
             return float("nan")
         return (t - self._points[0][1]) / (clock - self._points[0][0])
+
+
+class Trail:
+    """The way of a point: places at least :data:`SPACING` [m] apart; where there are more than :data:`POINTS`, every other one is
+    dropped and the spacing doubles."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Another run begins."""
+        self._points: list[Array] = []
+        self._spacing = SPACING
+
+    def add(self, point: Array) -> Array:
+        """Add a place (3) [m]; returns all (n, 3), the newest last."""
+        if not np.isfinite(point).all():
+            return np.array(self._points).reshape(-1, 3)
+        if not self._points or np.linalg.norm(point - self._points[-1]) >= self._spacing:
+            self._points.append(point.copy())
+        if len(self._points) > POINTS:
+            self._points, self._spacing = self._points[::2], 2.0 * self._spacing
+        return np.array([*self._points, point])
 
 
 class History:

@@ -21,9 +21,10 @@ from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.view import bounds
 from wbmpc.view.actuator_load import Loads
 from wbmpc.view.core import LiveView, followed, numbers, timing
-from wbmpc.view.history import Factor
+from wbmpc.view.history import Factor, Trail
+from wbmpc.view.leg_configuration import LegConfiguration
 from wbmpc.view.process import RATE
-from wbmpc.view.snapshot import PLAN, REFERENCE, fields, filled, ground
+from wbmpc.view.snapshot import PLAN, REFERENCE, TRAIL, fields, filled, ground
 from wbmpc.view.steering import Steering, no_requests, planar, spatial
 
 Array = np.ndarray
@@ -51,7 +52,7 @@ class View(LiveView):
         with_token: bool = True,
     ) -> None:
         super().__init__(title, host, port, opened, with_token)
-        self.steered, self._factor = False, Factor()
+        self.steered, self._factor, self._trail = False, Factor(), Trail()
         self._ticks, self._late_ticks, self._period = 0, 0, np.inf
         #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused: the last ones.
         self.own_time: deque[float] = deque(maxlen=_KEPT)
@@ -83,6 +84,7 @@ class View(LiveView):
         self.show_message("")
         self._ticks, self._late_ticks, self._period = 0, 0, running.timing.period
         self._factor.reset()
+        self._trail.reset()
         if self.process is not None and self._observer.scene != self.scene:
             self.close()  # another world: browsers find the new server at the same place
             self._requests = no_requests()
@@ -90,6 +92,7 @@ class View(LiveView):
             self.open(running)
         self.show_message(self._previous)
         self._loads = self._loads_of(running)
+        self._legs = LegConfiguration(running.controller.robot, self._observer.reader.joint_names)
         self._steering = Steering(running, self._observer.lift, self.reject)
         self._steering.skip(self._requests)
         self._expect()
@@ -182,14 +185,17 @@ class View(LiveView):
         base_goal = target.base
         if Steering.base_of(mpc):
             base_goal = planar(lie.pose_compose(self._drift, spatial(base_goal)))
+        joints = reader.joint_states(data)
         others = {
             "t": t, **timing(mpc), **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
-            **self._loads.shares(reader.joint_states(data)[:, 1], data.actuator_force), "late": np.nan,
+            **self._loads.shares(joints[:, 1], data.actuator_force), "late": np.nan,
             "factor": self._factor.add(time.perf_counter(), t), "ticks": self._ticks, "late_ticks": self._late_ticks,
+            "configuration": self._legs.number(joints[:, 0]),
         }  # fmt: skip
         return {
             "numbers": numbers(moment.end_effector, goal, moment.base, base_goal, others), "poses": moment.bodies, "goal": goal,
-            "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)), **self._paths(target.way, plans), **on_floor,
+            "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)),
+            "trail": filled(self._trail.add(moment.end_effector[:3]), (TRAIL, 3)), **self._paths(target.way, plans), **on_floor,
         }  # fmt: skip
 
     def _paths(self, way: Array, plans: PolicyQueue) -> dict[str, Array]:

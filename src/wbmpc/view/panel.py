@@ -14,6 +14,7 @@ from viser import uplot
 
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.stability import CONFIGURATIONS
+from wbmpc.view.capture import add_capture
 from wbmpc.view.history import History
 from wbmpc.view.scene import add_follow, add_legend, name_tab
 from wbmpc.view.snapshot import NUMBERS, plain, status_text
@@ -49,6 +50,7 @@ class Panel:
         self._follow = add_follow(server)
         self._handles = server.gui.add_checkbox("Show handles", True)
         add_legend(server.gui)
+        add_capture(server.gui, controls.title)
         self._run()
         self._robot()
         self._weights()
@@ -240,7 +242,10 @@ def plotted(controls: Controls) -> dict[str, tuple[_Line, ...]]:
         ("deadline", "deadline", "#b7791f", 1e3),
     )
     if controls.groups:
-        figures["Speeds / limits (largest of each)"] = tuple((group, *_LINES[group], 1.0) for group in controls.groups)
+        # in percent: the axis has three decimals, and shares of a robot that hardly moves would all be 0
+        figures["Speeds / limits, largest of each [%]"] = tuple(
+            (group, *_LINES[group], 100.0) for group in controls.groups
+        )
     if not controls.paced:
         figures["Tick begins late [ms]"] = (("late", "late", "#8a5fbf", 1e3),)
     return figures

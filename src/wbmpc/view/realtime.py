@@ -27,9 +27,10 @@ from wbmpc.simulation.scene import SceneReader
 from wbmpc.solver import Trajectory
 from wbmpc.view.actuator_load import GROUPS, Loads
 from wbmpc.view.core import LiveView, followed, numbers, timing
-from wbmpc.view.history import Factor
+from wbmpc.view.history import Factor, Trail
+from wbmpc.view.leg_configuration import LegConfiguration
 from wbmpc.view.process import RATE
-from wbmpc.view.snapshot import GROUND, PLAN, REFERENCE, filled
+from wbmpc.view.snapshot import GROUND, PLAN, REFERENCE, TRAIL, filled
 from wbmpc.view.steering import Steering
 
 Array = np.ndarray
@@ -62,7 +63,7 @@ class RealtimeView(LiveView):
             g for g in Loads(self.robot.description, scene.joint_names).groups if g != "drives"
         )  # not measured
         controls = self._controls(mpc, groups, paced=False, pushes=seen is not None)
-        nx = mpc.ocp.dynamics.state.size
+        nx = mpc.dynamics.state.size
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
         shown = {
             "plan": (PLAN, nx), "reference": (REFERENCE, 3), "goal": (7,), "base_goal": (3,), "solve": (), "deadline": (),
@@ -149,7 +150,7 @@ def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:
     """What the MPC follows and plans; the plan is that of the solve before."""
     target, states = followed(mpc, t, lift), thinned(mpc.solver.trajectory(copy=False).x)
     return {
-        "plan": filled(states, (PLAN, mpc.ocp.dynamics.state.size)), "goal": target.goal, "base_goal": target.base,
+        "plan": filled(states, (PLAN, mpc.dynamics.state.size)), "goal": target.goal, "base_goal": target.base,
         "reference": filled(target.way, (REFERENCE, 3)), **timing(mpc),
     }  # fmt: skip
 
@@ -173,7 +174,8 @@ class Picture:
         self._moment |= {name: np.array(np.nan) for name in ("ticks", "misses")}
         self._ground: dict[str, Array] = {"base": _HERE, **{n: np.full(s, np.nan) for n, s in GROUND.items()}}
         self._ground |= {name: np.array(np.nan) for name in ("time", "clock")}
-        self._factor = Factor()
+        self._factor, self._trail = Factor(), Trail()
+        self._legs = LegConfiguration(self.robot, self._reader.joint_names)
         self._previous: tuple[float, Array] | None = None
         self._shares = dict.fromkeys(GROUPS, np.nan)
 
@@ -194,11 +196,13 @@ class Picture:
             "t": self._moment["t"], "late": self._moment["late"], "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
             "ticks": self._moment["ticks"], "late_ticks": self._moment["misses"],
+            "configuration": self._legs.number(self._reader.joint_states(self._puppet.data)[:, 0]),
             "factor": self._factor.add(float(self._ground["clock"]), float(self._ground["time"])),
         }  # fmt: skip
         return {
             "numbers": numbers(end_effector, plan["goal"], poses[index], plan["base_goal"], others), "poses": poses, "goal": plan["goal"],
             "base_goal": plan["base_goal"], "brakes": plan["brakes"], "reference": plan["reference"],
+            "trail": filled(self._trail.add(end_effector[:3]), (TRAIL, 3)),
             **{name: filled(way[:, :3], (PLAN, 3)) for name, way in ways.items()}, **self._on_floor(poses[index]),
         }  # fmt: skip
 

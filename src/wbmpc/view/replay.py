@@ -17,7 +17,7 @@ from wbmpc.recording.plots import end_effector_error, positions
 from wbmpc.recording.reader import Recording
 from wbmpc.simulation.scene import Body, Contact, Scene
 from wbmpc.view.access import Access
-from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, filled, ground, plain, status_text
+from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, TRAIL, filled, ground, plain, status_text
 
 Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
@@ -55,7 +55,7 @@ class Stages:
 
 
 class Film:
-    """A recording by time. ``times`` (n,) [s] of the recorded pictures.
+    """A recording by time. ``times`` (n,) [s] of the recorded pictures, ``numbers`` over the run.
 
     Raises :class:`InputError` for recordings that hold no pictures.
     """
@@ -81,7 +81,11 @@ class Film:
         self._goals = recording.table("/hand/reference") if "/hand/reference" in recording.topics else None
         way = positions(recording, "/hand/reference")
         self._way = np.zeros((0, 3)) if way is None else way[1]
-        self._series = self._numbers()
+        self._trail = positions(recording, "/hand/pose")
+        self.numbers = self._numbers()
+        period = recording.topics.get("/mpc/period")
+        #: Of a solve [s]; nan without an MPC.
+        self.deadline = float(period.last()) if period else float("nan")
 
     @staticmethod
     def _transforms(message: Any) -> dict[str, tuple[str, Array]]:
@@ -96,7 +100,7 @@ class Film:
         return np.array(found.times), [np.array([p["pose"][:3] for p in m["poses"]]) for _, m in found.messages()]
 
     def _numbers(self) -> dict[str, tuple[Array, Array]]:
-        """Times and values of the plotted numbers."""
+        """Times [s] and values of the plotted numbers, by their names in a snapshot or in :mod:`wbmpc.view.replay_plots`."""
         found = {}
         error = end_effector_error(self.recording)
         if error is not None:
@@ -104,6 +108,11 @@ class Film:
         if "/mpc/solve_time" in self.recording.topics:
             table = self.recording.table("/mpc/solve_time")
             found["solve"] = (table.times, table.columns["data"])
+        if "/joint_states" in self.recording.topics:
+            table = self.recording.table("/joint_states")
+            speeds = [np.abs(column) for name, column in table.columns.items() if name.startswith("velocity.")]
+            if speeds:
+                found["speed"] = (table.times, np.max(speeds, axis=0))
         return found
 
     # ------------------------------------------------------------------ pictures
@@ -123,9 +132,8 @@ class Film:
             if (place := frames.get(f"contact_{body}", ("", None))[1]) is not None
         ]
         on_floor = ground(contacts)
-        values = {name: v[latest(times, t)] for name, (times, v) in self._series.items()}
-        period = self.recording.topics.get("/mpc/period")
-        values |= {"t": t, "deadline": period.last() if period else np.nan}
+        values = {name: v[latest(times, t)] for name, (times, v) in self.numbers.items()}
+        values |= {"t": t, "deadline": self.deadline}
         values |= {name: on_floor.pop(name) for name in ("margin", "triangle_margin")}
         paths = {
             n: in_map(filled(p[latest(times, t)] if p else [], (PLAN, 3))) for n, (times, p) in self._plans.items()
@@ -133,8 +141,15 @@ class Film:
         return {
             "numbers": np.array([float(values.get(name, np.nan)) for name in NUMBERS]), "poses": poses,
             "reference": in_map(filled(self._way, (REFERENCE, 3))), "goal": self._goal(t, drift),
-            "base_goal": np.full(3, np.nan), **paths, **on_floor,
+            "base_goal": np.full(3, np.nan), "trail": filled(self._taken(t), (TRAIL, 3)), **paths, **on_floor,
         }  # fmt: skip
+
+    def _taken(self, t: float) -> Array:
+        """Where the end effector was until t [s], (n, 3) in ``map``."""
+        if self._trail is None:
+            return np.zeros((0, 3))
+        times, points = self._trail
+        return points[: latest(times, t) + 1]
 
     def _placed(self, frames: dict[str, tuple[str, Array]], name: str) -> Array:
         """A frame in ``map``."""
@@ -170,6 +185,8 @@ class Player:
     """A time bar over a film."""
 
     def __init__(self, film: Film, access: Access, port: int) -> None:
+        from wbmpc.view.capture import add_capture
+        from wbmpc.view.replay_plots import ReplayPlots
         from wbmpc.view.scene import ViewScene, add_follow, add_legend, name_tab
         from wbmpc.view.server import open_server
 
@@ -187,6 +204,8 @@ class Player:
         self._speed = gui.add_slider("Speed", 0.1, 4.0, 0.1, 1.0)
         self._follow = add_follow(self.server)
         add_legend(gui)
+        add_capture(gui, film.recording.title)
+        self._plots = ReplayPlots(self.server, film.numbers, film.deadline)
 
     def _reject(self, reason: str) -> None:
         """Say on the page why something is not done, until another moment is shown."""
@@ -218,6 +237,7 @@ class Player:
             if self._time.value != shown:
                 shown = float(self._time.value)
                 self.show(shown)
+            self._plots.show(shown)
             time.sleep(1.0 / RATE)
 
 

@@ -18,13 +18,14 @@ from wbmpc.view.camera import camera_offset
 
 Array = np.ndarray
 #: Colours (0 to 255) of what is drawn over the scene, and thickness [m] of lines.
-REFERENCE, END_EFFECTOR, BASE, SUPPORT, TRIANGLE, PRESSURE, FORCE = (
-    (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (20, 170, 190), (240, 170, 20), (200, 40, 120),
+REFERENCE, END_EFFECTOR, BASE, SUPPORT, TRIANGLE, PRESSURE, FORCE, TRAIL = (
+    (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (20, 170, 190), (240, 170, 20), (200, 40, 120), (60, 70, 85),
 )  # fmt: skip
 _THICKNESS = 0.008
 #: What the colours mean, for a legend.
 LEGEND = {
-    "reference of the end effector": REFERENCE, "predicted end effector": END_EFFECTOR, "predicted base": BASE, "support polygon": SUPPORT,
+    "reference of the end effector": REFERENCE, "way of the end effector": TRAIL,
+    "predicted end effector": END_EFFECTOR, "predicted base": BASE, "support polygon": SUPPORT,
     "active triangle": TRIANGLE, "ZMP": PRESSURE, "contact forces (2 mm/N)": FORCE,
 }  # fmt: skip
 #: Spheres larger than this [m] are seen through, with this opacity: a ball that carries a robot hides the force on it.
@@ -122,6 +123,7 @@ class ViewScene:
             if not overlays:
                 return
             self._path("reference", s["reference"], REFERENCE)
+            self._path("trail", s["trail"], TRAIL)
             self._path("hand_plan", s["hand_plan"], END_EFFECTOR)
             self._path("base_plan", s["base_plan"], BASE)
             for name, colour, above in (("support", SUPPORT, 0.0), ("triangle", TRIANGLE, 0.004)):

@@ -11,21 +11,24 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.simulation.scene import Contact, Scene
 from wbmpc.view.actuator_load import GROUPS
+from wbmpc.view.leg_configuration import configuration_text
 from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
 Array = np.ndarray
 #: Points of the reference path and of plans, and contacts, at most.
 REFERENCE, PLAN, CONTACTS = 200, 31, 8
+#: Points of the way that the end effector has taken.
+TRAIL = 202
 #: A contact higher than this [m] is none with the floor or what lies on it.
 ABOVE = 0.3
 #: Numbers that are plotted. Lengths in m, times in s; ``error``, ``turn`` [rad]: of the end effector, ``base``: of a base with a goal;
 #: those of :data:`~wbmpc.view.actuator_load.GROUPS`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
 #: support polygon and the active triangle.
 #: ``late``: by how much a tick of a real-time run began late; ``factor``: the run's time over the clock's; ``late_ticks``: how many
-#: of the ``ticks`` were late.
+#: of the ``ticks`` were late; ``configuration``: of the legs, see :mod:`wbmpc.view.leg_configuration`.
 NUMBERS = (
     "t", "error", "turn", "base", "solve", "deadline", *GROUPS, "margin", "triangle_margin", "late", "factor", "ticks",
-    "late_ticks",
+    "late_ticks", "configuration",
 )  # fmt: skip
 #: Shapes of what :func:`ground` finds.
 GROUND: dict[str, tuple[int, ...]] = {
@@ -43,6 +46,7 @@ def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
         "numbers": (len(NUMBERS),),
         "poses": (len(scene.bodies), 7),
         "reference": (REFERENCE, 3),
+        "trail": (TRAIL, 3),
         "hand_plan": (PLAN, 3),
         "base_plan": (PLAN, 3),
         **{name: GROUND[name] for name in ("forces", "support", "triangle", "pressure")},
@@ -98,8 +102,8 @@ def errors(end_effector: Array, goal: Array, base: Array, base_goal: Array) -> d
 
 
 def status_text(numbers: Mapping[str, float]) -> str:
-    """The end effector's error, how far the ZMP is inside of what it must stay in and how late the run is, in Markdown's lines that follow
-    a first one."""
+    """The end effector's error, how far the ZMP is inside of what it must stay in, how late the run is, how its legs stand: lines of
+    Markdown after a first one."""
     lines = [f"end effector error {1e3 * numbers['error']:.1f} mm"] if np.isfinite(numbers["error"]) else []
     margins = [
         f"{1e3 * abs(numbers[name]):.0f} mm {'inside' if numbers[name] > 0.0 else 'outside'} the {what}"
@@ -111,6 +115,8 @@ def status_text(numbers: Mapping[str, float]) -> str:
     if np.isfinite(numbers.get("ticks", np.nan)):
         pace.append(f"{numbers['late_ticks']:.0f} of {numbers['ticks']:.0f} ticks late")
     lines += [", ".join(pace)] if pace else []
+    legs = configuration_text(numbers.get("configuration", np.nan))
+    lines += [legs] if legs else []
     return "".join(f"  \n{line}" for line in lines)
 
 

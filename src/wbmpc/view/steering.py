@@ -85,15 +85,15 @@ class Steering:
         """Whether there are four passive legs with brakes that the problem knows as modes."""
         if mpc is None:
             return False
-        d = mpc.ocp.dynamics
+        d = mpc.dynamics
         return "leg" in d.state and "brake" in d.mode and d.state["leg"].stop - d.state["leg"].start == 4
 
     @staticmethod
     def base_of(mpc: MPC | None) -> bool:
         """Whether the base has a goal: that of a robot that balances has none, it goes where its end effector needs it."""
-        if mpc is None or "state" not in mpc.reference or "base" not in mpc.ocp.dynamics.state:
+        if mpc is None or "state" not in mpc.reference or "base" not in mpc.dynamics.state:
             return False
-        part = mpc.ocp.dynamics.state["base"]
+        part = mpc.dynamics.state["base"]
         return bool(part.stop - part.start == 3)
 
     def skip(self, requests: dict[str, Array]) -> None:
@@ -155,9 +155,9 @@ class Steering:
     def _here(self) -> Array:
         """Where the base is estimated to be (x, y, 0) [m]; a base that does not move is at the origin."""
         controller = self.running.controller
-        if self.mpc is None or "base" not in self.mpc.ocp.dynamics.state:
+        if self.mpc is None or "base" not in self.mpc.dynamics.state:
             return np.zeros(3)
-        place = controller.state()[self.mpc.ocp.dynamics.state["base"]][:2]
+        place = controller.state()[self.mpc.dynamics.state["base"]][:2]
         return np.array([*place, 0.0])
 
     def _push(self, t: float, force: Array, seconds: float) -> None:
@@ -190,18 +190,18 @@ class Steering:
         if self.mpc is None or not self.base_of(self.mpc):
             return
         target = self._target(t)
-        target[self.mpc.ocp.dynamics.state["base"]] = pose
+        target[self.mpc.dynamics.state["base"]] = pose
         self._hold(target)
 
     def _hold(self, target: Array) -> None:
         self.mpc.reference["state"] = Reference.constant(target)
         if "input" in self.mpc.reference:
-            self.mpc.reference["input"] = Reference.constant(np.zeros(self.mpc.ocp.dynamics.input.size))
+            self.mpc.reference["input"] = Reference.constant(np.zeros(self.mpc.dynamics.input.size))
 
     # ------------------------------------------------------------------ legs
     @property
     def _leg_part(self) -> slice:
-        part: slice = self.mpc.ocp.dynamics.state["leg"]
+        part: slice = self.mpc.dynamics.state["leg"]
         return part
 
     def _configure(self, name: str) -> None:
@@ -214,7 +214,7 @@ class Steering:
         values = reference.values.copy()
         values[:, self._leg_part] = angles
         self.mpc.reference["state"] = Reference(reference.times, values, reference.kind)
-        layout = self.mpc.ocp.dynamics.input
+        layout = self.mpc.dynamics.input
         if "input" in self.mpc.reference and "leg" in layout:
             reference = self.mpc.reference["input"]
             values = reference.values.copy()

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
-from wbmpc.bases.ball.load_step import LoadStep
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
@@ -63,7 +61,6 @@ class BallController:
         self.payload = (
             PayloadEstimator(robot.base.numeric.tool_weight) if observer and "payload" in robot.parameters else None
         )
-        self.load_step = LoadStep()
         self.shoves: PushEstimator | None = None
         self.lean_control: LeanControl | None = None
         self.measured: BallMeasurement | None = None
@@ -74,6 +71,9 @@ class BallController:
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
         self._known: tuple[object, int, np.ndarray] | None = (
             None  # of which measurement and how many commands, the state now
+        )
+        self._known_acted: tuple[object, int, np.ndarray] | None = (
+            None  # the same of the torques that acted at the measurement
         )
         self._steps_alike = type(self)._step is BallController._step
         self.clamped = False
@@ -100,7 +100,7 @@ class BallController:
         if self.estimator is not None:
             turning = self._turning(m.age)
             state = self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel, turning)
-            measurement = replace(m, state=state)
+            measurement = m.with_state(state)
         self.measured = measurement
         self._watch(m.time, m.arm, self.period)
         self._feel_shoves(measurement.state, self.period)
@@ -118,15 +118,16 @@ class BallController:
             return
         assert self.estimator is not None and self.measured is not None
         joints, estimator_faults = self.estimator.arm, self.estimator.faults
-        read = arm if joints.reading is None else joints.reading
+        own = joints.arrays
+        read = arm if joints.first else own["reading"]
         for fault in self.monitor.update(
-            t, h, read, joints.rate, self._accelerates, estimator_faults, joints.surprised
+            t, h, read, own["rate"], self._accelerates, estimator_faults, own["surprised"]
         ):
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
         x, rates = self.measured.state, self.robot.state["arm_velocity"]
-        after = self._step(x, self.sent.acted(self._late()), self.period)
+        after = self._step(x, self._acted(), self.period)
         self._accelerates = (after[rates] - x[rates]) / self.period
 
     @property
@@ -159,7 +160,7 @@ class BallController:
     def _feel_shoves(self, x: np.ndarray, h: float) -> None:
         """Feel a push in the state x, ``h`` [s] after the one before."""
         if self.shoves is not None:
-            self.shoves.update(x, self.sent.acted(self._late()), h, self._step)
+            self.shoves.update(x, self._acted(), h, self._step)
 
     def _observe(self, measurement: BallMeasurement) -> None:
         if self.observer is None and self.shoves is None:
@@ -172,23 +173,12 @@ class BallController:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
         observer, n = self.observer, self.robot.base.nq
         assert observer is not None
-        force = self._finite(observer.update(t, x, self.sent.acted(self._late()), h))
+        observer.update(t, x, self._acted(), h)
         if self.payload is not None:
-            force = observer.force = self._weigh(self.payload, x[:n], force, h)
-        self.disturbance = force
+            self.payload.follow(x[:n], observer.arrays, observer.learning, h)
+        self.disturbance = self._finite(observer.force)
         if self.lean_control is not None:
             self.lean_control.check(t, self.disturbance, x)
-
-    def _weigh(self, payload: PayloadEstimator, q: np.ndarray, force: np.ndarray, h: float) -> np.ndarray:
-        """The disturbance (nq) without what became mass: at once where a load comes or goes, else as it is learnt."""
-        observer, weight = self.observer, payload.weight(q)
-        assert observer is not None
-        if payload.by_arm(weight):
-            moved = observer.velocity, observer.acceleration, observer.mass(q)
-            step = self.load_step.update(*moved, force, weight, observer.learning, h)
-            if self.load_step.changing:
-                return payload.change(*step, weight, force)
-        return payload.update(q, force, observer.learning * h)
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
         if not all(map(math.isfinite, disturbance.tolist())):
@@ -226,6 +216,14 @@ class BallController:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
         assert self.measured is not None
         return self.sent.ticks(self.measured.age)
+
+    def _acted(self) -> np.ndarray:
+        """The torques (n + m) that acted at the measurement."""
+        measured, sent = self.measured, self.sent
+        known = self._known_acted
+        if known is None or known[0] is not measured or known[1] != sent.count:
+            self._known_acted = known = measured, sent.count, sent.acted(self._late())
+        return known[2]
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""

@@ -13,7 +13,17 @@ from wbmpc.default_problem import keep_clear
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
+from wbmpc.ocp import (
+    Constraint,
+    Cost,
+    OptimalControlProblem,
+    Reference,
+    RelaxedBarrier,
+    SmoothL1,
+    path_problem,
+    residuals,
+    sets,
+)
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 
 
@@ -139,9 +149,18 @@ def limit_torques(
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="path+terminal", penalty=barrier, hard=hard))
 
 
-def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost, obstacles: Obstacles | None = None) -> MPC:
-    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``."""
-    ocp = keep_clear(rezero_problem(robot, settings, cost), robot, obstacles)
+def rezero_mpc(
+    robot: RobotModel,
+    settings: MpcSettings,
+    cost: RezeroCost,
+    obstacles: Obstacles | None = None,
+    *,
+    progress: bool = False,
+) -> MPC:
+    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``; ``progress``: see
+    :func:`wbmpc.path_problem`."""
+    ocp = rezero_problem(robot, settings, cost)
+    ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
     return MPC(ocp, settings.solver(), settings.rate, obstacles=obstacles)
 
 

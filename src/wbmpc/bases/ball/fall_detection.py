@@ -98,7 +98,7 @@ class FallPredictor:
         """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
         maximum = self._component_of(x, payload, np.asarray(force, float), *np.asarray(shift, float).tolist())
-        if maximum <= self.reach or not np.isfinite(self._within):
+        if maximum <= self.reach or not math.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
             return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", maximum)]

@@ -136,10 +136,7 @@ class BallFilter:
             raise NotFinite(
                 f"ball filter: no state follows from wheels {w}, gyro and accel {message} ({error})"
             ) from error
-        memory.accept()
-        x = memory.arrays["x"]
-        memory.arrays["rate"][:] = self._inertial.last[0] - x[State.GYRO_BIAS : State.ACCEL_BIAS]
-        memory.detect_stalled(self._still, STALLED)
+        memory.go_on(self._still, STALLED)
 
     def _start(self, wheel: Array) -> None:
         """The first message says where the wheels are."""
@@ -195,11 +192,9 @@ class BallFilter:
         one's, which says little. Returns whether wheels, or the ball, slip in it."""
         memory, a = self._memory, self._memory.arrays
         a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, message[0], message[1]
-        memory.linearise(h, self._turning, *self._doubt(h, message, fault))
-        choice, self.surprise = memory.explain(self._gate)
+        choice, self.surprise = memory.take(h, self._turning, *self._doubt(h, message, fault), self._gate)
         if choice < 0:
             raise np.linalg.LinAlgError("the residuals are not finite")
-        memory.apply()
         stalled = a["stalled"].tolist()
         certain: tuple[str, ...] = (f"imu {fault}",) if fault else ()
         if any(stalled):

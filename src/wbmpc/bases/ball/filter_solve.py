@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
-from wbmpc.bases.ball.filter_step import Row, State
+from wbmpc.bases.ball.filter_step import Row, State, apply, linearise
 from wbmpc.kernel.ir import Floats
 
 #: Variance [rad²] of rows that count for nothing.
@@ -91,7 +91,7 @@ def invert(a: Floats, inverse: Floats, out: Floats, n: int) -> None:
             out[j * n + i] = out[i * n + j]
 
 
-@step
+@compiled
 def solve(
     n: int, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats, moved: Floats, f: Floats, w: Floats, a: Floats,
     inverse: Floats, slope: Floats, error: Floats, covariance: Floats,
@@ -166,3 +166,27 @@ def explain(
         if lowest < gate:
             break
     return best, first
+
+
+@step
+def take(
+    n: int, x: Floats, y: Floats, z: Floats, gyro: Floats, accel: Floats, wheel: Floats, mount: Floats, wheels: Floats,
+    radius: float, noise: Floats, turn: Floats, turned: Floats, half: Floats, middle: Floats, after: Floats,
+    shift: Floats, pushed: Floats, slip: Floats, stalled: Floats, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats,
+    moved: Floats, f: Floats, w: Floats, a: Floats, inverse: Floats, slope: Floats, error: Floats, covariance: Floats,
+    plain: Floats, spin: Floats, best_error: Floats, best_covariance: Floats, h: float, torque: float, gyro_more: float,
+    accel_more: float, gate: float,
+) -> tuple[int, float]:  # fmt: skip
+    """The newer state ``z`` after a message: :func:`~wbmpc.bases.ball.filter_step.linearise`, :func:`explain` (what it returns) and
+    :func:`~wbmpc.bases.ball.filter_step.apply` in one."""
+    linearise(
+        n, x, y, gyro, accel, wheel, mount, wheels, radius, noise, turn, turned, half, middle, after, shift, pushed, slip, jx, jy,
+        q, r, h, torque, gyro_more, accel_more,
+    )  # fmt: skip
+    choice, first = explain(
+        n, x, wheels, stalled, p, jx, jy, q, r, moved, f, w, a, inverse, slope, error, covariance, plain, spin, best_error,
+        best_covariance, gate,
+    )  # fmt: skip
+    if choice >= 0:
+        apply(n, y, best_error, turned, after, z)
+    return choice, first

@@ -249,7 +249,7 @@ def linearise(
         q[(Row.PUSH + i) * (m + 1)] += accel_more
 
 
-@step
+@compiled
 def apply(n: int, y: Floats, error: Floats, turned: Floats, after: Floats, z: Floats) -> None:
     """The state ``z`` is ``y`` with an ``error``."""
     rotation_of(error[Error.ATTITUDE], error[Error.ATTITUDE + 1], error[Error.ATTITUDE + 2], turned)
@@ -266,7 +266,7 @@ def apply(n: int, y: Floats, error: Floats, turned: Floats, after: Floats, z: Fl
         z[State.WHEEL + i] = y[State.WHEEL + i] + error[Error.WHEEL + i]
 
 
-@step
+@compiled
 def detect_stalled(
     n: int, gone: Floats, wheel: Floats, read: Floats, way: Floats, stalled: Floats, still: float, most: float
 ) -> None:  # fmt: skip
@@ -281,6 +281,18 @@ def detect_stalled(
 
 
 @step
+def go_on(
+    n: int, x: Floats, y: Floats, z: Floats, p: Floats, best_covariance: Floats, gone: Floats, gyro: Floats, rate: Floats,
+    wheel: Floats, read: Floats, way: Floats, stalled: Floats, still: float, most: float,
+) -> None:  # fmt: skip
+    """:func:`accept`, the ``rate`` (3) [rad/s] of the base by the last message that counted, and :func:`detect_stalled`."""
+    accept(n, x, y, z, p, best_covariance, gone)
+    for i in range(3):
+        rate[i] = gyro[i] - x[State.GYRO_BIAS + i]
+    detect_stalled(n, gone, wheel, read, way, stalled, still, most)
+
+
+@compiled
 def accept(n: int, x: Floats, y: Floats, z: Floats, p: Floats, best_covariance: Floats, gone: Floats) -> None:
     """The newer state ``z`` becomes the older one, ``x`` and ``p``; ``gone`` (n) [rad]: what the wheels turned between them."""
     for i in range(n):

@@ -55,6 +55,11 @@ class JointTracker:
         return self.arrays["rate"].copy()
 
     @property
+    def first(self) -> bool:
+        """Whether there has been no reading."""
+        return self._first
+
+    @property
     def reading(self) -> Array | None:
         """The last readings (n) [rad] that counted; None before the first."""
         return None if self._first else self.arrays["reading"].copy()

@@ -8,9 +8,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.bases.ball.balance import BASE, Balance
+from wbmpc.bases.ball.balance import Balance
+from wbmpc.bases.ball.lean_step import BASE, worth
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import DisturbanceTooLarge
+from wbmpc.kernel.step import Backend, bind
 from wbmpc.lie import cos_sin
 from wbmpc.model.robot import RobotModel
 
@@ -34,13 +36,21 @@ class LeanControl:
     component; ``speed`` [m/s]: a ball that goes faster than this under a strong force that lasts ends the run.
     """
 
-    def __init__(self, robot: RobotModel, arm: ArrayLike, share: float, speed: float) -> None:
+    def __init__(
+        self, robot: RobotModel, arm: ArrayLike, share: float, speed: float, backend: Backend = "compiled"
+    ) -> None:
         not_negative("lean_control", share=share)
         positive("lean_control", speed=speed)
         arm = numbers("lean_control", "arm", arm, len(robot.state.groups["arm"]))
         self.balance, self.speed = Balance.of(robot, arm), speed
-        self._worth = self.balance.shift + self.balance.stand
-        self._known: tuple[tuple[float, ...], tuple[Array, Array]] = (), (np.zeros(2), np.zeros(2))
+        self._force, self._out = np.zeros(BASE), np.zeros(4)
+        arrays = {
+            "force": self._force,
+            "out": self._out,
+            "heading": np.zeros(BASE),
+            "shift": self.balance.shift.ravel(),
+        }
+        self._worth = bind(worth, arrays | {"whole": (self.balance.shift + self.balance.stand).ravel()}, backend)
         self.reach = float(self.balance.reach.min())
         self._room = max(MAXIMUM - share, 0.0) * self.reach
         self._ball_speed = slice(robot.base.nq, robot.base.nq + 2)
@@ -58,28 +68,30 @@ class LeanControl:
     def shift(self, force: Array, yaw: float) -> Array:
         """By how much (2) [m] the divergent component counts like more than it is, along the world's x and y, under the learnt
         generalised ``force`` (nq) [N, N m] at a heading [rad]."""
-        return self._worths(force, yaw)[0].copy()
+        return np.array(self._worths(force, yaw)[:2])
 
     def centre(self, force: Array, yaw: float) -> Array:
         """The same for the limit of the lean: about the lean with which the robot stands still, as far as the reach allows.
 
         What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MAXIMUM`.
         """
-        shift, borne = self._worths(force, yaw)
-        size = max(math.hypot(*borne.tolist()), 1e-12)
-        return shift - _turned(min(1.0, self._room / size) * borne, yaw)
+        x, y, *borne = self._worths(force, yaw)
+        share = min(1.0, self._room / max(math.hypot(*borne), 1e-12))
+        c, s = cos_sin(yaw)
+        bx, by = share * borne[0], share * borne[1]
+        return np.array([x - (c * bx - s * by), y - (s * bx + c * by)])
 
     def check(self, t: float, force: Array, x: Array) -> None:
         """Report once a learnt ``force`` (nq) that pushes the robot away for :data:`HELD`, at state x (nx) and time t [s]: one that no
         lean can hold, or a strong one that drives the ball with half of ``speed``. Raises :class:`DisturbanceTooLarge` when it has
         driven it with all of it for as long. What is left of a push that is over counts as neither.
         """
-        borne = math.hypot(*self._worths(force, float(x[2]))[1].tolist()) / self.reach
-        velocity = x[self._ball_speed]
+        borne = math.hypot(*self._worths(force, float(x[2]))[2:]) / self.reach
+        vx, vy = x[self._ball_speed].tolist()
         # a ball that rolls back against the force is not driven by it
         self._largest = max(self._largest, borne) if borne > STRONG else 0.0
         lasts = borne > STRONG and borne >= FADED * self._largest
-        driven = math.hypot(*velocity.tolist()) / self.speed if lasts and velocity @ force[:2] > 0.0 else 0.0
+        driven = math.hypot(vx, vy) / self.speed if lasts and vx * force[0] + vy * force[1] > 0.0 else 0.0
         self._driven_since = min(self._driven_since, t) if driven > 1.0 else np.inf
         self._pushed_since = min(self._pushed_since, t) if lasts and (borne > MAXIMUM or driven > 0.5) else np.inf
         fault = t - self._pushed_since >= HELD - 1e-9 and not self.push_fault
@@ -95,20 +107,10 @@ class LeanControl:
             )
 
     def _borne(self, force: Array, yaw: float) -> Array:
-        return self._worths(force, yaw)[1].copy()
+        return np.array(self._worths(force, yaw)[2:])
 
-    def _worths(self, force: Array, yaw: float) -> tuple[Array, Array]:
-        """(shift (2), along the world's axes, what the wheels bear (2), along the heading's) [m] of the reach."""
-        key = (yaw, *np.asarray(force, float)[:BASE].tolist())
-        if key != self._known[0]:  # asked for several times in a tick
-            heading = np.array(key[1:])
-            heading[:2] = _turned(heading, -yaw)
-            shift = _turned(self.balance.shift @ heading, yaw)
-            self._known = key, (shift, self._worth @ heading)
-        return self._known[1]
-
-
-def _turned(vector: Array, angle: float) -> Array:
-    c, s = cos_sin(angle)
-    x, y = vector[:2].tolist()
-    return np.array([c * x - s * y, s * x + c * y])
+    def _worths(self, force: Array, yaw: float) -> list[float]:
+        """Shift (2), along the world's axes, what the wheels bear (2), along the heading's, [m] of the reach."""
+        self._force[:] = force[:BASE]
+        self._worth(yaw)
+        return self._out.tolist()

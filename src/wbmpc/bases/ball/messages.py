@@ -39,3 +39,9 @@ class BallMeasurement:
     gyro: Array = field(default_factory=lambda: np.zeros(3))
     accel: Array = field(default_factory=lambda: np.zeros(3))
     force: Array = field(default_factory=lambda: np.zeros(0))
+
+    def with_state(self, state: Array) -> BallMeasurement:
+        """The same with another state."""
+        made = object.__new__(type(self))  # many times as fast as dataclasses.replace
+        vars(made).update(vars(self), state=state)
+        return made

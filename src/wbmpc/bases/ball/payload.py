@@ -16,65 +16,83 @@ a lean that a displaced centre of mass causes would be taken for a mass, which t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.payload_step import AFTER, CALM, Load, Rule, change, learn, weigh
 from wbmpc.checks import finite, not_negative, numbers, positive
 from wbmpc.errors import InputError
+from wbmpc.kernel.step import Backend, Step, bind
 
 Array = NDArray[np.float64]
+_WHO = "payload estimator"
 
 
-@dataclass
 class PayloadEstimator:
     """``weight(q)``: generalised forces (nq) [N, N m] of 1 kg at the tool; ``rate`` [1/s]; ``spread`` of base and arm [N m];
     ``sure`` [kg]: nothing is weighed where the arm's torques alone determine a mass with a larger standard deviation.
 
-    ``mass`` [kg]: the estimate, from zero to ``maximum``.
+    ``mass`` [kg]: the estimate, from zero to ``maximum``. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """
 
-    weight: Callable[[Array], Array]
-    rate: float = 2.0
-    spread: tuple[float, float] = (2.5, 0.6)
-    maximum: float = 3.0
-    sure: float = 0.5
-    mass: float = 0.0
+    def __init__(
+        self, weight: Callable[[Array], Array], rate: float = 2.0, spread: tuple[float, float] = (2.5, 0.6),
+        maximum: float = 3.0, sure: float = 0.5, mass: float = 0.0, backend: Backend = "compiled",
+    ) -> None:  # fmt: skip
+        not_negative(_WHO, rate=rate, maximum=maximum, mass=mass)
+        positive(_WHO, sure=sure)
+        base, arm = numbers(_WHO, "spread", spread, 2)
+        positive(_WHO, spread=min(base, arm))
+        self.weight, self._backend = weight, backend
+        load, rule = np.zeros(len(Load)), np.zeros(len(Rule))
+        load[[Load.MASS, Load.CALM, Load.LEFT]] = mass, CALM, AFTER
+        rule[[Rule.RATE, Rule.MAXIMUM, Rule.SURE]], rule[Rule.BASE_SPREAD], rule[Rule.ARM_SPREAD] = (
+            (rate, maximum, sure),
+            base,
+            arm,
+        )
+        self._arrays: dict[str, Array] = {"load": load, "rule": rule}
+        self._steps: dict[str, Step] = {}
 
-    def __post_init__(self) -> None:
-        """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
-        who = "payload estimator"
-        not_negative(who, rate=self.rate, maximum=self.maximum, mass=self.mass)
-        positive(who, sure=self.sure)
-        base, arm = numbers(who, "spread", self.spread, 2)
-        positive(who, spread=min(base, arm))
-        self._square = np.zeros(0)
+    @property
+    def mass(self) -> float:
+        """See the class."""
+        return float(self._arrays["load"][Load.MASS])
 
     def update(self, q: Array, force: Array, h: float) -> Array:
         """Weigh for ``h`` [s] (0: nothing is learnt) at joint positions q (nq); the disturbance ``force`` (nq) without what became
         mass. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
-        finite("payload estimator", h=h)
+        finite(_WHO, h=h)
         if h < 0.0:
-            raise InputError(f"payload estimator: 'h' must not be negative, got {h} s")
+            raise InputError(f"{_WHO}: 'h' must not be negative, got {h} s")
         n = np.size(q)
-        q, force = numbers("payload estimator", "q", q, n), numbers("payload estimator", "force", force, n)
-        weight = self.weight(q)
-        if not self.by_arm(weight):
-            return force
-        scaled = weight / self._square
-        return self.change(h * self.rate * float(scaled @ force) / float(scaled @ weight), 1.0, weight, force)
-
-    def by_arm(self, weight: Array) -> bool:
-        """Whether the arm observes a mass whose weight of 1 kg is ``weight`` (nq), by itself and better than the base."""
-        n = weight.size
-        if self._square.size != n:
-            self._square = np.array([self.spread[0]] * 5 + [self.spread[1]] * (n - 5)) ** 2
-        each = weight**2 / self._square
-        return bool(each[5:].sum() >= max(0.5 * each.sum(), self.sure**-2))
+        q, force = numbers(_WHO, "q", q, n), numbers(_WHO, "force", force, n)
+        a = self._take(self.weight(q), force)
+        self._steps["learn"](h)
+        return a["force"].copy()
 
     def change(self, by: float, known: float, weight: Array, force: Array) -> Array:
         """Change the mass ``by`` [kg]; the disturbance ``force`` (nq), which had the ``known`` share of it, without that."""
-        previous = self.mass
-        self.mass = min(max(previous + by, 0.0), self.maximum)
-        return np.asarray(force - known * (self.mass - previous) * weight)
+        a = self._take(weight, force)
+        self._steps["change"](by, known)
+        return a["force"].copy()
+
+    def _take(self, weight: Array, force: Array) -> dict[str, Array]:
+        a, n = self._arrays, weight.size
+        if "force" not in a or a["force"].size != n:
+            a["weight"], a["force"] = np.zeros(n), np.zeros(n)
+            self._steps |= {f.python.__name__: bind(f, a, self._backend, n=n) for f in (learn, change)}
+        a["weight"][:], a["force"][:] = weight, force
+        return a
+
+    def follow(self, q: Array, observed: dict[str, Array], learning: float, h: float) -> None:
+        """Weigh for ``h`` [s] at joint positions q (nq) what a disturbance observer has found, whose arrays ``observed`` are (always
+        the same ones), at once where a load comes or goes; its ``force`` goes without what became mass.
+        ``learning``: see :class:`wbmpc.estimation.disturbance.DisturbanceObserver`."""
+        a, n = self._arrays, q.size
+        if "weigh" not in self._steps:
+            own = {name: np.zeros(n) for name in ("weight", "model", "believed", "apart")}
+            self._own, self._steps["weigh"] = own, bind(weigh, a | observed | own, self._backend, n=n)
+        self._own["weight"][:] = self.weight(q)
+        self._steps["weigh"](learning, h)

@@ -6,8 +6,8 @@ with rolling. Until its estimator exists the measurement is the simulator's stat
 
 from __future__ import annotations
 
-import math
 from collections import deque
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -17,10 +17,12 @@ from wbmpc import lie
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.perturbation import check_perturbation
+from wbmpc.bases.ball.sensor_step import minimal_of
 from wbmpc.bases.ball.sensors import BallSensors, WheelGeometry
 from wbmpc.bases.ball.servo import ActuatorServo
 from wbmpc.checks import numbers, whole
 from wbmpc.errors import InputError
+from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.contacts import GROUND, ROLLING
@@ -43,24 +45,6 @@ from wbmpc.types import Truth
 
 #: Contact softness of the ball (time constant [s], damping ratio).
 CONTACT = [0.005, 1.0]
-
-
-def minimal_state(quaternion: Array, velocity: Array, position: Array, arm: Array, arm_rate: Array) -> Array:
-    """(x, y, yaw, pitch, roll, arm; their rates) of a free body's pose and velocity.
-
-    ``quaternion`` (4) body to world, ``velocity`` (6): linear in world axes [m/s], angular in body axes [rad/s]
-    (MuJoCo's convention), ``position`` (3) of the ball's centre.
-    """
-    w, x, y, z = quaternion.tolist()
-    roll = math.atan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
-    pitch = math.asin(min(max(2.0 * (w * y - x * z), -1.0), 1.0))
-    yaw = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
-    n = arm.size
-    state = np.empty(10 + 2 * n)
-    state[0], state[1], state[2], state[3], state[4] = position[0], position[1], yaw, pitch, roll
-    state[5 : 5 + n], state[5 + n : 7 + n], state[10 + n :] = arm, velocity[:2], arm_rate
-    state[7 + n : 10 + n] = lie.euler_zyx_rates(pitch, roll, velocity[3:6])
-    return state
 
 
 def body_rates(yaw_pitch_roll: ArrayLike, rates: ArrayLike) -> Array:
@@ -122,6 +106,10 @@ class BallPlant(WorldAccess):
         # a constant error of the arm's encoders; they are not in the state's speeds
         self.offset = np.zeros(10 + 2 * n)
         self.offset[5 : 5 + n] = self.draw.arm_offset
+        arrays = {"q": np.zeros(self.model.nq), "v": np.zeros(self.model.nv), "state": np.zeros(10 + 2 * n)}
+        places = {"arm_q": self._arm_q.astype(np.int64), "arm_v": self._arm_v.astype(np.int64)}
+        self._minimal = arrays | places
+        self._to_minimal: Callable[[], None] = bind(minimal_of, self._minimal, m=n).call
         self._late, jitter = round(p.state_age / timestep), round(p.encoder_jitter / timestep)
         wheels = WheelGeometry.of(self.base, self.draw.radius)
         sizes, ball = (self.model.nq, self.model.nv), (int(self._ball.qposadr[0]), int(self._ball.dofadr[0]))
@@ -257,7 +245,11 @@ class BallPlant(WorldAccess):
 
     # ------------------------------------------------------------------ running
     def _state_of(self, q: Array, v: Array) -> Array:
-        return minimal_state(q[3:7], v[0:6], q[0:3], q[self._arm_q], v[self._arm_v])
+        """Minimal coordinates (16) of positions and velocities in MuJoCo's conventions."""
+        a = self._minimal
+        a["q"][:], a["v"][:] = q, v
+        self._to_minimal()
+        return a["state"].copy()
 
     def state(self) -> Array:
         """The true state (16) in the planner's minimal coordinates, yaw not wrapped."""

@@ -49,11 +49,13 @@ class BallBaseType(BaseType):
         state, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
         return BallPlant(robot.description, state, torque, perturbation, seed, edit=edit)
 
-    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+    def mpc(
+        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
+    ) -> MPC:
         """Weights for steps of the end effector and for pushes."""
         from wbmpc.bases.ball.system import make_mpc
 
-        return make_mpc(robot, obstacles, **changes)
+        return make_mpc(robot, obstacles, progress=progress, **changes)
 
     def system(
         self,

@@ -103,11 +103,11 @@ class EncoderMonitor:
 
     def update(
         self, t: float, interval: float, arm: Array, speed: Array, acceleration: Array | None, estimator_faults: Sequence[str],
-        surprised: NDArray[np.bool_] | None = None,
+        surprised: Array | None = None,
     ) -> list[EncoderFault]:  # fmt: skip
         """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
-        as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n) whose
-        reading ``surprised`` it."""
+        as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n; 1 or 0)
+        whose reading ``surprised`` it."""
         a = self._arrays
         a["arm"][:] = arm
         doubted, standing = self._in_doubt(t, surprised), 0
@@ -124,7 +124,7 @@ class EncoderMonitor:
         self.faults += new
         return new
 
-    def _in_doubt(self, t: float, surprised: NDArray[np.bool_] | None) -> bool:
+    def _in_doubt(self, t: float, surprised: Array | None) -> bool:
         """Whether speeds, and what the model makes of them, are to be believed: not just after a surprise."""
         if surprised is not None:
             self._arrays["surprised"][:] = surprised

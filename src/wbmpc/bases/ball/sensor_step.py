@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from wbmpc.bases.ball.compilation import compiled, step
-from wbmpc.kernel.ir import Floats
+from wbmpc.kernel.ir import Floats, Integers
 
 GRAVITY = 9.81
 
@@ -56,3 +58,21 @@ def see(
         for i in range(n):
             row[turn + 7 + i] += h * (wheels[3 * i] * wx + wheels[3 * i + 1] * wy + wheels[3 * i + 2] * wz)
     velocity[0], velocity[1], velocity[2] = vx, vy, vz
+
+
+@step
+def minimal_of(m: int, q: Floats, v: Floats, arm_q: Integers, arm_v: Integers, state: Floats) -> None:
+    """The minimal ``state``, x, y, yaw, pitch, roll, m joints and their rates, of positions ``q`` and velocities ``v`` in MuJoCo's
+    conventions; joints are at ``arm_q`` (m) and ``arm_v`` (m)."""
+    w, x, y, z = q[3], q[4], q[5], q[6]
+    roll = np.arctan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(min(max(2.0 * (w * y - x * z), -1.0), 1.0))
+    state[0], state[1], state[3], state[4] = q[0], q[1], pitch, roll
+    state[2] = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    s, c = np.sin(roll), np.cos(roll)
+    yaw_rate = (s * v[4] + c * v[5]) / np.cos(pitch)
+    n = 5 + m
+    state[n], state[n + 1], state[n + 2] = v[0], v[1], yaw_rate
+    state[n + 3], state[n + 4] = c * v[4] - s * v[5], v[3] + np.sin(pitch) * yaw_rate
+    for i in range(m):
+        state[5 + i], state[n + 5 + i] = q[arm_q[i]], v[arm_v[i]]

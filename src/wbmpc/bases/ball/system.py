@@ -13,6 +13,7 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
 from wbmpc.bases.base import System
+from wbmpc.default_problem import hold_end_effector
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
@@ -30,15 +31,15 @@ PUSHED_SPEED = 2.0
 COMPUTATION_DELAY = 0.010
 
 
-def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any) -> MPC:
     """The MPC whose goal is the equilibrium at home; ``changes`` of its settings."""
     settings = MpcSettings(**{**mpc_settings(barrier_mu=3e-2).model_dump(), **changes})
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
-    mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES, obstacles)
+    mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES, obstacles, progress=progress)
     mpc.reference["body"] = Reference.constant(robot.home)
     mpc.reference["twist"] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
-    mpc.reference["end_effector"] = Reference.poses([0.0], [robot.pose(home)[0]], robot.pose(home)[1])
+    hold_end_effector(mpc, *robot.pose(home))
     mpc.reset(home, torque)
     return mpc
 

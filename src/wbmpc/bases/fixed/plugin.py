@@ -56,11 +56,13 @@ class FixedBaseType(BaseType):
 
         return FixedPlant(robot, perturbation, seed, edit=edit)
 
-    def mpc(self, robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
+    def mpc(
+        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
+    ) -> MPC:
         """Weights that follow from the robot's size and limits."""
         from wbmpc.default_problem import default_mpc, default_settings
 
-        return default_mpc(robot, default_settings(**changes), obstacles=obstacles)
+        return default_mpc(robot, default_settings(**changes), obstacles=obstacles, progress=progress)
 
     def system(
         self,

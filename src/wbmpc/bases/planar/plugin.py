@@ -54,13 +54,15 @@ class PlanarBaseType(BaseType):
         return tree, read_wheels(description, tree, wheel_radius(description, spec.compile()))
 
     def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None,
-        **changes: Any,
+        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
+        progress: bool = False, **changes: Any,
     ) -> MPC:  # fmt: skip
         """Weights that follow from the robot's size and limits."""
         from wbmpc.default_problem import default_mpc, default_settings
 
-        return default_mpc(robot, default_settings(**changes), obstacles=obstacles, stability=stability)
+        return default_mpc(
+            robot, default_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
+        )
 
     def system(
         self,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Callable
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +19,8 @@ from wbmpc.ocp import Mode, ModeSchedule
 Array = NDArray[np.float64]
 #: Legs hold the base by less than this where it counts as floating; how long [s] it may float on the way to other angles.
 FLOATING, PASS = 0.05, 1.0
+#: Time [s] that brakes take which nobody has measured.
+BRAKE_DELAY = 0.1
 #: Length [m] that turns a yaw rate into a speed.
 _LEVER = 0.5
 #: Rate [rad/s] of legs whose speed has no limit.
@@ -138,6 +140,16 @@ class BrakeControl:
         place = int(np.searchsorted(times, t))
         rest = place + int(place < len(times) and times[place] == t)
         self._events = [*times[:place], float(t), *times[rest:]], [*states[:place], state, *states[rest:]]
+        self._notify_planner()
+
+    def replace(self, events: Sequence[tuple[float, ArrayLike]]) -> None:
+        """Brakes (n) from times [s] on, in their order; what was scheduled from the first of them on goes."""
+        if not events or not all(np.isfinite(t) for t, _ in events) or any(a[0] >= b[0] for a, b in pairwise(events)):
+            raise InputError("brakes: events in the order of their finite times are needed")
+        states = [self._checked(brake) for _, brake in events]
+        keep = bisect_left(self._events[0], events[0][0])
+        self._events = [*self._events[0][:keep], *(float(t) for t, _ in events)], [*self._events[1][:keep], *states]
+        self.reset(events[0][0])
         self._notify_planner()
 
     def commanded(self, t: float) -> Array:

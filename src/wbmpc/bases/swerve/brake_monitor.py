@@ -14,14 +14,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.bases.swerve.brake_step import look
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
+from wbmpc.kernel.step import Backend, bind
 
 Array = NDArray[np.float64]
 
 
 #: Planned rates [rad/s] at which ``expected`` counts in full; largest share of a leg's limit that does not count.
 FAST, CRAWL_SHARE = 0.4, 0.7
+#: Arrays of one number for each leg.
+_ARRAYS = (
+    "angle", "brake", "rate", "opened", "since", "anchor", "gone", "planned", "resting", "reported", "settled",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -71,6 +77,7 @@ class BrakeMonitor:
         patience: float = 1.3,
         creep: float = 2e-4,
         limit: ArrayLike = np.inf,
+        backend: Backend = "compiled",
     ) -> None:
         who = "brake monitor"
         finite(who, moved=moved, expected=expected, still=still, window=window, settle=settle)
@@ -87,15 +94,33 @@ class BrakeMonitor:
         self.faults: list[BrakeFault] = []
         self.withdrawn: list[BrakeFault] = []
         self.real: list[BrakeFault] = []
+        self._bind(backend)
         self.restart_clock()
+
+    def _bind(self, backend: Backend) -> None:
+        """Arrays by their names in :mod:`wbmpc.bases.swerve.brake_step`, and that step."""
+        n = len(self.names)
+        a = self._arrays = {name: np.zeros(n) for name in _ARRAYS}
+        a |= {"crawl": np.array(self.crawl, float), "expected": np.array(self.expected, float)}
+        self._open, self._since, self._anchor, self._gone = a["opened"], a["since"], a["anchor"], a["gone"]
+        self._planned, self._resting, self._reported = a["planned"], a["resting"], a["reported"]
+        self._reported_at = np.zeros(n)
+        constants = {"moved": self.moved, "still": self.still, "window": self.window, "settle": self.settle}
+        self._look = bind(look, a, backend, n=n, patience=self.patience, creep=self.creep, **constants)
 
     def restart_clock(self) -> None:
         """Times start anew: the next look is a first one, at brakes that are believed again. What was reported stays reported."""
-        n = len(self.names)
-        self._open: NDArray[np.bool_] | None = None
-        self._since = np.zeros(n)
-        self._anchor, self._gone, self._planned, self._resting, self._reported_at = np.zeros((5, n))
-        self._reported = np.zeros(n, bool)
+        for values in (
+            self._since,
+            self._anchor,
+            self._gone,
+            self._planned,
+            self._resting,
+            self._reported_at,
+            self._reported,
+        ):
+            values[:] = 0.0
+        self._first = True
         self._unsettled = -np.inf  # when legs that were reported last had not been held in the plan
         self.time = -np.inf
 
@@ -106,69 +131,41 @@ class BrakeMonitor:
         not finite or of another length, and for time that goes back (see :meth:`restart_clock`); it does not count, and the next
         one does.
         """
-        angle, is_open, planned = self._checked(t, leg, brake, rate)
-        if self._open is None:
-            self._open, self._anchor, self.time = is_open, angle.copy(), t
-            self._since[:] = t - self.settle
-        stands = not any(flags.any() for flags in (is_open, self._open, planned, self._reported))
-        if stands and t - float(self._since.max(initial=-np.inf)) >= self.settle - 1e-9:
-            return self._stand(t, angle)
-        changed = is_open != self._open
-        self._since[changed], self._reported[changed], self._open = t, False, is_open
+        a = self._arrays
+        a["angle"][:], a["brake"][:], a["rate"][:] = self._checked(t, leg, brake, rate)
+        if self._first:
+            self._open[:], self._anchor[:] = a["brake"] > 0.5, a["angle"]
+            self._since[:], self._first, self.time = t - self.settle, False, t
         h, self.time = t - self.time, t
-        settled = t - self._since >= self.settle - 1e-9
-        loose = is_open | self._reported  # may move, as far as is known
-        stuck = self._reported & is_open
-        if np.any(stuck & (np.abs(planned) > self.crawl)):
-            self._unsettled = t
-        waits = stuck.any() and t - self._unsettled < self.settle
-        # a leg counts from where it was when its brake had settled; a loose one from where it was last seen to move
-        afresh = ~settled | (loose & ((np.abs(angle - self._anchor) > self.still) | (waits & ~self._reported)))
-        crept = self._anchor + np.clip(angle - self._anchor, -h * self.creep, h * self.creep)
-        self._anchor = np.where(afresh, angle, np.where(loose, self._anchor, crept))
-        counted = np.sign(planned) * np.maximum(np.abs(planned) - self.crawl, 0.0)
-        self._planned = np.where(afresh, 0.0, np.exp(-h / self.window) * self._planned + h * counted)
-        self._resting = np.where(afresh, 0.0, self._resting + h)
-        self._gone = angle - self._anchor
-        return self._withdraw(t, angle) + self._judged(t, angle, settled)
+        self._unsettled, suspects = self._look(t, h, self._unsettled)
+        if not suspects:
+            return []
+        return self._withdraw(t, a["angle"]) + self._judged(t, a["angle"])
 
-    def _judged(self, t: float, angle: Array, settled: NDArray[np.bool_]) -> list[BrakeFault]:
-        """New faults of brakes that have ``settled`` (n)."""
+    def _judged(self, t: float, angle: Array) -> list[BrakeFault]:
+        """New faults of brakes that have settled."""
         new = []
-        for i in np.flatnonzero(settled & ~self._reported):
+        for i in np.flatnonzero((self._arrays["settled"] > 0.0) & (self._reported == 0.0)):
             fault = self._judge(t, int(i))
             if fault is not None:
                 new.append(fault)
-                self._reported[i], self._reported_at[i] = True, angle[i]
+                self._reported[i], self._reported_at[i] = 1.0, angle[i]
                 self._unsettled = t
         self.faults += new
         self.real += new
         return new
 
-    def _stand(self, t: float, angle: Array) -> list[BrakeFault]:
-        """What :meth:`update` finds in the commonest case: brakes that have been closed for long, and nothing planned."""
-        h, self.time = t - self.time, t
-        self._anchor = self._anchor + np.minimum(np.maximum(angle - self._anchor, -h * self.creep), h * self.creep)
-        self._planned, self._resting = np.exp(-h / self.window) * self._planned, self._resting + h
-        self._gone = angle - self._anchor
-        if max(map(abs, self._gone.tolist()), default=0.0) <= self.moved:
-            return []
-        return self._judged(t, angle, np.ones(len(self.names), bool))
-
-    def _checked(
-        self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike
-    ) -> tuple[Array, NDArray[np.bool_], Array]:
+    def _checked(self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike) -> tuple[Array, Array, Array]:
         """What :meth:`update` was given, as arrays (n)."""
         who, n = "brake monitor", len(self.names)
         finite(who, time=t)
         if t < self.time:
             raise InputError(f"{who}: time must not go back, got {t:.6g} s after {self.time:.6g} s")
-        is_open = numbers(who, "brake", brake, n) > 0.5
+        is_open = numbers(who, "brake", brake, n)
         return numbers(who, "leg", leg, n), is_open, numbers(who, "rate", rate, n)
 
     def _withdraw(self, t: float, angle: Array) -> list[BrakeFault]:
         """Legs that were said not to open and have moved since, and those that were said not to hold and stand."""
-        assert self._open is not None
         found = []
         for i in map(int, np.flatnonzero(self._reported)):
             gone = float(angle[i] - self._reported_at[i])
@@ -176,7 +173,7 @@ class BrakeMonitor:
                 found.append(BrakeFault(t, i, self.names[i], "opens after all", gone))
             elif not self._open[i] and self._stands(i):
                 found.append(BrakeFault(t, i, self.names[i], "holds after all", float(self._planned[i])))
-        self._reported[[f.leg for f in found]] = False
+        self._reported[[f.leg for f in found]] = 0.0
         self.withdrawn += found
         for back in found:
             if back.kind == "opens after all":
@@ -188,7 +185,6 @@ class BrakeMonitor:
         return bool(abs(self._planned[i]) > self.expected[i] and self._resting[i] >= self.patience - 1e-9)
 
     def _judge(self, t: float, i: int) -> BrakeFault | None:
-        assert self._open is not None
         if not self._open[i]:
             gone = float(self._gone[i])
             return BrakeFault(t, i, self.names[i], "does not hold", gone) if abs(gone) > self.moved else None

@@ -14,7 +14,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Guess
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, path_problem, residuals, sets
 from wbmpc.settings import MpcSettings, Settings, StabilitySettings, Weight
 
 #: Of the rolling rows in a receding horizon. The planned steering angles that a plan is shifted to are consistent up to the
@@ -122,10 +122,13 @@ def swerve_mpc(
     allow_side_slip: bool = False,
     obstacles: Obstacles | None = None,
     stability: StabilitySettings | None = None,
+    progress: bool = False,
 ) -> MPC:
-    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and upright by ``stability``."""
+    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and upright by ``stability``; ``progress``:
+    see :func:`wbmpc.path_problem`."""
     ocp = swerve_problem(robot, settings, cost, side_softness, accelerations=True, allow_side_slip=allow_side_slip)
-    ocp = keep_clear(keep_upright(ocp, robot, stability), robot, obstacles)
+    ocp = keep_upright(ocp, robot, stability)
+    ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
     return make_mpc(ocp, settings, stability, guess=guess, obstacles=obstacles)
 
 

@@ -16,6 +16,7 @@ from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
     from wbmpc.bases.swerve.calibrator import SwerveCalibrator
+    from wbmpc.bases.swerve.leg_folding import LegFolding
     from wbmpc.bases.swerve.plant import SwervePlant
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
@@ -57,13 +58,13 @@ class SwerveBaseType(BaseType):
         return SwervePlant(robot.description, perturbation=perturbation, seed=seed, edit=edit)
 
     def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None,
-        **changes: Any,
+        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
+        progress: bool = False, **changes: Any,
     ) -> MPC:  # fmt: skip
         """Weights for goals of end effector, base and legs."""
         from wbmpc.bases.swerve.system import make_mpc
 
-        return make_mpc(robot, obstacles, stability, **changes)
+        return make_mpc(robot, obstacles, stability, progress=progress, **changes)
 
     def system(
         self,
@@ -77,6 +78,16 @@ class SwerveBaseType(BaseType):
         from wbmpc.bases.swerve.system import make_system
 
         return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))
+
+    def reshaping(self, robot: RobotModel, mpc: MPC, controller: Any) -> LegFolding | None:
+        """Hinged legs fold where it is narrow; None for fixed legs."""
+        from wbmpc.bases.swerve.leg_folding import LegFolding
+
+        if "leg" not in robot.state or mpc.obstacles is None or "state" not in mpc.reference:
+            return None
+        folding = LegFolding(robot, mpc)
+        folding.attach(controller)
+        return folding
 
     def ros_settings(self, description: RobotDescription) -> type[SwerveRosSettings]:
         """Weights of the swerve problem, gyro and legs."""

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, Tick, brake_monitor
 from wbmpc.bases.swerve.controller import SwerveController
@@ -36,8 +36,6 @@ from wbmpc.solver import Trajectory
 Array = np.ndarray
 #: The monitor of brakes looks at so many ticks at once at most: 10 s of them.
 BACKLOG = 1000
-#: A brake is open this long [s] after its command.
-BRAKE_DELAY = 0.1
 #: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].
 SWING, STRAIGHT = 0.3, 0.03
 #: Of what a planar odometry says nothing about.

@@ -8,6 +8,7 @@ from wbmpc.bases.base import System
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.goal_guess import GoalGuess
+from wbmpc.bases.swerve.path_guess import PathGuess
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.default_problem import stay_at_home
@@ -28,12 +29,13 @@ COMPUTATION_DELAY = 0.010
 
 
 def make_mpc(
-    robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, **changes: Any
-) -> MPC:
+    robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
+    progress: bool = False, **changes: Any,
+) -> MPC:  # fmt: skip
     """The MPC whose goal is home; ``changes`` of its settings."""
     settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})
-    cost = SwerveCost(state=StateCost(leg=LEG_WEIGHT))
-    mpc = swerve_mpc(robot, settings, cost, GoalGuess(robot), obstacles=obstacles, stability=stability)
+    cost, guess = SwerveCost(state=StateCost(leg=LEG_WEIGHT)), PathGuess(robot) if progress else GoalGuess(robot)
+    mpc = swerve_mpc(robot, settings, cost, guess, obstacles=obstacles, stability=stability, progress=progress)
     stay_at_home(robot, mpc)
     return mpc
 

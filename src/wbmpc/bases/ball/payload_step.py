@@ -1,0 +1,144 @@
+"""A mass in the end effector, compiled: see :mod:`wbmpc.bases.ball.payload`.
+
+One that comes into it, or leaves it, at once is felt by the arm within a tenth of a second: the acceleration of the arm that the
+model does not explain, times its inertia, is a force; where that is the weight of a mass in all joints alike, it is one. To weigh
+is more exact, and takes seconds: meanwhile the arm would fall.
+Arrays: ``weight`` (n) [N, N m] of 1 kg, ``force`` (n) [N, N m] that is learnt, ``load`` and ``rule``.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+from wbmpc.bases.ball.compilation import compiled, step
+from wbmpc.kernel.ir import Floats
+
+#: Gain [1/s] of the arm's speed under the model; of the mass [1/s]; masses [kg] from which on it counts, and until when.
+SPEED_GAIN, MASS_GAIN, BEGINS, ENDS = 60.0, 40.0, 0.25, 0.05
+#: A robot that has been calm for so long [s] feels a load that comes until so long after it [s]: in fast motions the model's errors
+#: look like one.
+CALM, AFTER = 0.3, 0.1
+#: What counts as calm: see ``learning`` of the disturbance observer.
+STILL = 0.7
+#: Coordinates of ball and base, before those of the arm.
+BASE = 5
+#: Largest share of the force that may be no weight; least share of what moves the arm by the model: less may be an error of its inertia.
+UNLIKE, UNEXPLAINED = 0.5, 0.5
+
+
+class Load(IntEnum):
+    """Entries of the array ``load``: the mass [kg], for how long [s] the robot has been calm and will count as calm, whether a mass
+    is coming or going, whether a speed is known."""
+
+    MASS = 0
+    CALM = 1
+    LEFT = 2
+    CHANGING = 3
+    STARTED = 4
+
+
+class Rule(IntEnum):
+    """Entries of the array ``rule``: settings of :class:`wbmpc.bases.ball.payload.PayloadEstimator`."""
+
+    RATE = 0
+    MAXIMUM = 1
+    SURE = 2
+    BASE_SPREAD = 3
+    ARM_SPREAD = 4
+
+
+@compiled
+def by_arm(n: int, weight: Floats, rule: Floats) -> bool:
+    """Whether the arm observes a mass by itself and better than the base."""
+    whole, own = 0.0, 0.0
+    for i in range(n):
+        spread = rule[Rule.BASE_SPREAD] if i < BASE else rule[Rule.ARM_SPREAD]
+        each = weight[i] ** 2 / spread**2
+        whole += each
+        if i >= BASE:
+            own += each
+    return own >= max(0.5 * whole, 1.0 / rule[Rule.SURE] ** 2)
+
+
+@step
+def change(n: int, weight: Floats, force: Floats, load: Floats, rule: Floats, by: float, known: float) -> None:
+    """The mass changes ``by`` [kg], of which the ``force`` had the ``known`` share."""
+    previous = load[Load.MASS]
+    load[Load.MASS] = min(max(previous + by, 0.0), rule[Rule.MAXIMUM])
+    for i in range(n):
+        force[i] -= known * (load[Load.MASS] - previous) * weight[i]
+
+
+@step
+def learn(n: int, weight: Floats, force: Floats, load: Floats, rule: Floats, h: float) -> None:
+    """What of the ``force`` is like the weight becomes mass, for ``h`` [s], where the arm observes it."""
+    if not by_arm(n, weight, rule):
+        return
+    alike, square = 0.0, 0.0
+    for i in range(n):
+        spread = rule[Rule.BASE_SPREAD] if i < BASE else rule[Rule.ARM_SPREAD]
+        scaled = weight[i] / spread**2
+        alike += scaled * force[i]
+        square += scaled * weight[i]
+    change(n, weight, force, load, rule, h * rule[Rule.RATE] * alike / square, 1.0)
+
+
+@compiled
+def feel(
+    n: int, velocity: Floats, model: Floats, mass: Floats, force: Floats, weight: Floats, believed: Floats, apart: Floats,
+    load: Floats, learning: float, h: float,
+) -> tuple[float, float]:  # fmt: skip
+    """By how much [kg] the mass changes over ``h`` [s], and which share of that is in the ``force`` already. ``velocity`` (n) as
+    measured, ``model`` (n): the accelerations that the model explains, ``believed`` (n): the speed under it; ``mass`` (n, n):
+    the inertia; ``learning``: how calm the robot is, from 0 to 1."""
+    for i in range(n):
+        if load[Load.STARTED] == 0.0:
+            believed[i] = velocity[i]
+        apart[i] = SPEED_GAIN * (velocity[i] - believed[i])
+        believed[i] += h * (model[i] + apart[i])
+    load[Load.STARTED] = 1.0
+    load[Load.CALM] = load[Load.CALM] + h if learning > STILL else 0.0
+    load[Load.LEFT] = AFTER if load[Load.CALM] >= CALM else load[Load.LEFT] - h
+    square, alike, known, whole, moved = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(BASE, n):
+        own, moving = force[i], 0.0
+        for j in range(n):
+            own += mass[i * n + j] * apart[j]
+            moving += mass[i * n + j] * model[j]
+        square += weight[i] * weight[i]
+        alike += weight[i] * own
+        known += weight[i] * force[i]
+        whole += own * own
+        moved += moving * moving
+    if square == 0.0:
+        return 0.0, 0.0
+    kilograms, changing = alike / square, load[Load.CHANGING] > 0.0
+    size = abs(kilograms) * np.sqrt(square)
+    enough = abs(kilograms) > ENDS
+    if not changing:
+        enough = abs(kilograms) > max(BEGINS, UNEXPLAINED * np.sqrt(moved / square)) and load[Load.LEFT] > 0.0
+    unlike = np.sqrt(max(whole - size * size, 0.0))
+    load[Load.CHANGING] = 1.0 if enough and unlike < UNLIKE * size else 0.0
+    if load[Load.CHANGING] == 0.0:
+        return 0.0, 0.0
+    return h * MASS_GAIN * kilograms, min(max(known / (square * kilograms), 0.0), 1.0)
+
+
+@step
+def weigh(
+    n: int, velocity: Floats, after: Floats, innovation: Floats, mass: Floats, force: Floats, weight: Floats, model: Floats,
+    believed: Floats, apart: Floats, load: Floats, rule: Floats, learning: float, h: float,
+) -> None:  # fmt: skip
+    """The mass of this tick, at once where a load comes or goes, else as it is learnt; the ``force`` goes without it. ``velocity``,
+    ``after``, ``innovation`` and ``mass`` are those of :func:`wbmpc.estimation.disturbance_step.observe`, ``h`` [s] ago."""
+    if not by_arm(n, weight, rule):
+        return
+    for i in range(n):
+        model[i] = (after[i] - velocity[i] + innovation[i]) / h
+    by, known = feel(n, velocity, model, mass, force, weight, believed, apart, load, learning, h)
+    if load[Load.CHANGING] > 0.0:
+        change(n, weight, force, load, rule, by, known)
+    else:
+        learn(n, weight, force, load, rule, learning * h)

@@ -1,0 +1,193 @@
+"""Legs that fold where it is narrow: as wide as the clearance along the base's reference allows, with brakes that open for it.
+
+Gradients of distances are local: a leg in front of a wall may as well fold to the wrong side. So leg angles are references that look
+ahead. At each place of the base's reference the base moves aside as little as its body needs, and each leg turns from where it is asked
+to be towards the body's axis as little as its own parts need; how fast legs turn is limited, so that they fold in good time. A brake
+is open while its leg's reference turns.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
+from wbmpc.clearance.nearest import Finder, Poses
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.geometry import robot_geometry
+from wbmpc.obstacles.world import Snapshot
+from wbmpc.ocp import Reference
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+#: Interval of what is looked at ahead [s]; how long ahead beyond the horizon [s]; how often [s] it is looked.
+STEP, BEYOND, REFRESH = 0.2, 4.0, 0.2
+#: Shares of the way of a leg, and how far [m] the base may move aside, from straight on.
+SHARES = np.linspace(0.0, 1.0, 13)
+ASIDE = np.array([0.0, 0.03, -0.03, 0.06, -0.06, 0.09, -0.09, 0.12, -0.12])
+#: What is asked for beyond the margin [m], and how far [m] is looked.
+GAP, REACH = 0.02, 0.3
+#: Legs fold beyond the body's axis by so much [rad]: wheels come under the body.
+INWARD = 0.12
+#: Legs turn with this share of their speed limit, the base moves aside so fast [m/s].
+LEG_SHARE, ASIDE_SPEED = 0.6, 0.05
+#: Brakes are open from so long [s] before their leg turns until so long after.
+BEFORE, AFTER = 0.3, 0.6
+
+
+class LegFolding:
+    """References of the legs and ``brakes`` for a robot with hinged legs whose ``mpc`` keeps clear of obstacles; ``delay`` [s]: of brakes."""
+
+    def __init__(self, robot: RobotModel, mpc: MPC, delay: float = BRAKE_DELAY) -> None:
+        self.robot, self._mpc = robot, mpc
+        self.brakes = BrakeControl(robot, delay=delay, changed=mpc.set_schedule)
+        self._finder = Finder(robot_geometry(robot), REACH, deep=False)
+        self._leg = robot.state["leg"]
+        self._of_leg, self._body = self._parts()
+        geometry = robot.base.geometry
+        asked = robot.home[self._leg]
+        straight = np.round((geometry.leg_heading + asked) / np.pi) * np.pi - geometry.leg_heading
+        limits = robot.limits
+        folded = straight + np.sign(straight - asked) * INWARD
+        self._narrow = np.clip(folded, limits.state_lower[self._leg], limits.state_upper[self._leg])
+        #: legs at one end of the body fold alike
+        self._pair = geometry.hinge[:, 0] > 0.0
+        self._rate = LEG_SHARE * float(limits.input_upper[robot.input["leg"]].min())
+        self._looked = -np.inf
+        self._turned = np.full(geometry.modules, -np.inf)  # when each leg's reference turned last
+        self._ahead: tuple[Array, Array, Array] | None = None  # times (k), shares (k, n), aside (k)
+        self._asked: Reference | None = None
+        self._set: Reference | None = None
+
+    def _parts(self) -> tuple[list[Ints], Ints]:
+        """Indices of the geometry's frames that hang on each leg, and of those that carry no arm and no leg."""
+        robot, geometry = self.robot, self._finder.geometry
+        links = robot.tree.links
+        joints = [robot.tree.joint(n) for n in robot.state.groups["leg"]]
+
+        def above(link: int) -> set[int]:
+            found = set()
+            while link >= 0:
+                found.add(link)
+                link = links[link].parent
+            return found
+
+        chains = [above(robot.tree.frames[f].link) for f in geometry.frames]
+        of_leg = [np.flatnonzero([joint in chain for chain in chains]) for joint in joints]
+        arm = {robot.tree.joint(n) for n in robot.state.groups["arm"]}
+        body = np.flatnonzero([not chain & (arm | set(joints)) for chain in chains])
+        return of_leg, body
+
+    def attach(self, controller: Any) -> None:
+        """Let a controller that has brakes follow these."""
+        if hasattr(controller, "brakes"):
+            controller.brakes = self.brakes.commanded
+
+    def update(self, t: float) -> None:
+        """Set the reference "state" and the brakes for updates from ``t`` [s] on."""
+        reference = self._mpc.reference["state"]
+        if reference is not self._set:
+            self._asked = reference
+        assert self._asked is not None
+        world = self._mpc.obstacles
+        if t >= self._looked + REFRESH - 1e-9 and world is not None:
+            self._looked = t
+            there = world.snapshot(t)
+            still = tuple(o for o in there.obstacles if not o.velocity.any())  # who walks by is evaded or waited for
+            self._look(t, Snapshot(still, there.frames), self._asked)
+        times = _times(t, self._mpc.ocp.horizon + 2.0 * self._mpc.period + STEP)
+        values = np.array([self._asked.at(float(at)) for at in times])
+        shares, aside = self._planned(times)
+        self._turned = np.where(np.abs(shares[1] - shares[0]) > 1e-3, t, self._turned)
+        base = self.robot.state["base"].start
+        values[:, base] -= np.sin(values[:, base + 2]) * aside
+        values[:, base + 1] += np.cos(values[:, base + 2]) * aside
+        values[:, self._leg] += shares * (self._narrow - values[:, self._leg])
+        self._set = Reference(times, values)
+        self._mpc.reference["state"] = self._set
+
+    def _planned(self, times: Array) -> tuple[Array, Array]:
+        if self._ahead is None:
+            return np.zeros((len(times), len(self._turned))), np.zeros(len(times))
+        at, shares, aside = self._ahead
+        return np.stack([np.interp(times, at, s) for s in shares.T], axis=1), np.interp(times, at, aside)
+
+    # ------------------------------------------------------------------ what is ahead
+    def _look(self, t: float, snapshot: Snapshot, asked: Reference) -> None:
+        times = _times(t, self._mpc.ocp.horizon + BEYOND)
+        states = np.array([asked.at(float(at))[: self.robot.state.size] for at in times])
+        shares, aside = self.needed(snapshot, times, states)
+        speeds = np.abs(self._narrow - states[:, self._leg]).max(axis=0)
+        rate = self._rate / np.maximum(speeds, 1e-3)
+        now, offs = self._planned(times[:1])
+        start, off = now[0], float(offs[0])
+        folded = np.stack([_reachable(s, times, r, b) for s, r, b in zip(shares.T, rate, start, strict=True)], axis=1)
+        sides = _reachable(np.maximum(aside, 0.0), times, ASIDE_SPEED, max(off, 0.0)) - _reachable(
+            np.maximum(-aside, 0.0), times, ASIDE_SPEED, max(-off, 0.0)
+        )
+        self._ahead = times, folded, sides
+        self._schedule(times, folded)
+
+    def needed(self, snapshot: Snapshot, times: Array, states: Array) -> tuple[Array, Array]:
+        """Of base poses in ``states`` (k, nx) at ``times`` (k) [s]: shares (k, n) of each leg's way to its narrowest angle, and how far
+        aside (k) [m] the base has to be; zeros where the body does not pass either."""
+        k, m = len(times), len(ASIDE)
+        wanted = float(self.robot.description.collision.margin) + GAP
+        at = np.repeat(times, m)
+        moved = self._shifted(np.repeat(states, m, axis=0), np.tile(ASIDE, k))
+        body = self._distances(snapshot, at, moved, [self._body])[:, 0].reshape(k, m)
+        capped = np.minimum(body, wanted)
+        passes = capped.max(axis=1) > 0.0
+        aside = np.where(
+            passes, ASIDE[np.argmax(capped, axis=1)], 0.0
+        )  # the first of those that are as good: the nearest
+        turned = np.repeat(self._shifted(states, aside), len(SHARES), axis=0)
+        asked = turned[:, self._leg]
+        turned[:, self._leg] = asked + np.tile(SHARES, k)[:, None] * (self._narrow - asked)
+        legs = self._distances(snapshot, np.repeat(times, len(SHARES)), turned, self._of_leg)
+        clear = legs.reshape(k, len(SHARES), -1) >= wanted
+        shares = np.where(clear.any(axis=1), SHARES[np.argmax(clear, axis=1)], 1.0) * passes[:, None]
+        for pair in (self._pair, ~self._pair):
+            shares[:, pair] = shares[:, pair].max(axis=1, keepdims=True, initial=0.0)
+        return shares, aside
+
+    def _shifted(self, states: Array, aside: Array) -> Array:
+        out, base = states.copy(), self.robot.state["base"].start
+        out[:, base] -= np.sin(states[:, base + 2]) * aside
+        out[:, base + 1] += np.cos(states[:, base + 2]) * aside
+        return out
+
+    def _distances(self, snapshot: Snapshot, times: Array, states: Array, groups: list[Ints]) -> Array:
+        """Least distance (n, groups) [m] of each group of frames to any obstacle, :data:`REACH` at most."""
+        poses = Poses(times, *self._finder.kinematics(states))
+        frames = len(self._finder.geometry.frames)
+        limit = np.full((len(times), frames, len(snapshot.obstacles)), -np.inf)
+        limit[:, np.concatenate(groups)] = REACH
+        found = self._finder.find(snapshot, poses, limit).distance
+        return np.stack([found[:, g].min(axis=(1, 2), initial=REACH) for g in groups], axis=1)
+
+    def _schedule(self, times: Array, shares: Array) -> None:
+        """Open the brake of each leg while its reference turns."""
+        turns = np.zeros(shares.shape, bool)
+        turns[:-1] = np.abs(np.diff(shares, axis=0)) > 1e-3
+        is_open = times[:, None] <= self._turned + AFTER + 1e-9
+        for k in np.flatnonzero(turns.any(axis=1)):
+            near = (times >= times[k] - BEFORE - 1e-9) & (times <= times[k] + AFTER + 1e-9)
+            is_open[near] |= turns[k]
+        changes = [0, *(np.flatnonzero((is_open[1:] != is_open[:-1]).any(axis=1)) + 1)]
+        self.brakes.replace([(float(times[k]), is_open[k].astype(float)) for k in changes])
+
+
+def _times(t: float, duration: float) -> Array:
+    return np.asarray(t + STEP * np.arange(round(duration / STEP) + 1), float)
+
+
+def _reachable(needed: Array, times: Array, rate: float, start: float) -> Array:
+    """The least curve above ``needed`` (k) that changes by ``rate`` at most, as far as it can be reached from ``start``."""
+    slack = rate * np.abs(times[:, None] - times[None, :])
+    least = (needed[None, :] - slack).max(axis=1)
+    room = rate * (times - times[0])
+    return np.asarray(np.clip(least, start - room, start + room))

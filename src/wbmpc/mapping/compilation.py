@@ -1,0 +1,15 @@
+"""The library of compiled maps."""
+
+from __future__ import annotations
+
+from wbmpc.clearance import compilation
+from wbmpc.kernel.library import Library
+
+_STEPS = ("distance_step", "rays_step", "body_step")
+LIBRARY = Library(
+    "maps",
+    rooms=("mapping", "clearance", "kernel"),
+    modules=tuple(f"wbmpc.mapping.{m}" for m in _STEPS),
+    uses=(compilation.LIBRARY,),
+)
+compiled = LIBRARY.compiled

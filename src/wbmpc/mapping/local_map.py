@@ -1,0 +1,169 @@
+"""A map of what range sensors see around a robot: occupied cells in a window that moves along, as a grid of distances."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc import checks
+from wbmpc.errors import InputError, SensorFailure
+from wbmpc.kernel.ir import LANES
+from wbmpc.mapping.body import BodyFilter
+from wbmpc.mapping.distances import ERROR, DistanceTransform
+from wbmpc.mapping.rays_step import FREE, OCCUPIED, SOLID, add_scan, settle
+from wbmpc.model.robot import RobotModel
+from wbmpc.obstacles.shapes import LARGEST, MAX_CELLS, DistanceGrid
+from wbmpc.obstacles.world import Obstacles
+
+Array = NDArray[np.float64]
+#: The window moves when the sensor is farther [m] than this from its middle; distances up to this [m] are exact, others are so much.
+MOVES, FARTHEST = 0.5, 1.0
+#: Points farther than so many ranges are no measurements.
+HOSTILE = 10.0
+#: Points of a scan, at most.
+MAX_POINTS = 1_000_000
+
+
+class LocalMap:
+    """Occupied cells of ``cell`` [m] in a window of ``size`` (3) [m] about the sensors; memory does not grow.
+
+    :meth:`add` takes in a scan, :meth:`publish` makes the map an obstacle. What was never seen counts as free. Points lower than ``floor``
+    [m] above the ground are the floor. ``reach`` [m] of the sensors: farther points only say that the way there is free. Points within
+    ``padding`` [m] of the ``robot`` (None: nothing to remove) are itself. A cell is free again when scans look through it some times, or
+    ``memory`` [s] after it was last seen. ``max_age`` [s]: a map whose oldest source is older ends plans in a stop. Coordinates are those of
+    plans (:meth:`wbmpc.model.robot.RobotModel.pose`). ``dropped``: points so far that were no measurements. Use it from one thread.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel | None = None,
+        *,
+        size: ArrayLike = (6.0, 6.0, 2.0),
+        cell: float = 0.05,
+        floor: float = 0.08,
+        reach: float = 4.0,
+        padding: float = 0.05,
+        memory: float = 30.0,
+        max_age: float = 0.5,
+    ) -> None:
+        who, extent = "local map", checks.numbers("local map", "size", size, 3)
+        checks.positive(who, cell=cell, reach=reach, memory=memory, max_age=max_age)
+        checks.not_negative(who, floor=floor, padding=padding)
+        ground = 0.0 if robot is None else robot.description.base.ground
+        counts = np.round(extent / cell)
+        if not ((counts >= 2).all() and counts.prod() <= MAX_CELLS and floor < extent[2]):
+            raise InputError(
+                f"{who}: 'size' needs 2 cells or more along each axis, {MAX_CELLS} at most, got {extent.tolist()}"
+            )
+        self._lowest = int(np.ceil(floor / cell)) + 1
+        layers = self._lowest + int(np.ceil((extent[2] - floor) / cell))
+        self.shape = (int(counts[0]), int(counts[1]), -(-layers // LANES) * LANES)  # faster in whole vectors
+        self.cell, self._reach, self._memory, self._max_age = float(cell), float(reach), float(memory), float(max_age)
+        self._bottom = ground + floor - self._lowest * self.cell
+        self._body = None if robot is None else BodyFilter(robot, float(padding))
+        self._nx = 0 if robot is None else robot.state.size
+        self._evidence, self._mark = np.zeros(self.shape, np.int64), np.zeros(self.shape, np.int64)
+        self._seen = np.zeros(self.shape)
+        self._low: NDArray[np.int64] | None = None
+        self._transform = DistanceTransform(self.shape, self.cell, FARTHEST)
+        self._scan, self.dropped = 0, 0
+        self._times: dict[str, float] = {}
+
+    # ------------------------------------------------------------------ where it is
+    @property
+    def origin(self) -> Array:
+        """Center (3) [m] of the first cell."""
+        low = np.zeros(2) if self._low is None else self._low
+        return np.array([*(low + 0.5) * self.cell, self._bottom + 0.5 * self.cell])
+
+    @property
+    def occupied(self) -> NDArray[np.bool_]:
+        """Occupied cells (nx, ny, nz)."""
+        return self._evidence >= OCCUPIED
+
+    def _follow(self, position: Array) -> None:
+        """Move the window to where the sensor is; what leaves it is forgotten."""
+        middle = np.round(position[:2] / self.cell).astype(np.int64)
+        wanted = middle - np.array(self.shape[:2]) // 2
+        if self._low is None:
+            self._low = wanted
+        shift = wanted - self._low
+        if np.abs(shift).max() * self.cell <= MOVES:
+            return
+        for array in (self._evidence, self._mark, self._seen):
+            moved = np.zeros_like(array)
+            keep = [slice(max(s, 0), n + min(s, 0)) for s, n in zip(shift.tolist(), self.shape[:2], strict=True)]
+            put = [slice(max(-s, 0), n + min(-s, 0)) for s, n in zip(shift.tolist(), self.shape[:2], strict=True)]
+            if (np.abs(shift) < self.shape[:2]).all():
+                moved[put[0], put[1]] = array[keep[0], keep[1]]
+            array[:] = moved
+        self._low = wanted
+
+    # ------------------------------------------------------------------ scans
+    def add(
+        self, points: ArrayLike, origin: ArrayLike, t: float, state: ArrayLike | None = None, source: str = "scan"
+    ) -> int:
+        """Take in ``points`` (n, 3) [m] that ``source`` saw from ``origin`` (3) [m] at ``t`` [s], when the robot was in ``state`` (nx).
+
+        Points that are not finite or much too far are dropped and counted, and so is a scan that is older than the last one of its source.
+        Returns how many points became part of the map. Raises :class:`InputError` for other shapes and for a state that is missing.
+        """
+        cloud, sensor = (
+            checks.real_numbers("local map: 'points'", points),
+            checks.numbers("local map", "origin", origin, 3),
+        )
+        checks.at_most("local map", LARGEST, origin=sensor)
+        t = checks.absolute_time("local map", t)
+        if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) > MAX_POINTS:
+            raise InputError(f"local map: 'points' needs rows of 3 numbers, {MAX_POINTS} at most, got {cloud.shape}")
+        if self._body is not None and state is None:
+            raise InputError("local map: 'state' is missing: where the robot itself was, which the sensors see too")
+        if t < self._times.get(source, -np.inf):
+            self.dropped += len(cloud)
+            return 0
+        self._times[source] = t
+        with np.errstate(invalid="ignore", over="ignore"):
+            length = np.linalg.norm(cloud - sensor, axis=1)
+        good = length < HOSTILE * self._reach
+        self.dropped += int(len(good) - good.sum())
+        cloud = np.ascontiguousarray(cloud[good])
+        kind = np.where(length[good] <= self._reach, SOLID, FREE).astype(np.int64)
+        if self._body is not None and state is not None:
+            self._body.mark(cloud, kind, checks.numbers("local map", "state", state, self._nx))
+        return self._take(cloud, kind, sensor, t)
+
+    def _take(self, cloud: Array, kind: NDArray[np.int64], sensor: Array, t: float) -> int:
+        self._follow(sensor)
+        self._scan += 1
+        corner = self.origin - 0.5 * self.cell
+        cells, from_ = (cloud - corner) / self.cell, (sensor - corner) / self.cell
+        add: Any = add_scan
+        found: int = add(
+            len(cells), cells.reshape(-1), kind, *from_.tolist(), self._reach / self.cell, 2.0, t, *self.shape, self._lowest,
+            self._scan, self._evidence.reshape(-1), self._mark.reshape(-1), self._seen.reshape(-1),
+        )  # fmt: skip
+        return found
+
+    # ------------------------------------------------------------------ distances
+    def grid(self, t: float) -> DistanceGrid:
+        """Distances to what is occupied at ``t`` [s]."""
+        nx, ny, nz = self.shape
+        settle(nx * ny, nz, self._lowest, t - self._memory, self._evidence.reshape(-1), self._seen.reshape(-1))
+        return DistanceGrid(self.origin, self.cell, self._transform(self._evidence, OCCUPIED), ERROR * self.cell)
+
+    def age(self, t: float) -> float:
+        """How old [s] the last scan of the oldest source is; infinite before the first one."""
+        return t - min(self._times.values(), default=-np.inf)
+
+    def publish(self, world: Obstacles, t: float, name: str = "map") -> None:
+        """Make the map as it is at ``t`` [s] an obstacle of ``world``. Raises :class:`~wbmpc.errors.SensorFailure` where there is no scan yet,
+        or one of the future: its age would say nothing."""
+        t = checks.absolute_time("local map", t)
+        if not self._times:
+            raise SensorFailure("local map: there is no scan yet")
+        ahead = max(self._times, key=lambda s: self._times[s])
+        if self._times[ahead] > t + self._max_age:
+            raise SensorFailure(f"local map: source '{ahead}' is {self._times[ahead] - t:.2f} s ahead of the clock")
+        world.set(name, self.grid(t), seen=min(min(self._times.values()), t), max_age=self._max_age)

@@ -1,0 +1,33 @@
+"""What an MPC asks of its settings, its problem's limits and of vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from wbmpc.checks import real_numbers
+from wbmpc.errors import InputError, NotFinite
+from wbmpc.ocp import OptimalControlProblem
+from wbmpc.solver import SQP
+
+
+def check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
+    """Raise :class:`InputError` for settings under which nothing would say that a plan misses hard limits or equalities."""
+    limits = any(term.hard for term in ocp.inequalities)
+    unreported = limits and settings.interior_point.mode != "real_time"
+    if unreported or (settings.compute_kkt and (limits or ocp.equalities)):
+        name = type(settings).__name__
+        raise InputError(
+            f"mpc: {name}(compute_kkt={settings.compute_kkt}, interior point '{settings.interior_point.mode}') does not say in every plan"
+            f" by how much it misses constraints; valid: {name}.real_time(...), with as many iterations as you like"
+        )
+
+
+def check_vector(where: str, names: Sequence[str], value: np.ndarray) -> None:
+    """Raise :class:`InputError` unless ``value`` has one finite number for each name."""
+    vector = real_numbers(where, value)
+    if vector.shape != (len(names),):
+        raise InputError(f"{where}: {len(names)} numbers are needed, got shape {vector.shape}")
+    if not np.isfinite(vector).all():
+        raise NotFinite(f"{where}: '{names[int(np.argmax(~np.isfinite(vector)))]}' is not finite")

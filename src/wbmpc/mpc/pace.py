@@ -1,0 +1,86 @@
+"""References that wait for the robot: their time goes on as far as the plan can follow, and no farther."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.checks import absolute_time, numbers
+from wbmpc.errors import InputError
+from wbmpc.ocp import Reference
+
+if TYPE_CHECKING:
+    from wbmpc.mpc.mpc import MPC
+
+Array = NDArray[np.float64]
+#: Distance [m] of the end effector from its reference up to which time runs freely, and from which on it stands.
+FREE, STANDING = 0.04, 0.2
+#: What a plan may lack [m] of a margin at no cost, and what more of it stops the time.
+TOLERATED, LACKING = 0.01, 0.05
+#: How fast [1/s] the rate of time falls and rises.
+FALL, RISE = 4.0, 1.0
+#: A reference whose time goes on at less than the first rate counts as waiting, at less than the second it stands.
+WAITS, STANDS = 0.1, 0.02
+
+
+class PacedReferences:
+    """References ``names`` of an MPC, as they are when this is made, along a time of their own: ``time`` [s], which is the clock's at
+    ``start`` [s] and goes on at ``rate`` (0 to 1) times the clock.
+
+    A robot that evades something or waits would leave its reference far behind, and a far reference pulls it through what it evades. The
+    rate falls with the end effector's distance from its reference, and with what the last plan lacks of its clearances.
+    """
+
+    def __init__(self, mpc: MPC, names: Sequence[str] = ("end_effector", "state"), start: float = 0.0) -> None:
+        if "end_effector" not in mpc.reference:
+            raise InputError("paced references: the MPC needs a reference 'end_effector'")
+        self._mpc, self._set_at = mpc, absolute_time("paced references: 'start'", start)
+        found = {name: mpc.reference[name] for name in names if name in mpc.reference}
+        self._whole = {name: reference for name, reference in found.items() if reference.times.size > 1}
+        self._path = mpc.reference["end_effector"]
+        self.time, self.rate = self._set_at, 1.0
+
+    @property
+    def delay(self) -> float:
+        """How long [s] the references have waited."""
+        return self._set_at - self.time
+
+    @property
+    def waits(self) -> bool:
+        """Whether the references hardly go on, before their end."""
+        return self.rate < WAITS and self.time < float(self._path.times[-1])
+
+    def missed(self, position: ArrayLike) -> float:
+        """Distance [m] of a position (3) [m] from the end of the end effector's reference."""
+        return float(np.linalg.norm(np.asarray(position, float) - self._path.values[-1, :3]))
+
+    def advance(self, t: float, position: ArrayLike) -> None:
+        """Set the references for updates from ``t`` [s] on; ``position`` (3) [m] of the end effector. Call it once before each update."""
+        t = absolute_time("paced references", t)
+        h = max(t - self._set_at, 0.0)
+        self._set_at, self.time = t, self.time + self.rate * h
+        wanted = self._wanted(numbers("paced references", "position", position, 3))
+        self.rate = float(np.clip(wanted, self.rate - FALL * h, self.rate + RISE * h))
+        for name, whole in self._whole.items():
+            self._mpc.reference[name] = self._ahead(whole, t)
+
+    def _wanted(self, position: Array) -> float:
+        behind = float(np.linalg.norm(position - self._path.at(self.time)[:3]))
+        near, lack = self._mpc.clearance, 0.0
+        if near.frame:
+            lack = max(-near.excess - TOLERATED, 0.0)
+        share = float(np.clip((STANDING - behind) / (STANDING - FREE), 0.0, 1.0))
+        return share * max(1.0 - lack / LACKING, 0.0)
+
+    def _ahead(self, whole: Reference, t: float) -> Reference:
+        """A reference as it will be if the rate stays."""
+        if self.rate < STANDS:
+            return Reference(np.array([t]), whole.at(self.time)[None], whole.kind)
+        end = self.time + self.rate * (self._mpc.ocp.horizon + 2.0 * self._mpc.period)
+        inner = (whole.times > self.time) & (whole.times < end)
+        times = np.concatenate([[self.time], whole.times[inner], [end]])
+        values = np.concatenate([whole.at(self.time)[None], whole.values[inner], whole.at(end)[None]])
+        return Reference(t + (times - self.time) / self.rate, values, whole.kind)

@@ -1,0 +1,98 @@
+"""A layout of Foxglove for a recording: the robot with its paths and contact forces, and plots, without anything to set up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from wbmpc.errors import InputError
+from wbmpc.recording.reader import Recording
+from wbmpc.robots.frames import BASE, MAP
+
+#: Share of the width that the robot has [%].
+_PICTURE = 60
+#: How topics are drawn in 3D, where a recording has them.
+_DRAWN: dict[str, dict[str, Any]] = {
+    "/plan": {"lineWidth": 0.02, "gradient": ["#28a05aff", "#28a05aff"]},
+    "/plan/hand": {"lineWidth": 0.02, "gradient": ["#1e6edcff", "#1e6edcff"]},
+    "/hand/reference": {"type": "axis", "axisScale": 0.2},
+    "/hand/pose": {"type": "axis", "axisScale": 0.12},
+}
+
+
+def layout(recording: Recording) -> dict[str, Any]:
+    """What Foxglove imports as a layout. Raises :class:`InputError` for a recording without anything that it shows."""
+    panels: dict[str, dict[str, Any]] = {}
+    if "/tf" in recording.topics:
+        panels["3D!robot"] = _picture(recording)
+    panels |= {f"Plot!{i}": plot for i, plot in enumerate(_plots(recording), start=1)}
+    if not panels:
+        raise InputError(f"{recording.path}: holds no frames (/tf), joints, or numbers to plot")
+    plots = [name for name in panels if name.startswith("Plot!")]
+    shown: Any = _stacked(plots) if plots else "3D!robot"
+    if plots and "3D!robot" in panels:
+        shown = {"direction": "row", "first": "3D!robot", "second": shown, "splitPercentage": _PICTURE}
+    return {
+        "configById": panels, "globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1}, "layout": shown,
+    }  # fmt: skip
+
+
+def _stacked(names: Sequence[str]) -> Any:
+    """Panels one below the other, all of a height."""
+    if len(names) == 1:
+        return names[0]
+    share = 100 / len(names)
+    return {"direction": "column", "first": names[0], "second": _stacked(names[1:]), "splitPercentage": share}
+
+
+def _picture(recording: Recording) -> dict[str, Any]:
+    topics = {name: {"visible": True, **style} for name, style in _DRAWN.items() if name in recording.topics}
+    topics |= {name: {"visible": True} for name in recording.topics if name.startswith("/contact/")}
+    grid = {"layerId": "foxglove.Grid", "instanceId": "grid", "label": "Floor", "visible": True, "frameId": MAP}
+    layers: dict[str, Any] = {"grid": {**grid, "size": 20, "divisions": 40, "lineWidth": 1, "color": "#9aa7b380"}}
+    if "/robot_description" in recording.topics:
+        layers["robot"] = {
+            "layerId": "foxglove.Urdf", "instanceId": "robot", "label": "Robot", "visible": True, "sourceType": "topic",
+            "topic": "/robot_description", "framePrefix": "", "displayMode": "auto",
+        }  # fmt: skip
+    camera = {
+        "perspective": True,
+        "distance": 5,
+        "phi": 65,
+        "thetaOffset": 45,
+        "target": [0, 0, 0],
+        "targetOffset": [0, 0, 0.4],
+    }
+    hidden = {"showLabel": False, "axisScale": 0, "lineWidth": 0}
+    return {
+        "fixedFrame": MAP, "followTf": BASE, "followMode": "follow-position", "cameraState": camera, "topics": topics, "layers": layers,
+        "scene": {"transforms": hidden, "meshUpAxis": "z_up"},
+    }  # fmt: skip
+
+
+def _plots(recording: Recording) -> list[dict[str, Any]]:
+    """Where the end effector is and should be, solve times, joint speeds and drive forces, contact forces."""
+    topics = recording.topics
+    poses = [("/hand/pose_odom", "end effector"), ("/hand/reference", "reference")]
+    hands = [(f"{t}.pose.position.{a}", f"{a}, {name}") for a in "xyz" for t, name in poses if t in topics]
+    solve = [(f"/mpc/{n}.data", n.replace("_", " ")) for n in ("solve_time", "period") if f"/mpc/{n}" in topics]
+    states_topic = topics.get("/joint_states")
+    known = states_topic is not None and states_topic.kind == "sensor_msgs/JointState"
+    joints = list(states_topic.last()["name"]) if known and states_topic else []
+    states = lambda part: [(f"/joint_states.{part}[{i}]", name) for i, name in enumerate(joints)]
+    forces = [(f"{t}.wrench.force.z", t.removeprefix("/contact/")) for t in topics if t.startswith("/contact/")]
+    titled = {
+        "End effector and reference [m]": hands, "Solve time and period [s]": solve, "Joint speeds [rad/s]": states("velocity"),
+        "Drives [N m]": states("effort"), "Vertical contact forces [N]": forces,
+    }  # fmt: skip
+    return [_plot(title, lines) for title, lines in titled.items() if lines]
+
+
+def _plot(title: str, lines: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    paths = [
+        {"value": path, "label": label, "enabled": True, "timestampMethod": "receiveTime"} for path, label in lines
+    ]
+    return {
+        "title": title, "paths": paths, "xAxisVal": "timestamp", "isSynced": True, "showXAxisLabels": True, "showYAxisLabels": True,
+        "showLegend": True, "legendDisplay": "floating", "showPlotValuesInLegend": True,
+    }  # fmt: skip

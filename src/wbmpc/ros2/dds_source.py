@@ -1,0 +1,109 @@
+"""Whose a message on DDS is, and a filter that keeps a publisher's messages apart from a flood of others'.
+
+The filter is machine code that DDS calls where it receives a message: a message that does not pass takes no room in the reader's
+history and does not wake Python. It is a filter of the topic by the sample's description (``dds_set_topic_filter_extended``).
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+from cyclonedds.core import DDSException
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.internal import load_cyclonedds
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from wbmpc.kernel.codegen_target import compile_module, load_object
+
+#: Of all others' messages one passes in this time [ns]: enough to see that there are others, and what they send.
+RARELY = 5_000_000
+#: In the filter's mode of DDS a function gets a sample's description (dds_sample_info_t) and an argument.
+_BY_DESCRIPTION, _WRITER_OFFSET = 3, 32
+#: Memory: the writer whose messages all pass (0: everybody's do), and when another one's passed last [ns]. The difference of times is
+#: unsigned: after a clock that was set back a message passes.
+_CODE = f"""
+declare i64 @wbmpc_dds_time()
+define zeroext i1 @wbmpc_dds_passes(ptr %sample, ptr %memory) nounwind {{
+  %place = getelementptr i8, ptr %sample, i64 {_WRITER_OFFSET}
+  %writer = load i64, ptr %place
+  %first = load atomic i64, ptr %memory monotonic, align 8
+  %nobody = icmp eq i64 %first, 0
+  %same = icmp eq i64 %first, %writer
+  %counts = or i1 %nobody, %same
+  br i1 %counts, label %yes, label %other
+other:
+  %now = call i64 @wbmpc_dds_time()
+  %since = getelementptr i64, ptr %memory, i64 1
+  %last = load i64, ptr %since
+  %passed = sub i64 %now, %last
+  %early = icmp ult i64 %passed, {RARELY}
+  br i1 %early, label %no, label %rare
+rare:
+  store i64 %now, ptr %since
+  br label %yes
+yes:
+  ret i1 true
+no:
+  ret i1 false
+}}
+"""
+
+#: So many writers of a topic are looked through.
+_MATCHED = 1000
+_matched = (
+    load_cyclonedds().dds_get_matched_publications
+)  # the package's counts twice, and another one may come in between
+
+
+class _Filter(ctypes.Structure):
+    """dds_topic_filter."""
+
+    _fields_ = (("mode", ctypes.c_int), ("function", ctypes.c_void_p), ("argument", ctypes.c_void_p))
+
+
+@cache
+def _code() -> tuple[Any, int]:
+    """The engine that holds the machine code, and the code's address."""
+    now = ctypes.cast(load_cyclonedds().dds_time, ctypes.c_void_p).value
+    assert now is not None
+    engine = load_object(compile_module(_CODE), {"wbmpc_dds_time": now})
+    return engine, engine.get_function_address("wbmpc_dds_passes")
+
+
+class FilteredTopic:
+    """A topic for one reader, whose messages all pass until :meth:`prefer`. Keep it as long as the participant."""
+
+    def __init__(self, participant: DomainParticipant, like: Topic) -> None:
+        self.topic = Topic(participant, like.name, like.data_type)
+        self._memory = (ctypes.c_uint64 * 2)()
+        entry = _Filter(_BY_DESCRIPTION, _code()[1], ctypes.addressof(self._memory))
+        status = load_cyclonedds().dds_set_topic_filter_extended(ctypes.c_int32(self.topic._ref), ctypes.byref(entry))
+        if status < 0:
+            raise DDSException(status, f"while filtering {like.name}")
+
+    def prefer(self, writer: int) -> None:
+        """All messages of the writer with this handle pass, those of others one in :data:`RARELY`."""
+        self._memory[0] = writer
+
+
+@dataclass(frozen=True)
+class DdsWriter:
+    """See :class:`wbmpc.ros2.sources.Source`: the writer of a handle, as a reader of ``topic`` knows it."""
+
+    handle: int
+    reader: DataReader = field(compare=False)
+    topic: FilteredTopic = field(compare=False)
+
+    def gone(self) -> bool:
+        """Whether the reader has no such writer any more: it was deleted, or its process's lease has ended."""
+        matched = (ctypes.c_uint64 * _MATCHED)()
+        count = _matched(ctypes.c_int32(self.reader._ref), matched, ctypes.c_size_t(_MATCHED))
+        return count <= _MATCHED and self.handle not in matched[: max(count, 0)]  # below 0: the reader is gone itself
+
+    def prefer(self) -> None:
+        """Let all of its messages pass."""
+        self.topic.prefer(self.handle)

@@ -1,0 +1,91 @@
+"""What experiments with a path have in common: its settings, how it is followed by a clock or at the robot's own speed, its metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.configuration import OnlyWith
+from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.ocp import Path, Reference
+from wbmpc.result import Metric
+from wbmpc.tasks.path_settings import AnyPath, Line, carried_base, follow, timed
+from wbmpc.tasks.paths import nearest_distance
+from wbmpc.tasks.settings import TaskSettings
+
+Array = np.ndarray
+#: The end of a path is reached within this [m]; points of a path that errors are measured to; of a table of the base beside it.
+THERE, DENSE, TABLE = 0.01, 4001, 501
+#: How many times the clock's time a robot at its own speed is given.
+PATIENCE = 2.0
+
+
+class PathTaskSettings(TaskSettings):
+    """``path``: a line, circle, sine, poses, or the table of a csv file. ``reference``: of a clock, which goes on with the path's speed
+    whatever happens; or progress: the speed is what is asked for, and the robot goes as fast as limits and obstacles allow, never
+    behind a clock. ``time_limit`` [s] for that (left out: twice the clock's)."""
+
+    path: AnyPath = Line()
+    reference: Literal["clock", "progress"] = "clock"
+    time_limit: Annotated[float | None, OnlyWith(reference="progress")] = Field(None, gt=0, le=3600)
+
+
+class Task:
+    """A path from the robot's home on, set as the task of an MPC: ``end`` [s] of the run."""
+
+    def __init__(self, settings: PathTaskSettings, obstacles: bool = False) -> None:
+        progress = settings.reference == "progress"
+        self.robot, self.mpc = robot, mpc = settings.prepare(obstacles, progress=progress)
+        given, self._since = settings.path, settings.settle_time
+        start = mpc.path.pose(0.0) if progress else mpc.reference["end_effector"].at(0.0)
+        self.path = given.smooth(robot, start[:3], start[3:])
+        self._least = self.path.length / given.speed  # no robot is earlier
+        if progress:
+            self.end = self._since + (settings.time_limit or PATIENCE * (self._least + given.ramp))
+            speed = Reference(np.array([0.0, self._since]), np.array([[0.0], [given.speed]]), "hold")
+            along = {"state": beside(robot, self.path)} if _base_goes_along(robot, mpc) else None
+            mpc.path.follow(self.path, speed, given.speed / given.ramp, along=along)
+        else:
+            curve = given.curve(robot, start[:3], start[3:])
+            reference, end = timed(curve, given.speed, given.ramp, self._since)
+            self.end = end + 1.0
+            follow(robot, mpc, reference)
+
+    def metrics(self, log: Log) -> dict[str, Metric]:
+        """When the end effector is at the end of the path and how far off the path it was up to there, whenever that was."""
+        t, tool = log.times("end_effector"), log.array("end_effector")
+        last = self.path.at([self.path.length])[0, :3]
+        there = (t >= self._since + 0.9 * self._least) & (np.linalg.norm(tool - last, axis=1) <= THERE)
+        arrival = float(t[np.argmax(there)]) if there.any() else np.inf
+        dense = self.path.at(np.linspace(0.0, self.path.length, DENSE))[:, :3]
+        off = nearest_distance(tool[(t >= self._since) & (t <= arrival)], dense)
+        return {
+            "path_time": Metric(arrival - self._since, "s"),
+            "contour_error_rms_world": Metric(float(np.sqrt(np.mean(off**2))), "m"),
+            "contour_error_max_world": Metric(float(off.max()), "m"),
+        }
+
+
+def _base_goes_along(robot: RobotModel, mpc: MPC) -> bool:
+    """Whether the problem has a reference of the base."""
+    references: Any = mpc.reference
+    return "state" in references and "base" in robot.state and references["state"].values.shape[1] == robot.state.size
+
+
+def beside(robot: RobotModel, path: Path) -> Callable[[Array], Array]:
+    """States (n, nx) at arc lengths (n) [m]: home, with the base where it carries the end effector along the path."""
+    s = np.linspace(0.0, path.length, TABLE)
+    base, part = carried_base(robot, path.at(s)), robot.state["base"].start
+
+    def states(at: Array) -> Array:
+        values = np.tile(robot.home, (len(at), 1))
+        for k in range(3):
+            values[:, part + k] = np.interp(at, s, base[:, k])
+        return values
+
+    return states

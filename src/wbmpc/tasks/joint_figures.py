@@ -1,0 +1,163 @@
+"""Joints of any robot over a run: planned against actual, with their limits; and by how much limits were left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from wbmpc.bases.base import System
+from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
+from wbmpc.result import Plot, Series
+from wbmpc.types import Truth
+
+Array = np.ndarray
+
+
+class JointRecord:
+    """Records the joints of one closed loop in ``log`` and draws them: planned states, joint speeds, drive forces and the plan's
+    violation of constraints, beside the loop's own "state" and "input"."""
+
+    def __init__(self, log: Log, robot: RobotModel, system: System) -> None:
+        self._log, self._robot, self._mpc = log, robot, system.mpc
+        self._data = system.plant.data if getattr(system.plant, "has_physics", True) else None
+        own, layout = robot.state, system.mpc.dynamics.state
+        self._own = np.concatenate([np.arange(layout.size)[layout[group]] for group in own.groups])
+        joints = set(robot.description.joints())
+        #: Groups of the state that are positions of joints.
+        self._groups = {
+            g: names for g, names in own.groups.items() if set(names) <= joints and not g.endswith("_velocity")
+        }
+        self._named = [name for names in self._groups.values() for name in names]
+        self._driven: dict[str, int] = {}
+        if self._data is not None:
+            model = system.plant.model
+            known = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
+            self._driven = {n: known[n] for n in robot.description.limits.effort if n in known}
+
+    def tick(self, t: float, truth: Truth, plans: Any) -> None:
+        """Record time t [s]."""
+        self._log.add("state_planned", t, plans.current.state(t)[self._own])
+        self._log.add("plan_violation", t, self._mpc.solve_info["violation"])
+        if self._named and set(self._named) <= truth.joint_speeds.keys():
+            self._log.add("joint_speed", t, [truth.joint_speeds[name] for name in self._named])
+        if self._data is not None and self._driven:
+            self._log.add("drive_force", t, self._data.qfrc_actuator[list(self._driven.values())])
+
+    # ------------------------------------------------------------------ plots
+    def plots(self) -> list[Plot]:
+        """Inputs, positions and drive forces with limits by group of joints, violations over time."""
+        return [*self._inputs(), *self._positions(), *self._forces(), *self._violations()]
+
+    def _inputs(self) -> list[Plot]:
+        log, layout = self._log, self._mpc.dynamics.input
+        t, u, limits = log.times("input"), log.array("input"), self._robot.limits
+        own = layout == self._robot.input
+        plots = []
+        for group, names in layout.groups.items():
+            part = layout[group]
+            bounds = list(zip(limits.input_lower[part], limits.input_upper[part], strict=True)) if own else None
+            speeds = own and group in self._groups and f"{group}_velocity" not in self._robot.state
+            actual = self._actual_speeds(names) if speeds else {}
+            lines = _pairs(names, t, actual, dict(zip(names, u[:, part].T, strict=True)), bounds)
+            plots.append(
+                Plot(
+                    f"{'Speeds' if actual else 'Planned inputs'}: {group}",
+                    "time [s]",
+                    self._unit(group, names, speeds),
+                    lines,
+                )
+            )
+        return plots
+
+    def _unit(self, group: str, names: Sequence[str], speeds: bool) -> str:
+        if speeds:
+            return f"speed [{'m/s' if self._slides(names) else 'rad/s'}]"
+        if group in self._groups or group == "wheel":
+            return "input [N m]" if "base_velocity" in self._robot.state else "input [SI]"
+        return "speed [m/s, rad/s]" if set(names) <= {"v", "vx", "vy", "wz"} else "input [SI]"
+
+    def _slides(self, names: Sequence[str]) -> bool:
+        kinds = {link.joint: link.kind for link in self._robot.tree.links}
+        return any(kinds.get(name) == "prismatic" for name in names)
+
+    def _actual_speeds(self, names: Sequence[str]) -> Mapping[str, Array]:
+        if "joint_speed" not in self._log.channels:
+            return {}
+        return {n: y for n, y in zip(self._named, self._log.array("joint_speed").T, strict=True) if n in names}
+
+    def _positions(self) -> list[Plot]:
+        log, limits = self._log, self._robot.limits
+        t, planned = log.times("state_planned"), log.array("state_planned")
+        state, plots = log.array("state"), []
+        state = state if state.shape[1] == planned.shape[1] else state[:, self._own]
+        for group, names in self._groups.items():
+            part = self._robot.state[group]
+            factor, unit = (1e3, "mm") if self._slides(names) else (np.degrees(1.0), "°")
+            bounds = [
+                (factor * a, factor * b)
+                for a, b in zip(limits.state_lower[part], limits.state_upper[part], strict=True)
+            ]
+            actual, plan = (dict(zip(names, factor * v[:, part].T, strict=True)) for v in (state, planned))
+            lines = _pairs(names, t, actual, plan, bounds)
+            plots.append(Plot(f"Joint positions: {group}", "time [s]", f"position [{unit}]", lines))
+        return plots
+
+    def _forces(self) -> list[Plot]:
+        if "drive_force" not in self._log.channels:
+            return []
+        t, rows = self._log.times("drive_force"), dict(zip(self._driven, self._log.array("drive_force").T, strict=True))
+        effort, description = self._robot.description.limits.effort, self._robot.description
+        groups = {"arm": description.arm.joints, **description.base.joint_groups()}
+        plots = []
+        for group, members in groups.items():
+            names = [n for n in members if n in rows]
+            if names:
+                bounds = [(-effort[n], effort[n]) for n in names]
+                unit = "force [N]" if self._slides(names) else "torque [N m]"
+                plots.append(Plot(f"Drives: {group}", "time [s]", unit, _pairs(names, t, rows, {}, bounds)))
+        return plots
+
+    def _violations(self) -> list[Plot]:
+        log, limits = self._log, self._robot.limits
+        t, state, planned = log.times("state_planned"), log.array("state"), log.array("state_planned")
+        state = state if state.shape[1] == planned.shape[1] else state[:, self._own]
+        lines = [
+            Series(name, t, outside(rows, limits.state_lower, limits.state_upper))
+            for name, rows in (("state", state), ("state, planned", planned))
+        ]
+        violation = Series("constraints of the plan", t, log.array("plan_violation"))
+        return [
+            Plot(
+                "Outside of the joints' limits", "time [s]", "largest of all joints [SI]", [lines[0], _dashed(lines[1])]
+            ),
+            Plot("Violation of the plan's constraints", "time [s]", "1-norm [SI]", [violation]),
+        ]
+
+
+def outside(rows: Array, lower: Array, upper: Array) -> Array:
+    """By how much rows (n, k) are outside of limits (k): the largest of each row (n), 0 inside."""
+    return np.maximum(np.maximum(lower - rows, rows - upper).max(axis=1, initial=-np.inf), 0.0)
+
+
+def _dashed(line: Series) -> Series:
+    return Series(line.name, line.x, line.y, dashed=True)
+
+
+def _pairs(
+    names: Sequence[str], t: Array, actual: Mapping[str, Array], planned: Mapping[str, Array],
+    limits: Sequence[tuple[float, float]] | None,
+) -> list[Series]:  # fmt: skip
+    """Lines of joints: what they did, and what was planned, dashed in the same color; or the one that there is."""
+    lines = []
+    for k, name in enumerate(names):
+        bounds, label = None if limits is None else limits[k], name.removesuffix("_joint")
+        if name in actual:
+            lines.append(Series(label, t, actual[name], limits=bounds))
+        if name in planned:
+            both = name in actual
+            named = f"{label}, planned" if both else label
+            lines.append(Series(named, t, planned[name], both, limits=None if both else bounds))
+    return lines
