@@ -114,8 +114,6 @@ class SwervePlant(WheeledPlant):
     # ------------------------------------------------------------------ building
     def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
         draw, friction = self.draw, self.stand_on_floor(spec)
-        # each wheel's contact and brake moves its own leg and the body alone; MuJoCo would choose dense up to 60 degrees of freedom
-        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         for i, module in enumerate(self.base.modules):
             radius = self.base.wheel_radius * float(draw.radius[i])
             spec.joint(module.wheel).parent.add_geom(
