@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import wbmpc as wb
+from clearing import write_arm
 from toys import robot
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
+from wbmpc.default_problem import ACCELERATION_SHARE, default_mpc, default_problem, default_settings
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
@@ -70,3 +73,30 @@ def test_accelerations_are_joints_of_the_robot(tmp_path) -> None:  # type: ignor
     path.write_text(source.replace("  acceleration:\n    leg_LF: 5.0", "  acceleration:\n    leg_LF: -5.0"))
     with pytest.raises(InputError, match=r"limits\.acceleration\.leg_LF.*greater than 0"):
         load_description(path)
+
+
+def test_default_plans_change_speeds_no_faster_than_the_robot_file_says(tmp_path: Path) -> None:
+    """A goal far away is asked for at once. Truth: 6 rad/s² in the file, of which plans use a share."""
+    robot = wb.load_robot(write_arm(tmp_path))
+    mpc = default_mpc(robot, default_settings(horizon=1.0, intervals=10))
+    position, turn = robot.pose(robot.home + [1.5, 0.3, -0.5])
+    mpc.reference["end_effector"] = wb.Reference.poses([0.0], [position], turn)
+    x, changes = robot.home.copy(), []
+    policy = mpc.update(wb.Observation(0.0, x))  # a first command has none before it
+    for k in range(1, 20):
+        x, t = mpc.simulate(x, policy.u[0], mpc.period), k * mpc.period
+        before = policy.feedforward(t)
+        policy = mpc.update(wb.Observation(t, x))
+        changes.append(np.abs(policy.u[0] - before).max())
+    assert 0.5 < max(changes) / (ACCELERATION_SHARE * 6.0 * mpc.period) < 1.05
+
+
+def test_default_plans_keep_pairs_apart_that_the_robot_file_lists(tmp_path: Path) -> None:
+    listed = "collision: {self: {pairs: [[foot, fore]], margin: 0.02}}"
+    for text, there in (("", False), (listed, True), (listed.replace("[[foot, fore]]", "[]"), False)):
+        assert ("self_clearance" in default_problem(wb.load_robot(write_arm(tmp_path, text))).terms) is there
+
+
+def test_a_ball_robot_follows_a_clock() -> None:
+    with pytest.raises(wb.InputError, match="valid: reference=clock"):
+        wb.base_type("ball").mpc(wb.load_robot("rezero"), progress=True)

@@ -20,7 +20,6 @@ from wbmpc.ocp import (
     Reference,
     RelaxedBarrier,
     SmoothL1,
-    path_problem,
     residuals,
     sets,
 )
@@ -154,13 +153,9 @@ def rezero_mpc(
     settings: MpcSettings,
     cost: RezeroCost,
     obstacles: Obstacles | None = None,
-    *,
-    progress: bool = False,
 ) -> MPC:
-    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``; ``progress``: see
-    :func:`wbmpc.path_problem`."""
-    ocp = rezero_problem(robot, settings, cost)
-    ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
+    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``."""
+    ocp = keep_clear(rezero_problem(robot, settings, cost), robot, obstacles)
     return MPC(ocp, settings.solver(), settings.rate, obstacles=obstacles)
 
 

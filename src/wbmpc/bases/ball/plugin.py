@@ -10,6 +10,7 @@ from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.mechanics import check_ball
 from wbmpc.bases.ball.model import BallBase
 from wbmpc.bases.base import BaseType, System
+from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
@@ -52,10 +53,13 @@ class BallBaseType(BaseType):
     def mpc(
         self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
     ) -> MPC:
-        """Weights for steps of the end effector and for pushes."""
+        """Weights for steps of the end effector and for pushes. Raises :class:`InputError` for ``progress``: its controller knows plans by
+        a clock alone."""
         from wbmpc.bases.ball.system import make_mpc
 
-        return make_mpc(robot, obstacles, progress=progress, **changes)
+        if progress:
+            raise InputError("ball: a path is followed by a clock; valid: reference=clock, progress=False")
+        return make_mpc(robot, obstacles, **changes)
 
     def system(
         self,

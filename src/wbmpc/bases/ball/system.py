@@ -31,11 +31,11 @@ PUSHED_SPEED = 2.0
 COMPUTATION_DELAY = 0.010
 
 
-def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any) -> MPC:
+def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
     """The MPC whose goal is the equilibrium at home; ``changes`` of its settings."""
     settings = MpcSettings(**{**mpc_settings(barrier_mu=3e-2).model_dump(), **changes})
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
-    mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES, obstacles, progress=progress)
+    mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES, obstacles)
     mpc.reference["body"] = Reference.constant(robot.home)
     mpc.reference["twist"] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
