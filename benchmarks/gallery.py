@@ -27,6 +27,7 @@ from wbmpc.experiment import run_scenario
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp.scaling import reach
 from wbmpc.tasks import goals, track
+from wbmpc.tasks.following import PathTaskSettings
 
 #: Robots of other people's designs in small files of the package.
 OWN = ("fetch", "ffw-sg2", "panda", "panda-omni", "pr2", "ridgeback-ur5", "tidybot", "ur5", "vega")
@@ -111,7 +112,7 @@ def examine(name: str, robot: str, quick: bool = False, seed: int = 1) -> Row:
     fixed = {"robot": robot, "physics": "kinematic"}
     ways = list(paths(model, SHORT if quick else LENGTH))[: 1 if quick else None]
     runs = [
-        run_scenario("path", track.build, track.TrackSettings.model_validate({**fixed, "path": p}), seed) for p in ways
+        run_scenario("path", track.build, PathTaskSettings.model_validate({**fixed, "path": p}), seed) for p in ways
     ]
     jumps = {"count": 1, "time_per_goal": 4.0, "distance": [0.3, 0.5]} if quick else {}
     runs.append(run_scenario("jumps", goals.build, goals.GoalsSettings.model_validate({**fixed, **jumps}), seed))

@@ -61,13 +61,15 @@ def test_a_robot_whose_package_is_not_installed_is_skipped(
 @pytest.mark.parametrize("name", ["panda", "panda-omni"])
 def test_paths_are_as_long_as_they_are_to_be(name: str) -> None:
     """By sums over their points; those of an arm that stands are in its reach."""
-    from wbmpc.tasks.track import TrackSettings
+    from wbmpc.tasks.following import PathTaskSettings
 
     robot = load_robot(name)
     position, quaternion = robot.pose(robot.home)
     for path in gallery.paths(robot, 5.0):
         points = (
-            TrackSettings.model_validate({"robot": name, "path": path}).path.curve(robot, position, quaternion).points
+            PathTaskSettings.model_validate({"robot": name, "path": path})
+            .path.curve(robot, position, quaternion)
+            .points
         )
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         assert 4.99 < length < 6.0

@@ -77,6 +77,21 @@ def test_progress_goes_as_fast_as_the_wheels_and_ends(driving: Path) -> None:
     assert np.linalg.norm(tool[-1] - end) < 5e-3 and end[0] - tool[0, 0] == pytest.approx(1.5, abs=5e-3)
 
 
+@thorough
+def test_a_swerve_base_follows_a_path_at_its_own_speed() -> None:
+    """Asked for more than the base's limit, along a line to the side: wheels turn first."""
+    more = (
+        "path.length=1",
+        "path.speed=2",
+        "path.ramp=1",
+        "path.direction=1.5708",
+        "reference=progress",
+        "time_limit=6",
+    )
+    m = run("end-effector-track", Path("swerve-ur10"), POSITION_ONLY, *more).metrics
+    assert 0.6 < m["path_time"].value < 4.0 and m["contour_error_max_world"].value < 0.01
+
+
 def test_a_robot_whose_base_stands_holds_in_mujoco(standing: Path) -> None:
     m = run("hold", standing, POSITION_ONLY, "duration=0.3", physics="mujoco").metrics
     assert m["end_effector_error_max_world"].value < 0.01 and "base_path_length" not in m
@@ -193,8 +208,7 @@ def test_pictures_of_the_model_are_its_kinematics(name: str) -> None:
     robot = wb.load_robot(name)
 
     class Problem:  # what the plant asks of an MPC when nothing is stepped
-        class ocp:
-            dynamics = robot.dynamics()
+        dynamics = robot.dynamics()
 
     rng = np.random.default_rng(1)
     x = robot.home + 0.1 * rng.uniform(-1.0, 1.0, robot.state.size)

@@ -17,7 +17,8 @@ from wbmpc.bases.planar.messages import PlanarCommand
 from wbmpc.bases.wheels.control import WheelsOdometry
 from wbmpc.robots import load_spec
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.tasks.track import EXPERIMENT, TrackSettings
+from wbmpc.tasks.following import PathTaskSettings
+from wbmpc.tasks.track import EXPERIMENT
 
 HEIGHT, RADIUS = 0.15, 0.08
 #: A wheel: (x, y) [m] of its axis, sign of the steering axis (0: none), offset (x, y) [m] of the wheel, further keys.
@@ -131,7 +132,7 @@ def test_odometry_finds_the_way_that_wheels_rolled(kind: str, tmp_path: Path) ->
 
 def test_steered_tyres_roll_in_the_plan(tmp_path: Path) -> None:
     """In the closed loop without physics: the tip follows a line aside, and no tyre slips."""
-    settings = TrackSettings.model_validate(
+    settings = PathTaskSettings.model_validate(
         {"robot": str(write(tmp_path, CASTERS)), "physics": "kinematic", "settle_time": 0.2,
          "path": {"kind": "line", "length": 0.3, "direction": 0.1, "ramp": 1.0}}
     )  # fmt: skip
@@ -201,7 +202,7 @@ def test_skid_steering_is_warned_of(tmp_path: Path) -> None:
     (finding,) = plugin.diagnose(robot.description, robot.base)
     assert finding.severity == "warning" and "slip sideways" in finding.text
     assert not plugin.diagnose(wb.load_robot(planar(tmp_path, "omni")).description, robot.base)
-    settings = TrackSettings.model_validate(
+    settings = PathTaskSettings.model_validate(
         {
             "robot": str(planar(tmp_path, "tracks")),
             "physics": "kinematic",
@@ -244,6 +245,8 @@ def test_a_simulated_base_that_takes_speeds(drive: str, speeds: tuple[float, ...
 
 def test_a_base_that_takes_speeds_is_controlled_in_mujoco(tmp_path: Path) -> None:
     path = {"kind": "line", "length": 0.3, "ramp": 0.3, "direction": 1.57}
-    settings = TrackSettings.model_validate({"robot": str(planar(tmp_path, "omni")), "settle_time": 0.2, "path": path})
+    settings = PathTaskSettings.model_validate(
+        {"robot": str(planar(tmp_path, "omni")), "settle_time": 0.2, "path": path}
+    )
     m = EXPERIMENT.run(settings, 0, None).metrics
     assert m["end_effector_error_mean_world"].value < 4e-3 and m["base_path_length"].value > 0.1

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import re
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +15,7 @@ from wbmpc.ros2.opening import open_node
 
 pytestmark = needs_dds
 if not MISSING:
-    from standin import ENVIRONMENT, NETWORK, drive
+    from standin import NETWORK, drive
 
 
 @pytest.mark.parametrize(
@@ -77,21 +72,6 @@ def test_whatever_a_goal_does_what_runs_goes_on(
     p.go(1.5)
     assert p.until(lambda: p.control.active_task is not task)
     assert p.control.request_queue.rejected == ""
-
-
-def test_the_documentations_lines_send_a_goal(pair: Callable[..., Any]) -> None:
-    """The first Python block of docs/how-to/ros2.md, as a process."""
-    block = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[2] / "docs/how-to/ros2.md").read_text(), re.S)[0]
-    p = pair()
-    p.ready()
-    given = {**os.environ, **ENVIRONMENT}
-    operator = subprocess.Popen([sys.executable, "-u", "-c", block], env=given, stdout=subprocess.PIPE, text=True)
-    try:
-        assert p.until(lambda: p.control.state == "running: base to a goal"), p.control.request_queue.rejected
-        assert p.until(lambda: operator.poll() is not None)
-        assert "running: base to a goal" in operator.communicate()[0] and operator.returncode == 0
-    finally:
-        operator.kill()
 
 
 def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(

@@ -18,8 +18,8 @@ pytestmark = needs_dds
 if not MISSING:
     from standin import ROBOT
 
-#: What the odometry lacks is what a tick that is left out does: fewer ticks, more of it.
-RATE = 200.0
+#: What the odometry lacks is what a tick that is left out does: the fewer ticks, the more.
+RATE = 400.0
 PERIOD = 1.0 / RATE
 
 

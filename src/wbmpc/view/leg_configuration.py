@@ -16,10 +16,12 @@ NEAR = 0.05
 
 
 class LegConfiguration:
-    """Of one robot, from the positions of ``joints`` (names, in their order)."""
+    """Of one robot (None: of none), from the positions of ``joints`` (names, in their order)."""
 
-    def __init__(self, robot: RobotModel, joints: Sequence[str]) -> None:
+    def __init__(self, robot: RobotModel | None, joints: Sequence[str]) -> None:
         self._places: list[int] = []
+        if robot is None:
+            return
         try:
             angles = [leg_angles(robot, name) for name in CONFIGURATIONS]
         except InputError:  # no legs, or legs that stand otherwise

@@ -92,7 +92,7 @@ class View(LiveView):
             self.open(running)
         self.show_message(self._previous)
         self._loads = self._loads_of(running)
-        self._legs = LegConfiguration(running.controller.robot, self._observer.reader.joint_names)
+        self._legs = LegConfiguration(getattr(running.controller, "robot", None), self._observer.reader.joint_names)
         self._steering = Steering(running, self._observer.lift, self.reject)
         self._steering.skip(self._requests)
         self._expect()
