@@ -33,7 +33,7 @@ def path_problem(
     """The same problem with progress along a path in the place of a clock; ``ocp`` is left as it is.
 
     The cost ``pose``, of a :class:`wbmpc.residuals.FramePose`, becomes ``contour``: the weights [1/m²] of its positions are those of
-        the contour, the largest that of the lag. ``progress`` weighs the difference of the speed along the path to the desired one with
+    the contour, the largest that of the lag. ``progress`` weighs the difference of the speed along the path to the desired one with
     ``share`` of that; ``path_acceleration`` is a hard limit with the barrier ``mu``. All other terms stay. Raises :class:`InputError` where
     there is no such cost.
     """
