@@ -31,7 +31,7 @@ from wbmpc.settings import MpcSettings, Settings, StabilitySettings, Weight
 Array = NDArray[np.float64]
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a metre from where it should be.
 CLEARANCE_SLACK = 3e4
-#: Of the accelerations, for plans among obstacles: wheels of a base are limited together, and feedback needs some.
+#: Of the accelerations, what plans use: wheels of a base are limited together, and feedback needs some.
 ACCELERATION_SHARE = 0.6
 #: Of stability rows: per share of a wheel's mean load and per meter of the zero-moment point, each per second.
 LOAD_SLACK, MARGIN_SLACK = 1e4, 1e5
@@ -59,8 +59,8 @@ def default_problem(
     robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
     stability: StabilitySettings | None = None,
 ) -> OptimalControlProblem:  # fmt: skip
-    """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds, the wheels' rates, and distances of the pairs
-    that the robot file lists (``collision.self.pairs``) as inequalities; what keeps the robot upright: see :func:`keep_upright`."""
+    """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds, accelerations, the wheels' rates, and
+    distances of the pairs that the robot file lists (``collision.self.pairs``) as inequalities; what keeps the robot upright: see :func:`keep_upright`."""
     settings, cost = settings or default_settings(), cost or DefaultCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
@@ -137,8 +137,8 @@ def make_mpc(
 def keep_clear(
     ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
 ) -> OptimalControlProblem:
-    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is) and its arm clear of itself, and
-    accelerations within their limits: who evades folds the arm, and must be able to at the last moment."""
+    """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is) and its arm clear of itself: who
+    evades folds it."""
     if obstacles is None:
         return ocp
     free = sets.NonNegative()
