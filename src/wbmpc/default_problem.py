@@ -60,7 +60,8 @@ def default_problem(
     stability: StabilitySettings | None = None,
 ) -> OptimalControlProblem:  # fmt: skip
     """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds, accelerations, the wheels' rates, and
-    distances of the pairs that the robot file lists (``collision.self.pairs``) as inequalities; what keeps the robot upright: see :func:`keep_upright`."""
+    distances of the pairs that the robot file lists (``collision.self.pairs``) as inequalities; what keeps the robot upright: see
+    :func:`keep_upright`."""
     settings, cost = settings or default_settings(), cost or DefaultCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
