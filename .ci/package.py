@@ -39,17 +39,9 @@ def build(folder: Path) -> tuple[Path, Path]:
     with tarfile.open(archive) as tar:
         tar.extractall(checkout, filter="data")
     environment = folder / "environment"
-    run(sys.executable, "-m", "venv", environment)
-    run(
-        environment / "bin/python",
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--disable-pip-version-check",
-        "build",
-        "setuptools>=77",
-    )
+    run(sys.executable, "-m", "venv", "--without-pip", environment)
+    pip = (sys.executable, "-m", "pip", "--python", environment / "bin/python", "--disable-pip-version-check")
+    run(*pip, "install", "--quiet", "build", "setuptools>=77")
     run(
         environment / "bin/python", "-m", "build", "--no-isolation", "--outdir", folder / "dist", checkout,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,

@@ -39,8 +39,9 @@ def cache_directory() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "wbmpc"
 
 
+@cache
 def source_fingerprint(rooms: tuple[str, ...] = _ROOMS) -> str:
-    """Hash of the code that generates code: a change of it makes a new entry."""
+    """Hash of the code that generates code, as it was when first asked for: a change of it makes a new entry."""
     digest = hashlib.sha256()
     package = Path(__file__).parents[1]
     for path in sorted(p for room in rooms for p in (package / room).glob("*.py")):
