@@ -21,16 +21,22 @@ from wbmpc.run_index import DEEPEST, find_runs, page
 CHROMIUM = shutil.which("chromium")
 
 
-@pytest.fixture
-def some(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three runs, the last one fell; the second one is nested and has an odd name."""
-    root = tmp_path / "runs"
+    root = tmp_path_factory.mktemp("written") / "runs"
     for k, (name, seed, settings) in enumerate((
         ("fake-seed3", 3, FakeSettings()), ("a/<b> & 'c'", 7, FakeSettings()), ("fell", 5, FakeSettings(fall_at=2.0)),
     )):  # fmt: skip
         files = write_run(run(settings, seed), root / name)
         os.utime(files["metrics"], (1e9 + k, 1e9 + k))
     return root
+
+
+@pytest.fixture
+def some(written: Path, tmp_path: Path) -> Path:
+    """A copy, for a test that changes it."""
+    return Path(shutil.copytree(written, tmp_path / "runs"))
 
 
 def test_the_newest_first_with_outcome_and_goals(some: Path) -> None:

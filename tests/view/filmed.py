@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from wbmpc.model.robot import load_robot
@@ -20,3 +22,15 @@ def record(folder: Path, *watchers: Any) -> Any:
     assert ending.reason == ""
     recorder.close({"completed": "true"})
     return mpc
+
+
+@cache
+def _film() -> bytes:
+    with TemporaryDirectory() as folder:
+        record(Path(folder))
+        return (Path(folder) / "run.mcap").read_bytes()
+
+
+def copy_film(folder: Path) -> None:
+    """Writes ``folder/run.mcap``: of a run that is made once for all tests of this process."""
+    (folder / "run.mcap").write_bytes(_film())

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from filmed import record
+from filmed import copy_film
 from hostile import check_access, get, upgrade
 from test_live import free_port
 from websockets.datastructures import Headers
@@ -36,7 +36,7 @@ def rejected(access: Access, *pairs: tuple[str, str], path: str = "/") -> bool:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("film")
-    record(folder)
+    copy_film(folder)
     return folder
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import CHROMIUM, browser, project
-from filmed import record
+from filmed import copy_film
 from test_live import free_port
 
 from effort import thorough
@@ -69,7 +69,7 @@ class Shown:
 
 def test_the_page_draws_and_hands_orders_over(tmp_path: Path) -> None:
     """What the run sends is drawn; a push, a goal that is dragged along its arrow and the end of the run arrive as orders."""
-    record(tmp_path)
+    copy_film(tmp_path)
     film = Film(read_recording(tmp_path))
     shown = Shown(film)
     try:
@@ -217,7 +217,7 @@ def _partly(folder: Path):  # type: ignore[no-untyped-def]
 def test_ctrl_c_ends_a_session(what: str, tmp_path: Path) -> None:
     """As a terminal sends it: to the view's process too."""
     if what == "replay":
-        record(tmp_path)
+        copy_film(tmp_path)
     process, _ = start(what, "rezero" if what == "view" else str(tmp_path))
     time.sleep(1.0)
     os.killpg(process.pid, signal.SIGINT)
@@ -255,7 +255,7 @@ def test_pages_of_runs_open_without_errors(tmp_path: Path) -> None:
 def test_a_page_keeps_its_access_over_reloads_and_tabs(tmp_path: Path) -> None:
     """The address with the token lets the page, its WebSocket, a reload and a second tab in; nothing that the page sends by itself
     is left out; a page of another origin stays outside."""
-    record(tmp_path)
+    copy_film(tmp_path)
     process, url = start("replay", str(tmp_path))
     try:
         with browser() as page:

@@ -275,7 +275,14 @@ def test_a_steered_run_says_so(tmp_path: Path) -> None:
     assert result["reason"].endswith("ended in the view") and result["idealisations"][-1] == STEERED
 
 
-def test_a_run_without_an_mpc_is_shown() -> None:
+def listening(port: int) -> set[str]:
+    """The addresses, as the kernel has them, at which somebody listens on a port."""
+    with open("/proc/net/tcp") as table:
+        rows = [line.split() for line in table.readlines()[1:]]
+    return {r[1].split(":")[0] for r in rows if r[3] == "0A" and int(r[1].split(":")[1], 16) == port}
+
+
+def test_a_run_without_an_mpc_is_shown_on_this_machine_alone() -> None:
     """Every part in its own world; there are no goals and no weights."""
     view = live.View("test", port=free_port())
     shown: list[dict[str, Any]] = []
@@ -291,6 +298,7 @@ def test_a_run_without_an_mpc_is_shown() -> None:
                     tick(0.01 * k, SwerveCommand.stop())
                     plant.step(SwerveCommand.stop(), 20)
             shown.append(view.shown.read().values)
+            assert listening(view.port) == {"0100007F"}
         assert [len(view.scene.shapes)] == [len(SceneReader(plant.model, "body").scene.shapes)]
         assert all(np.isfinite(s["poses"]).all() and np.isnan(s["goal"]).all() for s in shown)
     finally:
@@ -344,18 +352,6 @@ def test_a_host_beyond_this_machine_is_warned_of(capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().err == ""
     open_view("x", "0.0.0.0", 8080)
     assert "unencrypted" in capsys.readouterr().err
-
-
-def test_the_server_listens_on_this_machine_alone() -> None:
-    view = live.View("test", port=free_port())
-    try:
-        view.open(run(None, 0.01)[1])
-        with open("/proc/net/tcp") as table:
-            rows = [line.split() for line in table.readlines()[1:]]
-        listening = {r[1].split(":")[0] for r in rows if r[3] == "0A" and int(r[1].split(":")[1], 16) == view.port}
-        assert listening == {"0100007F"}
-    finally:
-        view.close()
 
 
 def test_the_page_says_why_the_robot_fell() -> None:

@@ -211,11 +211,11 @@ def test_weights_act_without_compiling() -> None:
     base = {"base_goals": 1, "base_goal": [2.5, 0.0, 0.0]}
     robot = load_robot("swerve-ur10")
     home = robot.pose(robot.home)[0]
-    firm = drive(made, "swerve-ur10", 2.0, [(0.1, base)])
+    firm = drive(made, "swerve-ur10", 1.2, [(0.1, base)])
     steering = Steering(firm, np.zeros(3))
     factors = np.ones(16)
     factors[[c.name for c in steering.costs].index("end_effector")] = 1e-3
-    soft = drive(made, "swerve-ur10", 2.0, [(0.05, {"weights": factors}), (0.1, base)])
+    soft = drive(made, "swerve-ur10", 1.2, [(0.05, {"weights": factors}), (0.1, base)])
     assert firm.mpc.solver.kernel is not None
     far = [np.linalg.norm(r.plant.truth().tool - home) for r in (firm, soft)]
     assert far[1] > 1.5 * far[0]
