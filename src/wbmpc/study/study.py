@@ -17,7 +17,7 @@ from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
 from wbmpc.study.definition import Condition, Definition, load_definition
 from wbmpc.study.page import study_page
-from wbmpc.study.plan import Combination, Run, combinations, runs
+from wbmpc.study.plan import Combination, Run, combinations, open_experiment, runs
 from wbmpc.study.store import FILE, Store
 from wbmpc.study.summary import Summary, summarize
 from wbmpc.study.tune_page import tune_page
@@ -182,8 +182,9 @@ class Study:
         found = summarize(
             d.title, self.combinations, self.table(), self.planned, d.metrics, d.compare_with, d.larger_is_better
         )
+        definitions = {c.experiment: open_experiment(c.source).definitions for c in self.combinations}
         write_text(self.out / STATISTICS, json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
-        write_text(self.out / PAGE, study_page(found, self.out))
+        write_text(self.out / PAGE, study_page(found, self.out, definitions))
         return found
 
 
