@@ -86,7 +86,8 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Loop:
-    """A closed loop in virtual time: plant, controller and MPC (None: nothing plans) for ``duration`` [s].
+    """A closed loop in virtual time: ``plant``, ``controller`` and ``mpc`` (None: nothing plans) for ``duration`` [s], with the periods of
+    ``timing``.
 
     ``record(t, command, plans)`` is called once per controller period, before the command acts. A controller that monitors
     something has ``faults``, a sequence of str.
@@ -148,6 +149,8 @@ class Run:
 @dataclass(frozen=True)
 class Scenario:
     """What an experiment's settings and a seed make: parts that fill ``log``, and what is measured and drawn of it.
+
+    ``idealisations``: what the simulation leaves out, as texts.
 
     ``metrics`` and ``plots`` are asked once, after all parts, and only if something was recorded. ``compared``: the parts do the
     same task in different ways, and all of them are run; without it they follow each other, and the first failure is the end.
