@@ -1,9 +1,9 @@
-"""Tables of results in the documents, from finished studies: docs/results/swerve.md and ball.md, between their marks.
+"""All tables of results in the documents, from finished studies: docs/results/swerve.md and ball.md, and the README's figures.
 
 Usage: python scripts/figures.py [--run] [--runs runs]
 The studies are swerve-goals, swerve-loads, rezero-goals and rezero-loads of `wbmpc study`, whose folders are looked for in --runs;
 --run does first what of them is not finished (days). Each experiment's rows name the commit that its runs recorded; experiments
-without runs keep the rows that they have.
+without runs keep the rows that they have. How old tables are: docs/_ext/table_age.py.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+
+from readme import fill_from_studies
 
 ROOT = Path(__file__).parents[1]
 #: By first letters of an experiment's name, the page and mark of its robot.
@@ -124,8 +126,9 @@ def main() -> None:
     parser.add_argument("--run", action="store_true", help="do first what is not finished")
     parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="where the studies' folders are")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs")
+    parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
     given = parser.parse_args()
-    made = []
+    made, of_goals = [], []
     for robot, page in PAGES.items():
         for kind, write, part in (("goals", goals, r"\| `"), ("loads", loads, "### ")):
             name = f"{robot}-{kind}"
@@ -137,9 +140,11 @@ def main() -> None:
                 text = write(found["cells"], ", ".join(found["commit"]) or "unknown")
                 publish(given.docs / "results" / f"{page}.md", f"{page} {kind}", text, part)
                 made.append(name)
+                of_goals += [out / "statistics.json"] * (kind == "goals")
     if not made:
         raise SystemExit(f"figures: {given.runs} holds no finished studies: wbmpc study swerve-goals")
-    print(json.dumps({"studies": made}))
+    kept = fill_from_studies(given.readme, of_goals)
+    print(json.dumps({"studies": made, "kept in the README": kept}))
 
 
 if __name__ == "__main__":

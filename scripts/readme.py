@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import statistics
 from pathlib import Path
 from typing import Any
 
@@ -40,13 +41,27 @@ def of_sites(sites: list[Path]) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def of_study(file: Path) -> dict[str, dict[str, dict[str, Any]]]:
-    """By experiment and metric: median and worst of the study's first combination of it; a figure that is not finite is infinite."""
+    """By experiment and metric: median and worst of the study's first combination of it; a figure that is not finite is infinite.
+    Values of single runs are known of falls alone."""
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for cell in json.loads(file.read_text())["cells"]:
         known = lambda value: float("inf") if value is None else value
         own = {m: {key: known(f[key]) for key in ("median", "worst")} for m, f in cell["metrics"].items()}
+        ended = [float(how == "fell") for how, n in cell.get("outcomes", {}).items() for _ in range(n)]
+        own["fell"] = {"median": statistics.median(ended or [0.0]), "worst": max(ended, default=0.0), "values": ended}
         found.setdefault(cell["experiment"], own)
     return found
+
+
+def fill_from_studies(readme: Path, studies: list[Path]) -> list[str]:
+    """Fill the README from statistics of studies; returns the marks that keep what they have."""
+    found, commits = dict[str, dict[str, dict[str, Any]]](), set[str]()
+    for study in studies:
+        found |= of_study(study)
+        commits |= set(json.loads(study.read_text())["commit"])
+    filled, left = fill(readme.read_text(), found, ", ".join(sorted(commits)))
+    readme.write_text(filled)
+    return left
 
 
 def commits_of(sites: list[Path]) -> str:

@@ -47,7 +47,7 @@ NOT_PRIVATE = re.compile(r"[Cc]onnection ?[Rr]efused(Error)?")
 GENERATED = re.compile(r"<!-- (?P<mark>[a-z ]+) -->\n.*?<!-- end of (?P=mark) -->", re.DOTALL)
 LINK = re.compile(r"(!?)\[[^\]]*\]\(<?([^)\s>]*)>?\)")
 #: Pages that the build writes.
-WRITTEN = re.compile(r"docs/reference/_(api/|settings|cli|changelog)")
+WRITTEN = re.compile(r"docs/reference/_(api/|settings|metrics|cli|changelog)")
 
 
 def pages() -> list[Path]:

@@ -58,16 +58,28 @@ def test_tables_of_goals_name_the_commit(tmp_path: Path) -> None:
         (tmp_path / "results" / f"{robot}.md").write_text(PAGE.format(robot))
     error: dict[str, Any] = {"unit": "m", "median": 0.002, "p5": 0.001, "p95": 0.003, "worst": None, "goal": 0.002, "least": None,
                              "paper": 0.0167, "met": False}  # fmt: skip
-    cell = {"experiment": "swerve-track", "condition": "protocol", "seeds": [300, 301], "metrics": {"error": error}}
+    cell = {
+        "experiment": "swerve-track",
+        "condition": "protocol",
+        "seeds": [300, 301],
+        "outcomes": {"completed": 1, "fell": 1},
+        "metrics": {"error": error},
+    }
     (tmp_path / "runs" / "swerve-goals").mkdir(parents=True)
     study = json.dumps({"commit": ["abc1234567"], "cells": [cell]})
     (tmp_path / "runs" / "swerve-goals" / "statistics.json").write_text(study)
-    script = [sys.executable, str(ROOT / "scripts" / "figures.py"), "--docs", str(tmp_path)]
+    readme = tmp_path / "README.md"
+    readme.write_text(
+        "<!--= commit -->old<!--/-->: <!--= swerve-track error mm -->1<!--/-->, <!--= swerve-track fell 1 count -->0<!--/-->"
+    )
+    script = [sys.executable, str(ROOT / "scripts" / "figures.py"), "--docs", str(tmp_path), "--readme", str(readme)]
     subprocess.run([*script, "--runs", str(tmp_path / "runs")], env=ENVIRONMENT, check=True, capture_output=True)
     rows = (tmp_path / "results" / "swerve.md").read_text().splitlines()
     expected = "| `swerve-track` | `error` [mm] | ≤ 2 | 16.7 | 2 (3, ∞) | abc1234567 | 2 | **no** |"
     assert expected in rows and "| `swerve-old` | kept |" in rows and rows[-1] == "more"
     assert (tmp_path / "results" / "ball.md").read_text() == PAGE.format("ball")
+    filled = [text.partition("<!--/-->")[0] for text in readme.read_text().split("-->")[1::2]]
+    assert [text.removesuffix("<!--/") for text in filled] == ["abc1234567", "2.0 mm (inf)", "1 of 2"]
     done = subprocess.run([*script, "--runs", str(tmp_path)], env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 1 and "holds no finished studies" in done.stderr
 
@@ -84,3 +96,51 @@ def test_the_readme_names_the_commit(tmp_path: Path) -> None:
     words = ["--site", str(tmp_path / "site"), "--readme", str(readme)]
     subprocess.run([sys.executable, "-c", code, *words], env=ENVIRONMENT, check=True, capture_output=True)
     assert "of <!--= commit -->abc1234567<!--/-->: " in readme.read_text() and ">1.2 mm (1.2)<" in readme.read_text()
+
+
+def test_a_table_is_as_old_as_the_code_that_it_depends_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: what is changed here after the commit. Comments, docstrings and packages that it does not depend on are none."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    import table_age
+
+    git = lambda *words: table_age.git(tmp_path, "-c", "user.name=a", "-c", "user.email=a@b", *words)
+    files = {
+        "src/wbmpc/mpc/a.py": 1,
+        "src/wbmpc/solver/a.py": 2,
+        "src/wbmpc/bases/ball/a.py": 3,
+        "src/wbmpc/lie.py": 4,
+        "src/wbmpc/view/a.py": 5,
+    }
+    for name, value in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f'"""Words."""\nx = {value}\n')
+    if git("init", "-q") is None or git("add", "-A") is None or git("commit", "-qm", "first") is None:
+        pytest.skip("there is no git")
+    commit = (git("rev-parse", "HEAD") or "")[:10]
+    page = tmp_path / "page.md"
+    page.write_text(
+        f"<!-- some goals -->\n| 0.12345678 | a{commit[:8]}b12345678 |\n| {commit} |\n<!-- end of some goals -->\n"
+    )
+    monkeypatch.setattr(table_age, "ROOT", tmp_path)
+    packages = frozenset({"mpc", "solver", "bases/ball", "bases/swerve", "modules"})
+    table = table_age._marked("some goals", "page.md", packages)
+    (tmp_path / "src/wbmpc/mpc/a.py").write_text("# other words\nx = (1)\n")
+    (tmp_path / "src/wbmpc/view/a.py").write_text("x = 6\n")
+    assert list(table_age.age(table, tmp_path)) == [f"of commit {commit}; nothing that it depends on has changed since"]
+    (tmp_path / "src/wbmpc/lie.py").write_text("x = 7\n")
+    (tmp_path / "src/wbmpc/bases/ball/a.py").unlink()
+    table_age.changed.cache_clear()
+    table_age.code_changed.cache_clear()
+    assert list(table_age.age(table, tmp_path)) == [f"of commit {commit}; changed since: bases/ball, modules"]
+    page.write_text("<!-- some goals -->of commit 0123456abc<!-- end of some goals -->")
+    assert list(table_age.age(table, tmp_path)) == ["of commit 0123456abc, which is not known here"]
+
+
+def test_every_table_has_its_marks_and_packages_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    import table_age
+
+    assert all(t.first in (text := (ROOT / t.page).read_text()) and t.last in text for t in table_age.TABLES)
+    names = {name for table in table_age.TABLES for name in table.of} - {"modules"}
+    assert [name for name in sorted(names) if not (ROOT / "src" / "wbmpc" / name).is_dir()] == []
+    assert [name for name in sorted(table_age.NO_PART) if not (ROOT / "src" / "wbmpc" / name).is_file()] == []

@@ -9,7 +9,7 @@ import importlib
 import inspect
 import pkgutil
 import re
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 def write(reference: Path) -> None:
     """All pages; a page that has not changed is left alone, so that it is not read again."""
     _put(reference / "_settings.md", settings_tables())
+    _put(reference / "_metrics.md", metrics_tables())
     api = reference / "_api"
     api.mkdir(exist_ok=True)
     _put(api / "names.md", "# `wbmpc`: public names\n\n" + public_names())
@@ -125,6 +126,25 @@ def settings_tables() -> str:
         parts.append(_section(f"`{name}`", experiment.config_type, usual))
     parts += [_section("A ROS 2 node's file", RosSettings), _section("A robot's file", RobotDescription)]
     return "\n".join(parts)
+
+
+def metrics_tables() -> str:
+    """A table of metrics for each experiment of a paper, and one for the others."""
+    from wbmpc.experiment import COMMON
+    from wbmpc.tasks.definitions import DEFINITIONS
+
+    found = {
+        name: e.definitions for name, e in _experiments().items() if e.definitions and e.definitions is not DEFINITIONS
+    }
+    tables = {"All experiments": COMMON, "Any robot": DEFINITIONS} | {f"`{name}`": of for name, of in found.items()}
+    return "\n".join(f"## {title}\n\n{_definitions(of)}" for title, of in tables.items())
+
+
+def _definitions(of: Mapping[str, tuple[str, str]]) -> str:
+    text = "".join(
+        f"| `{name}`{'' if unit == '1' else f' [{unit}]'} | {about} |\n" for name, (unit, about) in of.items()
+    )
+    return f"| metric | definition |\n| --- | --- |\n{text}"
 
 
 def _experiments() -> dict[str, Any]:

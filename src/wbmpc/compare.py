@@ -15,10 +15,10 @@ from wbmpc.errors import InputError
 from wbmpc.json_file import parse_json
 from wbmpc.recording.quantities import channel_unit, joint_groups
 from wbmpc.recording.reader import read_recording
-from wbmpc.report import RECORDING
+from wbmpc.report import RECORDING, named
 from wbmpc.report import table as html_table
 from wbmpc.result import Plot, Series
-from wbmpc.run_files import check_metric, read_log, read_metrics
+from wbmpc.run_files import check_metric, definition_in, read_log, read_metrics
 from wbmpc.units import Scale, scale
 
 #: Runs that are compared at once.
@@ -117,8 +117,8 @@ def _from_recording(run: Run) -> Run:
 
 
 def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row for each metric of any run: ``metric``, ``unit``, ``values`` by run (None where there is none), ``differences`` of every run
-    to the first, ``change`` of the last run against the first (1), ``spread``: largest minus smallest."""
+    """A row for each metric of any run: ``metric``, ``unit``, ``definition``, ``values`` by run (None where there is none),
+    ``differences`` of every run to the first, ``change`` of the last run against the first (1), ``spread``: largest minus smallest."""
     names = dict.fromkeys(name for run in runs for name in run["metrics"])
     rows = []
     for name in names:
@@ -126,11 +126,19 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
         values = [m.get("value") for m in found]
         known = [v for v in values if v is not None]
         first, last = values[0], values[-1]
+        about = next(filter(None, (definition_in(run, name) for run in runs)), "")
         change = (last - first) / abs(first) if first not in (None, 0) and last is not None else None
         differences = [None if v is None or first is None else v - first for v in values]
         spread = max(known) - min(known) if len(known) == len(values) else None
         unit = max(m["unit"] for m in found if m)  # a recording alone knows none
-        row = {"metric": name, "unit": unit, "values": values, "differences": differences, "change": change}
+        row = {
+            "metric": name,
+            "unit": unit,
+            "definition": about,
+            "values": values,
+            "differences": differences,
+            "change": change,
+        }
         rows.append({**row, "spread": spread})
     return rows
 
@@ -221,7 +229,7 @@ def figures_table(rows: list[dict[str, Any]], names: Sequence[str], ended: Seque
         unit = scale(row["unit"], *row["values"])
         first, *others = map(unit.text, row["values"])
         pairs = zip(others, row["differences"][1:], strict=True)
-        cells.append([html.escape(row["metric"]), html.escape(unit.unit), first])
+        cells.append([named(row["metric"], row["definition"]), html.escape(unit.unit), first])
         cells[-1] += [text for value, d in pairs for text in (value, difference_text(d, row["values"][0], unit))]
     if len(names) > 2:
         head.append("spread")

@@ -15,8 +15,10 @@ An experiment is data and a few lines. Its settings and a seed make a :class:`Sc
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from functools import partial
 from typing import Any
 
@@ -31,18 +33,21 @@ from wbmpc.result import Drawing, Metric, MpcStatistics, OutcomeName, Plot, RunR
 from wbmpc.simulation.contacts import Contacts
 from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
 
-#: Definitions of what every experiment with a simulated robot reports.
-_COMMON = {
-    "contacts_unwanted": "how often parts of the robot touched each other or something that they should not",
-    "fell": "whether the robot fell: 1 if it did",
-    "clearance_min": "smallest distance of the robot's parts to obstacles and to each other, 1 m at most; not to the floor",
-}
+#: Unit and definition of metrics by name; ``*`` in a name stands for anything, and the first that fits counts.
+Definitions = Mapping[str, tuple[str, str]]
+#: What every experiment with a simulated robot reports.
+COMMON: Definitions = {
+    "contacts_unwanted": ("1", "how often parts of the robot touched each other or something that they should not"),
+    "fell": ("1", "whether the robot fell: 1 if it did"),
+    "clearance_min": ("m", "smallest distance of the robot's parts to obstacles and to each other, 1 m at most; not to the floor"),
+}  # fmt: skip
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A name, a line about it, its settings and ``run(settings, seed, progress)``.
+    """A ``name``, a line about it (``summary``), its settings (``config_type``), ``run(settings, seed, progress)``, and what its metrics
+    are (``definitions``: unit and definition by name).
 
     The name is that of the run's directory too: letters, digits, dots, dashes and underscores. Raises :class:`InputError` for
     another one.
@@ -52,6 +57,7 @@ class Experiment:
     summary: str
     config_type: type[BaseModel]
     run: Callable[..., RunResult]
+    definitions: Definitions = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -59,10 +65,12 @@ class Experiment:
 
     @classmethod
     def of(
-        cls, name: str, summary: str, config_type: type[BaseModel], build: Callable[[Any, int], Scenario]
-    ) -> Experiment:
+        cls, name: str, summary: str, config_type: type[BaseModel], build: Callable[[Any, int], Scenario],
+        definitions: Definitions | None = None,
+    ) -> Experiment:  # fmt: skip
         """An experiment whose settings and seed make a scenario."""
-        return cls(name, summary, config_type, partial(run_scenario, name, build))
+        known = definitions or {}
+        return cls(name, summary, config_type, partial(run_scenario, name, build, definitions=known), known)
 
 
 @dataclass(frozen=True)
@@ -78,7 +86,8 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Loop:
-    """A closed loop in virtual time: plant, controller and MPC (None: nothing plans) for ``duration`` [s].
+    """A closed loop in virtual time: ``plant``, ``controller`` and ``mpc`` (None: nothing plans) for ``duration`` [s], with the periods of
+    ``timing``.
 
     ``record(t, command, plans)`` is called once per controller period, before the command acts. A controller that monitors
     something has ``faults``, a sequence of str.
@@ -141,6 +150,8 @@ class Run:
 class Scenario:
     """What an experiment's settings and a seed make: parts that fill ``log``, and what is measured and drawn of it.
 
+    ``idealisations``: what the simulation leaves out, as texts.
+
     ``metrics`` and ``plots`` are asked once, after all parts, and only if something was recorded. ``compared``: the parts do the
     same task in different ways, and all of them are run; without it they follow each other, and the first failure is the end.
     """
@@ -166,8 +177,9 @@ class Scenario:
 
 
 def run_scenario(
-    name: str, build: Callable[[Any, int], Scenario], settings: Any, seed: int, progress: Progress | None = None
-) -> RunResult:
+    name: str, build: Callable[[Any, int], Scenario], settings: Any, seed: int, progress: Progress | None = None,
+    definitions: Definitions | None = None,
+) -> RunResult:  # fmt: skip
     """Build a scenario, run its parts and report. A run that ended before its first record has neither metrics nor plots."""
     scenario = build(settings, seed)
     run = run_parts(scenario, progress)
@@ -181,7 +193,7 @@ def run_scenario(
     if plots and planners and planners[-1].statistics.solve_times:
         plots.append(_solve_times(planners[-1]))
     return RunResult(
-        name, seed, not reason, reason, {**metrics, **_common(run, metrics)}, statistics, log, plots,
+        name, seed, not reason, reason, defined(name, {**metrics, **_common(run, metrics)}, definitions), statistics, log, plots,
         list(scenario.idealisations), settings.model_dump(mode="json"), run.ending.interrupted, run.faults, run.failure,
     )  # fmt: skip
 
@@ -193,8 +205,24 @@ def _common(run: Run, metrics: Mapping[str, Metric]) -> dict[str, Metric]:
     fell = {} if any(n == "fell" or n.startswith("fell_") for n in metrics) else {"fell": float(run.ending.fell)}
     touches, nearest = sum(len(c.touches) for c in run.contacts), min(c.clearance for c in run.contacts)
     counts = {"contacts_unwanted": float(touches), **fell}
-    found = {n: Metric(v, "1", goal=0.0, definition=_COMMON[n]) for n, v in counts.items()}
-    return {**found, "clearance_min": Metric(nearest, "m", definition=_COMMON["clearance_min"])}
+    found = {n: Metric(v, "1", goal=0.0) for n, v in counts.items()}
+    return {**found, "clearance_min": Metric(nearest, "m")}
+
+
+def defined(name: str, metrics: Mapping[str, Metric], definitions: Definitions | None = None) -> dict[str, Metric]:
+    """Metrics of the experiment ``name`` with their definitions. Warns of those that an experiment with ``definitions`` lacks."""
+    found = {
+        n: m if m.definition else replace(m, definition=definition_of(n, definitions or {})[1]) for n, m in metrics.items()
+    }  # fmt: skip
+    if definitions and (lacking := [n for n, m in found.items() if not m.definition]):
+        warnings.warn(f"{name}: metrics without a definition: {', '.join(lacking)}", stacklevel=2)
+    return found
+
+
+def definition_of(metric: str, definitions: Definitions) -> tuple[str, str]:
+    """Unit and definition of a metric by its name; two empty texts where there is none."""
+    known = [*definitions.items(), *COMMON.items()]
+    return next((about for pattern, about in known if fnmatchcase(metric, pattern)), ("", ""))
 
 
 def _statistics(mpc: MPC) -> MpcStatistics:

@@ -21,9 +21,9 @@ from typing import Any
 
 from wbmpc.errors import InputError
 from wbmpc.output_file import write_text
-from wbmpc.report import RUN_FILES, document, goal_text, table
+from wbmpc.report import RUN_FILES, document, goal_text, named, table
 from wbmpc.result import Metric
-from wbmpc.run_files import read_metrics
+from wbmpc.run_files import definition_in, read_metrics
 from wbmpc.units import scale
 
 #: Seeds of one call, at most: the ball robot's take about a minute each, in every experiment.
@@ -171,7 +171,8 @@ def _spread(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     counted += [worst] * (len(runs) - len(having))
     # the median of falls says nothing: what may never happen is judged by the worst run
     judged = Metric(max(counted) if bounds["goal"] == 0 else statistics.median(counted), unit, **bounds)
-    return {"unit": unit, "median": median, "worst": max(known), **bounds, "met": judged.met}
+    about = {"unit": unit, "definition": definition_in(having[0], name)}
+    return {**about, "median": median, "worst": max(known), **bounds, "met": judged.met}
 
 
 def _outcome(run: dict[str, Any]) -> str:
@@ -191,7 +192,7 @@ def _metric_row(name: str, m: dict[str, Any]) -> list[str]:
     figures = [m[k] for k in ("median", "worst", "paper")]
     shown = scale(m["unit"], *figures, m["goal"], m["least"])
     goal = goal_text(Metric(m["median"], m["unit"], goal=m["goal"], least=m["least"]), shown)
-    return [html.escape(name), html.escape(shown.unit), *map(shown.text, figures), goal, _OUTCOME[m["met"]]]
+    return [named(name, m["definition"]), html.escape(shown.unit), *map(shown.text, figures), goal, _OUTCOME[m["met"]]]
 
 
 def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool = True) -> Path:

@@ -67,6 +67,14 @@ def check_metric(where: str, metric: Any) -> None:
         raise InputError(f"{where}: 'value' must be a finite number or null, got {value!r:.60}")
 
 
+def definition_in(data: dict[str, Any], metric: str) -> str:
+    """What a metrics.json says that a metric is; ``""`` where it does not."""
+    targets = data.get("targets")
+    about = targets.get(metric) if isinstance(targets, dict) else None
+    text = about.get("definition") if isinstance(about, dict) else None
+    return text if isinstance(text, str) else ""
+
+
 def read_log(path: Path) -> dict[str, np.ndarray]:
     """The channels of a log.npz: rows of numbers, (n, width) or (n,), and their times CHANNEL.time (n,) [s].
 

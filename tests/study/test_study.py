@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -102,6 +104,45 @@ def test_a_full_disk_is_one_message(tmp_path: Path) -> None:
         (tmp_path / "journal.jsonl").symlink_to("/dev/full")
         with pytest.raises(NotWritten, match=r"journal.jsonl: cannot be written \(No space left on device\)"):
             store.add({"key": "a-1", "outcome": "completed"})
+
+
+class Full:
+    """A file on a disk that takes some bytes of what is written."""
+
+    def __init__(self, path: Path, room: int) -> None:
+        self._path, self._room = path, room
+
+    def write(self, text: str) -> None:
+        with self._path.open("a") as file:
+            file.write(text[: self._room])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def close(self) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("room", [0, 40])
+def test_a_disk_that_is_full_in_a_study_costs_one_run_and_is_the_message(
+    room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The third row does not fit whole. Truth: what the disk had taken of it; all runs are there once there is room."""
+    made, add, count = Study.load(study(tmp_path), tmp_path / "out"), Store.add, 0
+
+    def counted(self: Store, row: dict[str, Any]) -> None:
+        nonlocal count
+        count += 1
+        if count == 3:
+            assert self._lines is not None
+            self._lines.close()
+            self._lines = Full(made.out / "journal.jsonl", room)  # type: ignore[assignment]
+        add(self, row)
+
+    monkeypatch.setattr(Store, "add", counted)
+    with pytest.raises(NotWritten, match=r"journal.jsonl: cannot be written \(No space left on device\); what was"):
+        made.run(workers=0)
+    assert (made.out / "journal.jsonl").read_bytes().count(b"\n") == 2 and not list(made.out.glob("*.parquet"))
+    monkeypatch.undo()
+    assert made.run(workers=0).finished == 20
 
 
 def test_two_studies_do_not_write_into_one_folder(tmp_path: Path) -> None:
@@ -265,6 +306,7 @@ def test_dasks_workers_do_the_runs(tmp_path: Path) -> None:
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=50
     ) as cluster:
         summary = made.run(scheduler=cluster.scheduler_address, progress=lambda share, note: seen.append(share))
+    assert not logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)  # a lost scheduler is one message
     assert summary.finished == 20 and seen == pytest.approx([k / 20 for k in range(1, 21)])
 
 

@@ -33,7 +33,8 @@ class LocalMap:
     [m] above the ground are the floor. ``reach`` [m] of the sensors: farther points only say that the way there is free. Points within
     ``padding`` [m] of the ``robot`` (None: nothing to remove) are itself. A cell is free again when scans look through it some times, or
     ``memory`` [s] after it was last seen. ``max_age`` [s]: a map whose oldest source is older ends plans in a stop. Coordinates are those of
-    plans (:meth:`wbmpc.model.robot.RobotModel.pose`). ``dropped``: points so far that were no measurements. Use it from one thread.
+    plans (:meth:`wbmpc.model.robot.RobotModel.pose`). ``dropped``: points so far that were no measurements. ``shape`` (3): how many
+    cells it has along x, y, z. Use it from one thread.
     """
 
     def __init__(

@@ -76,7 +76,12 @@ class _Augmented:
 
 
 class InputRate(_Augmented):
-    """Groups of the input become states; the new inputs, named ``GROUP_rate``, are their time derivatives."""
+    """Groups of the input become states ``GROUP_input``; the new inputs, named ``GROUP_rate``, are their time derivatives.
+
+    ``dynamics``: what is wrapped, ``groups`` of its input; ``state`` and ``input``: layouts of the wrapped x (nx) and u (nu).
+    ``parameters``, ``mode``, ``mode_bounds``, ``unit_quaternions`` and ``jump`` (what an event does to x, where it does) are those of
+    what is wrapped.
+    """
 
     def __init__(self, dynamics: Any, groups: Sequence[str]) -> None:
         super().__init__(dynamics, groups, "_input", "_rate")
@@ -90,6 +95,10 @@ class DriveLag(_Augmented):
 
     ``time_constants`` [s] by group. The inputs keep their names and are the commands; what acts is the state
     ``GROUP_actual``.
+
+    ``dynamics``: what is wrapped, ``groups`` of its input; ``state`` and ``input``: layouts of the wrapped x (nx) and u (nu).
+    ``parameters``, ``mode``, ``mode_bounds``, ``unit_quaternions`` and ``jump`` (what an event does to x, where it does) are those of
+    what is wrapped.
     """
 
     def __init__(self, dynamics: Any, time_constants: Mapping[str, float]) -> None:
@@ -142,6 +151,11 @@ class FrequencyShaping(_Augmented):
     ``filters`` by group: one for all its inputs, or one for each. State group ``GROUP_filter``, input group ``GROUP_shaped``;
     residuals keep seeing u. :func:`wbmpc.ocp.frequency_aware` wraps a whole problem; by hand, drives that cannot follow fast
     inputs are spared by a cost on ``ProblemInput(dynamics, ["GROUP_shaped"])``.
+    ``zero`` (k) [rad/s], ``pole`` (k) [rad/s] and ``high`` (k), the magnitude at high frequencies: of all k filtered inputs.
+
+    ``dynamics``: what is wrapped, ``groups`` of its input; ``state`` and ``input``: layouts of the wrapped x (nx) and u (nu).
+    ``parameters``, ``mode``, ``mode_bounds``, ``unit_quaternions`` and ``jump`` (what an event does to x, where it does) are those of
+    what is wrapped.
     """
 
     def __init__(self, dynamics: Any, filters: Mapping[str, InputFilter | Sequence[InputFilter]]) -> None:
@@ -199,6 +213,9 @@ class WithPath:
     Group ``path`` of state and input, both at the end. Residuals keep seeing the robot's own x and u; those of
     :class:`wbmpc.residuals.Contour` and :class:`wbmpc.residuals.Progress` see the path. Nothing of it is measured or commanded:
     an :class:`wbmpc.MPC` goes on from its own plan.
+
+    ``dynamics``: what is wrapped; ``state`` and ``input``: layouts of the wrapped x (nx + 2) and u (nu + 1). ``parameters``, ``mode``,
+    ``mode_bounds``, ``unit_quaternions`` and ``jump`` (what an event does to x, where it does) are those of what is wrapped.
     """
 
     def __init__(self, dynamics: Any) -> None:

@@ -12,7 +12,10 @@ from wbmpc.errors import InputError, unknown_name
 
 
 class Layout:
-    """An ordered set of named groups of named scalars: ``layout["arm"]`` is a slice."""
+    """An ordered set of named groups of named scalars: ``layout["arm"]`` is a slice.
+
+    ``groups``: names of the scalars by group; ``names``: all of them in order, as ``group.name``; ``size``: how many.
+    """
 
     def __init__(self, groups: Mapping[str, Sequence[str]]) -> None:
         self.groups = {group: tuple(names) for group, names in groups.items()}

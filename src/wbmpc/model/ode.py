@@ -16,7 +16,8 @@ class Ode:
     """Dynamics for :class:`wbmpc.ocp.OptimalControlProblem` from ``f(x, u)``, or ``f(x, u, w, m)`` with parameters or modes.
 
     ``state`` and ``inputs``: names of the components by group, in the order of x (nx) and u (nu); ``parameters`` w hold over
-    the horizon, ``mode`` values m come from the mode schedule. f returns ẋ (nx), in the units of x per second.
+    the horizon, ``mode`` values m come from the mode schedule.
+    As attributes all four are layouts, that of u is ``input``. f returns ẋ (nx), in the units of x per second.
     Raises :class:`InputError` if it returns another number of rows.
     """
 

@@ -14,7 +14,7 @@ class FilterMemory:
 
     ``u`` (nu): the input that acts at the start, for which the filters are at rest: no transient. At every tick
     :meth:`input` turns the policy's ν into u; after it :meth:`advance` with the u that was applied. The filters follow the input
-    that really acts, so a clamp does not wind them up.
+    that really acts, so a clamp does not wind them up. ``dynamics``: the problem's; ``states`` (k): of the filters.
     """
 
     def __init__(self, dynamics: FrequencyShaping, u: np.ndarray) -> None:

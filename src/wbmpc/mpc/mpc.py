@@ -36,13 +36,17 @@ _USABLE = 1
 class MPC:
     """One problem solved again and again from the shifted last solution.
 
-    ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is
+    ``ocp``: the problem. ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is
     checked by the loop. ``first_iterations``: calls of the solver for the first plan, each with the iterations that ``solver`` has.
     ``guess``: see :class:`Guess`. ``plan_only_limits``: hard rows of the inputs alone that are not linear (|u|² ≤ r², a box around a
     nonlinear function of a reference) are allowed, though only plans hold them: a policy's feedback cannot be held to them, and
     is to be cut by its user. ``obstacles``: what the problem's :class:`wbmpc.residuals.Clearance` keeps clear of; they may change between
     any two updates. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says. A plan that would come
     much too near to an obstacle while the robot can still stop gives way to one that stops (docs/how-to/obstacles.md).
+
+    To read: ``reference`` by the name of its term (to set, too); ``path``: progress along a path; ``limits``: bounds and straight hard
+    rows of the inputs, which all policies hold; ``statistics`` of all solves; ``fault``: why the last update gave no plan, ``""``
+    when it did; ``events_without_node``: how many events within the last horizon got no node of their own.
     """
 
     def __init__(

@@ -8,7 +8,8 @@ from wbmpc.mpc.policy import Policy
 
 
 class PolicyQueue:
-    """A queue of policies with the time at which each comes into force (several when computing takes long)."""
+    """A queue of policies with the time at which each comes into force (several when computing takes long). ``current``: the one
+    in force; None before the first."""
 
     def __init__(self) -> None:
         self.current: Policy | None = None

@@ -24,12 +24,15 @@ class Quadratic:
     """½ r²."""
 
     def value(self, r: ca.SX) -> ca.SX:
+        """The cost of each row."""
         return 0.5 * r * r
 
     def gradient(self, r: ca.SX) -> ca.SX:
+        """Its derivative by each row."""
         return r
 
     def curvature(self, r: ca.SX) -> ca.SX:
+        """What the Gauss-Newton Hessian gets for each row, ≥ 0."""
         return ca.SX.ones(r.shape)
 
 
@@ -51,12 +54,15 @@ class SmoothL1:
         return ca.sqrt(1.0 + (r / ca.DM(self.scale)) ** 2)
 
     def value(self, r: ca.SX) -> ca.SX:
+        """The cost of each row."""
         return ca.DM(self.scale) ** 2 * (self._root(r) - 1.0)
 
     def gradient(self, r: ca.SX) -> ca.SX:
+        """Its derivative by each row."""
         return r / self._root(r)
 
     def curvature(self, r: ca.SX) -> ca.SX:
+        """What the Gauss-Newton Hessian gets for each row, ≥ 0."""
         return 1.0 / self._root(r)
 
 
@@ -64,6 +70,7 @@ class SmoothL1:
 class RelaxedBarrier:
     """−μ ln h for h > δ, else μ (½ ((h − 2δ)/δ)² − ½ − ln δ): a soft inequality h ≥ 0.
 
+    ``mu`` μ: cost per second and factor e of h; ``delta`` δ (in h's unit): where the parabola begins.
     Source: Feller and Ebenbauer, "Relaxed logarithmic barrier function based MPC" (2017), quadratic relaxation.
     """
 
@@ -77,14 +84,17 @@ class RelaxedBarrier:
             )
 
     def value(self, h: ca.SX) -> ca.SX:
+        """The cost of each row."""
         near = self.mu * (0.5 * (((h - 2 * self.delta) / self.delta) ** 2 - 1.0) - ca.log(self.delta))
         return ca.if_else(h > self.delta, -self.mu * ca.log(ca.fmax(h, self.delta)), near)
 
     def gradient(self, h: ca.SX) -> ca.SX:
+        """Its derivative by each row."""
         near = self.mu * (h - 2 * self.delta) / self.delta**2
         return ca.if_else(h > self.delta, -self.mu / ca.fmax(h, self.delta), near)
 
     def curvature(self, h: ca.SX) -> ca.SX:
+        """What the Gauss-Newton Hessian gets for each row, ≥ 0."""
         safe = ca.fmax(h, self.delta)
         return self.mu / (safe * safe)
 

@@ -43,7 +43,7 @@ class SystemDynamics(Protocol):
 class OptimalControlProblem:
     """minimise Σ ∫ cost dt + terminal cost, subject to ẋ = f(x, u) and constraints, over ``horizon`` seconds.
 
-    ``dynamics``: the system; ``terms``: costs and constraints by name, in the order in which they were added.
+    ``dynamics``: the system, ẋ = f(x, u) with x (nx), u (nu); ``terms``: costs and constraints by name, in the order in which they were added.
 
     ``intervals``: number of intervals N. ``first_interval`` [s]: geometric grid, fine near now; uniform when left out;
     or ``grid``: the times of the N + 1 nodes from 0 [s]. ``integrator``: "rk2" (midpoint) or "rk4" steps.
@@ -87,14 +87,17 @@ class OptimalControlProblem:
 
     @property
     def costs(self) -> list[Cost]:
+        """Terms that are costs, in their order."""
         return [t for t in self.terms.values() if isinstance(t, Cost)]
 
     @property
     def equalities(self) -> list[Constraint]:
+        """Constraints whose residual has to vanish, in their order."""
         return [t for t in self.terms.values() if isinstance(t, Constraint) and t.equality]
 
     @property
     def inequalities(self) -> list[Constraint]:
+        """The other constraints, in their order."""
         return [t for t in self.terms.values() if isinstance(t, Constraint) and not t.equality]
 
     def refined(self, step: float) -> OptimalControlProblem:

@@ -15,8 +15,8 @@ from wbmpc.errors import InputError
 class Reference:
     """Samples of a reference: ``times`` (n,) [s, absolute], ``values`` (n, width).
 
-    Between samples: linear; the quaternion part of a pose by normalised linear interpolation; with ``hold`` the value
-    of the last sample at or before t. Before the first and after the last sample the end values hold.
+    ``kind``: what holds between samples. "linear"; "pose": the quaternion part by normalised linear interpolation; "hold" and
+    "pose_hold": the value of the last sample at or before t. Before the first and after the last sample the end values hold.
     """
 
     times: NDArray[np.float64]

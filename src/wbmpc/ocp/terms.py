@@ -30,7 +30,9 @@ def _check_at(name: str, at: str, modes: tuple[str, ...] | None) -> None:
 class Cost:
     """``weight · norm(residual)``, integrated along the path or taken at the end of the horizon.
 
-    ``weight``: one number, one per row, or by the residual's groups. ``terminal_weight``: the same for the end (for
+    ``name``: one that the problem does not have yet. ``residual`` r (rows) with its ``norm``; ``at``: which of the two, or both.
+    ``weight``: one number, one per row, or by the residual's groups, per squared unit of r (and second, along the path).
+    ``terminal_weight``: the same for the end (for
     ``at="path+terminal"``; the path's weight when left out; its unit is that of the path's weight times a second).
     ``modes``: the names of the modes in which the term counts; all when left out.
     """
@@ -57,6 +59,8 @@ class Cost:
 @dataclass(frozen=True)
 class Constraint:
     """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``).
+
+    ``name``: one that the problem does not have yet. ``modes``: the names of the modes in which it holds; all when left out.
 
     Equalities (``Zero``): rows of state and input enter the Riccati recursion exactly; ``softness`` (one number for all
     rows) softens them: the residual may be softness times its multiplier. Rows of the state alone, and rows at the end,

@@ -51,7 +51,8 @@ class Table:
 
 @dataclass
 class Recording:
-    """A whole file. ``complete``: whether the run closed it; else it was killed and the last moments are missing.
+    """A whole file at ``path``: ``topics`` by name; ``metadata``: tables of texts by name, of the run, its versions and its result.
+    ``complete``: whether the run closed it; else it was killed and the last moments are missing.
     ``damage``: what of it could not be read though it is there, or is not what was written; clauses.
 
     ``attachments``: for each name the time [s] from which it holds, and its bytes.

@@ -2,6 +2,7 @@
 
 from wbmpc.plots.figures import template as template
 from wbmpc.report.document import document as document
+from wbmpc.report.document import named as named
 from wbmpc.report.document import table as table
 from wbmpc.report.files import RECORDING as RECORDING
 from wbmpc.report.files import RUN_FILES as RUN_FILES

@@ -20,6 +20,12 @@ def table(header: list[str], rows: list[list[str]], numeric: set[int]) -> str:
     return f'<div class="card scroll"><table>{line("th", header)}{"".join(line("td", r) for r in rows)}</table></div>'
 
 
+def named(name: str, definition: str) -> str:
+    """A metric's name as HTML that shows its definition, where it has one, under a pointer, with the focus or at a touch."""
+    text = html.escape(name).replace("_", "_<wbr>")
+    return f'<span tabindex="0" data-about="{html.escape(definition)}">{text}</span>' if definition else text
+
+
 @cache
 def _beside(name: str) -> str:
     """The text of a file of this package."""

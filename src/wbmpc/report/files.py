@@ -74,7 +74,8 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
     if (directory / RECORDING).exists():
         files["recording"] = str(directory / RECORDING)
     targets = {
-        n: {"paper": plain(m.paper), "goal": plain(m.goal), "least": plain(m.least)} for n, m in result.metrics.items()
+        n: {"paper": plain(m.paper), "goal": plain(m.goal), "least": plain(m.least), "definition": m.definition}
+        for n, m in result.metrics.items()
     }
     more = {
         "targets": targets,

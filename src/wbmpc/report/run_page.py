@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 
 from wbmpc.plots.figures import figure
-from wbmpc.report.document import document, table
+from wbmpc.report.document import document, named, table
 from wbmpc.report.plain import plain
 from wbmpc.report.provenance import commit, versions
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
@@ -39,7 +39,11 @@ def _metrics(result: RunResult) -> str:
     """The table of metrics, without the paper's column where no metric has a paper's figure."""
     words = {True: '<span class="met">reached</span>', False: '<span class="missed">missed</span>', None: ""}
     rows = [
-        [named(name, result.metrics[name]), *map(html.escape, metric_cells(result, name)), words[result.reached(name)]]
+        [
+            named(name, result.metrics[name].definition),
+            *map(html.escape, metric_cells(result, name)),
+            words[result.reached(name)],
+        ]
         for name in result.metrics
     ]
     paper = any(m.paper is not None for m in result.metrics.values())
@@ -48,14 +52,6 @@ def _metrics(result: RunResult) -> str:
         header, rows = [h for h in header if h != "paper"], [row[:3] + row[4:] for row in rows]
     note = '<p class="sub">The paper\'s figures are of the real robot, ours of the simulation.</p>' if paper else ""
     return table(header, rows, {2, 3, 4} if paper else {2, 3}) + note
-
-
-def named(name: str, metric: Metric) -> str:
-    """A metric's name as HTML that shows its definition, where it has one, under a pointer, with the focus or at a touch."""
-    text = html.escape(name).replace("_", "_<wbr>")
-    return (
-        f'<span tabindex="0" data-about="{html.escape(metric.definition)}">{text}</span>' if metric.definition else text
-    )
 
 
 def goal_notes(result: RunResult) -> list[str]:

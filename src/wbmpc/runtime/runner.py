@@ -50,9 +50,14 @@ class RobotInterface(Protocol):
     ``read`` returns a measurement with its ``time`` [s] on the runner's clock: numbers, arrays or a dataclass of them.
     """
 
-    def read(self) -> Any: ...
-    def write(self, command: Any) -> None: ...
-    def stop(self) -> None: ...
+    def read(self) -> Any:
+        """The newest measurement."""
+
+    def write(self, command: Any) -> None:
+        """Send a command of the controller."""
+
+    def stop(self) -> None:
+        """Bring the robot to a safe stop and hold it there."""
 
 
 class RealTimeRunner:
@@ -64,6 +69,11 @@ class RealTimeRunner:
     plans)`` is called in the control thread after each command, with the tick's time and by how much it began late [s]; it must
     not wait, and is dropped when it fails. ``state`` says in a message what the runner does, or why it stopped; ``error`` is the
     exception behind it. In virtual time use :meth:`run`.
+
+    ``settings`` and ``clock`` (None: defaults, the wall clock). To read: ``plans``: policies in force and on their way; ``punctuality`` of
+    the ticks, which ``ticker`` counts; ``latency``: from measurement to policy [s]; ``kept``: why the last policy is kept beyond its time,
+    ``""`` when it is not; ``remote``: whether the MPC is in another process; ``own``: counts and times of the control thread,
+    ``board``: those of the MPC. Between both: ``observations``, ``policies``, ``worker_commands``.
     """
 
     def __init__(

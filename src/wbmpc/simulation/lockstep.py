@@ -64,7 +64,8 @@ def contacts_of(*plants: Any) -> tuple[Contacts, ...]:
 
 @dataclass(frozen=True)
 class Timing:
-    """Whole numbers of physics steps: of a controller tick, of an MPC period, of the computation delay (in ticks)."""
+    """``period`` [s] of the controller, which is ``steps`` physics steps; the MPC is called at every ``mpc_every``-th tick, and its policies
+    come into force ``delay`` ticks later."""
 
     period: float
     steps: int

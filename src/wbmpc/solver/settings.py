@@ -120,7 +120,7 @@ class SQP:
     one and goes on with it;
     ``equality_bound``: in real time a plan fails whose first input misses an equality by more than this share of what the row
     makes of inputs, |D| + Σ |D_i u_i|; those that contradict each other do so at every solve;
-    ``backend``: machine code, or the interpreted twin.
+    ``interior_point``: how hard inequalities are solved; ``backend``: machine code, or the interpreted twin.
     """
 
     iterations: int = 300

@@ -68,7 +68,8 @@ def _warn(why: str) -> None:
 class Solver:
     """One problem bound to one solver: owns the kernel, the memory and the warm start.
 
-    For one thread at a time: who calls it while another thread is in it gets :class:`SolverBusy`.
+    ``ocp``: the problem; ``settings`` of the solver; ``use_cache``: whether machine code is kept on the disk. For one thread at a time:
+    who calls it while another thread is in it gets :class:`SolverBusy`.
     """
 
     ocp: OptimalControlProblem
@@ -390,6 +391,7 @@ class Solver:
 
     @cached_property
     def checks(self) -> Checks:
+        """How far every constraint is from being met: functions of the problem."""
         return Checks(self.problem)
 
     @staticmethod

@@ -5,14 +5,15 @@ from __future__ import annotations
 import html
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
-from wbmpc.report import document, goal_text, table, template
+from wbmpc.experiment import Definitions, definition_of
+from wbmpc.report import document, goal_text, named, table, template
 from wbmpc.result import Metric
 from wbmpc.study.statistics import Paired, Rate
 from wbmpc.study.summary import Cell, Summary
@@ -36,8 +37,8 @@ HEADS = [
 ]
 
 
-def study_page(summary: Summary, beside: Path) -> str:
-    """One HTML page that needs no network; links to runs are relative to ``beside``."""
+def study_page(summary: Summary, beside: Path, definitions: Mapping[str, Definitions] | None = None) -> str:
+    """One HTML page that needs no network; links to runs are relative to ``beside``. ``definitions`` of metrics by experiment."""
     failed = sum(c.failures.failed for c in summary.cells)
     sources = "; ".join(f"{k} {', '.join(v)}" for k, v in summary.sources.items() if v and k != "code")
     about = f"{summary.finished} of {summary.planned} runs; {failed} of them did not complete. {sources}."
@@ -48,15 +49,16 @@ def study_page(summary: Summary, beside: Path) -> str:
     several = len(summary.sources.get("code", ())) > 1
     warning = '<div class="card summary bad">The runs are of different states of the code.</div>' if several else ""
     lost = "".join(f"<p>{n} without a result: {html.escape(why)}</p>" for why, n in summary.lost.items())
-    sections = "".join(_experiment(summary, name, beside) for name in summary.shown)
+    sections = "".join(_experiment(summary, name, beside, (definitions or {}).get(name, {})) for name in summary.shown)
     head = f'<h1>{html.escape(summary.title)}</h1><p class="sub">{html.escape(about)}</p><p class="sub">{note}</p>'
     return document(summary.title, f"{head}{warning}{lost}{sections}")
 
 
-def _experiment(summary: Summary, name: str, beside: Path) -> str:
+def _experiment(summary: Summary, name: str, beside: Path, definitions: Definitions) -> str:
     cells = [c for c in summary.cells if c.experiment == name]
     metrics = summary.shown[name]
-    tables = "".join(f"<h3>{html.escape(m)}</h3>{_table(summary, cells, m)}" for m in metrics)
+    heads = {m: named(m, definition_of(m, definitions)[1]) for m in metrics}
+    tables = "".join(f"<h3>{heads[m]}</h3>{_table(summary, cells, m)}" for m in metrics)
     plots = [plot for m in metrics for plot in _plots(summary, cells, m)][:MAX_PLOTS]
     cards = "".join(f'<div class="card"><h3>{html.escape(title)}</h3>{figure}</div>' for title, figure in plots)
     return f'<h2>{html.escape(name)}</h2>{tables}<div class="plots">{cards}</div>{_failures(cells, beside)}'

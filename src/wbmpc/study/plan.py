@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ class Combination:
     settings: Mapping[str, Any] = field(repr=False)
     draw: int = 0
 
-    @property
+    @cached_property
     def key(self) -> str:
         identity = [self.experiment, self.condition, self.settings]
         return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]

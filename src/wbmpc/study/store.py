@@ -10,7 +10,7 @@ from __future__ import annotations
 import fcntl
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO
@@ -76,10 +76,27 @@ class Store:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        with suppress(OSError):  # of what a full disk did not take
-            if self._lines is not None:
-                self._lines.close()
+        self._close()
         self._lock.close()
+
+    @contextmanager
+    def finishing(self) -> Iterator[None]:
+        """Runs in here add rows; in the end, and where it is interrupted, they become Parquet. Where nothing can be written the journal
+        keeps them."""
+        try:
+            yield
+        except NotWritten:
+            raise
+        except BaseException:
+            self.finish()
+            raise
+        self.finish()
+
+    def _close(self) -> None:
+        if self._lines is not None:
+            with suppress(OSError):  # of what a full disk did not take
+                self._lines.close()
+            self._lines = None
 
     def _recover(self) -> None:
         """A line that was not finished when the disk or the process ended is cut off."""
@@ -100,6 +117,8 @@ class Store:
             self._lines.write(json.dumps(row, separators=(",", ":")) + "\n")
             self._lines.flush()
         except OSError as error:
+            self._close()
+            self._recover()  # what a full disk took of the line
             raise NotWritten(
                 f"{self._journal}: cannot be written ({error.strerror}); what was finished before is kept, the same command goes on"
             ) from error
@@ -124,9 +143,7 @@ class Store:
         number = 1 + max((int(p.stem) for p in parts.glob("[0-9]*.parquet") if p.stem.isdigit()), default=0)
         with whole_file(parts / f"{number:06d}.parquet") as partial:
             parquet().write_table(table_of(rows), partial)
-        if self._lines is not None:
-            self._lines.close()
-            self._lines = None
+        self._close()
         self._journal.unlink()  # killed before this line: its rows are there twice, and the later one counts
         self._count = 0
 

@@ -17,7 +17,7 @@ from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
 from wbmpc.study.definition import Condition, Definition, load_definition
 from wbmpc.study.page import study_page
-from wbmpc.study.plan import Combination, Run, combinations, runs
+from wbmpc.study.plan import Combination, Run, combinations, open_experiment, runs
 from wbmpc.study.store import FILE, Store
 from wbmpc.study.summary import Summary, summarize
 from wbmpc.study.tune_page import tune_page
@@ -86,10 +86,8 @@ class Study:
         with Store(self.out) as store:
             reject_others(self.out, found, store.outcomes())
             remember(self.out, self.definition.title, found)
-            try:
+            with store.finishing():
                 self._go_on(there, store, store.done(), progress)
-            finally:
-                store.finish()
         return self.report()
 
     def _go_on(self, there: Pool, store: Store, done: set[str], progress: Progress | None) -> None:
@@ -120,11 +118,8 @@ class Study:
             raise InputError(f"{self.path}: there is no 'tune', which says what to search")
         tuner = Tuner(self.definition, self.definition.tune, self.path.resolve().parent, self.out, str(self.path))
         with Later(workers, scheduler) as there:
-            with Store(self.out / TRIALS) as store:
-                try:
-                    tuner.run(there, store, progress)
-                finally:
-                    store.finish()
+            with Store(self.out / TRIALS) as store, store.finishing():
+                tuner.run(there, store, progress)
             trials, best = list(tuner.trials()), tuner.best()
             settings = settings_of_trial(best[0], self.definition.tune) if best else {}
             summary = self._before_and_after(settings, there, progress) if settings else None
@@ -182,8 +177,9 @@ class Study:
         found = summarize(
             d.title, self.combinations, self.table(), self.planned, d.metrics, d.compare_with, d.larger_is_better
         )
+        definitions = {c.experiment: open_experiment(c.source).definitions for c in self.combinations}
         write_text(self.out / STATISTICS, json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
-        write_text(self.out / PAGE, study_page(found, self.out))
+        write_text(self.out / PAGE, study_page(found, self.out, definitions))
         return found
 
 

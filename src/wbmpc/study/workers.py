@@ -135,7 +135,11 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise InputError(MISSING) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it reports of lost workers comes as rows
+    for name in (
+        "distributed",
+        "distributed.client",
+    ):  # what they report of lost workers comes as rows, of a lost scheduler as a message
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     dask.config.set({"distributed.scheduler.allowed-failures": RETRIES, "distributed.comm.timeouts.connect": SILENCE})
     if scheduler is not None:
         try:

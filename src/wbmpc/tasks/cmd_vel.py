@@ -16,6 +16,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Cost, Reference
 from wbmpc.result import Metric
+from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import SAMPLED
 from wbmpc.tasks.paths import rise
@@ -122,4 +123,6 @@ def _check(robot: RobotModel, settings: CmdVelSettings) -> None:
         )
 
 
-EXPERIMENT = Experiment.of("cmd-vel", "the base of any robot drives as it is ordered", CmdVelSettings, build)
+EXPERIMENT = Experiment.of(
+    "cmd-vel", "the base of any robot drives as it is ordered", CmdVelSettings, build, DEFINITIONS
+)

@@ -10,7 +10,6 @@ from wbmpc.result import Metric, Plot, Series
 
 #: A drift over a shorter way [m] says nothing.
 MIN_DISTANCE = 0.1
-FELL = "whether the robot fell: 1 if it did"
 
 
 def travelled(base: np.ndarray) -> float:
@@ -20,23 +19,18 @@ def travelled(base: np.ndarray) -> float:
 
 def general_metrics(log: Log, robot: RobotModel, since: float, fell: bool) -> dict[str, Metric]:
     """Errors of the end effector against its reference from ``since`` [s] on, the base's way and its odometry, limits."""
-    found = {"fell": Metric(float(fell), "1", goal=0.0, definition=FELL)}
+    found = {"fell": Metric(float(fell), "1", goal=0.0)}
     if "end_effector_reference" in log.channels:
         found |= _tracking(log, since)
     base, estimated = log.array("base"), log.array("base_estimated")
     if "base" in robot.state:
         way = travelled(base)
-        found["base_path_length"] = Metric(way, "m", definition="length of the way of the base over the floor, true")
+        found["base_path_length"] = Metric(way, "m")
         if way > MIN_DISTANCE:
-            found["odometry_drift_ratio"] = Metric(
-                float(np.hypot(*(estimated - base)[-1, :2])) / way, "1",
-                definition="final error of the estimated position of the base, as a share of its way",
-            )  # fmt: skip
+            found["odometry_drift_ratio"] = Metric(float(np.hypot(*(estimated - base)[-1, :2])) / way, "1")
     state, limits = log.array("state"), robot.limits
     outside = np.maximum(limits.state_lower - state, state - limits.state_upper)
-    found["limit_violation_max"] = Metric(
-        max(0.0, float(outside.max(initial=-np.inf))), "rad", definition="largest angle of a joint beyond its range"
-    )
+    found["limit_violation_max"] = Metric(max(0.0, float(outside.max(initial=-np.inf))), "rad")
     return found
 
 
@@ -44,23 +38,12 @@ def _tracking(log: Log, since: float) -> dict[str, Metric]:
     use = log.times("end_effector") >= since
     if not use.any():
         use[-1] = True
-    reference = log.array("end_effector_reference")
-    estimated, world = (
-        np.linalg.norm(log.array(n) - reference, axis=1)[use] for n in ("end_effector_estimated", "end_effector")
-    )
-    frames = {"": (estimated, "true kinematics on the estimated base"), "_world": (world, "true")}
-    found = {
-        f"end_effector_error_{kind}{ending}": Metric(
-            float(figure(errors)), "m", definition=f"{word} distance of the end effector from its reference; {how}"
-        )
-        for kind, word, figure in (("mean", "mean", np.mean), ("max", "largest", np.max))
-        for ending, (errors, how) in frames.items()
-    }
-    turned = float(log.array("rotation_error")[use].max())
-    return {
-        **found,
-        "rotation_error_max": Metric(turned, "rad", definition="largest angle of the end effector to its reference"),
-    }
+    reference, found = log.array("end_effector_reference"), dict[str, Metric]()
+    for kind, figure in (("mean", np.mean), ("max", np.max)):
+        for ending, name in (("", "end_effector_estimated"), ("_world", "end_effector")):
+            errors = np.linalg.norm(log.array(name) - reference, axis=1)[use]
+            found[f"end_effector_error_{kind}{ending}"] = Metric(float(figure(errors)), "m")
+    return found | {"rotation_error_max": Metric(float(log.array("rotation_error")[use].max()), "rad")}
 
 
 def general_plots(log: Log) -> list[Plot]:

@@ -11,6 +11,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
 from wbmpc.settings import Positive
+from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import follow
 from wbmpc.tasks.settings import TaskSettings
@@ -85,5 +86,5 @@ def final_errors(log: Log, times: Array, length: float) -> Array:
 
 
 EXPERIMENT = Experiment.of(
-    "goals", "the end effector of any robot goes to random goals that it can reach", GoalsSettings, build
+    "goals", "the end effector of any robot goes to random goals that it can reach", GoalsSettings, build, DEFINITIONS
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from wbmpc.experiment import Experiment, Scenario
+from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.settings import TaskSettings
 
@@ -21,4 +22,4 @@ def build(settings: HoldSettings, seed: int) -> Scenario:
     return closed_loop(robot, mpc, settings.settle_time + settings.duration, seed, settings, since=settings.settle_time)
 
 
-EXPERIMENT = Experiment.of("hold", "the end effector of any robot stays where it is", HoldSettings, build)
+EXPERIMENT = Experiment.of("hold", "the end effector of any robot stays where it is", HoldSettings, build, DEFINITIONS)

@@ -21,6 +21,7 @@ from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
+from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.following import PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
@@ -225,7 +226,7 @@ def experiment(
             perception=getattr(settings, "perception", None),
         )  # fmt: skip
 
-    return Experiment.of(name, summary, settings_type, build)
+    return Experiment.of(name, summary, settings_type, build, DEFINITIONS)
 
 
 STATIC = experiment("obstacles-static", "a path past a pillar, a bar and a shelf", Among, static_scene)

@@ -45,7 +45,8 @@ class TaskMpcSettings(Settings):
 
 
 class TaskSettings(SimulationSettings):
-    """``robot``: a name (see 'wbmpc list') or a file; ``weights``: factors of costs by name, as the sliders of a view set them; ``avoid``:
+    """``robot``: a name (see 'wbmpc list') or a file; ``mpc``: what differs from the robot's default problem;
+    ``weights``: factors of costs by name, as the sliders of a view set them; ``avoid``:
     "nothing" for plans that know of no obstacles, to compare with; ``stability``: what keeps a robot from tipping over that stops fast
     with a load."""
 

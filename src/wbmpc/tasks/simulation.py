@@ -17,6 +17,7 @@ from wbmpc.recording.recorder import Recorder
 from wbmpc.report import RECORDING, RUN_FILES, about_run, outcome, write_run
 from wbmpc.result import RunResult
 from wbmpc.simulation.lockstep import Watch, Watcher
+from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import check_loop, closed_loop
 from wbmpc.tasks.settings import SimulationSettings
 from wbmpc.view.live import View
@@ -61,7 +62,7 @@ def simulate(
             recorder = Recorder(directory / RECORDING, about_run(name, seed, chosen.model_dump(mode="json")))
             watchers.append(recorder)
         build = lambda kept, seed: closed_loop(robot, mpc, duration, seed, kept, since=since)
-        result = run_scenario(name, build, chosen, seed, Watch(None, tuple(watchers)))
+        result = run_scenario(name, build, chosen, seed, Watch(None, tuple(watchers)), DEFINITIONS)
         if directory is not None and recorder is not None:
             recorder.close(outcome(result))
             write_run(result, directory)

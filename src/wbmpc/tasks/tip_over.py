@@ -17,6 +17,7 @@ from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, StabilitySettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import leg_angles, standing
+from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import Line, follow, timed
 from wbmpc.tasks.settings import TaskSettings, moving_base
@@ -167,5 +168,9 @@ def build(settings: TipOverSettings, seed: int) -> Scenario:
 
 
 EXPERIMENT = Experiment.of(
-    "tip-over", "a robot with a load at full reach is stopped at once, and must not tip over", TipOverSettings, build
+    "tip-over",
+    "a robot with a load at full reach is stopped at once, and must not tip over",
+    TipOverSettings,
+    build,
+    DEFINITIONS,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from wbmpc.experiment import Experiment, Scenario
+from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.following import PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
 
@@ -15,5 +16,9 @@ def build(settings: PathTaskSettings, seed: int) -> Scenario:
 
 
 EXPERIMENT = Experiment.of(
-    "end-effector-track", "the end effector of any robot follows a path while its base drives", PathTaskSettings, build
+    "end-effector-track",
+    "the end effector of any robot follows a path while its base drives",
+    PathTaskSettings,
+    build,
+    DEFINITIONS,
 )

@@ -14,6 +14,7 @@ from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.baselines import REGULATORS
+from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import common_plots, estimated_ball, estimated_end_effector, rms
 from wbmpc.studies.minniti2019.settings import AccurateSettings
 from wbmpc.studies.minniti2019.task import Task, ball_robot, bent_arm, reaching, task_scenario
@@ -91,4 +92,4 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
     return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroCircleSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroCircleSettings, build, DEFINITIONS[NAME])

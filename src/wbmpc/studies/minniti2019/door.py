@@ -18,6 +18,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.door_control import DoorController, Push
 from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, worst_estimates
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
@@ -195,4 +196,4 @@ def build(settings: RezeroDoorSettings, seed: int) -> Scenario:
     )  # fmt: skip
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroDoorSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroDoorSettings, build, DEFINITIONS[NAME])

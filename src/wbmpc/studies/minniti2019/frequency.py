@@ -20,6 +20,7 @@ from wbmpc.model.augment import InputFilter
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference, frequency_aware
 from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.frequency_control import FrequencyAwareController
 from wbmpc.studies.minniti2019.frequency_figures import metrics, plots
 from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
@@ -113,4 +114,4 @@ def build(settings: RezeroFrequencySettings, seed: int) -> Scenario:
     )  # fmt: skip
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroFrequencySettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroFrequencySettings, build, DEFINITIONS[NAME])

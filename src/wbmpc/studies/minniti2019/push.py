@@ -15,6 +15,7 @@ from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
+from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import common_plots, estimated_end_effector, rms
 from wbmpc.studies.minniti2019.recovery import LAST, rest
 from wbmpc.studies.minniti2019.settings import RezeroSettings
@@ -115,5 +116,9 @@ def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
     return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
 
 
-BALL_EXPERIMENT = Experiment.of(BALL, SUMMARY.format("ball"), RezeroPushBallSettings, partial(build, "ball"))
-HAND_EXPERIMENT = Experiment.of(HAND, SUMMARY.format("hand"), RezeroPushHandSettings, partial(build, "hand"))
+BALL_EXPERIMENT = Experiment.of(
+    BALL, SUMMARY.format("ball"), RezeroPushBallSettings, partial(build, "ball"), DEFINITIONS[BALL]
+)
+HAND_EXPERIMENT = Experiment.of(
+    HAND, SUMMARY.format("hand"), RezeroPushHandSettings, partial(build, "hand"), DEFINITIONS[HAND]
+)

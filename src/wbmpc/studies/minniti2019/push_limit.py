@@ -15,10 +15,11 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.configuration import Rules, unused
-from wbmpc.experiment import Experiment
+from wbmpc.experiment import Experiment, defined
 from wbmpc.log import Log
 from wbmpc.result import Metric, RunResult
 from wbmpc.simulation.lockstep import Progress
+from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.push import (
     IDEALISATIONS,
     RezeroPushBallSettings,
@@ -82,12 +83,24 @@ def run(name: str, settings: _Limit, seed: int, progress: Progress | None = None
         "impulse_max": Metric(impulse, "N s"), "ball_travel_max": Metric(travel, "m"), "pushes": Metric(float(len(tried)), "1"),
     }  # fmt: skip
     plain = settings.model_dump(mode="json")
-    return RunResult(name, seed, True, "", metrics, None, Log(), idealisations=IDEALISATIONS, settings=plain)
+    return RunResult(
+        name,
+        seed,
+        True,
+        "",
+        defined(name, metrics, DEFINITIONS[name]),
+        None,
+        Log(),
+        idealisations=IDEALISATIONS,
+        settings=plain,
+    )
 
 
 def _experiment(held: str, kind: type[_Limit]) -> Experiment:
     name = f"rezero-push-limit-{held}"
-    return Experiment(name, SUMMARY.format("ball" if held == "ball" else "end effector"), kind, partial(run, name))
+    return Experiment(
+        name, SUMMARY.format("ball" if held == "ball" else "end effector"), kind, partial(run, name), DEFINITIONS[name]
+    )
 
 
 BALL_EXPERIMENT, HAND_EXPERIMENT = _experiment("ball", BallLimitSettings), _experiment("hand", HandLimitSettings)

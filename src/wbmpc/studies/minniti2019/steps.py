@@ -15,6 +15,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Timing
+from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.step_figures import metrics, plots
 from wbmpc.studies.minniti2019.step_goals import IMPOSSIBLE, STEADY, STEPS, target
@@ -115,4 +116,4 @@ def build(settings: RezeroStepsSettings, seed: int) -> Scenario:
     )  # fmt: skip
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroStepsSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroStepsSettings, build, DEFINITIONS[NAME])

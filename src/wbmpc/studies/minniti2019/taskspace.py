@@ -16,6 +16,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress
+from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.step_goals import STEPS, target
@@ -83,4 +84,4 @@ def build(settings: RezeroTaskspaceSettings, seed: int) -> Scenario:
     )  # fmt: skip
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroTaskspaceSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroTaskspaceSettings, build, DEFINITIONS[NAME])

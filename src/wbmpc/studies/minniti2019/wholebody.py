@@ -13,6 +13,7 @@ from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.baselines import REGULATORS
+from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import common_plots, estimated_ball, estimated_end_effector, rms
 from wbmpc.studies.minniti2019.settings import AccurateSettings
 from wbmpc.studies.minniti2019.task import Task, ball_robot, bent_arm, reaching, task_scenario
@@ -107,4 +108,4 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
     return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroWholebodySettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroWholebodySettings, build, DEFINITIONS[NAME])

@@ -16,6 +16,7 @@ from wbmpc.simulation.lockstep import Ending, Progress, contacts_of
 from wbmpc.stability import CONFIGURATIONS
 from wbmpc.studies.pankert2022 import brake_tests
 from wbmpc.studies.pankert2022.brake_tests import Bench, Found, SwerveBrakesSettings
+from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 
 NAME = "swerve-brakes"
 SUMMARY = "pushes with brakes closed and open, slip of a brake, brakes that do not answer (Pankert et al. 2022, Fig. 4)"
@@ -107,4 +108,4 @@ def _plots(log: Log, tried: int) -> list[Plot]:
     ]  # fmt: skip
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveBrakesSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveBrakesSettings, build, DEFINITIONS[NAME])

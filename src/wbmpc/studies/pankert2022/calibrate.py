@@ -11,6 +11,7 @@ from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending, Progress
+from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.metrics import rms, travelled
 from wbmpc.studies.pankert2022.reference_drive import SwerveCalibrateSettings, drive, track_arm
 from wbmpc.studies.pankert2022.wheel_log import record_of, swerve_robot
@@ -72,4 +73,4 @@ def _plots(log: Log) -> list[Plot]:
     ]  # fmt: skip
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveCalibrateSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveCalibrateSettings, build, DEFINITIONS[NAME])

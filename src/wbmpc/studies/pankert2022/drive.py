@@ -27,6 +27,7 @@ from wbmpc.ocp import Reference
 from wbmpc.result import Metric
 from wbmpc.simulation.lockstep import Progress, Timing
 from wbmpc.stability import CONFIGURATIONS, corners
+from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import baseline_metrics, metrics, plots
 from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings, straight, tour
@@ -201,4 +202,4 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
     )  # fmt: skip
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveDriveSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveDriveSettings, build, DEFINITIONS[NAME])

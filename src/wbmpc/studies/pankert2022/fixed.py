@@ -22,6 +22,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.fixed_figures import metrics, plots
 from wbmpc.studies.pankert2022.fixed_motions import Controller, Motion, SwerveFixedSettings, legs_at_home
 from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController, RollingGains
@@ -132,4 +133,4 @@ def drive(
     return Loop(plant, controller, mpc, timing, float(reference.path.times[-1]), record).run(progress)
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveFixedSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveFixedSettings, build, DEFINITIONS[NAME])

@@ -20,6 +20,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.simulation.contacts import GROUND, OBSTACLE
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022 import plaster_wall as wall
+from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.plaster_figures import metrics, plots
 from wbmpc.studies.pankert2022.standing import stand_still
@@ -135,4 +136,4 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
     return Scenario.single(log, loop.run, measured, lambda _: plots(log, references), IDEALISATIONS)
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, wall.SwervePlasterSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, wall.SwervePlasterSettings, build, DEFINITIONS[NAME])

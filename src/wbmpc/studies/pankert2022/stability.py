@@ -14,6 +14,7 @@ from wbmpc.settings import Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import CONFIGURATIONS, Assessment, assess, draw
+from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 
 NAME = "swerve-stability"
 SUMMARY = "support polygon and triangles of H, X and A (Pankert et al. 2022, Table I)"
@@ -71,4 +72,4 @@ def _metrics(found: dict[str, Assessment]) -> dict[str, Metric]:
     return metrics
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveStabilitySettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveStabilitySettings, build, DEFINITIONS[NAME])

@@ -15,6 +15,7 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Timing
+from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.metrics import in_frame, rotation_about_z
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 from wbmpc.studies.pankert2022.standing import stand_still
@@ -101,4 +102,4 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     )
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveTrackSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveTrackSettings, build, DEFINITIONS[NAME])

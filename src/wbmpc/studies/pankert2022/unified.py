@@ -27,6 +27,7 @@ from wbmpc.ocp import Constraint, Reference, RelaxedBarrier, residuals, sets
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.stability import StanceOf, leg_angles, region_margin, support_triangles
 from wbmpc.stability.geometry import Triangle
+from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, at_home
 from wbmpc.studies.pankert2022.standing import stand_still
@@ -155,4 +156,4 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     )  # fmt: skip
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveUnifiedSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveUnifiedSettings, build, DEFINITIONS[NAME])

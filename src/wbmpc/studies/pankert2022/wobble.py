@@ -23,6 +23,7 @@ from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Ending, Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import CONFIGURATIONS, assess, corners
+from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.support_prediction import RAISE, REST, Case
 from wbmpc.studies.pankert2022.wobble_figures import RATE, TURN, Predictions, metrics, plots
 
@@ -125,4 +126,4 @@ def _simulate(
     return Outcome(Ending.of(plant), [str(fault) for fault in monitor.real])
 
 
-EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveWobbleSettings, build)
+EXPERIMENT = Experiment.of(NAME, SUMMARY, SwerveWobbleSettings, build, DEFINITIONS[NAME])
