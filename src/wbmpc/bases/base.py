@@ -276,9 +276,10 @@ class Reshaping(Protocol):
 
 
 class Calibrator(Protocol):
-    """Finds steer zeros and wheel radii of one robot from the log of a run with global poses. ``names``: of the wheels in
-    calibration files; ``geometry``: of the wheels as described."""
+    """Finds steer zeros and wheel radii of one robot from the log of a run with global poses. ``robot``: its name; ``names``: of the
+    wheels in calibration files; ``geometry``: of the wheels as described."""
 
+    robot: str
     names: list[str]
     geometry: ModuleGeometry
 
