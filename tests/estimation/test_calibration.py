@@ -234,7 +234,9 @@ def test_every_number_of_a_file_is_one_that_the_described_robot_can_have(key: st
     """Truth: no encoder is mounted a radian off, no tyre made to half the radius; what is just outside of the range is out."""
     path, valid = tmp_path / "c.yaml", VALID[key]
     least, width = valid.lower, valid.upper - valid.lower
-    assert least >= -1.0 and valid.upper <= 1.0 and (not key.endswith("radius") or (least > 0.05 and valid.upper < 0.15))
+    assert (
+        least >= -1.0 and valid.upper <= 1.0 and (not key.endswith("radius") or (least > 0.05 and valid.upper < 0.15))
+    )
 
     def read(value: object) -> None:
         section, name, entry = key.split(".")

@@ -27,7 +27,7 @@ LENGTH, SHARE = 5.0, 0.5
 #: Points of a path, interval [s] of its reference.
 POINTS, SAMPLED = 2001, 0.02
 #: Coordinates [m] of a path, poses of one, and time [s] that it takes, at most: what is longer is a mistake, and fills the memory.
-FARTHEST, MAX_POSES, LONGEST = 1000.0, 1000, 36_000.0
+FARTHEST, MAX_POSES, LONGEST = 1000.0, 1000, 7200.0
 _Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
 
@@ -208,6 +208,8 @@ def _waypoints(rows: Array, position: Array, quaternion: Array, direction: float
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if steps.sum() < 1e-6:
         raise InputError(f"{where}: the path has no length; 'wbmpc run goals' turns in place")
+    if steps.sum() > FARTHEST:
+        raise InputError(f"{where}: the path is {steps.sum():.4g} m long; at most {FARTHEST:g} m are planned")
     keep = np.concatenate([[True], steps > 1e-9])
     return points[keep], turns[keep]
 
@@ -230,14 +232,19 @@ AnyPath = Annotated[
 ]
 
 
+def duration(length: float, speed: float) -> float:
+    """Time [s] along a path of ``length`` [m] at ``speed`` [m/s]; :class:`InputError` for one that nobody waits for."""
+    if length > LONGEST * speed:
+        raise InputError(
+            f"path.speed: {length:.4g} m with {speed:g} m/s take {length / speed:.4g} s; at most {LONGEST:g} s are planned"
+        )
+    return length / speed
+
+
 def timed(curve: Curve, speed: float, ramp: float, start: float) -> tuple[Reference, float]:
     """The curve as a reference that begins at ``start`` [s], and when it ends [s]."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve.points, axis=0), axis=1))])
-    end = start + way[-1] / speed + ramp
-    if end > LONGEST:
-        raise InputError(
-            f"path.speed: {way[-1]:.4g} m with {speed:g} m/s take {way[-1] / speed:.4g} s; at most {LONGEST:g} s are planned"
-        )
+    end = start + duration(way[-1], speed) + ramp
     times = np.arange(0.0, end + SAMPLED, SAMPLED)
     t = times - start
     arc = np.clip(speed * (risen(t, ramp) - risen(t - way[-1] / speed, ramp)), 0.0, way[-1])
