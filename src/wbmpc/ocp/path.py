@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,9 +63,8 @@ class Path:
 
         given = CubicSpline(chord, points, bc_type="periodic" if self.periodic else "not-a-knot")
         cuts = max(1, -(-PIECES // (len(chord) - 1)))
-        u = np.concatenate(
-            [np.linspace(a, b, cuts, endpoint=False) for a, b in itertools.pairwise(chord)] + [chord[-1:]]
-        )
+        inside = np.arange(cuts) * (np.diff(chord) / cuts)[:, None] + chord[:-1, None]
+        u = np.concatenate([inside.ravel(), chord[-1:]])
         half = 0.5 * np.diff(u)
         inner = (u[:-1] + half)[:, None] + half[:, None] * _NODES
         arc = np.concatenate([[0.0], np.cumsum(half * (np.linalg.norm(given(inner, 1), axis=2) @ _WEIGHTS))])
