@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -28,9 +29,12 @@ from wbmpc.input_file import read_file
 from wbmpc.json_file import load_json
 from wbmpc.model.robot import load_robot
 from wbmpc.recording.messages import decode, encode
+from wbmpc.recording.reader import read_recording
+from wbmpc.recording.records import MAGIC
 from wbmpc.robots import load_description
 from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.packages import find_package
+from wbmpc.run_files import read_log
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -223,6 +227,36 @@ def test_what_is_no_regular_file_is_an_error(read: Callable[[Path], object], kin
         path.symlink_to(kind)
     with pytest.raises(InputError, match=r"is no regular file|cannot be read"):
         read(path)
+
+
+@pytest.mark.parametrize(
+    "read",
+    [lambda p: read_file(p, 100), read_log, read_recording, load_yaml],
+    ids=["bytes", "log", "recording", "yaml"],
+)
+def test_a_file_of_the_kernel_that_waits_for_more_is_an_error(
+    read: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As /proc/kmsg, which says that it is a regular file: a pipe that says so, with a writer who does not write."""
+    os.mkfifo(path := tmp_path / "kmsg")
+    monkeypatch.setattr(stat, "S_ISREG", lambda mode: True)
+    monkeypatch.setattr(Path, "is_file", lambda path: True)
+    writer = os.open(path, os.O_RDWR)
+    try:
+        with pytest.raises(InputError, match=r"kmsg: (cannot be read|this is not the log)"):
+            read(path)
+    finally:
+        os.close(writer)
+
+
+@pytest.mark.parametrize(("start", "says"), [(b"", "does not begin like one"), (MAGIC, "at most 8589934592 are read")])
+def test_a_recording_of_a_terabyte_is_an_error_before_it_is_read(start: bytes, says: str, tmp_path: Path) -> None:
+    """A sparse one, which has no room on the disk."""
+    path = tmp_path / "big.mcap"
+    path.write_bytes(start)
+    os.truncate(path, 2**40)
+    with pytest.raises(InputError, match=rf"big\.mcap: .*{says}"):
+        read_recording(path)
 
 
 def test_what_grows_while_it_is_read_is_read_within_its_limit() -> None:
