@@ -32,6 +32,7 @@ from wbmpc.recording.messages import decode, encode
 from wbmpc.recording.reader import read_recording
 from wbmpc.recording.records import MAGIC
 from wbmpc.robots import load_description
+from wbmpc.robots.doctor import examine_robot
 from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.packages import find_package
 from wbmpc.run_files import read_log
@@ -447,3 +448,12 @@ def test_generated_cases_are_accepted_or_rejected_as_their_generators_know(
 
 def test_an_experiment_that_is_not_there_is_exit_code_two() -> None:
     assert main(["run", "fake", "--set", "mpc.rate=010"], REGISTRY) == 2
+
+
+@pytest.mark.parametrize(("key", "joint"), [("home", "elbow_joint"), ("fixed_joints", "leg_LF")])
+def test_the_doctor_names_joints_that_are_where_they_cannot_be(key: str, joint: str, tmp_path: Path) -> None:
+    """Beyond the ranges of the model."""
+    name = "swerve-ur10" if key == "home" else "swerve-fixed-ur10"
+    found = examine_robot(str(changed(tmp_path, name, f"{key}.{joint}", 9.0))).findings
+    found = [f for f in found if f.severity == "error"]
+    assert [(f.where, f.text.partition(" is ")[0]) for f in found] == [(f"key '{key}.{joint}'", "9")]
