@@ -275,6 +275,20 @@ def test_entities_are_an_error(name: str, tmp_path: Path) -> None:
         load_description(_arm(tmp_path, name))
 
 
+LINK = '<link name="{}"><visual name="v"><geometry><sphere radius="1"/></geometry></visual></link>'
+JOINT = '<joint name="{}" type="continuous"><parent link="{}"/><child link="{}"/><axis xyz="0 0 1"/></joint>'
+
+
+@pytest.mark.parametrize(("links", "joints"), [("abc", "jj"), ("abc", "jk")])
+def test_names_that_are_there_twice_are_an_error(links: str, joints: str, tmp_path: Path) -> None:
+    path = tmp_path / "twice.urdf"
+    parts = [*map(LINK.format, links), *(JOINT.format(n, *links[k : k + 2]) for k, n in enumerate(joints))]
+    path.write_text(f'<robot name="r">{"".join(parts)}</robot>')
+    found = [f.message for f in examine_robot(str(path)).findings if f.severity == "error"]
+    says = "twice.urdf: cannot be read: Error: repeated name 'j' in joint"
+    assert any(says in text for text in found) == (joints == "jj")
+
+
 def test_a_comment_of_dashes_is_none(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM.format(top="<!-- a -- b -->", inside="", world=""))
     assert load_description(_arm(tmp_path, "arm.xml")).arm.joints == ("j",)
