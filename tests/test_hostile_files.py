@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -28,9 +29,13 @@ from wbmpc.input_file import read_file
 from wbmpc.json_file import load_json
 from wbmpc.model.robot import load_robot
 from wbmpc.recording.messages import decode, encode
+from wbmpc.recording.reader import read_recording
+from wbmpc.recording.records import MAGIC
 from wbmpc.robots import load_description
+from wbmpc.robots.doctor import examine_robot
 from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.packages import find_package
+from wbmpc.run_files import read_log
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -112,7 +117,7 @@ def test_a_value_without_a_key_is_named_by_its_setting_alone() -> None:
 def test_a_plant_is_a_machine_of_this_world(value: str) -> None:
     """Spreads and noise beyond every machine end in numbers that are not finite in the middle of a run."""
     model = experiments.REGISTRY["swerve-track"].config_type
-    with pytest.raises(InputError, match=rf"swerve-track: --set plant.{value.partition('=')[0]}="):
+    with pytest.raises(InputError, match=rf"swerve-track: --set plant.{value.partition('=')[0]}(\.0)?="):
         configure(model, [f"plant.{value}"], "swerve-track")
 
 
@@ -225,6 +230,36 @@ def test_what_is_no_regular_file_is_an_error(read: Callable[[Path], object], kin
         read(path)
 
 
+@pytest.mark.parametrize(
+    "read",
+    [lambda p: read_file(p, 100), read_log, read_recording, load_yaml],
+    ids=["bytes", "log", "recording", "yaml"],
+)
+def test_a_file_of_the_kernel_that_waits_for_more_is_an_error(
+    read: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As /proc/kmsg, which says that it is a regular file: a pipe that says so, with a writer who does not write."""
+    os.mkfifo(path := tmp_path / "kmsg")
+    monkeypatch.setattr(stat, "S_ISREG", lambda mode: True)
+    monkeypatch.setattr(Path, "is_file", lambda path: True)
+    writer = os.open(path, os.O_RDWR)
+    try:
+        with pytest.raises(InputError, match=r"kmsg: (cannot be read|this is not the log)"):
+            read(path)
+    finally:
+        os.close(writer)
+
+
+@pytest.mark.parametrize(("start", "says"), [(b"", "does not begin like one"), (MAGIC, "at most 8589934592 are read")])
+def test_a_recording_of_a_terabyte_is_an_error_before_it_is_read(start: bytes, says: str, tmp_path: Path) -> None:
+    """A sparse one, which has no room on the disk."""
+    path = tmp_path / "big.mcap"
+    path.write_bytes(start)
+    os.truncate(path, 2**40)
+    with pytest.raises(InputError, match=rf"big\.mcap: .*{says}"):
+        read_recording(path)
+
+
 def test_what_grows_while_it_is_read_is_read_within_its_limit() -> None:
     """Files of the kernel have no size until they are read."""
     with pytest.raises(InputError, match="has 9 bytes; at most 8 are read"):
@@ -238,6 +273,20 @@ def test_entities_are_an_error(name: str, tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="DOCTYPE"):
         load_description(_arm(tmp_path, name))
+
+
+LINK = '<link name="{}"><visual name="v"><geometry><sphere radius="1"/></geometry></visual></link>'
+JOINT = '<joint name="{}" type="continuous"><parent link="{}"/><child link="{}"/><axis xyz="0 0 1"/></joint>'
+
+
+@pytest.mark.parametrize(("links", "joints"), [("abc", "jj"), ("abc", "jk")])
+def test_names_that_are_there_twice_are_an_error(links: str, joints: str, tmp_path: Path) -> None:
+    path = tmp_path / "twice.urdf"
+    parts = [*map(LINK.format, links), *(JOINT.format(n, *links[k : k + 2]) for k, n in enumerate(joints))]
+    path.write_text(f'<robot name="r">{"".join(parts)}</robot>')
+    found = [f.message for f in examine_robot(str(path)).findings if f.severity == "error"]
+    says = "twice.urdf: cannot be read: Error: repeated name 'j' in joint"
+    assert any(says in text for text in found) == (joints == "jj")
 
 
 def test_a_comment_of_dashes_is_none(tmp_path: Path) -> None:
@@ -413,3 +462,12 @@ def test_generated_cases_are_accepted_or_rejected_as_their_generators_know(
 
 def test_an_experiment_that_is_not_there_is_exit_code_two() -> None:
     assert main(["run", "fake", "--set", "mpc.rate=010"], REGISTRY) == 2
+
+
+@pytest.mark.parametrize(("key", "joint"), [("home", "elbow_joint"), ("fixed_joints", "leg_LF")])
+def test_the_doctor_names_joints_that_are_where_they_cannot_be(key: str, joint: str, tmp_path: Path) -> None:
+    """Beyond the ranges of the model."""
+    name = "swerve-ur10" if key == "home" else "swerve-fixed-ur10"
+    found = examine_robot(str(changed(tmp_path, name, f"{key}.{joint}", 9.0))).findings
+    found = [f for f in found if f.severity == "error"]
+    assert [(f.where, f.text.partition(" is ")[0]) for f in found] == [(f"key '{key}.{joint}'", "9")]

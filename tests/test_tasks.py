@@ -19,7 +19,7 @@ from wbmpc.cli import main
 from wbmpc.configuration import configure
 from wbmpc.registry import load
 from wbmpc.simulation.model_plant import ModelPlant
-from wbmpc.tasks.path_settings import Circle, Line, Poses, Sine, Table, carried_base, timed
+from wbmpc.tasks.path_settings import Circle, Curve, Line, Poses, Sine, Table, carried_base, timed
 from wbmpc.tasks.settings import TaskSettings
 
 WHEELS = [((0.0, 0.2), (0.0, 1.0, 0.0)), ((0.0, -0.2), (0.0, 1.0, 0.0))]
@@ -187,10 +187,21 @@ def test_a_table_of_poses_turns_on_its_way(driving: Path, tmp_path: Path) -> Non
         ("a,b\n", "line 1: columns"),
         ("x,y,z\n1,2\n", "line 2: 3 finite numbers"),
         ("x,y,z\n1,2,nan\n", "line 2"),
+        ("x,y,z\n1,2,1001\n", "line 2: 3 finite numbers from -1000 to 1000"),
+        ("x,y,z\n1,2,1_0\n", "line 2: 3 finite numbers"),
+        ("x,y,z\n900,0,0\n0,0,0\n", "the path is 1800 m long; at most 1000 m"),
+        ("x,y,z\n" + "1,0,0\n" * 1001, "line 1002: at most 1000 poses"),
     ):
         file.write_text(text)
         with pytest.raises(wb.InputError, match=words):
             Table(file=file).curve(wb.load_robot(driving), START, TURN)
+
+
+def test_a_path_that_takes_hours_is_an_error() -> None:
+    """Its reference would fill the memory."""
+    curve = Curve(np.array([[0.0, 0.0, 0.0], [1000.0, 0.0, 0.0]]), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
+    with pytest.raises(wb.InputError, match=r"path\.speed: 1000 m with 0.001 m/s take 1e\+06 s; at most 7200 s"):
+        timed(curve, 1e-3, 1.0, 0.0)
 
 
 def test_the_base_goes_along_beside_its_tip(driving: Path) -> None:

@@ -117,7 +117,9 @@ def calibrations(rng: random.Random, folder: Path) -> Case:
     }
     data: dict[str, Any] = {"modules": rows}
     kind, expected = (
-        rng.choice(("as it is", "never", "twice", "missing", "unknown", "value", "correlation", "soup")),
+        rng.choice(
+            ("as it is", "never", "twice", "missing", "unknown", "value", "far", "robot", "correlation", "soup")
+        ),
         INVALID,
     )
     more, name = "", rng.choice(names)
@@ -133,6 +135,11 @@ def calibrations(rng: random.Random, folder: Path) -> Case:
         rows[name]["radius"] = 0.1
     elif kind == "value":
         rows[name]["wheel_radius"] = rng.choice((0.0, -0.1, float("nan"), float("inf"), "a", None, [0.1], True, {}))
+    elif kind == "far":
+        key = rng.choice(("steer_offset", "leg_offset", "wheel_radius", "steer_offset_std", "wheel_radius_std"))
+        rows[name][key] = rng.choice((-1.0, 1.0)) * 10.0 ** rng.uniform(0.0, 300.0)
+    elif kind == "robot":
+        data["robot"] = rng.choice(("swerve-fixed-ur10", "", 5, True, ["swerve-ur10"], {}))
     elif kind == "correlation":
         data["correlation"] = rng.choice(([], "a", [[1.0]], np.zeros((8, 8)).tolist(), [[None] * 8] * 8))
     else:
@@ -143,7 +150,7 @@ def calibrations(rng: random.Random, folder: Path) -> Case:
     return Case(
         f"calibration: {kind}: {more[:50]!r}",
         expected,
-        call=lambda: WheelCalibration.load(path, robot.base.geometry, names),
+        call=lambda: WheelCalibration.load(path, robot.base.geometry, names, robot.description.name),
     )
 
 

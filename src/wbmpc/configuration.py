@@ -226,9 +226,10 @@ def _kinds(model: type[BaseModel], key: str) -> dict[str, type[BaseModel]]:
     return {k: m for m in found if KIND in m.model_fields for k in get_args(m.model_fields[KIND].annotation)}
 
 
-def _truths(value: Any) -> bool:
+def has_truths(value: Any) -> bool:
     """Whether a value is, or holds, true or false."""
-    return any(map(_truths, value)) if isinstance(value, list) else isinstance(value, bool)
+    inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    return isinstance(value, bool) or any(map(has_truths, inside))
 
 
 def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
@@ -264,7 +265,7 @@ def _pairs(model: type[BaseModel], assignments: Iterable[str], where: str) -> li
             key = f"{key}.{KIND}"
         if key not in valid:
             raise _unknown(key, valid, where)
-        if _truths(value) and bool not in _types(model, key):
+        if has_truths(value) and bool not in _types(model, key):
             raise InputError(f"{where}: --set {assignment.strip()}: a number or text is needed, not true or false")
         pairs.append((key, value))
     return sorted(pairs, key=lambda pair: pair[0].rpartition(".")[2] != KIND)
@@ -342,7 +343,7 @@ def _of_file(model: type[BaseModel], path: Path, where: str) -> list[tuple[str, 
                 raise InputError(str(_unknown(key, valid, where)).replace(f"{where}: --set", str(path), 1))
             if math.isinf(_largest(value)):
                 raise InputError(f"{path}: key '{key}': numbers must be finite, at most {LARGEST:.3g}")
-            if _truths(value) and bool not in _types(model, key):
+            if has_truths(value) and bool not in _types(model, key):
                 raise InputError(f"{path}: key '{key}': a number or text is needed, not true or false")
             found.append((key, _numbers(value)))
 

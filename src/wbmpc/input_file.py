@@ -4,28 +4,54 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from wbmpc.errors import InputError
 
 
-def read_file(path: Path, largest: int) -> bytes:
-    """The bytes of a regular file, at most ``largest``. Raises :class:`InputError` naming the file."""
+@contextmanager
+def open_file(path: Path) -> Iterator[BinaryIO]:
+    """A regular file to read from, which does not wait. Raises :class:`InputError` naming the file, also for errors while it is
+    read."""
     try:
         with open(path, "rb", opener=_open) as file:
-            about = os.fstat(file.fileno())
-            if not stat.S_ISREG(about.st_mode):
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise InputError(f"{path}: is no regular file")
-            data = b"" if about.st_size > largest else file.read(largest + 1)  # more than its size: it may grow
+            yield file
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: cannot be read (it does not fit into the memory)") from error
+
+
+def read_file(path: Path, largest: int, magic: bytes = b"") -> bytes:
+    """The bytes of a regular file, at most ``largest``; of one that does not begin with ``magic`` its first bytes only. Raises
+    :class:`InputError` naming the file."""
+    try:
+        with open_file(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            data = _read(path, file, len(magic))
+            if data != magic:
+                return data
+            if size <= largest:  # more than its size: it may grow
+                data += _read(path, file, largest + 1 - len(data))
     except InputError:
         raise
     except ValueError as error:  # a name that no file system takes
         raise InputError(f"{str(path)!r}: cannot be read ({error})") from error
-    size = max(about.st_size, len(data))
+    size = max(size, len(data))
     if size > largest:
         raise InputError(f"{path}: has {size} bytes; at most {largest} are read")
+    return data
+
+
+def _read(path: Path, file: BinaryIO, count: int) -> bytes:
+    data = file.read(count)
+    if data is None:  # a file of the kernel, whose readers wait for more
+        raise InputError(f"{path}: cannot be read (its end has not been written)")
     return data
 
 

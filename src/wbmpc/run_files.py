@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError
+from wbmpc.input_file import open_file
 from wbmpc.json_file import load_json
 
 #: Bytes of a log's arrays, at most: an hour of a run has about 0.5 GB.
@@ -83,14 +84,14 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; give a run's folder or its log.npz")
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_file(path) as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
         size, names = sum(member.file_size for member in members), {member.filename for member in members}
         if len(names) < len(members):
             raise InputError(f"{path}: two of its arrays have one name")
         if size > LARGEST_LOG:
             raise InputError(f"{path}: its arrays have {size} bytes; at most {LARGEST_LOG} are read")
-        with np.load(path, allow_pickle=False) as log:
+        with open_file(path) as file, np.load(file, allow_pickle=False) as log:
             channels = {name: log[name] for name in log.files}
     except InputError:
         raise

@@ -57,6 +57,7 @@ class MpcSettings(Settings):
         return SQP.real_time(self.iterations, interior_point=interior_point)
 
 
+_Center = Annotated[float, Field(ge=-10, le=10)]
 _UPRIGHT = OnlyWith(keep=("wheel_loads", "support_margin"))
 
 
@@ -70,7 +71,7 @@ class StabilitySettings(Settings):
     min_load: Annotated[float, OnlyWith(keep="wheel_loads")] = Field(0.2, ge=0, lt=1)
     margin: Annotated[float, OnlyWith(keep="support_margin")] = Field(0.05, ge=0, le=10)
     payload: Annotated[float, _UPRIGHT] = Field(0.0, ge=0, le=1000)
-    payload_center: Annotated[tuple[float, float, float], _UPRIGHT] = (0.0, 0.0, 0.0)
+    payload_center: Annotated[tuple[_Center, _Center, _Center], _UPRIGHT] = (0.0, 0.0, 0.0)
 
 
 class ControlSettings(Settings):

@@ -3,11 +3,13 @@ found over its covariance; weighted least squares on the whole record, by finite
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
@@ -15,6 +17,8 @@ from wheels_on_paper import Drawn, ring
 from effort import draws
 from wbmpc.bases.swerve.calibration import WheelRecord, calibrate, fit_wheels, replay
 from wbmpc.errors import InputError
+from wbmpc.estimation.arm_calibration import load_arm_offset
+from wbmpc.estimation.calibration_file import ARM_KEYS, module_keys
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import WheelOdometry
@@ -156,7 +160,8 @@ NAMES = ["a", "b", "c", "d"]
 
 def test_file_keeps_the_numbers(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    saved = WheelCalibration(*rng.normal(size=(2, 4)), 0.1 + 0.01 * rng.uniform(size=4), np.diag(rng.uniform(size=8)))
+    zeros, variances = 0.1 * rng.normal(size=(2, 4)), np.diag(0.05 * rng.uniform(size=8))
+    saved = WheelCalibration(*zeros, 0.1 + 0.01 * rng.uniform(size=4), variances)
     saved.save(tmp_path / "c.yaml", NAMES)
     loaded = WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES)
     for name in ("steer_offset", "leg_offset", "wheel_radius", "covariance"):
@@ -192,13 +197,14 @@ ROWS = "{a: {}, b: {}, c: {}, d: {}}"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("wheels: {}", "one key 'modules'"),
+        ("wheels: {}", "unknown key 'wheels'"),
+        ("robot: toy", "one key 'modules'"),
         ("modules: {a: {}}", "no entry for b, c, d"),
         ("modules: {aa: {}, b: {}, c: {}, d: {}}", "did you mean 'a'"),
         ("modules: {a: {steer_offsets: 1}, b: {}, c: {}, d: {}}", "did you mean 'modules.a.steer_offset'|steer_offset"),
         ("modules: {a: {steer_offset: x}, b: {}, c: {}, d: {}}", "modules.a.steer_offset': a finite number"),
         ("modules: {a: {steer_offset: .nan}, b: {}, c: {}, d: {}}", "a finite number"),
-        ("modules: {a: {wheel_radius: -0.1}, b: {}, c: {}, d: {}}", "positive"),
+        ("modules: {a: {wheel_radius: -0.1}, b: {}, c: {}, d: {}}", "from 0.07 to 0.13 m"),
         ("modules: {a: 3, b: {}, c: {}, d: {}}", "a mapping is needed"),
         ("modules: [", "not valid YAML"),
         (f"modules: {ROWS}\ncorrelations: []", "did you mean 'correlation'"),
@@ -216,6 +222,55 @@ def test_bad_files_are_rejected_in_one_message(text: str, message: str, tmp_path
     with pytest.raises(InputError, match=message) as error:
         WheelCalibration.load(path, UNEVEN, NAMES)
     assert "c.yaml" in str(error.value)
+
+
+HOSTILE = [1e3, -1e3, 1e300, math.nan, math.inf, 10**400, True, "x", None, [0.1], {}]
+VALID = {**{f"modules.a.{k}": v for k, v in module_keys(UNEVEN.wheel_radius).items()},
+         **{f"arm.a.{k}": v for k, v in ARM_KEYS.items()}}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", VALID)
+def test_every_number_of_a_file_is_one_that_the_described_robot_can_have(key: str, tmp_path: Path) -> None:
+    """Truth: no encoder is mounted a radian off, no tyre made to half the radius; what is just outside of the range is out."""
+    path, valid = tmp_path / "c.yaml", VALID[key]
+    least, width = valid.lower, valid.upper - valid.lower
+    assert (
+        least >= -1.0 and valid.upper <= 1.0 and (not key.endswith("radius") or (least > 0.05 and valid.upper < 0.15))
+    )
+
+    def read(value: object) -> None:
+        section, name, entry = key.split(".")
+        rows = {"modules": {n: {} for n in NAMES}, "arm": {n: {} for n in NAMES}}
+        rows[section][name] = {entry: value}
+        path.write_text(yaml.safe_dump(rows))
+        WheelCalibration.load(path, UNEVEN, NAMES)
+        load_arm_offset(path, NAMES)
+
+    for value in (least, valid.upper, least + 0.5 * width):
+        read(value)
+    for value in (*HOSTILE, least - 0.01 * width, valid.upper + 0.01 * width):
+        with pytest.raises(InputError, match=rf"c\.yaml: .*key '{key}.*: (a finite number from .* to|.* characters)"):
+            read(value)
+
+
+def test_a_file_of_another_robot_is_rejected(tmp_path: Path) -> None:
+    """Robots of one make have modules and joints of the same names."""
+    WheelCalibration.unknown(UNEVEN).save(tmp_path / "c.yaml", NAMES, arm={"a": {"offset": 0.1}}, robot="one")
+    assert WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES, "one").modules == 4
+    assert load_arm_offset(tmp_path / "c.yaml", NAMES, "one") == pytest.approx([0.1, 0.0, 0.0, 0.0])
+    for read in (
+        lambda: WheelCalibration.load(tmp_path / "c.yaml", UNEVEN, NAMES, "other"),
+        lambda: load_arm_offset(tmp_path / "c.yaml", NAMES, "other"),
+    ):
+        with pytest.raises(InputError, match=r"c\.yaml: key 'robot': this is a calibration of 'one'; one of 'other'"):
+            read()
+
+
+def test_what_no_file_is_read_with_is_not_found_either() -> None:
+    odd = replace(WheelCalibration.unknown(UNEVEN), steer_offset=np.array([0.0, 0.0, 1.0, 0.0]))
+    with pytest.raises(InputError, match=r"log: 'steer_offset' of c: a finite number from -0.6 to 0.6 rad"):
+        odd.check("log", UNEVEN, NAMES)
+    WheelCalibration.unknown(UNEVEN).check("log", UNEVEN, NAMES)
 
 
 def test_keys_that_are_left_out_are_the_descriptions(tmp_path: Path) -> None:

@@ -150,6 +150,9 @@ def test_a_scene_from_a_file(tmp_path: Path) -> None:
         ("obstacles: {p: {sphere: {radius: 1, size: 2}}}", ("obstacles.p.sphere", "unknown key 'size'")),
         ("obstacles: {p: {position: [0, 0, 0]}}", ("obstacles.p", "one shape is needed, got 0")),
         ("obstacles: {p: {sphere: {radius: 1}, position: [0, 0]}}", ("obstacles.p", "'p'", "position")),
+        ("obstacles: {p: {sphere: {radius: 1}, position: [0, yes, 0]}}", ("obstacles.p", "not true or false")),
+        ("obstacles: {p: {sphere: {radius: 1, center: [0, 0, no]}}}", ("obstacles.p", "not true or false")),
+        ("obstacles: {p: {box: {half: [1, 1, 1], orientation: [1e300, 0, 0, 0]}}}", ("obstacles.p.box", "at most 2")),
         ("obstacles: {p: 3}", ("obstacles.p", "mapping")),
         ("obstacles: {q: {sphere: {radius: 1}}, p: {box: {half: x}}}", ("obstacles.p.box", "half")),
     ],
@@ -161,6 +164,13 @@ def test_a_scene_with_a_mistake_names_file_and_key_and_sets_nothing(tmp_path: Pa
         world.load(path)
     assert str(path) in str(error.value) and all(word in str(error.value) for word in words)
     assert len(world) == 0
+
+
+@pytest.mark.parametrize("appears", ["-1", "1e300", "yes", ".nan"])
+def test_obstacles_appear_at_a_time_of_the_run(tmp_path: Path, appears: str) -> None:
+    (tmp_path / "scene.yaml").write_text(f"obstacles: {{p: {{sphere: {{radius: 1}}, appears: {appears}}}}}")
+    with pytest.raises(InputError, match=r"scene\.yaml: key 'obstacles\.p'"):
+        list(read_scene(tmp_path / "scene.yaml", simulated=True))
 
 
 def test_a_missing_scene_is_named(tmp_path: Path) -> None:

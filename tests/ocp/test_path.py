@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from effort import draws
 from wbmpc import lie
 from wbmpc.errors import InputError
-from wbmpc.ocp.path import Path
+from wbmpc.ocp.path import Path, _turns_between
 
 COORDINATE = st.floats(-0.3, 0.3)
 
@@ -105,3 +105,13 @@ def test_bad_paths_name_the_cause(points: list[list[float]], turns: list[list[fl
         Path(points, turns)
     with pytest.raises(InputError, match="right angle"):
         Path.circle((0, 0, 1), (0, 0, 0))
+
+
+def test_orientations_between_two_are_those_of_slerp() -> None:
+    """Truth: lie.slerp, one by one; also the long way round, and between equal ones."""
+    rng = np.random.default_rng(3)
+    for q, r in (*rng.normal(size=(20, 2, 4)), np.array([[1.0, 0, 0, 0], [-1.0, 0, 0, 0]])):
+        q, r = q / np.linalg.norm(q), r / np.linalg.norm(r)
+        share = np.linspace(0.0, 1.0, 7)
+        expected = np.array([lie.slerp(q, r, s) for s in share])
+        np.testing.assert_allclose(_turns_between(q, r, share), expected, atol=1e-12)

@@ -55,8 +55,8 @@ class InertialDescription(Section):
     """The inertial unit's range: ``rate`` [rad/s] and ``acceleration`` [m/s²] that it can measure about and along each axis. Left
     out: those of the ADIS16448's data sheet, 1000 degrees/s and 18 g."""
 
-    rate: float = Field(np.deg2rad(1000.0), gt=0)
-    acceleration: float = Field(18.0 * 9.81, gt=0)
+    rate: float = Field(np.deg2rad(1000.0), ge=0.1, le=1e4)
+    acceleration: float = Field(18.0 * 9.81, ge=10, le=1e5)
 
 
 @dataclass(frozen=True)
@@ -276,9 +276,10 @@ class Reshaping(Protocol):
 
 
 class Calibrator(Protocol):
-    """Finds steer zeros and wheel radii of one robot from the log of a run with global poses. ``names``: of the wheels in
-    calibration files; ``geometry``: of the wheels as described."""
+    """Finds steer zeros and wheel radii of one robot from the log of a run with global poses. ``robot``: its name; ``names``: of the
+    wheels in calibration files; ``geometry``: of the wheels as described."""
 
+    robot: str
     names: list[str]
     geometry: ModuleGeometry
 

@@ -92,10 +92,10 @@ def calibrate(
         str | None, typer.Option(help="Name or file of the robot (default: as the run's settings say).")
     ] = None,
     zero_std: Annotated[
-        float, typer.Option(min=1e-6, max=1.0, help="Standard deviation of the steer zeros before, in rad.")
+        float, typer.Option(min=1e-6, max=0.6, help="Standard deviation of the steer zeros before, in rad.")
     ] = 2e-3,
     radius_std: Annotated[
-        float, typer.Option(min=1e-6, max=0.5, help="Of all radii together, relative; of each beside them half of it.")
+        float, typer.Option(min=1e-6, max=0.25, help="Of all radii together, relative; of each beside them half of it.")
     ] = 2e-3,
     force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
@@ -116,7 +116,8 @@ def calibrate(
     fit = calibrator.fit(channels, prior, str(file))
     hidden = [_words(names, kind, *ways) for kind, ways in fit.hidden().items() if len(ways[1])]
     arm = calibrator.fit_arm(channels, str(file))
-    fit.calibration.save(target, names, notes=[f"not shown: {text}" for text in hidden], arm=arm)
+    notes = [f"not shown: {text}" for text in hidden]
+    fit.calibration.save(target, names, notes=notes, arm=arm, robot=calibrator.robot)
     if as_json:
         _print_json(fit, names, hidden, target, arm)
         return

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.checks import positive
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import InputError
+from wbmpc.estimation.calibration_file import ARM_KEYS, read_calibration, read_rows
 from wbmpc.model.robot import RobotModel
-from wbmpc.yaml_file import load_yaml
 
 Array = NDArray[np.float64]
 #: Standard deviation [rad] of a zero that nobody calibrated; step [rad] of derivatives; Gauss-Newton steps.
@@ -36,24 +35,14 @@ class ArmCalibration:
         return {n: {"offset": float(self.offset[i]), "offset_std": float(std[i])} for i, n in enumerate(joints)}
 
 
-def load_arm_offset(path: Path | str, joints: list[str]) -> Array | None:
+def load_arm_offset(path: Path | str, joints: list[str], robot: str = "") -> Array | None:
     """Zeros (m) [rad] of a calibration file, 0 for joints that it leaves out; None where it has no key 'arm'. Raises
-    :class:`InputError` naming the key."""
-    data = load_yaml(Path(path))
-    rows = data.get("arm") if isinstance(data, Mapping) else None
-    if rows is None:
+    :class:`InputError` naming the key and the numbers that encoders can have, and for a file of another robot than ``robot``."""
+    data = read_calibration(path, robot)
+    if "arm" not in data:
         return None
-    if not isinstance(rows, Mapping):
-        raise InputError(f"{path}: key 'arm': a mapping is needed, with entries of: {', '.join(joints)}")
-    offset = np.zeros(len(joints))
-    for name, row in rows.items():
-        if name not in joints:
-            raise InputError(f"{path}: {unknown_name('joint of the arm', str(name), joints)}")
-        value = row.get("offset") if isinstance(row, Mapping) else None
-        if not isinstance(value, (int, float)) or isinstance(value, bool) or not np.isfinite(value):
-            raise InputError(f"{path}: key 'arm.{name}.offset': a finite number is needed, got {value!r}")
-        offset[joints.index(name)] = value
-    return offset
+    rows = read_rows(path, "arm", data["arm"], "joint of the arm", joints, ARM_KEYS)
+    return np.array([rows[n]["offset"] if n in rows else 0.0 for n in joints])
 
 
 def calibrate_arm(

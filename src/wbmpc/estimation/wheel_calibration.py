@@ -11,10 +11,10 @@ import yaml
 from numpy.typing import NDArray
 
 from wbmpc.checks import is_covariance, not_negative, numbers
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import InputError
+from wbmpc.estimation.calibration_file import module_keys, read_calibration, read_correlation, read_rows
 from wbmpc.model.wheels import ModuleGeometry
 from wbmpc.output_file import write_text
-from wbmpc.yaml_file import load_yaml
 
 Array = NDArray[np.float64]
 
@@ -92,9 +92,10 @@ class WheelCalibration:
         modules: list[str],
         notes: Sequence[str] = (),
         arm: Mapping[str, Mapping[str, float]] | None = None,
+        robot: str = "",
     ) -> None:
-        """Write a YAML file with one entry for each of the named modules (their steer joints), ``notes`` as comments, and what is known
-        of the ``arm`` by its joints."""
+        """Write a YAML file with one entry for each of the named modules (their steer joints), ``notes`` as comments, what is known
+        of the ``arm`` by its joints, and the ``robot``'s name."""
         std = self.std
         rows = {
             name: {
@@ -114,74 +115,32 @@ class WheelCalibration:
         head += "".join(f"# {note}\n" for note in notes)
         tail = "# Correlation of what is left of the zeros, then of the radii, modules as above: what is known better together.\n"
         tail += yaml.safe_dump({"correlation": correlation.tolist()}, default_flow_style=None, width=2**31)
-        write_text(
-            path, head + yaml.safe_dump({"modules": rows, **({"arm": arm} if arm else {})}, sort_keys=False) + tail
-        )
+        data = {**({"robot": robot} if robot else {}), "modules": rows, **({"arm": arm} if arm else {})}
+        write_text(path, head + yaml.safe_dump(data, sort_keys=False) + tail)
 
     @classmethod
-    def load(cls, path: Path | str, geometry: ModuleGeometry, modules: list[str]) -> WheelCalibration:
+    def load(cls, path: Path | str, geometry: ModuleGeometry, modules: list[str], robot: str = "") -> WheelCalibration:
         """Read such a file; keys that are left out are the description's, and without ``correlation`` errors are independent.
-        Raises :class:`InputError` naming the key."""
-        rows, correlation = _read(Path(path), modules)
-        value = lambda key, default: np.array([_number(path, n, key, rows[n].get(key, default)) for n in modules])
-        std = np.concatenate([value("steer_offset_std", 0.0), value("wheel_radius_std", 0.0)])
-        radius = value("wheel_radius", geometry.wheel_radius)
-        if (radius <= 0.0).any() or (std < 0.0).any():
-            raise InputError(f"{path}: radii must be positive, standard deviations must not be negative")
-        covariance = np.outer(std, std) * _correlation(path, correlation, list(rows), modules)
-        return cls(value("steer_offset", 0.0), value("leg_offset", 0.0), radius, covariance)
+        Raises :class:`InputError` naming the key and the numbers that wheels as described can have, and for a file of another
+        robot than ``robot`` (its name; empty: any)."""
+        data = read_calibration(path, robot)
+        if "modules" not in data:
+            raise InputError(f"{path}: one key 'modules' is needed, with an entry for each of: {', '.join(modules)}")
+        rows = read_rows(path, "modules", data["modules"], "module", modules, module_keys(geometry.wheel_radius))
+        missing = [n for n in modules if n not in rows]
+        if missing:
+            raise InputError(f"{path}: key 'modules': there is no entry for {', '.join(missing)}")
+        value = lambda key: np.array([rows[n][key] for n in modules])
+        std = np.concatenate([value("steer_offset_std"), value("wheel_radius_std")])
+        covariance = np.outer(std, std) * read_correlation(path, data.get("correlation"), list(rows), modules)
+        return cls(value("steer_offset"), value("leg_offset"), value("wheel_radius"), covariance)
 
-
-_KEYS = ("steer_offset", "leg_offset", "wheel_radius", "steer_offset_std", "wheel_radius_std")
-
-
-def _correlation(path: Path | str, matrix: object, order: list[str], modules: list[str]) -> Array:
-    """What a file gives (2n, 2n) with its modules in their ``order``, for ``modules``; independent errors for None."""
-    n = len(modules)
-    if matrix is None:
-        return np.eye(2 * n)
-    try:
-        values = np.asarray(matrix, float)
-    except (TypeError, ValueError):
-        values = np.zeros(0)
-    right = values.shape == (2 * n, 2 * n) and np.isfinite(values).all() and np.allclose(values, values.T, atol=1e-6)
-    # a direction without doubt (std 0) has 1 on the diagonal all the same
-    if not right or not np.allclose(np.diag(values), 1.0) or np.linalg.eigvalsh(values)[0] < -1e-6:
-        raise InputError(
-            f"{path}: key 'correlation': {2 * n} rows of {2 * n} numbers are needed, a correlation matrix of the zeros, then of "
-            "the radii; or leave it out"
-        )
-    place = [order.index(name) for name in modules]
-    index = np.array([*place, *(n + i for i in place)])
-    return values[np.ix_(index, index)]
-
-
-def _read(path: Path, modules: list[str]) -> tuple[dict[str, dict[str, object]], object]:
-    """By module, in the file's order, what it says; and its correlation (None if there is none)."""
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file; 'wbmpc calibrate' writes one")
-    data = load_yaml(path)
-    rows = data.get("modules") if isinstance(data, Mapping) else None
-    if not isinstance(rows, Mapping):
-        raise InputError(f"{path}: one key 'modules' is needed, with an entry for each of: {', '.join(modules)}")
-    for key in data:
-        if key not in ("modules", "correlation", "arm"):
-            raise InputError(f"{path}: {unknown_name('key', str(key), ('modules', 'correlation', 'arm'))}")
-    for name in rows:
-        if name not in modules:
-            raise InputError(f"{path}: {unknown_name('module', str(name), modules)}")
-        if not isinstance(rows[name], Mapping):
-            raise InputError(f"{path}: key 'modules.{name}': a mapping is needed; valid keys: {', '.join(_KEYS)}")
-        for key in rows[name]:
-            if key not in _KEYS:
-                raise InputError(f"{path}: {unknown_name('key', f'modules.{name}.{key}', _KEYS)}")
-    missing = [n for n in modules if n not in rows]
-    if missing:
-        raise InputError(f"{path}: key 'modules': there is no entry for {', '.join(missing)}")
-    return {n: dict(row) for n, row in rows.items()}, data.get("correlation")
-
-
-def _number(path: Path | str, module: str, key: str, value: object) -> float:
-    if isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value):
-        return float(value)
-    raise InputError(f"{path}: key 'modules.{module}.{key}': a finite number is needed, got {value!r}")
+    def check(self, who: str, geometry: ModuleGeometry, modules: list[str]) -> None:
+        """Raise :class:`InputError` of ``who`` for numbers that wheels as described cannot have, and no file is read with."""
+        valid, (zero_std, radius_std) = module_keys(geometry.wheel_radius), self.std
+        for key, values in (
+            ("steer_offset", self.steer_offset), ("leg_offset", self.leg_offset), ("wheel_radius", self.wheel_radius),
+            ("steer_offset_std", zero_std), ("wheel_radius_std", radius_std),
+        ):  # fmt: skip
+            for name, value in zip(modules, values, strict=True):
+                valid[key].check(f"{who}: '{key}' of {name}", float(value))

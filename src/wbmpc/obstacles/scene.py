@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from wbmpc import checks
+from wbmpc.configuration import has_truths
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.obstacles.shapes import Box, Capsule, ConvexMesh, Cylinder, HalfSpace, Shape, Sphere
 from wbmpc.yaml_file import load_yaml
@@ -63,12 +64,13 @@ def read_scene(path: str | Path, simulated: bool = False) -> Iterator[SceneObsta
             raise InputError(f"{where}: is there twice")
         if not isinstance(entry, Mapping):
             raise InputError(f"{where}: a mapping with a shape is needed, got {entry!r}")
+        if has_truths(entry):  # NumPy takes them for 1 and 0
+            raise InputError(f"{where}: numbers are needed, not true or false")
         keys = (*_PLACES, *_SIMULATED) if simulated else _PLACES
-        shape, appears = (
-            _shape(where, entry, keys),
-            checks.real_number(f"{where}: 'appears'", entry.get("appears", 0.0)),
-        )
-        yield SceneObstacle(str(name), shape, {k: v for k, v in entry.items() if k in _PLACES}, appears, where)
+        shape, appears = _shape(where, entry, keys), entry.get("appears", 0.0)
+        if checks.absolute_time(f"{where}: 'appears'", appears) < 0.0:
+            raise InputError(f"{where}: 'appears' must not be negative, got {appears}")
+        yield SceneObstacle(str(name), shape, {k: v for k, v in entry.items() if k in _PLACES}, float(appears), where)
 
 
 def _shape(where: str, entry: Mapping[Any, Any], keys: tuple[str, ...]) -> Shape:

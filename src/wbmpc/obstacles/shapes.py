@@ -214,6 +214,7 @@ Shape = Sphere | Capsule | Cylinder | Box | HalfSpace | ConvexMesh | DistanceGri
 def unit_quaternion(who: str, name: str, value: ArrayLike) -> Array:
     """A quaternion (4) of length 1. Raises :class:`InputError` naming what it is of."""
     q = checks.numbers(who, name, value, 4)
+    checks.at_most(who, 2.0, **{name: q})
     length = float(np.linalg.norm(q))
     if not 0.99 < length < 1.01:
         raise InputError(f"{who}: '{name}' needs a unit quaternion (w, x, y, z), got {q.tolist()}")

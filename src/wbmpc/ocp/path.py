@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,9 +63,8 @@ class Path:
 
         given = CubicSpline(chord, points, bc_type="periodic" if self.periodic else "not-a-knot")
         cuts = max(1, -(-PIECES // (len(chord) - 1)))
-        u = np.concatenate(
-            [np.linspace(a, b, cuts, endpoint=False) for a, b in itertools.pairwise(chord)] + [chord[-1:]]
-        )
+        inside = np.arange(cuts) * (np.diff(chord) / cuts)[:, None] + chord[:-1, None]
+        u = np.concatenate([inside.ravel(), chord[-1:]])
         half = 0.5 * np.diff(u)
         inner = (u[:-1] + half)[:, None] + half[:, None] * _NODES
         arc = np.concatenate([[0.0], np.cumsum(half * (np.linalg.norm(given(inner, 1), axis=2) @ _WEIGHTS))])
@@ -207,9 +205,20 @@ def _turn_spline(chord: Array, turns: Array, periodic: bool, at: Array, s: Array
 
 def _along(points: Array, turns: Array, step: float) -> tuple[Array, Array]:
     """The same polyline with points, and quaternions in between, at most ``step`` [m] apart."""
-    kept, turned = [points[0]], [turns[0]]
+    kept, turned = [points[:1]], [turns[:1]]
     for a, b, q, r in zip(points, points[1:], turns, turns[1:]):
-        for share in np.linspace(0.0, 1.0, min(int(np.linalg.norm(b - a) / step) + 2, SEARCHED))[1:]:
-            kept.append(a + share * (b - a))
-            turned.append(lie.slerp(q, r, share))
-    return np.array(kept), np.array(turned)
+        share = np.linspace(0.0, 1.0, min(int(np.linalg.norm(b - a) / step) + 2, SEARCHED))[1:]
+        kept.append(a + share[:, None] * (b - a))
+        turned.append(_turns_between(q, r, share))
+    return np.vstack(kept), np.vstack(turned)
+
+
+def _turns_between(q: Array, r: Array, share: Array) -> Array:
+    """Quaternions (n, 4) at shares (n) of the shortest way from ``q`` to ``r``, as of :func:`wbmpc.lie.slerp`, all at once."""
+    way = lie.quaternion_log(lie.quaternion_multiply(lie.quaternion_conjugate(q), r))
+    angle = float(np.linalg.norm(way))
+    if angle < 1e-12:
+        return np.tile(q, (share.size, 1))
+    half = 0.5 * angle * share
+    turns = np.vstack([np.cos(half), np.outer(way / angle, np.sin(half))])
+    return np.asarray(lie.quaternion_multiply(np.tile(q[:, None], share.size), turns).T)

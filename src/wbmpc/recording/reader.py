@@ -14,11 +14,14 @@ from mcap.records import Attachment, Channel, Footer, McapRecord, Metadata, Sche
 from mcap.records import Message as Record
 
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.input_file import read_file
 from wbmpc.json_file import parse_json
 from wbmpc.recording.messages import DEFINITIONS, decode, fields, numbers
 from wbmpc.recording.records import MAGIC, records
 
 _LOG = logging.getLogger(__name__)
+#: Bytes of a recording that is read as a whole, at most.
+LARGEST = 8 * 1024**3
 #: Fields of a message's header and of its layout: no numbers of their own.
 _SKIPPED = ("header", "layout")
 
@@ -158,7 +161,7 @@ def read_recording(path: Path) -> Recording:
         path = path / "run.mcap"
     if not path.is_file():
         raise InputError(f"{path}: there is no such recording")
-    data, damage = path.read_bytes(), []  # type: bytes, list[str]
+    data, damage = read_file(path, LARGEST, MAGIC), []  # type: bytes, list[str]
     if not data.startswith(MAGIC):
         raise InputError(
             f"{path}: is not a recording (MCAP): {'it does not begin like one' if data else 'it is empty'}"

@@ -13,6 +13,7 @@ from wbmpc.errors import unknown_name
 #: Lengths of shapes [m]: what is smaller is nothing, what is larger no robot.
 _Size = Annotated[float, Field(ge=1e-4, le=100.0)]
 _Place = Annotated[float, Field(ge=-100.0, le=100.0)]
+_Unit = Annotated[float, Field(ge=-1.01, le=1.01)]
 _Point = tuple[_Place, _Place, _Place]
 #: Distances that are kept [m].
 _Margin = Annotated[float, Field(ge=0.0, le=10.0)]
@@ -39,7 +40,7 @@ class ShapeDescription(Section):
     a: _Point | None = None
     b: _Point | None = None
     half: tuple[_Size, _Size, _Size] | None = None
-    orientation: tuple[float, float, float, float] | None = None
+    orientation: tuple[_Unit, _Unit, _Unit, _Unit] | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

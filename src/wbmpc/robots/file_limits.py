@@ -16,7 +16,7 @@ from xml.parsers import expat
 
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError
-from wbmpc.input_file import read_file
+from wbmpc.input_file import open_file, read_file
 from wbmpc.robots.xml_numbers import check_number
 from wbmpc.robots.xml_text import strict_parser, without_comments
 
@@ -83,9 +83,9 @@ def check_size(path: Path, text: bytes | None = None) -> tuple[Path, ...]:
 def _picture(path: Path) -> tuple[int, int]:
     """Width and height [pixels] that the head of a PNG file says; (0, 0) for another file."""
     try:
-        with path.open("rb") as file:
-            head = file.read(24)
-    except OSError:  # its reader says so
+        with open_file(path) as file:
+            head = file.read(24) or b""
+    except InputError:  # its reader says so
         return 0, 0
     return struct.unpack(">II", head[16:]) if head[:8] == b"\x89PNG\r\n\x1a\n" and len(head) == 24 else (0, 0)
 

@@ -207,16 +207,18 @@ def check_telescopes(subject: Subject) -> Iterator[Finding]:
 
 
 def check_home(subject: Subject) -> Iterator[Finding]:
-    """A home outside of its joint's range."""
-    if subject.description is None:
+    """A joint whose home, or where it is held, is outside of its range."""
+    description = subject.description
+    if description is None:
         return
-    for name in subject.description.joints():
-        joint, value = subject.mechanism.joints.get(name), subject.description.home.get(name, 0.0)
-        bounds = subject.description.limits.position.get(name, joint.range if joint else None)
-        if bounds is not None and not bounds[0] <= value <= bounds[1]:
+    home = [("home", name, description.home.get(name, 0.0)) for name in description.joints()]
+    for key, name, value in (*home, *(("fixed_joints", *held) for held in description.fixed_joints.items())):
+        joint = subject.mechanism.joints.get(name)
+        bounds = description.limits.position.get(name, joint.range if joint else None)
+        if bounds is not None and not bounds[0] - 1e-6 <= value <= bounds[1] + 1e-6:
             yield Finding(
-                "error", "", f"key 'home.{name}'", f"{value:g} is outside its limits {bounds[0]:g} to {bounds[1]:g}",
-                f"give 'home: {{{name}: {0.5 * (bounds[0] + bounds[1]):.3g}}}'",
+                "error", "", f"key '{key}.{name}'", f"{value:g} is outside its limits {bounds[0]:g} to {bounds[1]:g}",
+                f"give '{key}: {{{name}: {0.5 * (bounds[0] + bounds[1]):.3g}}}'",
             )  # fmt: skip
 
 

@@ -14,11 +14,14 @@ from itertools import islice
 from pathlib import Path
 
 from wbmpc.errors import InputError
+from wbmpc.input_file import read_file
 from wbmpc.robots.limited_process import OutOfTime, run_limited
 from wbmpc.robots.xml_text import MAX_TAGS
 
 _OWN = Path(__file__).with_name("data").resolve()
 _TAG = re.compile(rb"<\s*/?\s*([^\s/>]*)")
+#: Bytes of one file that a model names, at most.
+LARGEST = 256 * 1024 * 1024
 #: Elements that are compiled in no time, of MJCF and URDF.
 _PLAIN = frozenset(
     b"""?xml mujoco mujocoinclude include compiler option flag size statistic default worldbody body frame inertial joint freejoint geom
@@ -40,7 +43,11 @@ def try_model(path: Path, files: Iterable[Path], text: str | None = None) -> Non
 
 @lru_cache(maxsize=32)
 def _try(path: str, files: tuple[tuple[str, int, int], ...], text: str | None) -> None:
-    if all(map(_is_plain, [text.encode()] if text is not None else (Path(name).read_bytes() for name, _, _ in files))):
+    if all(
+        map(
+            _is_plain, [text.encode()] if text is not None else (read_file(Path(name), LARGEST) for name, _, _ in files)
+        )
+    ):
         return
     order = {"path": path} if text is None else {"text": text}
     try:

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 _ELASTIC = OnlyWith(wheel_spring=POSITIVE, arm_spring=POSITIVE)
 
 
+_Friction = Annotated[float, Field(ge=0, le=100)]
+
+
 class Perturbation(BaseModel):
     """Spreads of the differences between plant and model; each is drawn uniformly within ± its value, per seed.
 
@@ -74,7 +77,7 @@ class Perturbation(BaseModel):
     torque_damping: Annotated[float, _ELASTIC] = Field(default=0.2, ge=0, le=2)
     dry_friction: float = Field(default=2.0, ge=0, le=10000)
     brake_delay: float = Field(default=0.10, ge=0, le=100)
-    friction: tuple[float, float] = (0.6, 0.9)
+    friction: tuple[_Friction, _Friction] = (0.6, 0.9)
     torsional_friction: float = Field(default=0.01, ge=0, le=1)
     encoder_jitter: float = Field(default=0.002, ge=0, le=0.5)
     encoder_counts: int = Field(default=2**14, ge=0, le=2**40)
@@ -107,7 +110,7 @@ class Perturbation(BaseModel):
     @field_validator("friction")
     @classmethod
     def _range_in_order(cls, value: tuple[float, float]) -> tuple[float, float]:
-        if not 0.0 <= value[0] <= value[1] <= 100.0:
+        if value[0] > value[1]:
             raise ValueError("one number, or two with 0 ≤ lower ≤ upper ≤ 100, are needed")
         return value
 

@@ -12,7 +12,6 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    FiniteFloat,
     ValidationError,
     field_validator,
     model_validator,
@@ -21,6 +20,7 @@ from pydantic import (
 from wbmpc.configuration import describe
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.reproduce import parse_seeds
+from wbmpc.settings import LARGEST
 from wbmpc.yaml_file import load_yaml
 
 #: Combinations of settings of one study, and seeds, at most.
@@ -128,9 +128,9 @@ class Term(Section):
     """
 
     metric: str
-    limit: float = Field(gt=0, allow_inf_nan=False)
+    limit: float = Field(gt=0, le=LARGEST)
     experiment: str = ""
-    weight: float = Field(1.0, gt=0, allow_inf_nan=False)
+    weight: float = Field(1.0, gt=0, le=LARGEST)
     maximize: bool = False
 
 
@@ -143,11 +143,11 @@ class Tuning(Section):
     seeds: Seeds
     search: dict[str, Searched] = Field(min_length=1)
     minimize: tuple[Term, ...] = Field(min_length=1)
-    constraints: dict[str, FiniteFloat] = {}
+    constraints: dict[str, Annotated[float, Field(ge=-LARGEST, le=LARGEST)]] = {}
     allow_failures: bool = False
     trials: int = Field(200, ge=1, le=1_000_000)
     sampler: Literal["tpe", "cmaes", "random", "nsga2"] = "tpe"
-    sampler_seed: int = Field(0, ge=0)
+    sampler_seed: int = Field(0, ge=0, le=2**32 - 1)
     pareto: bool = False
     prune: bool = False
     storage: str = ""
@@ -176,7 +176,7 @@ class Definition(Section):
     settings: dict[str, Any] = {}
     vary: dict[str, Axis] = {}
     draws: int = Field(1, ge=1, le=100_000)
-    draw_seed: int = Field(0, ge=0)
+    draw_seed: int = Field(0, ge=0, le=2**63 - 1)
     conditions: dict[str, Condition] = {}
     compare_with: str = ""
     metrics: tuple[str, ...] = ()

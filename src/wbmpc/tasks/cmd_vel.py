@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from wbmpc import lie
 from wbmpc.errors import InputError
@@ -25,12 +25,15 @@ from wbmpc.tasks.settings import TaskSettings, moving_base
 Array = np.ndarray
 #: How long [s] a change of speed takes.
 RAMP = 1.0
+#: Speeds [m/s or rad/s] of an order; times [s] of all orders together, at most.
+Speed = Annotated[float, Field(ge=-10, le=10)]
+LONGEST = 3600.0
 
 
 class CmdVelSettings(TaskSettings):
     """``orders``: for how long [s], and the base's speeds ahead [m/s], to the left [m/s] and about the vertical [rad/s]."""
 
-    orders: tuple[tuple[float, float, float, float], ...] = (
+    orders: tuple[tuple[Annotated[float, Field(ge=0, le=LONGEST)], Speed, Speed, Speed], ...] = (
         (3.0, 0.3, 0.0, 0.0),
         (4.0, 0.2, 0.0, 0.4),
         (2.0, 0.0, 0.0, 0.0),
@@ -40,6 +43,8 @@ class CmdVelSettings(TaskSettings):
     def _lasting(self) -> Self:
         if not self.orders or any(order[0] <= RAMP for order in self.orders):
             raise ValueError(f"orders: at least one is needed, and each must last longer than {RAMP:g} s")
+        if sum(order[0] for order in self.orders) > LONGEST:
+            raise ValueError(f"orders: they may last {LONGEST:g} s together")
         return self
 
 

@@ -14,7 +14,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Path, Reference
 from wbmpc.result import Metric
-from wbmpc.tasks.path_settings import AnyPath, Line, carried_base, follow, timed
+from wbmpc.tasks.path_settings import AnyPath, Line, carried_base, duration, follow, timed
 from wbmpc.tasks.paths import nearest_distance
 from wbmpc.tasks.settings import TaskSettings
 
@@ -44,7 +44,7 @@ class Task:
         given, self._since = settings.path, settings.settle_time
         start = mpc.path.pose(0.0) if progress else mpc.reference["end_effector"].at(0.0)
         self.path = given.smooth(robot, start[:3], start[3:])
-        self._least = self.path.length / given.speed  # no robot is earlier
+        self._least = duration(self.path.length, given.speed)  # no robot is earlier
         if progress:
             self.end = self._since + (settings.time_limit or PATIENCE * (self._least + given.ramp))
             speed = Reference(np.array([0.0, self._since]), np.array([[0.0], [given.speed]]), "hold")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from pydantic import Field
 
@@ -17,6 +19,7 @@ from wbmpc.tasks.path_settings import follow
 from wbmpc.tasks.settings import TaskSettings
 
 Array = np.ndarray
+Way = Annotated[float, Field(ge=0, le=1000)]
 
 
 class GoalsSettings(TaskSettings):
@@ -26,7 +29,7 @@ class GoalsSettings(TaskSettings):
 
     count: int = Field(4, ge=1, le=1000)
     time_per_goal: float = Field(10.0, gt=0, le=600)
-    distance: tuple[float, float] = (1.0, 2.0)
+    distance: tuple[Way, Way] = (1.0, 2.0)
     posture: float = Field(0.2, ge=0, le=0.9)
     tolerance: Positive = 0.005
 

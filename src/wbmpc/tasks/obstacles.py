@@ -7,6 +7,7 @@ is there, and nothing of what has not appeared yet.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,11 +54,15 @@ class Among(PathTaskSettings):
     patience: float = Field(6.0, ge=0.0, le=600.0)
 
 
+#: Of somebody who crosses [m/s].
+Speed = Annotated[float, Field(ge=0.01, le=10)]
+
+
 class Moving(Among):
     """``people`` that cross at ``speeds`` [m/s], between the smallest and the largest."""
 
     people: int = Field(4, ge=1, le=50)
-    speeds: tuple[float, float] = (0.2, 1.5)
+    speeds: tuple[Speed, Speed] = (0.2, 1.5)
 
 
 class Sudden(Among):

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from wbmpc import lie
+from wbmpc.checks import parse_number
 from wbmpc.configuration import kind_alone
 from wbmpc.errors import InputError
 from wbmpc.input_file import read_file
@@ -25,6 +26,9 @@ Array = np.ndarray
 LENGTH, SHARE = 5.0, 0.5
 #: Points of a path, interval [s] of its reference.
 POINTS, SAMPLED = 2001, 0.02
+#: Coordinates [m] of a path, poses of one, and time [s] that it takes, at most: what is longer is a mistake, and fills the memory.
+FARTHEST, MAX_POSES, LONGEST = 1000.0, 1000, 7200.0
+_Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,9 @@ class Poses(Waypoints):
     (w, x, y, z) that turns the first orientation."""
 
     kind: Literal["poses"] = "poses"
-    poses: tuple[tuple[float, ...], ...] = Field(((0.3, 0.0, 0.0), (0.3, 0.3, 0.0)), min_length=1, max_length=1000)
+    poses: tuple[tuple[_Coordinate, ...], ...] = Field(
+        ((0.3, 0.0, 0.0), (0.3, 0.3, 0.0)), min_length=1, max_length=MAX_POSES
+    )
 
     def waypoints(self, position: Array, quaternion: Array) -> tuple[Array, Array]:
         if any(len(p) not in (3, 7) for p in self.poses):
@@ -172,6 +178,8 @@ def read_table(path: Path) -> Array:
     for number, line in enumerate(lines[1:], start=2):
         if line:
             rows.append(_row(line, len(names), f"{path}, line {number}"))
+        if len(rows) > MAX_POSES:
+            raise InputError(f"{path}, line {number}: at most {MAX_POSES} poses are read")
     if not rows:
         raise InputError(f"{path}: it has no poses")
     return np.array([[*row, 1.0, 0.0, 0.0, 0.0][:7] for row in rows])
@@ -179,11 +187,13 @@ def read_table(path: Path) -> Array:
 
 def _row(line: str, count: int, where: str) -> list[float]:
     try:
-        values = [float(cell) for cell in line.split(",")]
+        values = [parse_number(cell) for cell in line.split(",")]
     except ValueError:
         values = []
-    if len(values) != count or not np.isfinite(values).all():
-        raise InputError(f"{where}: {count} finite numbers are needed, got '{line:.60}'")
+    if len(values) != count or not all(-FARTHEST <= v <= FARTHEST for v in values):
+        raise InputError(
+            f"{where}: {count} finite numbers from -{FARTHEST:g} to {FARTHEST:g} are needed, got '{line:.60}'"
+        )
     return values
 
 
@@ -198,6 +208,8 @@ def _waypoints(rows: Array, position: Array, quaternion: Array, direction: float
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if steps.sum() < 1e-6:
         raise InputError(f"{where}: the path has no length; 'wbmpc run goals' turns in place")
+    if steps.sum() > FARTHEST:
+        raise InputError(f"{where}: the path is {steps.sum():.4g} m long; at most {FARTHEST:g} m are planned")
     keep = np.concatenate([[True], steps > 1e-9])
     return points[keep], turns[keep]
 
@@ -220,10 +232,19 @@ AnyPath = Annotated[
 ]
 
 
+def duration(length: float, speed: float) -> float:
+    """Time [s] along a path of ``length`` [m] at ``speed`` [m/s]; :class:`InputError` for one that nobody waits for."""
+    if length > LONGEST * speed:
+        raise InputError(
+            f"path.speed: {length:.4g} m with {speed:g} m/s take {length / speed:.4g} s; at most {LONGEST:g} s are planned"
+        )
+    return length / speed
+
+
 def timed(curve: Curve, speed: float, ramp: float, start: float) -> tuple[Reference, float]:
     """The curve as a reference that begins at ``start`` [s], and when it ends [s]."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve.points, axis=0), axis=1))])
-    end = start + way[-1] / speed + ramp
+    end = start + duration(way[-1], speed) + ramp
     times = np.arange(0.0, end + SAMPLED, SAMPLED)
     t = times - start
     arc = np.clip(speed * (risen(t, ramp) - risen(t - way[-1] / speed, ramp)), 0.0, way[-1])

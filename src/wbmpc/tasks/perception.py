@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from wbmpc.simulation.range_sensors import RangeSensor, Scan, camera_rays, lidar
 Array = NDArray[np.float64]
 #: How far [m] a LIDAR is above the highest part of a robot at home.
 MAST = 0.15
+_Place = Annotated[float, Field(ge=-100, le=100)]
+_Side = Annotated[float, Field(ge=0.1, le=100)]
 
 
 class SensorSettings(Settings):
@@ -31,8 +33,8 @@ class SensorSettings(Settings):
     age: float = Field(0.05, ge=0, le=1)
     reach: float = Field(4.0, ge=0.1, le=100)
     noise: float = Field(0.01, ge=0, le=1)
-    position: tuple[float, float, float] | None = None
-    fails: float = Field(1e9, ge=0)
+    position: tuple[_Place, _Place, _Place] | None = None
+    fails: float = Field(1e9, ge=0, le=1e9)
 
 
 class LidarSensor(SensorSettings):
@@ -56,7 +58,7 @@ class DepthCamera(SensorSettings):
 class MapSettings(Settings):
     """``size`` (3) [m] of the window, ``cell`` [m]; ``max_age`` [s]: what is older ends in a stop; ``padding`` [m] about the robot's own body."""
 
-    size: tuple[float, float, float] = (5.0, 5.0, 1.6)
+    size: tuple[_Side, _Side, _Side] = (5.0, 5.0, 1.6)
     cell: float = Field(0.04, ge=0.01, le=1)
     max_age: float = Field(0.5, ge=0.01, le=10)
     padding: float = Field(0.05, ge=0, le=1)

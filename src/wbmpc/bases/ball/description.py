@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -19,9 +19,9 @@ MIN_SPREAD = 0.05
 class OmniWheelsDescription(Section):
     """Omni wheels on the ball: radius [m], zenith angle and azimuths [rad] of their contacts."""
 
-    radius: float = Field(gt=0)
+    radius: float = Field(ge=1e-3, le=10)
     zenith: float = Field(gt=0, lt=np.pi / 2)
-    azimuths: tuple[float, ...] = Field(min_length=3)
+    azimuths: tuple[Annotated[float, Field(ge=-6.3, le=6.3)], ...] = Field(min_length=3)
 
     @field_validator("azimuths")
     @classmethod
@@ -44,7 +44,7 @@ class BallBaseDescription(BaseDescription):
 
     type: Literal["ball"]
     ball: str
-    ball_radius: float = Field(gt=0)
+    ball_radius: float = Field(ge=1e-3, le=10)
     wheels: OmniWheelsDescription
     imu: InertialDescription = InertialDescription()
     contact: Literal["none", "force", "wrench"] = "none"

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from wbmpc.bases.planar.description import PlanarBaseDescription
+from wbmpc.bases.planar.description import Place, PlanarBaseDescription
 
 
 class DifferentialBaseDescription(PlanarBaseDescription):
@@ -14,4 +14,4 @@ class DifferentialBaseDescription(PlanarBaseDescription):
     out: one ahead of and one behind the axle, as far from it as the wheels are apart."""
 
     type: Literal["differential"]
-    casters: tuple[tuple[float, float], ...] | None = Field(None, min_length=1)
+    casters: tuple[tuple[Place, Place], ...] | None = Field(None, min_length=1)

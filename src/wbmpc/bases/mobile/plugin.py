@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.base import Base, BaseType, Proposal, Question
-from wbmpc.bases.planar.description import PlanarBaseDescription
+from wbmpc.bases.planar.description import Place, PlanarBaseDescription
 from wbmpc.bases.planar.model import PlanarBase, PointFootprint, standing_on
 from wbmpc.bases.planar.plugin import PlanarBaseType
 from wbmpc.bases.planar.wheels import FixedWheels
@@ -45,7 +45,7 @@ class MobileBaseDescription(PlanarBaseDescription):
     drive: Literal["omni", "differential", "skid", "tracks"]
     center: float = Field(0.0, ge=-100, le=100)
     height: float = Field(0.0, ge=-10, le=10)
-    casters: tuple[tuple[float, float], ...] = ()
+    casters: tuple[tuple[Place, Place], ...] = ()
 
     @property
     def slips(self) -> bool:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from wbmpc.bases.planar.description import PlanarBaseDescription
 
@@ -18,7 +18,7 @@ class OmnidirectionalBaseDescription(PlanarBaseDescription):
     from the rolling direction, positive to the left, seen from above."""
 
     type: Literal["omnidirectional"]
-    rollers: Literal["omni", "mecanum"] | tuple[float, ...]
+    rollers: Literal["omni", "mecanum"] | tuple[Annotated[float, Field(ge=-STEEPEST, le=STEEPEST)], ...]
 
     @field_validator("rollers", mode="before")
     @classmethod

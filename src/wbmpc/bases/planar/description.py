@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
 from wbmpc.bases.base import BaseDescription, Radius
 
+#: A coordinate [m] in the axes of a body.
+Place = Annotated[float, Field(ge=-100, le=100)]
 _SPEEDS = "the inputs of this base are speeds, so that a contact force or wrench has no effect on its motion"
 
 
@@ -20,7 +22,7 @@ class PlanarBaseDescription(BaseDescription):
     not_applicable: ClassVar[dict[str, str]] = {"contact": _SPEEDS, "contact_frame": _SPEEDS}
 
     wheels: tuple[str, ...] = Field(min_length=2)
-    wheel_radius: float | None = Field(None, gt=0)
+    wheel_radius: float | None = Field(None, ge=1e-3, le=10)
 
     def wheel_joints(self) -> list[str]:
         """Names of the wheels' joints."""

@@ -9,6 +9,7 @@ import numpy as np
 from wbmpc.bases.swerve.calibration import WheelFit, WheelRecord, fit_wheels
 from wbmpc.errors import InputError
 from wbmpc.estimation.arm_calibration import calibrate_arm
+from wbmpc.estimation.calibration_file import ARM_KEYS, read_rows
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import RobotModel
 
@@ -23,10 +24,13 @@ class SwerveCalibrator:
 
     def __init__(self, robot: RobotModel) -> None:
         self.names, self.geometry, self._robot = steer_joints(robot), robot.base.geometry, robot
+        self.robot = robot.description.name
 
     def fit(self, channels: Mapping[str, np.ndarray], prior: WheelCalibration, source: str) -> WheelFit:
         """From ``channels`` as :meth:`wbmpc.bases.swerve.calibration.WheelRecord.of` reads them."""
-        return fit_wheels(self.geometry, WheelRecord.of(channels, source), prior=prior)
+        found = fit_wheels(self.geometry, WheelRecord.of(channels, source), prior=prior)
+        found.calibration.check(source, self.geometry, self.names)
+        return found
 
     def fit_arm(self, channels: Mapping[str, np.ndarray], source: str) -> dict[str, dict[str, float]] | None:
         """See :class:`wbmpc.bases.base.Calibrator`."""
@@ -39,4 +43,5 @@ class SwerveCalibrator:
                 f"{source}: channel 'tracked': rows of {m} angles of the arm, 3 positions of its end effector in axes of the base and "
                 f"their standard deviation, above 0, are needed, got {rows.shape}"
             )
-        return calibrate_arm(self._robot, rows[:, :m], rows[:, m : m + 3], float(rows[0, -1])).rows(joints)
+        found = calibrate_arm(self._robot, rows[:, :m], rows[:, m : m + 3], float(rows[0, -1])).rows(joints)
+        return read_rows(source, "arm", found, "joint of the arm", joints, ARM_KEYS)

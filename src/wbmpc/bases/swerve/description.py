@@ -32,7 +32,7 @@ class SwerveBaseDescription(BaseDescription):
 
     type: Literal["swerve"]
     orientation: Literal["yaw", "quaternion"] = "yaw"
-    wheel_radius: float = Field(gt=0)
+    wheel_radius: float = Field(ge=1e-3, le=10)
     modules: tuple[ModuleDescription, ...] = Field(min_length=2)
 
     def joint_groups(self) -> dict[str, list[str]]:

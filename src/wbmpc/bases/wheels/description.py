@@ -8,7 +8,7 @@ from pydantic import Field
 
 from wbmpc.bases.base import Section
 from wbmpc.bases.omnidirectional.description import STEEPEST
-from wbmpc.bases.planar.description import PlanarBaseDescription
+from wbmpc.bases.planar.description import Place, PlanarBaseDescription
 
 
 class WheelDescription(Section):
@@ -30,7 +30,7 @@ class WheelsBaseDescription(PlanarBaseDescription):
 
     type: Literal["wheels"]
     wheels: tuple[WheelDescription, ...] = Field(min_length=1)  # type: ignore[assignment]
-    casters: tuple[tuple[float, float], ...] = ()
+    casters: tuple[tuple[Place, Place], ...] = ()
 
     def wheel_joints(self) -> list[str]:
         """Joints of driven wheels."""

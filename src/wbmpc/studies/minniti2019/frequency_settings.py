@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -19,6 +19,9 @@ VARIANTS = ("plain", "shaped")
 MIN_STEP = 0.01
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
 ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, actuator_time_constant=0.0)
+
+
+_Step = Annotated[float, Field(ge=-1, le=1)]
 
 
 class FilterSettings(Settings):
@@ -41,7 +44,7 @@ class RezeroFrequencySettings(RezeroSettings):
     cost: RezeroCost = STEPS_AND_PUSHES
     actuator_time_constant: float = Field(0.006, ge=0, le=0.5)
     filters: FilterSettings = FilterSettings()
-    step: tuple[float, float, float] = (0.2, 0.0, 0.0)
+    step: tuple[_Step, _Step, _Step] = (0.2, 0.0, 0.0)
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
     hold_time: float = Field(5.0, ge=1.0, le=60.0)
     preview: bool = True

@@ -51,4 +51,6 @@ class DrivingSettings(ExperimentSettings):
             track_arm(robot, self.plant, self.tracked_poses, seed, log)
             rows = SwerveCalibrator(robot).fit_arm({"tracked": log.array("tracked")}, "tracked poses") or {}
             return np.array([rows[joint]["offset"] for joint in joints])
-        return None if self.calibration in ("none", "drive") else load_arm_offset(self.calibration, joints)
+        if self.calibration in ("none", "drive"):
+            return None
+        return load_arm_offset(self.calibration, joints, robot.description.name)

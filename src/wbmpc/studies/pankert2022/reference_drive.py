@@ -213,4 +213,4 @@ def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSet
         sound = plant.model_copy(update={"brake_fault": "none"})  # a brake fails in the run, not before it
         settings = SwerveCalibrateSettings(plant=sound, lidar=lidar)
         return kept(robot, settings, seed, lambda: _driven(robot, settings, seed))
-    return WheelCalibration.load(how, geometry, steer_joints(robot))
+    return WheelCalibration.load(how, geometry, steer_joints(robot), robot.description.name)

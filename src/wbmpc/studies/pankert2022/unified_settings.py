@@ -14,7 +14,7 @@ from wbmpc.studies.pankert2022.driving import DrivingSettings
 #: Where the legs begin if nothing else is said.
 AT_HOME = "home"
 #: A configuration by name (H, X, A), or angles [rad], one for each leg.
-Configuration = str | tuple[float, ...]
+Configuration = str | tuple[Annotated[float, Field(ge=-6.3, le=6.3)], ...]
 
 
 class TargetLegs(Settings):

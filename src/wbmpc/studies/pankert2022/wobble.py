@@ -6,7 +6,7 @@ Before that the robot learns from three other turns how far its masses are from 
 from __future__ import annotations
 
 from functools import cache, partial
-from typing import Literal
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
@@ -54,7 +54,7 @@ class SwerveWobbleSettings(Settings):
 
     plant: Perturbation = Perturbation()
     robot: str = "swerve-ur10"
-    heights: tuple[float, ...] = HEIGHTS
+    heights: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(HEIGHTS, min_length=1, max_length=100)
     turn: float = Field(TURN, ge=20, le=600)
     calibration: tuple[tuple[Literal["H", "X", "A"], Wheel], ...] = CALIBRATION
     calibration_turn: float = Field(CALIBRATION_TURN, ge=20, le=600)
