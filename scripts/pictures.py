@@ -1,7 +1,11 @@
-"""Pictures of both robots at work for the README: states of real runs, drawn by MuJoCo. Needs the extra ``video``."""
+"""Pictures for the documents, drawn by MuJoCo: both papers' robots at work (states of real runs), all built-in robots at home.
+
+Needs the extra ``video``. Usage: python scripts/pictures.py [swerve | rezero | robots]...
+"""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +14,24 @@ from PIL import Image
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import load_robot
+from wbmpc.simulation.film import SceneModel
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.render import Camera, Renderer
 from wbmpc.studies.minniti2019 import steps as rezero_steps
 from wbmpc.studies.pankert2022 import track as swerve_track
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
+from wbmpc.view.realtime import scene_of
+from wbmpc.view.render import overview
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SIZE, FINER = (1200, 700), 2
+#: All built-in robots, row by row as the gallery names them; width and height of each picture.
+ROWS = (
+    ("swerve-ur10", "swerve-fixed-ur10", "swerve-mabi", "rezero", "differential-ur10"),
+    ("fetch", "mecanum-ur10", "ridgeback-ur5", "panda-omni", "tidybot"),
+    ("ffw-sg2", "pr2", "vega", "panda", "ur5"),
+)
+TILE = 300
 
 
 def save(name: str, picture: np.ndarray) -> None:
@@ -63,6 +77,27 @@ def rezero() -> None:
     save("rezero.png", draw(plant, camera, line))
 
 
+def robots() -> None:
+    """Every built-in robot at home."""
+    sheet = Image.new("RGB", (TILE * len(ROWS[0]), TILE * len(ROWS)))
+    for row, names in enumerate(ROWS):
+        for column, name in enumerate(names):
+            sheet.paste(at_home(name), (TILE * column, TILE * row))
+    sheet.quantize(128).save(IMAGES / "robots.png", optimize=True)
+
+
+def at_home(name: str) -> Image.Image:
+    """A built-in robot, ``TILE`` wide and high."""
+    puppet, reader = scene_of(load_robot(name))
+    model, poses = SceneModel(reader.scene), reader.poses(puppet.data)
+    model.place(poses)
+    with Renderer(model, TILE * FINER, TILE * FINER) as renderer:
+        picture = renderer.frame(overview([poses], reader.scene))
+    return Image.fromarray(picture).resize((TILE, TILE), Image.Resampling.LANCZOS)
+
+
+PICTURES = {"swerve": swerve, "rezero": rezero, "robots": robots}
+
 if __name__ == "__main__":
-    swerve()
-    rezero()
+    for chosen in sys.argv[1:] or PICTURES:
+        PICTURES[chosen]()

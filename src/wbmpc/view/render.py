@@ -15,12 +15,14 @@ from wbmpc.output_file import whole_file
 from wbmpc.simulation.film import SceneModel
 from wbmpc.simulation.render import Camera, Renderer
 from wbmpc.simulation.scene import Scene
-from wbmpc.view.camera import clearest
+from wbmpc.view.camera import hidden, near
 from wbmpc.view.replay import Film
 
 #: Pictures per second of clips: of a film, of a GIF.
 RATES = {".mp4": 30.0, ".gif": 12.5}
 GIF_COLOURS = 64
+#: A camera's elevations [rad], the best first; at how many moments of a clip it is looked whether something hides the robot.
+_ELEVATIONS, _LOOKS = (-0.38, -0.7, -1.0), 12
 NO_GRAPHICS = (
     "render: neither EGL nor OSMesa starts: install one of them (on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri, "
     "or libosmesa6)"
@@ -63,7 +65,7 @@ def _pictures(film: Film, moments: np.ndarray, size: tuple[int, int]) -> Iterato
         renderer = Renderer(puppet, *size)
     except WbmpcError as error:
         raise InputError(f"{NO_GRAPHICS} ({error})") from error
-    camera = _camera(film.snapshot(float(moments[0]))["poses"], film.scene)
+    camera = overview([film.snapshot(t)["poses"] for t in np.linspace(moments[0], moments[-1], _LOOKS)], film.scene)
     with renderer:
         for t in moments:
             s = film.snapshot(float(t))
@@ -105,17 +107,16 @@ def _write_gif(path: Path, pictures: list[np.ndarray]) -> None:
 _WRITERS = {".png": _write_png, ".gif": _write_gif, ".mp4": _write_mp4}
 
 
-def _camera(poses: np.ndarray, scene: Scene) -> Camera:
-    """A view of the whole robot by the size that it has at the beginning, from where nothing hides it."""
-    robot = poses[scene.index]
-    near = poses[np.linalg.norm(poses[:, :2] - robot[:2], axis=1) < 2.0]
-    size = float(np.ptp(near[:, :3], axis=0).max())
-    camera = Camera(target=(0.0, 0.1, 0.4 * float(near[:, 2].max())), distance=1.2 + 2.4 * size)
-    around = [
-        replace(camera, azimuth=a)
-        for a in (camera.azimuth, np.pi - camera.azimuth, -camera.azimuth, camera.azimuth - np.pi)
-    ]
-    return around[clearest(scene, poses, [_eye(c, robot) for c in around])]
+def overview(moments: list[np.ndarray], scene: Scene) -> Camera:
+    """A view of the whole robot by the size that it has at the beginning, from where least hides it over the ``moments``: poses
+    (n, 7) each. The higher a camera stands, the less it shows of what is upright."""
+    around = near(moments[0], scene)
+    size = float(np.ptp(around, axis=0).max())
+    camera = Camera(target=(0.0, 0.1, 0.4 * float(around[:, 2].max())), distance=1.2 + 2.4 * size)
+    turned = (camera.azimuth, np.pi - camera.azimuth, -camera.azimuth, camera.azimuth - np.pi)
+    choices = [replace(camera, azimuth=a, elevation=e) for e in _ELEVATIONS for a in turned]
+    counts = [hidden(scene, poses, [_eye(c, poses[scene.index]) for c in choices]) for poses in moments]
+    return choices[int(np.argmin(np.sum(counts, axis=0)))]
 
 
 def _eye(camera: Camera, robot: np.ndarray) -> np.ndarray:

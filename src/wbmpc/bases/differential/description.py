@@ -11,7 +11,7 @@ from wbmpc.bases.planar.description import Place, PlanarBaseDescription
 
 class DifferentialBaseDescription(PlanarBaseDescription):
     """Driven wheels on one axle. ``casters`` (x, y) [m] in the axes of the body: what else carries the robot in the simulator; left
-    out: one ahead of and one behind the axle, as far from it as the wheels are apart."""
+    out: one ahead of and one behind the axle, at half the distance between the wheels."""
 
     type: Literal["differential"]
     casters: tuple[tuple[Place, Place], ...] | None = Field(None, min_length=1)

@@ -47,6 +47,6 @@ def caster_places(description: RobotDescription, wheels: FixedWheels) -> Array:
     assert isinstance(description.base, DifferentialBaseDescription)
     if description.base.casters is not None:
         return np.array(description.base.casters)
-    track = float(np.linalg.norm(np.ptp(wheels.position, axis=0)))
     middle = wheels.position.mean(axis=0)
-    return np.array([middle + track * wheels.forward[0], middle - track * wheels.forward[0]])
+    ahead = 0.5 * float(np.linalg.norm(np.ptp(wheels.position, axis=0))) * wheels.forward[0]
+    return np.array([middle + ahead, middle - ahead])
