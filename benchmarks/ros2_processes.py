@@ -55,12 +55,22 @@ class Bus:
         sim = [*run, "sim", *given, "--seed", str(seed), "--factor", str(factor)]
         start = lambda command: subprocess.Popen(command, env=environment, stdout=self.log, stderr=self.log)
         self.start_control = lambda: start([*run, "control", *given])
-        self.control = self.start_control()
-        self.node: Any = open_node("watcher", "dds", Network.of(environment))
+        self.start_sim = lambda: start(sim)
         self.said, self.level = "", 0
+        self.node: Any = None
+        self.control: Any = None
+        self.sim: Any = None
+        try:
+            self._start()
+        except BaseException:  # nobody else knows of what has been started
+            self.close()
+            raise
+
+    def _start(self) -> None:
+        self.control = self.start_control()
+        self.node = open_node("watcher", "dds", Network.of(self.environment))
         self.node.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self._diagnostics)
         self.wait_for(lambda: "waiting" in self.said, 120.0)  # the controller has built its solver
-        self.start_sim = lambda: start(sim)
         self.sim = self.start_sim()
         self.wait_for(lambda: self.said == "waiting for a goal", 60.0)
 
@@ -83,14 +93,19 @@ class Bus:
         return self.log.read()
 
     def close(self) -> None:
-        """End both processes."""
-        for process in (self.control, getattr(self, "sim", None)):
-            if process is not None and process.poll() is None:
+        """End both processes, as far as they have begun, by force where they do not end."""
+        running = [process for process in (self.control, self.sim) if process is not None]
+        for process in running:
+            if process.poll() is None:
                 process.terminate()
-        for process in (self.control, getattr(self, "sim", None)):
-            if process is not None:
+        for process in running:
+            try:
                 process.wait(10.0)
-        self.node.close()
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        if self.node is not None:
+            self.node.close()
         self.log.close()
 
 

@@ -275,6 +275,17 @@ def test_entities_are_an_error(name: str, tmp_path: Path) -> None:
         load_description(_arm(tmp_path, name))
 
 
+@pytest.mark.parametrize("root", ["robot", "mujoco"])
+def test_an_element_of_many_attributes_is_an_error_before_it_is_compiled(root: str, tmp_path: Path) -> None:
+    path = tmp_path / "many.xml"
+    many = lambda n: path.write_text(f"<{root} " + " ".join(f"a{k}='1'" for k in range(n)) + "/>")
+    many(256)
+    check_size(path)
+    many(257)
+    with pytest.raises(InputError, match=rf"many\.xml: line 1: <{root}> has 257 attributes; at most 256"):
+        check_size(path)
+
+
 LINK = '<link name="{}"><visual name="v"><geometry><sphere radius="1"/></geometry></visual></link>'
 JOINT = '<joint name="{}" type="continuous"><parent link="{}"/><child link="{}"/><axis xyz="0 0 1"/></joint>'
 

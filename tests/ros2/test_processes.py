@@ -221,3 +221,25 @@ def killed(bus: Bus, says: str, watchdog: float) -> None:
     assert found and watchdog <= float(found[1]) < watchdog + 0.3, bus.said
     time.sleep(1.0)
     assert watchdog < moving[-1] - states[-1] < watchdog + 0.2 + 0.3
+
+
+def test_a_bus_that_does_not_get_ready_leaves_nothing_running(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: the operating system, which has waited for the process, and the node, which has been closed."""
+    import ros2_processes
+
+    closed, started, real = [], [], subprocess.Popen
+    node = type("Node", (), {"subscribe": lambda *_: None, "close": lambda self: closed.append(self)})
+
+    def start(*_: Any, **__: Any) -> Any:
+        started.append(real(["sleep", "600"]))
+        return started[-1]
+
+    def late(*_: Any) -> None:
+        raise TimeoutError("the controller says nothing")
+
+    monkeypatch.setattr(ros2_processes.subprocess, "Popen", start)
+    monkeypatch.setattr(ros2_processes, "open_node", lambda *_: node())
+    monkeypatch.setattr(Bus, "wait_for", late)
+    with pytest.raises(TimeoutError), open_bus(39, SEED):
+        pass
+    assert [process.returncode for process in started] == [-signal.SIGTERM] and len(closed) == 1

@@ -28,6 +28,8 @@ MAX_BESIDE = 1_000
 #: Numbers and words of one attribute (a mesh or a field can stand in one), and of all; bytes of a mesh in a file of its own, which is
 #: also too much for a page in a browser. MuJoCo takes seconds for more.
 MAX_WORDS, MAX_ALL_WORDS, LARGEST_MESH = 100_000, 300_000, 5_000_000
+#: Attributes of one element: MuJoCo's parser compares each with all of them, and nothing ends it meanwhile.
+MAX_ATTRIBUTES = 256
 #: Joints that move: what is done for each takes time that grows with their number.
 MAX_JOINTS = 200
 _OF_WORLD, _LISTS = (
@@ -190,6 +192,8 @@ class _Walk:
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         if len(self._open) >= DEEPEST:
             self._fail(f"<{name}> is nested deeper than {DEEPEST} levels")
+        if len(attributes) > MAX_ATTRIBUTES:
+            self._fail(f"<{name}> has {len(attributes)} attributes; at most {MAX_ATTRIBUTES} are read")
         times = self._times[-1]
         if name in _REPEAT:
             times *= max(self._product(name, attributes.get("count", "1")), 1.0)
