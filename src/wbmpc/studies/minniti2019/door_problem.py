@@ -47,7 +47,7 @@ class DoorScheme(Settings):
     friction: Annotated[Positive, OnlyWith(cone=True)] = 0.35
     min_push: Annotated[Weight, OnlyWith(cone=True)] = 0.5
     baumgarte: Annotated[Positive, OnlyWith(row=True)] = 10.0
-    door_rate: Annotated[Positive, OnlyWith(row=True)] = 1.5
+    door_rate: Annotated[Positive, OnlyWith(row=True)] = 1.0
 
 
 def default_push_cost(scheme: DoorScheme) -> PushCost:
