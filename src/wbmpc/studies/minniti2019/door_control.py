@@ -1,8 +1,9 @@
 """A ball robot that opens a door: contact phases as modes, the door's state, forces in prediction and observer.
 
 Phases: the end effector approaches (mode ``free`` up to the predicted touch, then contact with a door that gives way: the plan leans
-before it touches), pushes (``moving``, or ``held`` while the door does not move); when the door is open it stops pushing (``relax``: the force fades while the robot
-straightens up, so that it does not fall after the door), lets go, and goes back to where it started, out of the door's way. A
+before it touches), pushes (``moving``, or ``held`` while the door does not move); when the door is open it stops pushing (``relax``:
+the force fades while the robot straightens up, so that it does not fall after the door), lets go, and goes back to where it started,
+out of the door's way. A
 contact is one when the debounced force says so; plans made without it have no wrench (one made before, which goes on while newer ones
 are rejected, still has). A sensor that says nothing cannot be distinguished from an end effector that is free, nor a frozen one from an
 end effector that pushes; so its numbers must change, and they are compared with the force that the momentum observer finds without it.
