@@ -94,14 +94,16 @@ def default_problem(
                 hard=True,
             )
         )
+    return keep_upright(keep_apart(ocp, robot), robot, stability)
+
+
+def keep_apart(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalControlProblem:
+    """The problem with hard rows that keep the pairs apart which the robot file lists (``collision.self.pairs``)."""
     if robot.description.collision.self.pairs and self_pairs(robot):
-        apart = residuals.SelfClearance(robot)
-        ocp.add(
-            Constraint(
-                "self_clearance", apart, sets.NonNegative(), at="path+terminal", hard=True, slack=CLEARANCE_SLACK
-            )
-        )
-    return keep_upright(ocp, robot, stability)
+        rows = residuals.SelfClearance(robot)
+        free = sets.NonNegative()
+        ocp.add(Constraint("self_clearance", rows, free, at="path+terminal", hard=True, slack=CLEARANCE_SLACK))
+    return ocp
 
 
 def keep_upright(

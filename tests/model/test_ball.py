@@ -302,7 +302,7 @@ def test_home_is_the_equilibrium_within_the_limits() -> None:
     assert 0.02 < abs(x[3]) < 0.3  # the arm in front leans the base back
     assert np.all(x >= limits.state_lower) and np.all(x <= limits.state_upper)
     np.testing.assert_allclose(limits.input_upper, [4, 4, 4, 20, 20, 20])
-    np.testing.assert_allclose(limits.state_upper[ROBOT.state["arm"]], [2.6, 2.0, 2.4])
+    np.testing.assert_allclose(limits.state_upper[ROBOT.state["arm"]], [2.6, 1.75, 2.4])
     np.testing.assert_allclose(limits.state_upper[ROBOT.state["arm_velocity"]], 4.0)
     np.testing.assert_allclose(limits.state_lower[ROBOT.state["arm_velocity"]], -4.0)
 

@@ -13,6 +13,7 @@ from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.self_contact import SelfContact
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.ball.sent_torques import DriveSettings, SentTorques
 from wbmpc.bases.ball.torque_limits import TorqueLimits
@@ -67,7 +68,8 @@ class BallController:
         self.monitor: EncoderMonitor | None = None
         if estimator is not None:
             stops = (robot.limits.state_lower[robot.state["arm"]], robot.limits.state_upper[robot.state["arm"]])
-            self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops)
+            own = SelfContact(robot) if robot.description.collision.self.pairs else None
+            self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops, own)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
         self._known: tuple[object, int, np.ndarray] | None = (
             None  # of which measurement and how many commands, the state now
@@ -121,7 +123,7 @@ class BallController:
         own = joints.arrays
         read = arm if joints.first else own["reading"]
         for fault in self.monitor.update(
-            t, h, read, own["rate"], self._accelerates, estimator_faults, own["surprised"]
+            t, h, read, own["rate"], self._accelerates, estimator_faults, own["surprised"], self.measured.state
         ):
             _LOG.warning("%s", fault)
         if self.monitor.lost:

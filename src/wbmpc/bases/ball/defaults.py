@@ -9,7 +9,7 @@ from pydantic import Field
 
 from wbmpc.bases.ball import residuals as ball_residuals
 from wbmpc.bases.ball.balance import Balance
-from wbmpc.default_problem import keep_clear
+from wbmpc.default_problem import keep_apart, keep_clear
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
@@ -154,8 +154,9 @@ def rezero_mpc(
     cost: RezeroCost,
     obstacles: Obstacles | None = None,
 ) -> MPC:
-    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``."""
-    ocp = keep_clear(rezero_problem(robot, settings, cost), robot, obstacles)
+    """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and apart the pairs that the robot file
+    lists."""
+    ocp = keep_clear(keep_apart(rezero_problem(robot, settings, cost), robot), robot, obstacles)
     return MPC(ocp, settings.solver(), settings.rate, obstacles=obstacles)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.monitor_step import surprises, watch
+from wbmpc.bases.ball.self_contact import SelfContact
 from wbmpc.checks import not_negative, positive
 from wbmpc.kernel.step import Backend, bind
 
@@ -76,15 +77,16 @@ class EncoderMonitor:
     have turned by ``expected`` [rad]: by its speed at the last reading that moved, less ``crawl`` [rad/s], and by how much more
     the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (A load that nobody knows of makes the model
     accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)
-    At its ``stops``, lower and upper (n) [rad], a joint is not judged. Wheels, the inertial unit and jumps are judged by the
+    At its ``stops``, lower and upper (n) [rad], a joint is not judged, nor one whose
+    turn would bring the robot against itself (``contact``; None: that is not known). Wheels, the inertial unit and jumps are judged by the
     estimator; what it says of wheels counts once it has said so for ``patience`` [s], of the others at once; what of it lasts as
     long as :data:`ENDS` has it ends the run. ``faults``: all that were reported, each part once.
     """
 
     def __init__(
-        self, wheels: int, joints: Sequence[str], stops: tuple[Array, Array] | None = None, still: float = 1.5e-4,
-        expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0, min_standstill: float = 0.02, patience: float = 0.05,
-        backend: Backend = "compiled",
+        self, wheels: int, joints: Sequence[str], stops: tuple[Array, Array] | None = None,
+        contact: SelfContact | None = None, still: float = 1.5e-4, expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0,
+        min_standstill: float = 0.02, patience: float = 0.05, backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         who = "encoder monitor"
         positive(who, still=still, expected=expected, doubt=doubt, patience=patience)
@@ -99,15 +101,16 @@ class EncoderMonitor:
         self._surprises = bind(surprises, a, backend, n=n, still=still)
         self._watch = bind(watch, a, backend, n=n, still=still, **constants)
         self._durations: dict[str, float] = {}
+        self._contact = contact
         self._doubted_until = -np.inf
 
     def update(
         self, t: float, interval: float, arm: Array, speed: Array, acceleration: Array | None, estimator_faults: Sequence[str],
-        surprised: Array | None = None,
+        surprised: Array | None = None, state: Array | None = None,
     ) -> list[EncoderFault]:  # fmt: skip
         """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
         as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n; 1 or 0)
-        whose reading ``surprised`` it."""
+        whose reading ``surprised`` it; the robot's ``state`` (nx), which a contact with itself is asked of."""
         a = self._arrays
         a["arm"][:] = arm
         doubted, standing = self._in_doubt(t, surprised), 0
@@ -116,13 +119,23 @@ class EncoderMonitor:
             standing = self._watch(interval, doubted)
         if not (standing or estimator_faults or self._durations):
             return []
-        stalled = np.flatnonzero(a["standing"]) if standing else ()
+        stalled = self._stalled(t, state) if standing else []
         new = [EncoderFault(t, self.joints[i], "stalled") for i in stalled]
         new += [EncoderFault(t, *name.split()) for name in self._lasting(interval, estimator_faults)]
         known = {(f.part, f.kind) for f in self.faults}
         new = [f for f in new if (f.part, f.kind) not in known]
         self.faults += new
         return new
+
+    def _stalled(self, t: float, state: Array | None) -> list[int]:
+        """Joints that stand with nothing in their way; what the model makes of one that is held is not believed for a while."""
+        standing = np.flatnonzero(self._arrays["standing"]).tolist()
+        if self._contact is None or state is None:
+            return standing
+        free = [i for i in standing if not self._contact.closes(state, i, float(self._arrays["gone"][i]))]
+        if len(free) < len(standing):
+            self._doubted_until = t + DOUBTED
+        return free
 
     def _in_doubt(self, t: float, surprised: Array | None) -> bool:
         """Whether speeds, and what the model makes of them, are to be believed: not just after a surprise."""

@@ -1,8 +1,9 @@
 """A ball robot that opens a door: contact phases as modes, the door's state, forces in prediction and observer.
 
-Phases: the end effector approaches (mode ``free`` up to the predicted touch, then contact: the plan leans before it touches), pushes
-(``held`` until the door moves, then ``moving``); when the door is open it stops pushing (``relax``: the force fades while the robot
-straightens up, so that it does not fall after the door), lets go, and goes back to where it started, out of the door's way. A
+Phases: the end effector approaches (mode ``free`` up to the predicted touch, then contact with a door that gives way: the plan leans
+before it touches), pushes (``moving``, or ``held`` while the door does not move); when the door is open it stops pushing (``relax``:
+the force fades while the robot straightens up, so that it does not fall after the door), lets go, and goes back to where it started,
+out of the door's way. A
 contact is one when the debounced force says so; plans made without it have no wrench (one made before, which goes on while newer ones
 are rejected, still has). A sensor that says nothing cannot be distinguished from an end effector that is free, nor a frozen one from an
 end effector that pushes; so its numbers must change, and they are compared with the force that the momentum observer finds without it.
@@ -42,15 +43,18 @@ SOON = 0.05
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
 #: How well the generalised forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
 SPREAD = (2.0, 2.0, 1.0, 1.5, 1.5, 0.1)
-#: Before it has touched, the plan leans for no more than this [N]: to lean forward the ball first rolls back, and a plan
-#: that does so again and again, as if the touch were always imminent, never touches (seen at 24 N).
-ANTICIPATED = 8.0
+#: Before it has touched, the plan leans for no more than the first of these [N]. To lean forward the ball first rolls back, and a
+#: plan that does so again and again, as if the touch were always imminent, never touches (seen at 24 N): while a touch is overdue,
+#: that goes down to the second within :data:`OVERDUE` [s].
+ANTICIPATED, OVERDUE = (16.0, 8.0), 2.0
 #: A time [s] that no run reaches.
 NEVER = 1e6
 #: How long [s] the force fades when the door is open, and how fast [m/s] the end effector goes back.
 RELAX, RETURN_SPEED = 0.8, 0.3
 #: A door moves when it is faster than this [rad/s], and rests below a third of it.
 MOVING = 0.03
+#: Before this time [s] after the touch a door that has not moved yet is planned to.
+UNMOVED = 0.1
 #: Above this rate [rad/s] the motion shows its impedance.
 SLIDING = 0.06
 #: Points of the references over the horizon.
@@ -259,7 +263,7 @@ class DoorController(BallController):
         """The modes from ``now`` [s] on. Terms name their modes: all must be in a schedule, if only in a far future."""
         order: tuple[Mode, ...]
         events: tuple[float, ...]
-        free, push = self.modes["free"], self.modes["moving" if self.moving else "held"]
+        free, push = self.modes["free"], self.modes["moving" if self.moving or now < self.touched + UNMOVED else "held"]
         if self.phase == "release":
             order, events = (free,), ()
         elif self.contact.touching:
@@ -287,7 +291,7 @@ class DoorController(BallController):
         target = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
         target *= np.clip(1.0 - (times - self.relaxed) / RELAX, 0.0, 1.0) if self.phase == "relax" else 1.0
         if self.phase == "approach":
-            target = np.minimum(target, ANTICIPATED)
+            target = np.minimum(target, self._anticipated(until))
         mpc.set_schedule(schedule)
         mpc.reference["end_effector"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
         mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
@@ -295,6 +299,11 @@ class DoorController(BallController):
             mpc.reference["cone"] = Reference(times, normals)
         if "lean" in mpc.ocp.terms:
             mpc.reference["lean"] = Reference(times, -target[:, None] * normals[:, :2])
+
+    def _anticipated(self, now: float) -> float:
+        """For which force [N] the plan leans before the touch, the less the longer that is overdue."""
+        expected = self.push.begin - self.geometry.gap(self.push.start, 0.0) / self.push.speed
+        return float(np.interp(now - expected, [0.0, OVERDUE], ANTICIPATED))
 
     def _angles(self, times: Array, plans: PolicyQueue) -> Array:
         """The door's angle [rad] at times [s]: as the last plan has it, or as it is now."""

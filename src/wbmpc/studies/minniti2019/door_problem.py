@@ -23,7 +23,7 @@ class PushCost(Settings):
     [1/rad²], its linear and angular velocity, the ball's speed, the arm's angles [1/rad²] (a posture in which to follow the
     door)."""
 
-    force: Weight = 1.0
+    force: Weight = 3.0
     tangential: Weight = 0.1
     orientation: Weight = 10.0
     twist: Weight = 0.0
@@ -33,7 +33,7 @@ class PushCost(Settings):
 
 
 #: For an end effector whose motion the optimiser does not tie to the door: all force errors count alike, no posture (seeds 0 and 1).
-UNTIED = PushCost(tangential=1.0, arm=0.0)
+UNTIED = PushCost(force=1.0, tangential=1.0, arm=0.0)
 
 
 class DoorScheme(Settings):
@@ -47,7 +47,7 @@ class DoorScheme(Settings):
     friction: Annotated[Positive, OnlyWith(cone=True)] = 0.35
     min_push: Annotated[Weight, OnlyWith(cone=True)] = 0.5
     baumgarte: Annotated[Positive, OnlyWith(row=True)] = 10.0
-    door_rate: Annotated[Positive, OnlyWith(row=True)] = 0.8
+    door_rate: Annotated[Positive, OnlyWith(row=True)] = 1.0
 
 
 def default_push_cost(scheme: DoorScheme) -> PushCost:

@@ -42,7 +42,7 @@ class RezeroDoorSettings(RezeroSettings):
     push: PushCost | None = None
     door: Literal["free", "heavy", "sticking", "light", "locked"] = "free"
     forces: tuple[Annotated[float, Field(gt=0, le=200.0)], ...] = Field((8.0, 16.0), min_length=1, max_length=2)
-    rise_time: float = Field(0.1, ge=0, le=10.0)
+    rise_time: float = Field(0.05, ge=0, le=10.0)
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
     speed: float = Field(0.1, gt=0, le=1.0)
     opening_angle: float = Field(float(np.deg2rad(60.0)), gt=0, le=2.0)
