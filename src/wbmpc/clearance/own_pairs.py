@@ -32,7 +32,7 @@ class OwnPairs:
         links = sorted(set(tops))
         self._poses = CompiledFunction(frame_function(robot, [*frames, *link_frames(links)]))
         self._frames = len(frames) + len(links)
-        of = [np.flatnonzero(geometry.frame_of == f) for f in range(len(frames))]
+        of = [geometry.fixed_to(f) for f in geometry.frames]
         listed = np.array([(r, i, j) for r, (a, b) in enumerate(pairs) for i in of[a] for j in of[b]], np.int64)
         a, b = np.array(pairs, np.int64).T
         self._index = {
@@ -64,7 +64,7 @@ class OwnPairs:
             "axes": self._axes, "distance": self.distance, "normal": self._normal, "own": self._own, "other": self._other,
             "touching": self._touching, "parameters": self.parameters,
         }  # fmt: skip
-        counts = {"n": n, "all_frames": frames, "rows": rows, "reach": self._reach}
+        counts: dict[str, Any] = {"n": n, "all_frames": frames, "rows": rows, "reach": self._reach}
         self._measure: Step = bind(
             own_step.measure, arrays, address=self._poses.address, nx=self._nx, frames=own, shapes=shapes, pairs=pairs, **counts
         )  # fmt: skip
