@@ -187,6 +187,7 @@ def _comments(draft: Draft, home: Home) -> dict[str, str]:
             for a in draft.chosen
         )
         + (f"; others: {', '.join(others)}" if others else ""),
+        "couple": "joints that follow others, as the model says (mimic)",
         "fixed_joints": "held: joints that neither base nor arm moves",
         "home": f"best of random postures: end effector at x = {x:.2f}, z = {z:.2f} m{free}",
         "limits": "What is not here is as the model has it (ranges, efforts).",
