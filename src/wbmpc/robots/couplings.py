@@ -39,8 +39,13 @@ Coupled = Annotated[Coupling, BeforeValidator(_of_a_name)]
 def check_couplings(description: RobotDescription) -> None:
     """Followers are no joints of arm or base, and follow one of the arm. Raises ``ValueError`` naming the key."""
     for follower, coupling in description.couple.items():
-        if follower in description.joints() or follower in description.fixed_joints:
-            raise ValueError(f"key 'couple.{follower}': it follows, so that no other key may name it")
+        keys = {
+            description.joint_keys(" or "): description.joints(), "fixed_joints": description.fixed_joints, "home": description.home,
+        }  # fmt: skip
+        if named := [key for key, joints in keys.items() if follower in joints]:
+            raise ValueError(
+                f"key 'couple.{follower}': what follows is not in {named[0]} too: take it out of one of the two"
+            )
         if coupling.joint not in description.arm.joints:
             raise ValueError(
                 f"key 'couple.{follower}': '{coupling.joint}' is no joint of the arm; valid: {', '.join(description.arm.joints)}"
