@@ -110,13 +110,13 @@ def test_rows_of_two_bodies_do_not_depend_on_where_the_base_is() -> None:
     states[:, robot.state["base"]] = 0.3 * rng.normal(size=(4, 5))
     states[:, robot.state["arm"]] = [[0.0, 1.9, 0.9], [1.0, 1.7, 1.0], [-1.0, -1.9, -0.8], [2.0, 1.8, 1.2]]
     parameters, function = rows_of(residual).refresh(states), evaluate(robot, residual)
-    distance, checked = rows_of(residual).measure(states).distance, 0
+    distance, checked = rows_of(residual).measure(states), 0
     for k in range(len(states)):
         h, slope = (np.array(v) for v in function(states[k], parameters[k]))
         near = (distance[k] < 0.25) & (distance[k] > 0.0)
         np.testing.assert_allclose(h[near, 0], distance[k][near] - 0.02, atol=1e-6)
         step = 1e-4 * rng.normal(size=robot.state.size)
-        ends = [rows_of(residual).measure((states[k] + s * step)[None]).distance[0] for s in (1, -1)]
+        ends = [rows_of(residual).measure((states[k] + s * step)[None])[0] for s in (1, -1)]
         np.testing.assert_allclose((slope @ step)[near], 0.5 * (ends[0] - ends[1])[near], atol=3e-6)
         checked += int(near.sum())
     assert checked >= 4

@@ -169,6 +169,23 @@ def test_a_home_is_better_than_most_postures(tmp_path: Path) -> None:
     assert least(robot.home) > np.quantile([least(q) for q in postures], 0.6)
 
 
+def test_bodies_that_can_touch_are_listed(tmp_path: Path) -> None:
+    """A long forearm reaches the hull, and the upper arm beside it does not; a model without shapes has no pairs."""
+    box = lambda size, at: f'<collision><origin xyz="{at}"/><geometry><box size="{size}"/></geometry></collision>'
+    shapes = {"hull": box("0.5 0.5 0.2", "0 0 0.1"), "fore": box("0.3 0.04 0.04", "0.15 0 0")}
+    path = model(tmp_path, DIFFERENTIAL + ARM)
+    assert load_robot(new(path)).description.collision.self.pairs is None
+    text = path.read_text()
+    for name, shape in shapes.items():
+        text = text.replace(link(name), link(name, shape))
+    path.write_text(text)
+    out = new(path)
+    assert load_robot(out).description.collision.self.pairs == (("hull", "fore"),)
+    assert "# bodies that come near each other" in out.read_text()
+    given = new(path, "--set", "collision.self.pairs=[[fore, hull]]")
+    assert load_robot(given).description.collision.self.pairs == (("fore", "hull"),)
+
+
 def test_options_instead_of_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = model(tmp_path, MECANUM + ARM)
     assert main(["new", str(path), "--yes", "--base", "differential", "--out", str(tmp_path / "a.yaml")]) == 2

@@ -12,7 +12,7 @@ from clearing import TrueDistance, write_arm
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.obstacles.geometry import RobotGeometry, _cover, robot_geometry
-from wbmpc.obstacles.pairs import diagnose, draw_states, propose_pairs, self_pairs
+from wbmpc.obstacles.pairs import diagnose, distances, draw_states, list_pairs, propose_pairs, self_pairs
 from wbmpc.obstacles.solids import Solid
 
 ROBOTS = ("differential-ur10", "rezero", "swerve-ur10")
@@ -139,6 +139,33 @@ def test_pairs_that_touch_are_proposed_or_adjacent(tmp_path: Path) -> None:
     assert seen and seen <= known
     assert ("foot", "fore") in proposal.pairs and ("upper", "fore") in proposal.adjacent
     assert {frozenset(p) for p in proposal.never}.isdisjoint(seen)
+
+
+def test_listed_pairs_come_near_and_are_clear_at_home(tmp_path: Path) -> None:
+    """Truth: contacts at the states that were drawn."""
+    robot = load_robot(write_arm(tmp_path))
+    listing = list_pairs(robot, 300)
+    known = {frozenset(p) for p in (*listing.pairs, *listing.rare, *listing.close)}
+    adjacent = {frozenset(p) for p in propose_pairs(robot, 2).adjacent}
+    assert touching(robot, draw_states(robot, 300)) - adjacent <= known
+    assert touching(robot, robot.home[None]).isdisjoint(frozenset(p) for p in listing.pairs)
+    assert ("foot", "fore") in listing.pairs
+
+
+def test_a_body_stands_for_all_that_is_fixed_to_it() -> None:
+    """Truth: MuJoCo's distances of each body alone."""
+    robot = load_robot("differential-ur10")  # the arm's foot is fixed to the chassis
+    geometry, states = robot_geometry(robot), draw_states(robot, 40, seed=1)
+    both = distances(geometry, [("chassis", "wrist_3_link"), ("base_link", "wrist_3_link")], states, 2.0)
+    assert np.array_equal(both[:, 0], both[:, 1])
+    shapes = {f: [s for s in geometry.shapes if s.frame == f] for f in ("chassis", "base_link", "wrist_3_link")}
+    alone = [
+        distances(RobotGeometry(robot, [*shapes[f], *shapes["wrist_3_link"]]), [(f, "wrist_3_link")], states, 2.0)
+        for f in ("chassis", "base_link")
+    ]
+    np.testing.assert_allclose(both[:, 0], np.minimum(*alone)[:, 0], atol=1e-9)
+    assert (alone[0] < alone[1]).any() and (alone[1] < alone[0]).any()
+    assert not any("base_link" in pair for pair in list_pairs(robot, 50).pairs)
 
 
 def test_pairs_to_ignore_are_left_out_and_the_rest_is_shown(tmp_path: Path) -> None:

@@ -168,17 +168,17 @@ def test_the_documentations_controllers_are_the_robots() -> None:
 
 
 def test_commands_reject_other_robots_and_missing_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A robot that stands on a fixed base: one link, one hinge."""
+    """A base that takes speeds: one link, one hinge."""
     (tmp_path / "r.xml").write_text(
         '<mujoco><worldbody><body name="base"><geom size="0.1"/><body name="tip" pos="0 0 1"><joint name="turn" range="-1 1"/>'
         '<geom size="0.1"/></body></body></worldbody><compiler autolimits="true"/></mujoco>'
     )
-    text = "name: r\nmodel: r.xml\nbase: {type: fixed, body: base}\narm: {joints: [turn], tool: tip}\nlimits: {velocity: {turn: 1.0}}\n"
+    text = "name: r\nmodel: r.xml\nbase: {type: planar, body: base, drive: omni}\narm: {joints: [turn], tool: tip}\nlimits: {velocity: {turn: 1.0}}\n"
     (tmp_path / "r.yaml").write_text(text)
     assert main(["ros2", "control", str(tmp_path / "r.yaml")]) == 2
     assert capsys.readouterr().err == (
-        "wbmpc: 'r' has a base of type 'fixed', whose plug-in offers no controller for ROS 2 ('ros_settings'); valid: ball, "
-        "differential, omnidirectional, swerve, wheels\n"
+        "wbmpc: 'r' has a base of type 'planar', whose plug-in offers no controller for ROS 2 ('ros_settings'); valid: ball, "
+        "differential, fixed, omnidirectional, swerve, wheels\n"
     )
     assert main(["ros2", "check", "swerve-ur10", "--config", "nowhere.yaml"]) == 2
     assert capsys.readouterr().err == "wbmpc: --config: there is no file 'nowhere.yaml'\n"

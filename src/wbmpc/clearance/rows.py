@@ -8,18 +8,16 @@ distance at the prediction, exactly. Rows without an obstacle are zeros, for whi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.clearance.kinematics import CompiledKinematics
 from wbmpc.clearance.nearest import Finder, Nearest, Poses
+from wbmpc.clearance.own_pairs import OwnPairs
 from wbmpc.clearance.sweep import between, keep_sides
-from wbmpc.clearance.table import SolidTable
-from wbmpc.obstacles.geometry import common_link, link_frames, robot_geometry
+from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.world import Snapshot
-from wbmpc.ocp.clearance_residuals import SELF_WIDTH, WIDTH
+from wbmpc.ocp.clearance_residuals import WIDTH
 from wbmpc.ocp.clearance_residuals import Clearance as ObstacleTerm
 from wbmpc.ocp.clearance_residuals import SelfClearance as SelfTerm
 
@@ -155,16 +153,6 @@ class ObstacleRows:
         )  # fmt: skip
 
 
-class _Found(NamedTuple):
-    """By node and pair: ``distance`` (n, p) [m], infinite out of reach; ``normal`` (n, p, 3) in the world; nearest points (n, p, 3) in the
-    axes of their frames."""
-
-    distance: Array
-    normal: Array
-    point_a: Array
-    point_b: Array
-
-
 class SelfRows:
     """Rows of pairs of a robot's frames: the nearest points of their shapes."""
 
@@ -172,60 +160,36 @@ class SelfRows:
         self.geometry = geometry = robot_geometry(term.robot)
         self.margin = float(term.margin or 0.0)
         self.pairs = [(geometry.frames.index(a), geometry.frames.index(b)) for a, b in term.pairs or ()]
-        self._table = SolidTable(geometry)
-        of = [np.flatnonzero(geometry.frame_of == f) for f in range(len(geometry.frames))]
-        listed = [(row, i, j) for row, (a, b) in enumerate(self.pairs) for i in of[a] for j in of[b]]
-        self._row, self._first, self._second = (np.array([p[c] for p in listed], np.int64) for c in range(3))
-        links = [geometry.robot.tree.frames[f].link for f in geometry.frames]
-        #: link in whose axes each pair is compared: no joint above it moves one against the other
-        self.common = [common_link(geometry.robot, links[a], links[b]) for a, b in self.pairs]
-        frames = [geometry.robot.tree.frames[f] for f in geometry.frames]
-        self._kinematics = CompiledKinematics(geometry.robot, frames)
-        self._common = CompiledKinematics(geometry.robot, link_frames(self.common))
+        self._own = OwnPairs(geometry, self.pairs, SELF_REACH + self.margin, self.margin)
         self._states = geometry.robot.home[None].copy()
-        self._found = self._measured(self._states)
+        self._own.measure(self._states)
 
     @property
     def size(self) -> int:
         """Rows at a node."""
         return len(self.pairs)
 
-    def measure(self, states: Array) -> _Found:
-        """Nearest points at states (n, nx), which are kept: a plan is asked for before and after its solve, each time for several things."""
+    def measure(self, states: Array) -> Array:
+        """Distances (n, pairs) [m] at states (n, nx), infinite out of reach, until the next call. They are kept: a plan is asked for before
+        and after its solve, each time for several things."""
         if not np.array_equal(states, self._states):
-            self._states, self._found = states.copy(), self._measured(states)
-        return self._found
-
-    def _measured(self, states: Array) -> _Found:
-        n, position, rotation = len(states), *self._kinematics(states)
-        reach = SELF_REACH + self.margin
-        found = self._table.nearest_own(
-            position, rotation, self._row, self._first, self._second, np.full((n, self.size), reach)
-        )
-        a, b = np.array(self.pairs).T
-        first = ((found.own - position[:, a])[..., None, :] @ rotation[:, a])[..., 0, :]
-        second = ((found.other - position[:, b])[..., None, :] @ rotation[:, b])[..., 0, :]
-        there = found.distance < reach
-        first, second = (np.where(there[..., None], v, 0.0) for v in (first, second))
-        return _Found(np.where(there, found.distance, np.inf), found.normal, first, second)
+            self._states = states.copy()
+            self._own.measure(states)
+        return self._own.distance
 
     def refresh(self, states: Array) -> Array:
-        """Parameters (n, size · :data:`SELF_WIDTH`) for predicted ``states`` (n, nx)."""
-        found = self.measure(states)
-        out = np.zeros((len(states), self.size, SELF_WIDTH))
-        own = (found.normal[..., None, :] @ self._common(states)[1])[..., 0, :]
-        out[..., :3], out[..., 3:6], out[..., 6:9] = own, found.point_a, found.point_b
-        out[..., 9] = np.where(np.isfinite(found.distance), self.margin, 0.0)
-        return out.reshape(len(states), -1)
+        """Parameters (n, size · :data:`~wbmpc.ocp.clearance_residuals.SELF_WIDTH`) for predicted ``states`` (n, nx)."""
+        self.measure(states)
+        return self._own.parameters.copy()
 
     def clearance(self, times: Array, states: Array) -> Clearance:
         """The least distance of a plan, states (n, nx) at ``times`` (n) [s]."""
-        return self._least(times, self.measure(states).distance)
+        return self._least(times, self.measure(states))
 
     def deepest(self, times: Array, states: Array, count: int, limit: float, deeper: float) -> Clearance | None:
         """Where the first ``count`` of states (n, nx) bring a pair nearer than ``limit`` [m], and by ``deeper`` [m] nearer than the first one;
         None: nowhere."""
-        found = self.measure(states).distance[:count]
+        found = self.measure(states)[:count]
         found = np.where((found < limit) & (found < found[:1] - deeper), found, np.inf)
         return self._least(times, found) if np.isfinite(found).any() else None
 

@@ -58,8 +58,8 @@ class SolidTable:
         self._frame_of = geometry.frame_of.astype(np.int64)
         self._work = np.zeros(Work.SIZE)
         compiled = backend == "compiled"
-        steps: Any = (pairs_step.put, pairs_step.nearest, pairs_step.nearest_own)
-        self._put, self._nearest, self._nearest_own = (_flat(f if compiled else f.interpreted) for f in steps)
+        steps: Any = (pairs_step.put, pairs_step.nearest)
+        self._put, self._nearest = (_flat(f if compiled else f.interpreted) for f in steps)
         self._fill()
 
     def _fill(self) -> None:
@@ -69,6 +69,14 @@ class SolidTable:
         self._around = np.array([s.radius for s in solids])
         self._first = np.concatenate([[0], np.cumsum([len(s.vertices) for s in solids])]).astype(np.int64)
         self._vertices = np.concatenate([np.zeros(0), *[s.vertices.ravel() for s in solids]])
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Of the robot's solids, by the names that steps have for them."""
+        return {
+            "kind": self._kind, "size": self._size, "around": self._around, "first": self._first, "vertices": self._vertices,
+            "frame_of": self._frame_of, "local": self._local, "turn": self._turn, "work": self._work,
+        }  # fmt: skip
 
     def load(self, others: Sequence[Solid]) -> None:
         """Take these solids, numbered after the robot's, in place of the last ones."""
@@ -116,25 +124,17 @@ class SolidTable:
                     self._deep(out, at, shape, s + other, place[node, shape] - places[node, other])
         return out._replace(compared=int(compared))
 
-    def nearest_own(
-        self, position: Array, rotation: Array, row: Ints, first: Ints, second: Ints, limit: Array
-    ) -> Found:
-        """Of pairs ``first``, ``second`` (p) of the robot's solids, each of one ``row`` (p), what is nearer than ``limit`` (n, rows) [m]."""
-        out, (n, rows), s = Found.below(limit), limit.shape, len(self._own)
-        place, axes = self.put(position, rotation)
-        touching = np.empty(n * len(row), np.int64)
-        compared, touch = self._nearest_own(
-            n, s, rows, len(row), self._kind, self._size, self._around, self._first, self._vertices, row, first, second,
-            place, axes, out.distance, out.normal, out.own, out.other, touching, self._work,
-        )  # fmt: skip
-        if touch:
-            k, pair = np.unravel_index(touching[:touch], (n, len(row)))
-            for node in np.unique(k):
-                self._collider.place(place[node], axes[node])
-                for j in pair[k == node].tolist():
-                    a, b = int(first[j]), int(second[j])
-                    self._deep(out, (int(node), int(row[j])), a, b, place[node, a] - place[node, b])
-        return out._replace(compared=int(compared))
+    def settle(
+        self, found: tuple[Array, Array, Array, Array], place: Array, axes: Array, nodes: Ints, rows: Ints, first: Ints, second: Ints
+    ) -> None:  # fmt: skip
+        """Measure pairs ``first``, ``second`` (p) of the robot's solids that touch at ``nodes`` (p), and write what is deeper to the ``rows``
+        (p) of distance (n, r), normal, own and other points (n, r, 3). Solids at ``place`` (n, s, 3) with ``axes`` (n, s, 3, 3)."""
+        out = Found(*found, 0)
+        for node in np.unique(nodes):
+            self._collider.place(place[node], axes[node])
+            for j in np.flatnonzero(nodes == node):
+                a, b = int(first[j]), int(second[j])
+                self._deep(out, (int(node), int(rows[j])), a, b, place[node, a] - place[node, b])
 
     def _deep(self, out: Found, at: tuple[int, ...], a: int, b: int, apart: Array) -> None:
         """A pair that touches, where it is deeper than what was found at an entry; ``apart``: its direction where points show none."""

@@ -66,7 +66,7 @@ def new(
     if as_json:
         typer.echo(json.dumps({"robot": str(path), "description": data}))
     else:
-        for line in _summary(path, draft, home, robot):
+        for line in _summary(path, draft, home, robot, data):
             typer.echo(printable(line))
 
 
@@ -144,8 +144,28 @@ def _write(path: Path, data: dict[str, Any], draft: Draft, home: Home) -> RobotM
         except InputError as error:
             raise InputError(str(error).replace(str(partial), str(path))) from error
         comments["limits"] += "\n" + _weights(robot)
+        _list_pairs(data, comments, robot)
         partial.write_text(write_yaml(data, comments), encoding="utf-8")
     return robot
+
+
+def _list_pairs(data: dict[str, Any], comments: dict[str, str], robot: RobotModel) -> None:
+    """The bodies that can run into each other, for a person to confirm: unless they are given, or the model has no shapes."""
+    from wbmpc.obstacles.pairs import FILE_SAMPLES, list_pairs
+
+    if "collision" in data:
+        return
+    try:
+        found = list_pairs(robot)
+    except InputError:  # without shapes, or with meshes that are missing
+        return
+    if not found.pairs:
+        return
+    text = f"bodies that come near each other in {FILE_SAMPLES} random states, which plans keep apart: confirm them"
+    for name, left in (("seldom near, left out", found.rare), ("always near, left out", found.close)):
+        text += f"\n{name}: {', '.join('-'.join(p) for p in left)}" if left else ""
+    comments["collision"], comments["collision.self"] = text, ""
+    data["collision"] = {"self": {"pairs": [list(p) for p in found.pairs]}}
 
 
 def _comments(draft: Draft, home: Home) -> dict[str, str]:
@@ -167,6 +187,7 @@ def _comments(draft: Draft, home: Home) -> dict[str, str]:
             for a in draft.chosen
         )
         + (f"; others: {', '.join(others)}" if others else ""),
+        "couple": "joints that follow others, as the model says (mimic)",
         "fixed_joints": "held: joints that neither base nor arm moves",
         "home": f"best of random postures: end effector at x = {x:.2f}, z = {z:.2f} m{free}",
         "limits": "What is not here is as the model has it (ranges, efforts).",
@@ -188,7 +209,7 @@ def _weights(robot: RobotModel) -> str:
     )
 
 
-def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel) -> Iterator[str]:
+def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel, data: Mapping[str, Any]) -> Iterator[str]:
     from wbmpc.bases.base import offering
     from wbmpc.robots.doctor import examine_robot
 
@@ -201,6 +222,10 @@ def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel) -> Iterato
         yield f"  other arms: {', '.join(others)}; to use them: --arm {','.join([*(a.name for a in draft.chosen), *others])}"
     yield f"  end effector: {draft.tool}, at home {home.tool[2]:.2f} m high" + (
         "" if home.free is not False else "; shapes touch there"
+    )
+    pairs = data.get("collision", {}).get("self", {}).get("pairs", ())
+    yield f"  kept apart: {len(pairs)} pairs of its own bodies" + (
+        "" if pairs else " (wbmpc doctor says which shapes it has)"
     )
     yield f"  held: {', '.join(robot.description.fixed_joints) or 'none'}"
     if draft.subject.driven and not robot.description.base.moves:

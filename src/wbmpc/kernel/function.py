@@ -47,14 +47,15 @@ class CompiledFunction:
         else:
             code = found[0]
         self._engine = load_object(code)
-        self._address = int(self._engine.get_function_address("w_function"))
+        #: of its code, as :class:`PointerCall` calls it
+        self.address = int(self._engine.get_function_address("w_function"))
         self._table = np.zeros(2, np.int64)
 
     def __call__(self, arguments: NDArray[np.float64]) -> NDArray[np.float64]:
         given = np.ascontiguousarray(arguments, float)
         results = np.zeros((len(given), self._rows))
         evaluate(
-            len(given), self._address, self._columns, self._rows, given.reshape(-1), results.reshape(-1), self._table
+            len(given), self.address, self._columns, self._rows, given.reshape(-1), results.reshape(-1), self._table
         )  # fmt: skip
         return results
 

@@ -94,9 +94,19 @@ class Chain:
         self.links = tuple(links)
         self.root, self.load = root, load
         self.moving = [i for i, link in enumerate(links) if i in values]
-        self.values = values
+        self._leader = {i: _joint(links, k.follows.leader) for i, k in enumerate(links) if k.follows is not None}
+        self.values = self._with_followers(values, 1.0)
         self.places = [self._place(i) for i in range(len(links))]
         self._cache: dict[int, FramePose] = {}
+
+    def _with_followers(self, given: dict[int, SX], offsets: float = 0.0) -> dict[int, SX]:
+        """Also of coupled joints: values (``offsets`` 1) or rates of those whose leader has one."""
+        found = dict(given)
+        for i, leader in self._leader.items():
+            follows = self.links[i].follows
+            if leader in given and follows is not None:
+                found[i] = follows.ratio * given[leader] + offsets * follows.offset
+        return found
 
     def _place(self, i: int) -> Placement:
         link = self.links[i]
@@ -138,7 +148,7 @@ class Chain:
 
     def frame_velocity(self, frame: Frame, rates: dict[int, SX], linear: SX, angular: SX) -> tuple[SX, SX]:
         """(linear, angular) velocity in world axes; the root's outer frame moves with a twist in its own axes."""
-        v, w = linear, angular
+        v, w, rates = linear, angular, self._with_followers(rates)
         for i in self._path(frame.link):
             link, place = self.links[i], self.places[i]
             v = place.rotation.T @ (v + cross(w, place.offset))
@@ -187,6 +197,7 @@ class Chain:
     ) -> tuple[list[SX], list[SX]]:
         """What each link's own inertia asks for: force (3) and moment (3) about its frame, in its axes."""
         n = len(self.links)
+        rates, accelerations = self._with_followers(rates), self._with_followers(accelerations)
         w: list[SX] = [SX(3, 1)] * n
         aw: list[SX] = [SX(3, 1)] * n
         av: list[SX] = [SX(3, 1)] * n
@@ -283,6 +294,10 @@ class Chain:
                 m[row[j], row[i]] = value
             f, t = p.rotation @ f, p.rotation @ t + cross(p.offset, p.rotation @ f)
             j = link.parent
+
+
+def _joint(links: Sequence[Link], name: str) -> int:
+    return next(i for i, link in enumerate(links) if link.joint == name)
 
 
 def solve_spd(m: SX, right: SX) -> SX:

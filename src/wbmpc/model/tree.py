@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import mujoco
@@ -19,12 +19,22 @@ _KINDS: dict[mujoco.mjtJoint, Kind] = {
 
 
 @dataclass(frozen=True)
+class Following:
+    """The joint's value is ``ratio`` times that of the joint ``leader``, and ``offset`` [rad or m]."""
+
+    leader: str
+    ratio: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class Link:
     """A rigid body and the joint before it.
 
     ``parent``: index of the parent, −1 for the root. The link's frame at joint value 0 is at ``position`` (3) [m] and
     ``rotation`` (3, 3) in the parent's frame; ``axis`` (3) in the link's frame. ``mass`` [kg], ``com`` (3) [m] and
-    ``inertia`` (3, 3) [kg m²] about the centre of mass, in the link's frame. ``range``: joint limits, infinite if none.
+    ``inertia`` (3, 3) [kg m²] about the centre of mass, in the link's frame. ``range``: joint limits, infinite if none. ``follows``: what
+    the joint is coupled to.
     """
 
     name: str
@@ -38,6 +48,7 @@ class Link:
     com: np.ndarray
     inertia: np.ndarray
     range: tuple[float, float] = (-np.inf, np.inf)
+    follows: Following | None = None
 
 
 @dataclass(frozen=True)
@@ -94,7 +105,19 @@ def read_tree(spec: mujoco.MjSpec, root: str, without: tuple[str, ...] = ()) -> 
         if body in index:
             rotation = lie.quaternion_to_rotation(model.site_quat[site].copy())
             frames[model.site(site).name] = Frame(index[body], model.site_pos[site].copy(), rotation)
-    return Tree(tuple(links), frames)
+    following = _followers(model)
+    return Tree(tuple(replace(k, follows=following.get(k.joint or "")) for k in links), frames)
+
+
+def _followers(model: mujoco.MjModel) -> dict[str, Following]:
+    """By joint, what the specification couples: see :func:`wbmpc.robots.couplings.couple`."""
+    found = {}
+    for e in range(model.neq):
+        if int(model.eq_type[e]) == int(mujoco.mjtEq.mjEQ_JOINT):
+            offset, ratio = (float(v) for v in model.eq_data[e][:2])
+            follower, leader = (model.joint(int(k)).name for k in (model.eq_obj1id[e], model.eq_obj2id[e]))
+            found[follower] = Following(leader, ratio, offset)
+    return found
 
 
 def _links_of_body(model: mujoco.MjModel, body: int, parent: int, first: int, is_root: bool) -> list[Link]:

@@ -39,7 +39,7 @@ class ClearanceRows:
 
     def __init__(self, ocp: OptimalControlProblem, solver: Solver, obstacles: Obstacles | None) -> None:
         self._solver, self.obstacles = solver, obstacles
-        terms = {name: term.residual for name, term in ocp.terms.items()}
+        terms, none = {name: term.residual for name, term in ocp.terms.items()}, np.zeros(0)
         self._around = {n: ObstacleRows(r) for n, r in terms.items() if isinstance(r, residuals.Clearance)}
         self._within = {n: SelfRows(r) for n, r in terms.items() if isinstance(r, residuals.SelfClearance)}
         self.active = bool(self._around or self._within)
@@ -47,6 +47,8 @@ class ClearanceRows:
         #: when the stop ends [s] that the last plan is; None: it is none
         self._stops_at: float | None = None
         self._snapshot = Snapshot()
+        #: time and age, states of the plan, and what was predicted from it
+        self._predicted: tuple[tuple[float, float], Array, tuple[Array, Array]] = (np.nan, np.nan), none, (none, none)
         if self._around and obstacles is None:
             raise InputError(
                 f"mpc: term '{next(iter(self._around))}' needs obstacles: MPC(ocp, obstacles=wb.Obstacles())"
@@ -64,8 +66,12 @@ class ClearanceRows:
             self._snapshot = with_sides(self.obstacles.snapshot(t))
 
     def predicted(self, t: float, delta: float) -> tuple[Array, Array]:
-        """See :func:`wbmpc.mpc.guess.predicted`."""
-        return predicted(self._solver, t, delta)
+        """See :func:`wbmpc.mpc.guess.predicted`; before a solve it is asked for twice of one plan."""
+        plan, (key, last, found) = self._solver.trajectory(copy=False), self._predicted
+        if key != (t, delta) or not np.array_equal(plan.x, last):
+            found = predicted(self._solver, t, delta)
+            self._predicted = (t, delta), plan.x.copy(), found
+        return found
 
     def refresh(self, t: float, delta: float) -> None:
         """Set all rows for a solve at ``t`` [s] that goes on from a plan which is ``delta`` [s] old."""

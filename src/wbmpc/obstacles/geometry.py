@@ -85,6 +85,11 @@ class RobotGeometry:
         self.frame_of = np.array([self.frames.index(s.frame) for s in self.shapes], int)
         self.radius = np.array([s.solid.radius for s in self.shapes])
 
+    def fixed_to(self, frame: str) -> NDArray[np.int64]:
+        """Indices of the shapes of a frame and of all frames that do not move against it."""
+        same = np.array([rigid_link(self.robot, f) == rigid_link(self.robot, frame) for f in self.frames])
+        return np.flatnonzero(same[self.frame_of])
+
     @cached_property
     def kinematics(self) -> Kinematics:
         """Poses of ``frames``."""
@@ -288,6 +293,14 @@ def path_of(robot: RobotModel, link: int) -> list[int]:
         path.insert(0, link)
         link = robot.tree.links[link].parent
     return path
+
+
+def rigid_link(robot: RobotModel, frame: str) -> int:
+    """The highest link that does not move against a frame."""
+    links, link = robot.tree.links, robot.tree.frames[frame].link
+    while links[link].joint is None and links[link].parent >= 0:
+        link = links[link].parent
+    return link
 
 
 def common_link(robot: RobotModel, first: int, second: int) -> int:

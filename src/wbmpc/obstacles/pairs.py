@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.collider import Collider
-from wbmpc.obstacles.geometry import RobotGeometry, path_of, robot_geometry
+from wbmpc.obstacles.geometry import RobotGeometry, path_of, rigid_link, robot_geometry
 from wbmpc.robots.findings import Finding
 
 Array = NDArray[np.float64]
@@ -22,6 +22,9 @@ Pair = tuple[str, str]
 SAMPLES, NEAR = 600, 0.10
 #: Share of the states in which a pair that touches is taken for one that always does.
 ALWAYS = 0.95
+#: Of the pairs for a robot file: states that are drawn, the share of them in which a pair may be nearer than its margin, and how many
+#: pairs there are at most: each costs time in every solve.
+FILE_SAMPLES, OFTEN, MOST = 2000, 0.5, 20
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,8 @@ def draw_states(robot: RobotModel, count: int, seed: int = 0) -> Array:
 def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
     """Which pairs of frames a robot has to keep apart, from ``samples`` random states."""
     geometry = robot_geometry(robot)
-    adjacent = [p for p in combinations(geometry.frames, 2) if _adjacent(robot, *p)]
-    others = [p for p in combinations(geometry.frames, 2) if p not in adjacent]
+    adjacent = [p for p in combinations(_bodies(geometry), 2) if _adjacent(robot, *p)]
+    others = [p for p in combinations(_bodies(geometry), 2) if p not in adjacent]
     least = distances(geometry, others, draw_states(robot, samples))
     always = (least < 0.0).mean(axis=0) >= ALWAYS
     always |= least[0] < 0.0
@@ -62,10 +65,32 @@ def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
     return Proposal(samples, listed(~always & ~never), tuple(adjacent), listed(always), listed(never))
 
 
+@dataclass(frozen=True)
+class Listing:
+    """Pairs for a robot file by what sampling found nearer than the margin: ``pairs`` that can come so near, the most frequent first;
+    ``rare``: the least frequent ones, beyond :data:`MOST`; ``close``: near at home or often, so that nothing can keep them apart."""
+
+    pairs: tuple[Pair, ...]
+    rare: tuple[Pair, ...]
+    close: tuple[Pair, ...]
+
+
+def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
+    """What a robot file should say of ``collision.self.pairs``. Raises :class:`~wbmpc.errors.InputError` for a robot without shapes."""
+    geometry, margin = robot_geometry(robot), robot.description.collision.self.margin
+    pairs = [p for p in combinations(_bodies(geometry), 2) if not _adjacent(robot, *p)]
+    near = distances(geometry, pairs, draw_states(robot, samples), margin) < margin
+    share = near.mean(axis=0)
+    close = near[0] | (share >= OFTEN)
+    order = sorted(np.flatnonzero((share > 0.0) & ~close).tolist(), key=lambda i: -share[i])
+    named = [pairs[i] for i in order]
+    return Listing(tuple(named[:MOST]), tuple(named[MOST:]), tuple(pairs[i] for i in np.flatnonzero(close)))
+
+
 def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: float = NEAR) -> Array:
     """Least distances (n, pairs) [m] of pairs of frames at states (n, nx); ``reach`` where it is more."""
     collider = Collider([s.solid for s in geometry.shapes])
-    of = {f: np.flatnonzero(geometry.frame_of == i) for i, f in enumerate(geometry.frames)}
+    of = {f: geometry.fixed_to(f) for pair in pairs for f in pair}
     listed = np.array([(p, i, j) for p, (a, b) in enumerate(pairs) for i in of[a] for j in of[b]], int).reshape(-1, 3)
     centers, axes = geometry.at(*geometry.kinematics(states))
     row, first, second = listed.T
@@ -88,6 +113,18 @@ def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: 
                 near = collider.distance(int(first[i]), int(second[i]), float(found[k, row[i]]))
                 found[k, row[i]] = min(found[k, row[i]], near)
     return found
+
+
+def _bodies(geometry: RobotGeometry) -> list[str]:
+    """One frame for each of the robot's rigid parts: the one on its joint if it has shapes, else that with the largest."""
+    robot, named = geometry.robot, dict[int, str]()
+    extent = dict(zip(geometry.frames, geometry.extent, strict=True))
+    for frame in geometry.frames:
+        link = rigid_link(robot, frame)
+        own = robot.tree.links[link].name
+        if link not in named or frame == own or (named[link] != own and extent[frame] > extent[named[link]]):
+            named[link] = frame
+    return list(named.values())
 
 
 def _adjacent(robot: RobotModel, a: str, b: str) -> bool:
@@ -129,7 +166,7 @@ def arm_pairs(robot: RobotModel) -> tuple[Pair, ...]:
 def diagnose(robot: RobotModel) -> Iterator[Finding]:
     """What of its own a robot keeps apart, for a person to confirm."""
     geometry, own = robot_geometry(robot), robot.description.collision.self
-    bare = [b for b in robot.frames if b not in geometry.frames and b in _bodies(robot)]
+    bare = [b for b in robot.frames if b not in geometry.frames and b in _links(robot)]
     yield Finding(
         "info", "collision", "key 'collision.shapes'", f"{len(geometry.shapes)} shapes on {len(geometry.frames)} frames"
         + (f"; none on {', '.join(bare)}" if bare else ""), "",
@@ -150,5 +187,5 @@ def diagnose(robot: RobotModel) -> Iterator[Finding]:
     )  # fmt: skip
 
 
-def _bodies(robot: RobotModel) -> set[str]:
+def _links(robot: RobotModel) -> set[str]:
     return {link.name for link in robot.tree.links}

@@ -76,8 +76,9 @@ class Clearance:
 
 @dataclass(frozen=True)
 class SelfClearance:
-    """Distance of each pair of the robot's frames minus ``margin`` [m] (None: the robot file's ``collision.self.margin``), all to be at least
-    zero. ``pairs``: None for those of the robot file, or the ones that sampling proposes (:func:`wbmpc.obstacles.pairs.propose_pairs`)."""
+    """Distance of each pair of the robot's frames, with all that is fixed to them, minus ``margin`` [m] (None: the robot file's
+    ``collision.self.margin``), all to be at least zero. ``pairs``: None for those of the robot file, or the ones that sampling proposes
+    (:func:`wbmpc.obstacles.pairs.propose_pairs`)."""
 
     robot: RobotModel
     pairs: Sequence[Pair] | None = None

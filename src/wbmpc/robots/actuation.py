@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 
@@ -17,14 +18,16 @@ SMALLEST, LARGEST = 1e-6, 1e6
 
 @dataclass(frozen=True)
 class Drive:
-    """``velocity`` [rad/s or m/s] and ``effort`` [N m or N] of a joint, None where the file has none; ``mimics``: the joint that it
-    follows; ``driven``: whether a transmission or an actuator names it; ``no_range``: it needs a range in a URDF, and has none or an
-    empty one."""
+    """``velocity`` [rad/s or m/s] and ``effort`` [N m or N] of a joint, None where the file has none; ``mimics``: the joint that it follows,
+    at ``ratio`` times its value and ``offset`` [rad or m]; ``driven``: whether a transmission or an actuator names it; ``no_range``: it
+    needs a range in a URDF, and has none or an empty one."""
 
     velocity: float | None = None
     effort: float | None = None
     mimics: str | None = None
     driven: bool = False
+    ratio: float = 1.0
+    offset: float = 0.0
     no_range: bool = False
 
 
@@ -50,10 +53,18 @@ def _of_urdf(file: ModelFile) -> dict[str, Drive]:
         low, high = (number(attributes.get(k, "0")) for k in ("lower", "upper"))
         found[name] = Drive(
             _bound(number(attributes.get("velocity"))), _bound(number(attributes.get("effort"))),
-            None if mimic is None else mimic.get("joint", ""), name in driven,
+            None if mimic is None else mimic.get("joint", ""), name in driven, *_following(mimic),
             joint.get("type") in ("revolute", "prismatic") and not (low is not None and high is not None and low < high),
         )  # fmt: skip
     return found
+
+
+def _following(mimic: Any) -> tuple[float, float]:
+    """Ratio and offset of a joint that follows another."""
+    if mimic is None:
+        return 1.0, 0.0
+    ratio, offset = number(mimic.get("multiplier", "1")), number(mimic.get("offset", "0"))
+    return (1.0 if ratio is None else ratio), offset or 0.0
 
 
 def number(text: str | None) -> float | None:
@@ -78,9 +89,9 @@ def _of_spec(spec: mujoco.MjSpec) -> dict[str, Drive]:
     for actuator in spec.actuators:
         if actuator.target in found and actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT:
             found[actuator.target] = _with(found[actuator.target], actuator)
-    for name, other in _followers(spec):
+    for name, other, ratio, offset in _followers(spec):
         if name in found:
-            found[name] = replace(found[name], mimics=other)
+            found[name] = replace(found[name], mimics=other, ratio=ratio, offset=offset)
     return found
 
 
@@ -107,7 +118,7 @@ def _half(bounds: tuple[float, ...], limited: int) -> float | None:
     return min(-low, high) if int(limited) and low < 0.0 < high else None
 
 
-def _followers(spec: mujoco.MjSpec) -> Iterator[tuple[str, str]]:
+def _followers(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, float, float]]:
     for equality in spec.equalities:
         if equality.type == mujoco.mjtEq.mjEQ_JOINT and equality.active and equality.name2:
-            yield equality.name1, equality.name2
+            yield equality.name1, equality.name2, float(equality.data[1]), float(equality.data[0])

@@ -60,7 +60,7 @@ def check_joints(description: RobotDescription, model: mujoco.MjModel) -> None:
 
     A joint that is in no list would be free in the simulator and rigid in the planner. Raises :class:`InputError`.
     """
-    listed, own = set(description.joints()), set(description.base.parts().values())
+    listed, own = {*description.joints(), *description.couple}, set(description.base.parts().values())
     left = []
     for joint in range(model.njnt):
         body = int(model.jnt_bodyid[joint])

@@ -59,8 +59,8 @@ class ShapeDescription(Section):
 
 
 class SelfCollisionDescription(Section):
-    """Bodies of the robot that keep ``margin`` [m] from each other: ``pairs`` of them, or those that sampling proposes (``auto``), without
-    the pairs in ``ignore``."""
+    """Bodies of the robot, each with all that is fixed to it, that keep ``margin`` [m] from each other: ``pairs`` of them, or those that
+    sampling proposes (``auto``), without the pairs in ``ignore``."""
 
     margin: _Margin = 0.02
     pairs: Annotated[tuple[Pair, ...] | None, _Auto] = None

@@ -28,6 +28,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots.actuation import Drive
 from wbmpc.robots.checks import check_joints, check_tool, compiled
 from wbmpc.robots.collision import CollisionDescription, check_frames
+from wbmpc.robots.couplings import Coupled, check_couplings, couple, limits_of_leaders
 from wbmpc.robots.fixed_joints import fix_joint
 from wbmpc.robots.inertia import mend_inertias
 from wbmpc.robots.mechanism import Mechanism, read_mechanism
@@ -125,7 +126,8 @@ class RobotDescription(Section):
     ``fixed_joints``: joints that are held, and where [rad or m]. Every joint of the file below the base's body is either named by
     ``arm`` or ``base`` or held: fingers of a gripper (mimic joints too), a wrist that is not used, casters. ``packages``: folders of
     the ROS packages that the model names (``package://``), ``xacro_arguments``: of its macros. What ``limits`` does not say of a
-    joint's velocity, effort and position, the model does. ``collision``: shapes, and the distances that they keep.
+    joint's velocity, effort and position, the model does. ``couple``: joints that follow joints of the arm, as the stages of a telescope:
+    of each the joint that leads it, or a mapping with ``joint``, ``ratio`` and ``offset``. ``collision``: shapes, and the distances that they keep.
     """
 
     name: Annotated[str, AfterValidator(_robot_name)]
@@ -136,7 +138,8 @@ class RobotDescription(Section):
     torso: tuple[str, ...] = ()
     packages: dict[str, Path] = Field(default={})
     xacro_arguments: dict[str, str] = Field(default={})
-    fixed_joints: dict[str, _Place] = Field(default={})
+fixed_joints: dict[str, _Place] = Field(default={})
+    couple: dict[str, Coupled] = Field(default={})
     home: dict[str, _Place] = Field(default={})
     limits: LimitsDescription = LimitsDescription()
     collision: CollisionDescription = CollisionDescription()
@@ -164,6 +167,11 @@ class RobotDescription(Section):
         twice = sorted({n for n in names if names.count(n) > 1})
         if twice:
             raise ValueError(f"{self.joint_keys(' and ')}: every joint once, got '{twice[0]}' twice")
+        return self
+
+    @model_validator(mode="after")
+    def _coupled_joints_follow(self) -> Self:
+        check_couplings(self)
         return self
 
     @model_validator(mode="after")
@@ -229,6 +237,8 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
     _check_names(description, spec)
     mechanism = read_mechanism(file_of(description))
     description = _with_limits_of_the_model(description, mechanism.drives)
+    if description.couple:
+        description = description.model_copy(update={"limits": limits_of_leaders(description, spec)})
     _examine(description, mechanism)
     model = compiled(spec, description.model)
     check_joints(description, model)
@@ -240,7 +250,8 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
 
 def _with_limits_of_the_model(description: RobotDescription, drives: dict[str, Drive]) -> RobotDescription:
     """The description with the speeds and efforts that its model has for joints which ``limits`` does not name."""
-    limits, found = description.limits, {n: drives[n] for n in description.joints() if n in drives}
+    named = [*description.joints(), *description.couple]
+    limits, found = description.limits, {n: drives[n] for n in named if n in drives}
     velocity = {n: d.velocity for n, d in found.items() if d.velocity is not None and n not in limits.velocity}
     effort = {n: d.effort for n, d in found.items() if d.effort is not None and n not in limits.effort}
     if not velocity and not effort:
@@ -377,6 +388,7 @@ def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.
     widen(spec, description.limits.position, description.model)
     for name, angle in description.fixed_joints.items():
         fix_joint(spec, name, angle, description.source)
+    couple(spec, description.couple, description.source)
     return spec
 
 

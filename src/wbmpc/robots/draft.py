@@ -136,9 +136,20 @@ def body_of(draft: Draft) -> str:
 
 def held_joints(draft: Draft, body: str) -> dict[str, float]:
     """Joints below the base that neither base nor arm moves, with the values [rad or m] at which they are held."""
-    used = {*draft.joints, *draft.proposal.joints}
+    used = {*draft.joints, *draft.proposal.joints, *couplings_of(draft)}
     inside = [j for j in draft.mechanism.joints.values() if body in draft.mechanism.path(j.body)[:-1]]
     return {j.name: round(j.rest, 4) for j in inside if j.name not in used}
+
+
+def couplings_of(draft: Draft) -> dict[str, Any]:
+    """Joints that follow those of the arm, as the key ``couple`` of the YAML has them."""
+    found: dict[str, Any] = {}
+    for joint in draft.mechanism.joints.values():
+        d = joint.drive
+        if d.mimics in draft.joints and joint.name not in draft.joints:
+            plain = (d.ratio, d.offset) == (1.0, 0.0)
+            found[joint.name] = d.mimics if plain else {"joint": d.mimics, "ratio": d.ratio, "offset": d.offset}
+    return found
 
 
 def home_of(draft: Draft, held: Mapping[str, float], height: float | None) -> Home:
@@ -210,6 +221,7 @@ def description_of(
         "xacro_arguments": dict(arguments),
         "base": {"type": draft.base, "body": body, **draft.proposal.section, **draft.answers},
         **arms_of(draft),
+        "couple": couplings_of(draft),
         "fixed_joints": held,
         "home": home.angles,
         "limits": {**limits, "velocity": speeds, "acceleration": accelerations_of(draft, speeds)},

@@ -69,6 +69,12 @@ class _Search:
         self._joint = [m.joint(n).id for n in joints]
         self._q = m.jnt_qposadr[self._joint]
         self._v = m.jnt_dofadr[self._joint]
+        #: of coupled joints: number, that of the leader in ``joints``, ratio, offset
+        self._followers = [
+            (m.joint(j.name).id, joints.index(j.drive.mimics), j.drive.ratio, j.drive.offset)
+            for j in mechanism.joints.values()
+            if j.drive.mimics in joints and j.name not in joints
+        ]
         for name, value in held.items():
             self.data.qpos[m.jnt_qposadr[m.joint(name).id]] = value
         self._site = mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_SITE, tool)
@@ -76,6 +82,11 @@ class _Search:
         ranges = [mechanism.joints[n].range or (-TURNS, TURNS) for n in joints]
         self.low = np.array([max(low, -TURNS) for low, _ in ranges])
         self.high = np.array([min(high, TURNS) for _, high in ranges])
+        for follower, leader, ratio, offset in self._followers:
+            if m.jnt_limited[follower] and ratio:
+                ends = np.sort((m.jnt_range[follower] - offset) / ratio)
+                self.low[leader] = max(self.low[leader], ends[0])
+                self.high[leader] = min(self.high[leader], ends[1])
         speeds = [mechanism.joints[n].drive.velocity or FAST for n in joints]
         self._speed = np.minimum(speeds, FAST)
 
@@ -85,16 +96,25 @@ class _Search:
         m, d = self.model, self.data
         jacobian = np.zeros((6, m.nv))
         for k, posture in enumerate(postures):
-            d.qpos[self._q] = posture
+            self._pose(d.qpos, posture)
             mujoco.mj_kinematics(m, d)
             mujoco.mj_comPos(m, d)
             at[k] = d.xpos[self._body] if self._site < 0 else d.site_xpos[self._site]
             mujoco.mj_jac(m, d, jacobian[:3], jacobian[3:], at[k], self._body)
-            speeds = jacobian[:, self._v] * self._speed
+            columns = jacobian[:, self._v]
+            for follower, leader, ratio, _ in self._followers:
+                columns[:, leader] += ratio * jacobian[:, m.jnt_dofadr[follower]]
+            speeds = columns * self._speed
             speeds[3:] *= LEVER
             values[k] = np.linalg.svd(speeds, compute_uv=False)
         independent = int(np.max(np.sum(values > _RANK * values.max(), axis=1)))  # joints of a telescope move one way
         return at, values[:, max(independent, 1) - 1]
+
+    def _pose(self, q: Array, posture: Array) -> None:
+        """Write a posture, and what follows it, to all positions."""
+        q[self._q] = posture
+        for follower, leader, ratio, offset in self._followers:
+            q[self.model.jnt_qposadr[follower]] = ratio * posture[leader] + offset
 
     def free(self, postures: Array) -> NDArray[np.bool_] | None:
         """Which postures have no shapes in each other, but for those that are so where the file draws them; None where no shapes could
@@ -104,7 +124,7 @@ class _Search:
         drawn, found = self._touching(np.array(self.model.qpos0)), []
         posed = self.data.qpos.copy()
         for posture in postures:
-            posed[self._q] = posture
+            self._pose(posed, posture)
             found.append(not (self._touching(posed) - drawn))
         return np.array(found)
 

@@ -180,29 +180,39 @@ def check_mimics(subject: Subject) -> Iterator[Finding]:
         if joint.drive.mimics is not None:
             groups.setdefault(joint.drive.mimics, []).append(joint.name)
     for leader, followers in groups.items():
+        coupled = {} if subject.description is None else subject.description.couple
+        followers = [n for n in followers if n not in coupled]
+        if not followers:
+            continue
         used = any(subject.uses(n) for n in (leader, *followers))
         hold = ", ".join(f"{n}: 0" for n in (leader, *followers))
+        follow = ", ".join(f"{n}: {leader}" for n in followers)
         text = f"{'it follows' if len(followers) == 1 else 'they follow'} '{leader}' (mimic)"
         yield Finding(
-            "error" if used else "info", "", _joints(followers), text, f"hold all: 'fixed_joints: {{{hold}}}'"
+            "error" if used else "info",
+            "",
+            _joints(followers),
+            text,
+            f"hold all: 'fixed_joints: {{{hold}}}', or couple what follows a joint of the arm: 'couple: {{{follow}}}'",
         )
 
 
 def check_telescopes(subject: Subject) -> Iterator[Finding]:
     """Slides along one line, one on the other, that nothing couples."""
     joints = subject.mechanism.joints
+    coupled = {} if subject.description is None else subject.description.couple
     slides = [j for j in subject.moving if j.kind == "slide"]
     pairs = [(joints[j.above[-1]], j) for j in slides if j.above and j.above[-1] in joints]
     names = {
         k.name: None
         for a, b in pairs
-        if a.kind == "slide" and abs(a.axis @ b.axis) > 0.999 and b.drive.mimics is None
+        if a.kind == "slide" and abs(a.axis @ b.axis) > 0.999 and b.drive.mimics is None and b.name not in coupled
         for k in (a, b)
     }
     if names:
         yield Finding(
             "info", "", _joints(list(names)), "they slide along one line and nothing couples them: each is planned on its own",
-            "name all of them in 'arm.joints', or hold all but one with 'fixed_joints'",
+            "name all of them in 'arm.joints', or the first one alone and the others in 'couple', or hold all but one with 'fixed_joints'",
         )  # fmt: skip
 
 

@@ -122,7 +122,12 @@ def reject_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None
 
     Before joints are locked: a coupling of fingers that are all held does nothing. Raises :class:`InputError` with file and joint.
     """
-    used, own, path = set(description.joints()), set(description.base.parts().values()), description.model
+    used, own, path = (
+        {*description.joints(), *description.couple},
+        set(description.base.parts().values()),
+        description.model,
+    )
+    known = [{follower, c.joint} for follower, c in description.couple.items()]
     for joint in spec.joints:
         sprung = np.any(joint.stiffness) or np.any(joint.springdamper)
         if sprung and (joint.name in used or joint.parent.name in own):
@@ -138,7 +143,7 @@ def reject_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None
     for what, joints in _couplings(model):
         names = [model.joint(j).name for j in joints]
         on = [n for j, n in zip(joints, names, strict=True) if n in used or _body_of(model, j) in own]
-        if on:
+        if on and set(names) not in known:
             raise InputError(f"{path}: {what} acts on joint {', '.join(repr(n) for n in on)}, {_UNKNOWN}")
     for element in [*spec.equalities, *spec.tendons]:
         spec.delete(element)

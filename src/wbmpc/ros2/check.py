@@ -75,7 +75,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     """Listen for ``listen`` [s] and say what was found; sends nothing."""
     topics, reader = settings.topics, JointReader(robot, settings)
     target: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", reader.read)}
-    if topics.imu:
+    if topics.imu and robot.description.base.moves:
         target[topics.imu] = "sensor_msgs/msg/Imu", read_imu
     target["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
     ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in target.items()}

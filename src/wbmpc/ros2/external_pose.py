@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wbmpc.ros2.convert import planar
 from wbmpc.ros2.localisation import PoseGate
 from wbmpc.runtime.safety import SafeStop
 
@@ -31,7 +32,7 @@ class ExternalPose:
         if control.running:
             seen = adapter.snapshot()
             if seen is not None:
-                self._gate.note(seen[0], seen[1][control.robot.state["base"]][:3])
+                self._gate.note(seen[0], planar(*adapter.planner.base_pose(seen[1])))
         # a robot that would fall goes on without poses
         taken = control.source.newest() if adapter.must_keep_running else control.source.take()
         if taken is None:

@@ -14,7 +14,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.convert import nearest_angle, planar
+from wbmpc.ros2.convert import nearest_angle, planar, upright
 from wbmpc.ros2.settings import Goals, Speeds
 
 Array = np.ndarray
@@ -89,7 +89,9 @@ class Planner:
         self.robot, self.speeds, self.goals = robot, speeds, goals or Goals()
         self.lift = -robot.base.ground
         self.base_height = robot.base.body_height
-        self.shoulder, self.reach = _arm(robot)
+        self.moves = robot.description.base.moves
+        self._center, self.reach = _arm(robot)
+        self.shoulder = float(self._center[2])
         #: (3, m): the twists of the base's frame that its speeds make, the last of which is the turn
         self.twist = np.asarray(getattr(robot.base, "twist", np.eye(3)), float)
 
@@ -102,6 +104,7 @@ class Planner:
         """The base goes to the pose ``goal`` (x, y, yaw), the shorter way round."""
         start = self._base(x)
         self._check_far("base", goal[None, :2], start[:2])
+        self._check_moves()
         goal = np.array([goal[0], goal[1], nearest_angle(goal[2], start[2])])
         if self.twist.shape[1] < 3:
             times, poses = self._turn_and_drive(start, goal)
@@ -129,6 +132,7 @@ class Planner:
     def along_base_path(self, x: Array, t: float, path: Track, end_effector: EndEffectorTrack | None) -> Task:
         """The base goes along a path at its times, from where it is; ``end_effector``: the end effector's own track, else it is carried."""
         start = self._base(x)
+        self._check_moves()
         self._check_far("base", path.poses[:, :2], start[:2])
         first = path.poses[0] + np.array([0.0, 0.0, nearest_angle(path.poses[0, 2], start[2]) - path.poses[0, 2]])
         poses = path.poses + (first - path.poses[0])
@@ -145,6 +149,7 @@ class Planner:
         """The base goes on with a body twist (3), or what of it its speeds can make; the end effector is carried. ``going``: the task under
         way. A stream of speeds does not begin anew with every message where the robot is by then, always somewhat behind: it would
         be as slow as that."""
+        self._check_moves()
         if self.twist.shape[1] < 3:
             twist = self.twist @ np.array([twist[0], twist[2]])
         return self._change(x, t, twist, HOLD, going, "base at a speed")
@@ -176,8 +181,19 @@ class Planner:
         poses = np.array([[*(p - _turned(a) @ middle), a] for p, a in zip(places, yaws, strict=True)])
         return np.concatenate(times), poses
 
+    def base_pose(self, x: Array) -> tuple[Array, Array]:
+        """Position (3) [m] above the floor and quaternion (4) of the base's frame, without its lean."""
+        if not self.moves:
+            return self.robot.base.position + [0.0, 0.0, self.lift], self.robot.base.quaternion
+        return upright(x[self.robot.state["base"]], self.base_height)
+
     def _base(self, x: Array) -> Array:
-        return np.array(x[self.robot.state["base"]][:3])
+        """(x, y, yaw)."""
+        return np.array(x[self.robot.state["base"]][:3]) if self.moves else planar(*self.base_pose(x))
+
+    def _check_moves(self) -> None:
+        if not self.moves:
+            raise InputError("the base of this robot does not move; valid: goals and paths of the end effector")
 
     def _change(self, x: Array, t: float, twist: Array, hold: float, going: Task | None, description: str) -> Task:
         """To a body twist (3), which is then held for ``hold`` [s]."""
@@ -235,6 +251,8 @@ class Planner:
         start, shift = self._base(x), np.zeros(2)
         begin = self.robot.pose(x)[0][:2]
         poses = np.tile(start, (end_effector.times.size, 1))
+        if not self.moves:
+            return Track(end_effector.times, poses)
         for k, position in enumerate(end_effector.positions):
             pull = position[:2] - begin - shift
             length = float(np.hypot(*pull))
@@ -244,7 +262,15 @@ class Planner:
         return Track(end_effector.times, poses)
 
     def _check_end_effector(self, x: Array, positions: Array) -> None:
-        """The base takes the arm there over the floor; the height is what the arm reaches above the floor."""
+        """The base takes the arm there over the floor; the height is what the arm reaches above the floor. Without such a base all is
+        within the arm's reach."""
+        if not self.moves:
+            far = float(np.linalg.norm(positions - self._center, axis=1).max())
+            if far > self.reach:
+                raise InputError(
+                    f"the end effector's goal is out of reach: {far:.2f} m from the arm's first joint, possible: up to {self.reach:.2f} m"
+                )
+            return
         self._check_far("end_effector", positions[:, :2], self.robot.pose(x)[0][:2])
         middle, heights = self.lift + self.shoulder, self.lift + positions[:, 2]
         low, high = max(middle - self.reach, 0.0), middle + self.reach
@@ -325,8 +351,8 @@ def _profile(shortest: float) -> tuple[Array, Array]:
     return max(STEP, duration / count) * numbers, 0.5 * (1.0 - np.cos(np.pi * numbers / count))
 
 
-def _arm(robot: RobotModel) -> tuple[float, float]:
-    """Height [m] of the shoulder over the model's origin and length [m] of the stretched arm."""
+def _arm(robot: RobotModel) -> tuple[Array, float]:
+    """Where the shoulder is (3) [m] with the base at the model's origin, and length [m] of the stretched arm."""
     tree, joints = robot.tree, robot.description.arm.joints
     first = tree.joint(joints[0])
     frame = tree.frames[robot.tool]
@@ -334,5 +360,8 @@ def _arm(robot: RobotModel) -> tuple[float, float]:
     while link != first:
         length += float(np.linalg.norm(tree.links[link].position))
         link = tree.links[link].parent
-    height = robot.base.body_height + robot.base.ground
-    return float(height + tree.zero_poses()[first][0][2]), length
+    place = tree.zero_poses()[first][0]
+    if not robot.description.base.moves:
+        turn = lie.quaternion_to_rotation(robot.base.quaternion)
+        return np.asarray(robot.base.position + turn @ place), length
+    return np.array([*place[:2], robot.base.body_height + robot.base.ground + place[2]]), length

@@ -38,7 +38,7 @@ class JointReader:
     def __init__(self, robot: RobotModel, settings: RosSettings, confirmed: bool = False) -> None:
         groups = joint_groups(robot)
         self.groups = {g: [settings.bus_name(n) for n in names] for g, names in groups.items()}
-        self.ignored = set(settings.ignore)
+        self.ignored = {*settings.ignore, *(settings.bus_name(n) for n in robot.description.couple)}
         self.names = [n for part in self.groups.values() for n in part]
         self._known = set(self.names)
         self._speed = np.concatenate([settings.joint_speeds(robot, g) for g, names in groups.items() if names])

@@ -12,7 +12,7 @@ from wbmpc.mpc.policy import Policy
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.frames import frame_names
 from wbmpc.ros2.bus import Node, Publisher, Qos
-from wbmpc.ros2.convert import header, path, pose, quaternion, status, upright, vector
+from wbmpc.ros2.convert import header, path, pose, quaternion, status, vector
 from wbmpc.ros2.markers import Footprint
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.statistics import collect_statistics
@@ -111,7 +111,7 @@ class Publishers:
         now, world, planner = c.now(), c.settings.frames.world, c.adapter.planner
         nodes = slice(None, None, EVERY)
         times = [c.stamp_of(float(t)) for t in policy.times[nodes]]
-        base = [upright(p, planner.base_height) for p in policy.x[nodes, c.robot.state["base"]]]
+        base = [planner.base_pose(x) for x in policy.x[nodes]]
         end_effector = []
         for x in policy.x[nodes]:
             self.controller.yield_to_controller()
@@ -124,7 +124,7 @@ class Publishers:
         """How the robot stands, with the inputs of the plan and the world's answer to what the end effector exerts."""
         c = self.controller
         seen = c.adapter.snapshot()
-        if seen is not None and "footprint" in self._to:
+        if seen is not None and "footprint" in self._to and c.adapter.planner.moves:
             u = None if policy is None else policy.u[0]
             self._send("footprint", {"markers": self.footprint.markers(c.now(), seen[1], u, -c.wrench, policy)})
 

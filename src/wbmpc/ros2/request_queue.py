@@ -14,7 +14,7 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LONG, Node
-from wbmpc.ros2.convert import error_message, planar, read_pose, read_vector, seconds, upright
+from wbmpc.ros2.convert import error_message, planar, read_pose, read_vector, seconds
 from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track, planar_path
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
@@ -254,7 +254,7 @@ class RequestQueue:
         down = np.array([0.0, 0.0, self.planner.lift])
         if frame == self.settings.frames.world:
             return position - down, orientation
-        p, q = upright(x[self.planner.robot.state["base"]], self.planner.base_height)
+        p, q = self.planner.base_pose(x)
         moved = p + lie.quaternion_to_rotation(q) @ position - down
         return moved, np.asarray(lie.quaternion_multiply(q, orientation))
 

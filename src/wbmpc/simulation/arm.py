@@ -14,6 +14,7 @@ import numpy as np
 
 from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription
+from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm_step import carry, keep
 from wbmpc.simulation.payloads import PAYLOAD, add_payload
 from wbmpc.simulation.perturbation import Perturbation, PlantSample
@@ -65,9 +66,13 @@ class ArmPlant(WorldAccess):
         m, names = self.model, self._names
         self._q = {g: np.array([m.joint(n).qposadr[0] for n in part], dtype=int) for g, part in names.items()}
         self._all = np.concatenate(list(self._q.values()))
-        self._arm_dofs = span(np.array([m.joint(n).dofadr[0] for n in names["arm"]], dtype=int))
+        self._arm_dofs = span(np.array([m.joint(n).dofadr[0] for n in self._carried()], dtype=int))
         self.weight = float(m.body_mass.sum() * np.linalg.norm(m.opt.gravity))
         self._payload = m.body(PAYLOAD).id if self.perturbation.payload > 0.0 else None
+
+    def _carried(self) -> list[str]:
+        """Joints whose weight is fed forward: the arm's, and those that follow them."""
+        return [*self._names["arm"], *self.description.couple]
 
     def start_sensors(self, offsets: dict[str, Array]) -> None:
         """Encoders with zero errors by group [rad]."""
@@ -88,7 +93,7 @@ class ArmPlant(WorldAccess):
     def _bind_steps(self) -> None:
         """What every physics step calls: ``_control`` before it, ``_keep`` after it."""
         m, d = self.model, self.data
-        dofs = np.array([m.joint(n).dofadr[0] for n in self._names["arm"]], dtype=np.int64)
+        dofs = np.array([m.joint(n).dofadr[0] for n in self._carried()], dtype=np.int64)
         arrays = {"dofs": dofs, "qfrc_bias": d.qfrc_bias, "qfrc_applied": d.qfrc_applied}
         plain: Callable[[], None] = bind(carry, arrays, m=len(dofs)).call
         self._carry = plain if self._payload is None else self._carry_unloaded
@@ -98,7 +103,8 @@ class ArmPlant(WorldAccess):
         self._keep: Callable[[], None] = bind(keep, ring, n=n, rows=rows).call
 
     def settle(self, seconds: float) -> None:
-        """Come to rest before time 0."""
+        """Come to rest before time 0, coupled joints where their leaders are."""
+        put_followers(self.model, self.data)
         self.world.advance(self.carry_arm, round(seconds / self.timestep))
         self.world.restart()
         self._keep()

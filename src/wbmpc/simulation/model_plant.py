@@ -15,6 +15,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
+from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.world import Array, Edit, World, add_floor, add_light, free_body
 from wbmpc.types import Truth
 
@@ -155,5 +156,6 @@ class ModelPlant:
             world.place(pose)
         for place, at in self._shown:
             world.data.qpos[at] = x[place]
+        put_followers(world.model, world.data)
         mujoco.mj_forward(world.model, world.data)
         self._drawn = True

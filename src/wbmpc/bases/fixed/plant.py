@@ -10,6 +10,7 @@ from wbmpc.control.direct import InputCommand, StateMeasurement
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
+from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import ArmPlant
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_floor, add_light, set_options
@@ -72,6 +73,7 @@ class FixedPlant(ArmPlant):
     def arrange(self, state: Array) -> None:
         """Put the joints where a planner's state (nx) has them: no physics, no offsets."""
         self.data.qpos[self._q["arm"]] = state
+        put_followers(self.model, self.data)
         mujoco.mj_kinematics(self.model, self.data)
 
     def step(self, command: InputCommand, steps: int = 1) -> None:

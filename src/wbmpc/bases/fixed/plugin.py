@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
+    from wbmpc.ros2.plants import RosPlant
+    from wbmpc.ros2.settings import RosSettings
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
@@ -80,3 +82,21 @@ class FixedBaseType(BaseType):
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
         rate = robot.limits.input_rate
         return System(plant, DirectController(robot, mpc, timing.period, DRIVE_LAG, rate=rate), mpc, timing)
+
+    def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
+        """Weights that scale with the robot."""
+        from wbmpc.bases.fixed.ros_settings import FixedRosSettings
+
+        return FixedRosSettings
+
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+        """The adapter that reads joint states and publishes speeds."""
+        from wbmpc.bases.fixed.ros import FixedRosAdapter
+
+        return FixedRosAdapter(robot, settings, period)
+
+    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
+        """Follows speeds."""
+        from wbmpc.bases.fixed.ros_plant import FixedRosPlant
+
+        return FixedRosPlant(robot, self.plant(robot, perturbation, seed))

@@ -16,6 +16,7 @@ from wbmpc.bases.planar.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar.plant import PlanarPlant, contact_settings
 from wbmpc.checks import numbers
 from wbmpc.robots import load_spec
+from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.world import Array
 
 #: Half a side [m] of the square of feet about the center of mass, where a file has none; radius [m] of a foot.
@@ -73,6 +74,7 @@ class MobilePlant(PlanarPlant):
         pose = [*state[:2], self.base.height, *lie.quaternion_about([0.0, 0.0, 1.0], state[2])]
         self.world.place(np.array(pose))
         self.data.qpos[self._q["arm"]] = state[self.robot.state["arm"]]
+        put_followers(self.model, self.data)
         mujoco.mj_kinematics(self.model, self.data)
 
     def carry_arm(self) -> None:

@@ -14,6 +14,7 @@ from wbmpc.checks import numbers
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
+from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
@@ -116,6 +117,7 @@ class PlanarPlant(WheeledPlant):
         for group in self._names:
             if group in self.robot.state:
                 d.qpos[self._q[group]] = state[self.robot.state[group]]
+        put_followers(self.model, d)
         mujoco.mj_kinematics(self.model, d)
         pose[2] = radius - float(np.mean(d.xpos[self._hubs, 2]))
         self.world.place(pose)

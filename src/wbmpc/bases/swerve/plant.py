@@ -22,6 +22,7 @@ from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
+from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import span
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localisation
@@ -209,6 +210,7 @@ class SwervePlant(WheeledPlant):
         self.world.place(pose)
         for group, index in self._q.items():
             d.qpos[index] = groups[group]
+        put_followers(self.model, d)
         pose[2] = self._standing_height()
         self.world.place(pose)
         mujoco.mj_kinematics(self.model, d)

@@ -1,0 +1,117 @@
+"""An arm on a base that does not move, on a ROS 2 bus: speeds out, joint states in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from wbmpc.bases.fixed.ros_settings import FixedRosSettings
+from wbmpc.control.direct import DirectController, InputCommand, StateMeasurement
+from wbmpc.default_problem import DefaultCost, default_problem, stay_at_home
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.mpc import MPC
+from wbmpc.ocp import OptimalControlProblem, Reference
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges
+from wbmpc.ros2.goals import Planner, Task
+from wbmpc.ros2.joints import Inertial, JointSample
+
+Array = np.ndarray
+
+
+class FixedRosAdapter:
+    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. The pose of the base is that of the robot's file."""
+
+    must_keep_running = needs_imu = False
+    watches = "joints"
+    parameters = None
+    brakes = None
+    legs: Array | None = None
+    fix: Callable[[], Fix | None] | None = None
+    #: nothing is watched
+    faults: tuple[str, ...] = ()
+
+    def __init__(self, robot: RobotModel, settings: FixedRosSettings, period: float) -> None:
+        self.robot, self.settings = robot, settings
+        self.planner = Planner(robot, settings.speeds, settings.goals)
+        self.pending = PendingChanges()
+        self.mpc = MPC(self.problem(settings.cost), settings.mpc.solver(), settings.mpc.rate, guess=self.pending)
+        stay_at_home(robot, self.mpc)
+        self.pending.bind(self.mpc)
+        lag = settings.actuator_time_constant
+        self.controller: Any = DirectController(robot, self.mpc, period, lag, rate=robot.limits.input_rate)
+        none = np.zeros(0)
+        self._rest = {"wheel": none, "steer": none, "arm": np.zeros(robot.input.size), "brake": none}
+        robot.pose(robot.home)  # builds the function: not in a tick
+
+    def inspect(self) -> None:
+        """Nothing takes long."""
+
+    def problem(self, cost: DefaultCost) -> OptimalControlProblem:
+        """The controller's problem with other weights."""
+        return default_problem(self.robot, self.settings.mpc, cost)
+
+    def leg_commands(self, node: Any, ready: Any, now: Any) -> None:
+        """There are no legs."""
+
+    # ------------------------------------------------------------------ commands
+    def rest(self) -> Groups:
+        """Everything at rest."""
+        return self._rest
+
+    def groups(self, command: InputCommand) -> Groups:
+        """A command by groups."""
+        return {**self._rest, "arm": command.input}
+
+    # ------------------------------------------------------------------ states
+    def measurement(
+        self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
+    ) -> StateMeasurement:
+        """Joint states, read at ``at`` [s] of the runner's clock."""
+        return StateMeasurement(at, sample.groups["arm"])
+
+    def stand(self, measurement: StateMeasurement) -> None:
+        """Know the joints while nobody commands them."""
+        self.controller.measure(measurement)
+
+    def snapshot(self) -> tuple[float, Array] | None:
+        """Time [s] of the runner's clock and the state (nx) measured for it; from any thread. None before the first."""
+        seen = self.controller.measured
+        return None if seen is None else (seen.time, seen.state)
+
+    def begin(self, x: Array) -> None:
+        """A new run."""
+        self.controller.stop()
+        self.mpc.reset(x)
+
+    def swing(self, legs: Array) -> None:
+        """There are no legs."""
+
+    def push(self, wrench: Array) -> None:
+        """Drives that follow speeds cannot exert a wrench."""
+
+    def relocate(self) -> None:
+        """The base stands where the robot's file has it."""
+
+    # ------------------------------------------------------------------ tasks
+    def references(self, task: Task, x: Array) -> dict[str, Reference]:
+        """For the terms ``end_effector``, ``state`` and ``input``; the arm likes its home."""
+        effector = task.end_effector
+        return {
+            "end_effector": Reference.poses(effector.times, effector.positions, effector.orientations),
+            "state": Reference.constant(self.robot.home),
+            "input": Reference.constant(np.zeros(self.robot.input.size)),
+        }
+
+    def follow(self, references: dict[str, Reference]) -> None:
+        """Put a task into force."""
+        self.pending.set(references)
+
+    # ------------------------------------------------------------------ what is reported
+    def estimate(self) -> Estimate | None:
+        """Where the base stands: exact, at rest."""
+        if self.controller.measured is None:
+            return None
+        none = np.zeros((6, 6))
+        return Estimate(self.robot.base.position, self.robot.base.quaternion, np.zeros(6), none, none)

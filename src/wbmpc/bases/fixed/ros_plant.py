@@ -1,0 +1,37 @@
+"""The simulated arm on a base that does not move, on a ROS 2 bus: speeds in, encoders out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.control.direct import InputCommand
+from wbmpc.ros2.plants import Reading, RosPlant
+from wbmpc.types import Truth
+
+Array = np.ndarray
+#: What an accelerometer at rest says [m/s²].
+_GRAVITY = np.array([0.0, 0.0, 9.81])
+
+
+class FixedRosPlant(RosPlant):
+    """Of speeds; the inertial unit is one at rest."""
+
+    def rest(self) -> dict[str, Array]:
+        """Everything at rest."""
+        none = np.zeros(0)
+        return {"wheel": none, "steer": none, "arm": np.zeros(self.robot.input.size), "brake": none}
+
+    def command(self, groups: dict[str, Array]) -> InputCommand:
+        """What the drives get."""
+        return InputCommand(groups["arm"], np.zeros(1))
+
+    def read(self) -> Reading:
+        """What the encoders say."""
+        none = np.zeros(0)
+        joints = {"leg": none, "steer": none, "wheel": none, "arm": self.plant.measure().state}
+        self.last = Reading(joints, np.zeros(3), _GRAVITY)
+        return self.last
+
+    def base(self, truth: Truth) -> tuple[Array, Array]:
+        """Position and quaternion of the base."""
+        return self.robot.base.position, self.robot.base.quaternion

@@ -1,0 +1,68 @@
+"""Nearest points of a robot's own parts at the nodes of a plan, and parameters of their rows, in two calls for all nodes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.clearance.compilation import step
+from wbmpc.clearance.pairs_step import nearest_own, put
+from wbmpc.kernel.ir import Floats, Integers, PointerCall
+
+call2 = PointerCall(2)
+
+
+@step
+def measure(
+    n: int, address: int, nx: int, all_frames: int, frames: int, shapes: int, rows: int, pairs: int, reach: float, states: Floats,
+    poses: Floats, table: Integers, kind: Integers, size: Floats, around: Floats, first: Integers, vertices: Floats,
+    frame_of: Integers, row_of: Integers, one: Integers, two: Integers, local: Floats, turn: Floats, position: Floats,
+    rotation: Floats, place: Floats, axes: Floats, distance: Floats, normal: Floats, own: Floats, other: Floats,
+    touching: Integers, work: Floats,
+) -> int:  # fmt: skip
+    """Poses of frames at ``states`` (n, nx) by the function at ``address``, then :func:`~wbmpc.clearance.pairs_step.nearest_own` within
+    ``reach`` [m]: how many pairs touch."""
+    for k in range(n):
+        table[0] = states.ctypes.data + 8 * k * nx
+        table[1] = poses.ctypes.data + 8 * k * 12 * all_frames
+        call2(address, table.ctypes.data, table.ctypes.data + 8)
+        for f in range(frames):
+            at, to = 12 * (k * all_frames + f), k * frames + f
+            for i in range(3):
+                position[3 * to + i] = poses[at + i]
+            for i in range(9):
+                rotation[9 * to + i] = poses[at + 3 + i]
+    put(n, shapes, frames, frame_of, local, turn, position, rotation, place, axes)
+    for i in range(n * rows):
+        distance[i] = reach
+    _compared, touch = nearest_own(
+        n, shapes, rows, pairs, kind, size, around, first, vertices, row_of, one, two, place, axes, distance, normal, own,
+        other, touching, work,
+    )  # fmt: skip
+    return touch
+
+
+@step
+def fill(
+    n: int, all_frames: int, rows: int, reach: float, margin: float, poses: Floats, of_a: Integers, of_b: Integers, above: Integers,
+    distance: Floats, normal: Floats, own: Floats, other: Floats, parameters: Floats,
+) -> None:  # fmt: skip
+    """``parameters`` (n, rows, 10): normal in the axes of the frame ``above`` both, the nearest points in those of the pair's frames, the
+    margin; zeros beyond ``reach``, where ``distance`` becomes infinite."""
+    for k in range(n):
+        for r in range(rows):
+            i, to = k * rows + r, 10 * (k * rows + r)
+            a, b = 12 * (k * all_frames + of_a[r]), 12 * (k * all_frames + of_b[r])
+            top = 12 * (k * all_frames + above[r])
+            there = distance[i] < reach
+            for c in range(3):
+                n_c, a_c, b_c = 0.0, 0.0, 0.0
+                for j in range(3):
+                    n_c += normal[3 * i + j] * poses[top + 3 + 3 * j + c]
+                    a_c += (own[3 * i + j] - poses[a + j]) * poses[a + 3 + 3 * j + c]
+                    b_c += (other[3 * i + j] - poses[b + j]) * poses[b + 3 + 3 * j + c]
+                parameters[to + c] = n_c if there else 0.0
+                parameters[to + 3 + c] = a_c if there else 0.0
+                parameters[to + 6 + c] = b_c if there else 0.0
+            parameters[to + 9] = margin if there else 0.0
+            if not there:
+                distance[i] = np.inf
