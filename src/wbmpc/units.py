@@ -12,6 +12,7 @@ _SCALES: dict[str, tuple[tuple[float, str, float], ...]] = {
     "s": ((0.1, "ms", 1e3),),
     "rad": ((math.inf, "°", 180 / math.pi),),
     "rad/s": ((math.inf, "°/s", 180 / math.pi),),
+    "m2": ((math.inf, "m²", 1.0),),
     "1": ((0.1, "%", 100.0),),
 }
 
