@@ -14,7 +14,7 @@ GRAVITY = 9.81
 #: [m/s] of a base at rest.
 TILT, ZEROS_AT_REST, ZEROS, REST = 2.0, 2.0, 30.0, 0.005
 #: Times [s] in which the velocity goes to the wheels', and in which accelerations' zeros are learned.
-FOLLOW, ACCELERATION_ZEROS = 0.1, 3.0
+FOLLOW, ACCELERATION_ZEROS = 0.05, 3.0
 #: A wheel whose velocity is off by this [m/s] counts half; share of the correction that is left where no wheel is near.
 NEAR, LEAST = 0.02, 0.05
 #: What a wheel counts at most of which the controller knows that it slips.
