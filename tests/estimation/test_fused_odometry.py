@@ -321,6 +321,21 @@ def test_weights_that_show_no_motion_are_rejected(weights: np.ndarray) -> None:
     assert np.isfinite(odometry.pose).all()
 
 
+def test_wheels_of_little_weight_are_as_uncertain() -> None:
+    """Truth: the covariance of weighted least squares, the inverse of the information. One sound wheel says nothing of the turn."""
+    weights = np.array([1.0, 0.01, 0.02, 0.001])
+    odometry, still = FusedOdometry(FOUR, noise=calm(along=1e-3, across=1e-3)), np.zeros(4)
+    ahead = -FOUR.wheel_heading - FOUR.leg_angles(still)
+    odometry.update(1.0, still, ahead, still)
+    odometry.update(1.01, still, ahead, np.full(4, 0.02), weights=weights)
+    x, y = FOUR.steer_axes(np.zeros(4)).T
+    one, zero = np.ones(4), np.zeros(4)
+    rows = np.stack([np.stack([one, zero, -y], axis=1), np.stack([zero, one, x], axis=1)], axis=1)
+    expected = np.linalg.inv(np.einsum("n,nki,nkj->ij", weights, rows, rows))
+    found = odometry.twist_covariance
+    np.testing.assert_allclose(found / np.trace(found), expected / np.trace(expected), rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize("covariance", [np.zeros((3, 3)), np.diag([1e-4, 0.0, 1e-4]), np.diag([1e-4, 1e-4, 0.0])])
 def test_a_certain_pose_against_a_certain_filter_loses_nothing(covariance: np.ndarray) -> None:
     """Truth: a second filter that was never asked, exact, too, so long as the base stands (no noise without way)."""

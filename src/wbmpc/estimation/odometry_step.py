@@ -16,6 +16,8 @@ from wbmpc.kernel.ir import Floats
 
 #: Time constant [s] of the derivatives of the twist by the wheels' corrections.
 SMOOTHING = 0.05
+#: Weights of wheels below this count as this in their variances: without a weight a wheel has no share.
+SMALLEST = 1e-9
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
 BIAS, LATE, WHEELS = 3, 4, 5
 
@@ -86,11 +88,11 @@ def note_contradiction(
 
 @compiled
 def wheel_noise(
-    n: int, rolled: Floats, heading: Floats, slope: Floats, noise: Floats, slip: float, h: float, smoothed: Floats,
-    by_wheels: Floats, covariance: Floats,
+    n: int, rolled: Floats, heading: Floats, slope: Floats, weights: Floats, noise: Floats, slip: float, h: float,
+    smoothed: Floats, by_wheels: Floats, covariance: Floats,
 ) -> float:  # fmt: skip
     """The twist's ``covariance`` (3, 3), its derivative ``by_wheels`` (3, 2n) by (zeros, radii) and the variance of the wheels' turn
-    by counts, which is returned; ``slip`` [m²]: variance of what wheels slip in the interval.
+    by counts, which is returned; ``slip`` [m²]: variance of what wheels of weight 1 slip in the interval, others slip more.
 
     The derivative is ``smoothed``, and of the intervals before: the age of this message is in its own derivative and in what it is
     compared with, and their product would look like a wrong radius.
@@ -99,9 +101,9 @@ def wheel_noise(
     for j in range(9):
         covariance[j] = 0.0
     for i in range(n):
-        c, s, way = np.cos(heading[i]), np.sin(heading[i]), rolled[i]
-        along_variance = noise[Noise.ALONG] ** 2 * abs(way) + slip
-        across_variance = noise[Noise.ACROSS] ** 2 * abs(way) + slip
+        c, s, way, weight = np.cos(heading[i]), np.sin(heading[i]), rolled[i], max(weights[i], SMALLEST)
+        along_variance = (noise[Noise.ALONG] ** 2 * abs(way) + slip) / weight
+        across_variance = (noise[Noise.ACROSS] ** 2 * abs(way) + slip) / weight
         for row in range(3):
             fx, fy = slope[row * 2 * n + 2 * i], slope[row * 2 * n + 2 * i + 1]
             along, across = fx * c + fy * s, fy * c - fx * s
@@ -135,7 +137,7 @@ def measure(
     )  # fmt: skip
     note_contradiction(n, residual, rolled, off, rolled_off, way)
     slips = h * slip_intensity(slip, slip_mean, n, residual, weights, rolled, noise[Noise.SLIP_WINDOW], h)
-    counts = wheel_noise(n, rolled, heading, slope, noise, slips, h, smoothed, by_wheels, covariance)
+    counts = wheel_noise(n, rolled, heading, slope, weights, noise, slips, h, smoothed, by_wheels, covariance)
     interval[Interval.H], interval[Interval.TURN], interval[Interval.HAS_GYRO] = h, turn, float(has_gyro)
     interval[Interval.COUNTS] = counts
 

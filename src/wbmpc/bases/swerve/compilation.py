@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wbmpc.kernel.library import Library
 
-_STEPS = ("slip_step", "brake_step", "tracking_step")
+_STEPS = ("slip_step", "inertial_step", "brake_step", "tracking_step")
 LIBRARY = Library(
     "swerve robot", rooms=("bases/swerve", "kernel"), modules=tuple(f"wbmpc.bases.swerve.{m}" for m in _STEPS)
 )

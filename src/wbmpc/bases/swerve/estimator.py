@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
+from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
@@ -28,7 +29,8 @@ SLIP_WEIGHT = 1e-3
 @dataclass(frozen=True)
 class EstimatorSettings:
     """``calibration``: what is known of the wheels (None: nothing); ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry
-    has one; ``reject_slipping_wheels``: whether it hardly listens to wheels whose way the others contradict (:class:`SlippingWheels`);
+    has one; ``reject_slipping_wheels``: whether it hardly listens to wheels whose way the accelerometer (:class:`InertialVelocity`) or,
+    without one, the others contradict (:class:`SlippingWheels`);
     ``arm_offset`` (m) [rad] of the arm's encoders (None: 0); ``smoothing`` [s] of base
     position and arm against the jitter of the encoders' age (0: none)."""
 
@@ -67,6 +69,7 @@ class SwerveEstimator:
             steer_offset=wheels.steer_offset,
         )
         self._odd = SlippingWheels(geometry, self.wheels_alone) if settings.reject_slipping_wheels else None
+        self._inertial = None if self._odd is None else InertialVelocity(self._odd.seen)
         self._arm_offset = settings.arm_offset
         self._smoothing = Smoothing(settings.smoothing) if settings.smoothing > 0.0 else None
         self._mean_age = (settings.noise or OdometryNoise()).mean_age
@@ -85,11 +88,7 @@ class SwerveEstimator:
         turning = self.mean_rate(previous, m) if self.use_gyro else None
         sample = self._sample = self.wheels_alone.checked(m.leg, m.steer, m.wheel)
         self.wheels_alone.advance(sample)
-        if self._odd is not None:
-            turn = None if turning is None else (turning - self.odometry.gyro_bias) * h
-            known = None if self._side_slip is None else self._side_slip.left > 0.0
-            self._odd.update(h, sample[0], turn, known)
-        self.odometry.advance(m.time, sample, turning, weights=self._weights())
+        self.odometry.advance(m.time, sample, turning, weights=self._weigh(h, sample[0], turning))
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
         if self._smoothing is not None:
@@ -99,8 +98,23 @@ class SwerveEstimator:
         """The gyro's mean yaw rate [rad/s] from one message to the next; None if it says nothing."""
         return 0.5 * float(previous.gyro[2] + now.gyro[2])
 
+    def _weigh(self, h: float, leg: Array, turning: float | None) -> Array | None:
+        """Weights (n) of the wheels in the odometry over h [s] to a message; None: all count in full. ``leg`` (n) [rad], ``turning``
+        [rad/s] of the gyro."""
+        known = None if self._side_slip is None else self._side_slip.left > 0.0
+        odd, inertial = self._odd, self._inertial
+        if odd is None or inertial is None:
+            return self._weights()
+        rate = None if turning is None else turning - self.odometry.gyro_bias
+        odd.update(h, leg, None if rate is None else rate * h, known)
+        assert self.measured is not None
+        if rate is None or not inertial.update(h, self.measured.gyro, self.measured.accel, rate, known):
+            return self._weights()
+        slips = odd.contradictory or (known is not None and known.any())
+        return np.maximum(inertial.weights, SLIP_WEIGHT) if slips else None
+
     def _weights(self) -> Array | None:
-        """Weights (n) of the wheels in the odometry; None: all count in full."""
+        """The same where there is no accelerometer."""
         known = [False] * self.robot.base.geometry.modules
         if self._side_slip is not None:
             known = [left > 0.0 for left in self._side_slip.left.tolist()]

@@ -39,6 +39,16 @@ class SlippingWheels:
         }  # fmt: skip
         self._contradict = bind(contradict, arrays, backend, n=n, over=OVER, threshold=CONTRADICTS)
 
+    @property
+    def seen(self) -> Array:
+        """With a gyro the base's velocity (2n) [m/s] by each wheel, averaged, as an array that goes on."""
+        return self._velocity
+
+    @property
+    def contradictory(self) -> bool:
+        """Whether the wheels contradict each other by more than :data:`CONTRADICTS`."""
+        return float(self._contradiction @ self._contradiction) > CONTRADICTS**2
+
     def update(self, h: float, leg: Array, turn: float | None, known: NDArray[np.bool_] | None = None) -> None:
         """After the last update of the ``wheels``, over h [s]; ``leg`` (n) [rad]; ``turn`` [rad]: the gyro's over it; ``known`` (n): wheels
         that slip, as the controller says, and have no say about the others."""

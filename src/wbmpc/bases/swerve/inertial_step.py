@@ -1,0 +1,57 @@
+"""A base's velocity by its inertial unit from one message to the next, compiled: see
+:class:`wbmpc.bases.swerve.inertial_velocity.InertialVelocity`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wbmpc.bases.swerve.compilation import step
+from wbmpc.kernel.ir import Floats
+
+#: Acceleration of gravity [m/s²].
+GRAVITY = 9.81
+#: Time [s] over which tilts are forgotten; over which the rates' zeros are learned by a base at rest, and by one that moves; speed
+#: [m/s] of a base at rest.
+TILT, ZEROS_AT_REST, ZEROS, REST = 2.0, 2.0, 30.0, 0.005
+#: Times [s] in which the velocity goes to the wheels', and in which accelerations' zeros are learned.
+FOLLOW, ACCELERATION_ZEROS = 0.05, 3.0
+#: A wheel whose velocity is off by this [m/s] counts half; share of the correction that is left where no wheel is near.
+NEAR, LEAST = 0.02, 0.05
+#: What a wheel counts at most of which the controller knows that it slips.
+ANNOUNCED = 0.05
+
+
+@step
+def inertial_velocity(
+    n: int, seen: Floats, announced: Floats, gyro: Floats, accel: Floats, inertial: Floats, averaged: Floats, zero: Floats,
+    tilt: Floats, rate_zero: Floats, weights: Floats, over: float, h: float, yaw_rate: float,
+) -> None:  # fmt: skip
+    """Over h [s] with readings ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²], and ``yaw_rate`` [rad/s] without its bias: the body's
+    ``inertial`` velocity (2) [m/s], the same ``averaged`` (2) over a time ``over`` [s] as velocities ``seen`` (n, 2) by wheels are, and
+    ``weights`` (n) of the wheels. ``announced`` (n): 1 for wheels that are known to slip; ``tilt`` (2) [rad] about x and y,
+    ``zero`` (2) of accelerations and ``rate_zero`` (2) of the rates about x and y are memory."""
+    rests = max(abs(inertial[0]), abs(inertial[1])) < REST
+    for j in range(2):
+        rate_zero[j] += h / (ZEROS_AT_REST if rests else ZEROS) * (gyro[j] - rate_zero[j])
+        tilt[j] += h * (gyro[j] - rate_zero[j] - tilt[j] / TILT)
+    x, y = inertial[0], inertial[1]
+    inertial[0] += h * (accel[0] + GRAVITY * tilt[1] - zero[0] + yaw_rate * y)
+    inertial[1] += h * (accel[1] - GRAVITY * tilt[0] - zero[1] - yaw_rate * x)
+    share = 1.0 - np.exp(-h / over)
+    for j in range(2):
+        averaged[j] += share * (inertial[j] - averaged[j])
+    total, ahead, aside = 0.0, 0.0, 0.0
+    for i in range(n):
+        off_x, off_y = seen[2 * i] - averaged[0], seen[2 * i + 1] - averaged[1]
+        weights[i] = 1.0 / (1.0 + (off_x * off_x + off_y * off_y) / (NEAR * NEAR))
+        if announced[i] > 0.5:
+            weights[i] = min(weights[i], ANNOUNCED)
+        total += weights[i]
+        ahead += weights[i] * off_x
+        aside += weights[i] * off_y
+    gain = h / FOLLOW * max(total / n, LEAST) / max(total, 1e-9)
+    for j in range(2):
+        off = gain * (ahead if j == 0 else aside)
+        inertial[j] += off
+        averaged[j] += off
+        zero[j] -= off / ACCELERATION_ZEROS

@@ -1,0 +1,55 @@
+"""Which wheels go as the base does, by its accelerometer: where several slip at once, those that agree may all be wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.bases.swerve.inertial_step import inertial_velocity
+from wbmpc.bases.swerve.slipping_wheels import OVER
+from wbmpc.kernel.step import Backend, bind
+
+Array = NDArray[np.float64]
+#: An inertial unit that reads less [m/s²] is none, for gravity is missing; nor is one that reads more [m/s², rad/s].
+NO_GRAVITY, BROKEN = 1.0, 1e3
+#: After a longer time [s] without a message the wheels' mean velocity counts.
+GAP = 0.1
+
+
+class InertialVelocity:
+    """Velocity of a base by accelerations and rates, which the wheels correct as far as they are near it. ``seen`` (n, 2) [m/s]: the
+    base's velocity by each wheel, an array that goes on. ``weights`` (n): 1 for wheels that go with the base, less for
+    others. ``backend``: machine code, or the same source as ordinary Python.
+
+    Tyres slip within tenths of a second; meanwhile the integral of accelerations is off by a few mm/s. What lasts (zeros, tilt
+    of the floor) is learned from the wheels.
+    """
+
+    def __init__(self, seen: Array, backend: Backend = "compiled") -> None:
+        n = seen.size // 2
+        pairs = ("inertial", "averaged", "zero", "tilt", "rate_zero")
+        self.weights, self._announced, self._arrays = np.ones(n), np.zeros(n), {name: np.zeros(2) for name in pairs}
+        self._gyro, self._accel, self._seen = np.zeros(3), np.zeros(3), seen
+        arrays = {
+            **self._arrays, "seen": seen, "weights": self.weights, "announced": self._announced, "gyro": self._gyro,
+            "accel": self._accel,
+        }  # fmt: skip
+        self._step = bind(inertial_velocity, arrays, backend, n=n, over=OVER)
+
+    @property
+    def velocity(self) -> Array:
+        """(2) [m/s] in axes of the base."""
+        return self._arrays["inertial"].copy()
+
+    def update(self, h: float, gyro: Array, accel: Array, yaw_rate: float, announced: NDArray[np.bool_] | None) -> bool:
+        """Over h [s] to a message: ``gyro`` (3) [rad/s], ``accel`` (3) [m/s²], mean ``yaw_rate`` [rad/s] without its bias; ``announced`` (n):
+        wheels that slip, as the controller says. Whether ``weights`` are of this message: there is an inertial unit, and no gap before it."""
+        if not (NO_GRAVITY < np.linalg.norm(accel) < BROKEN and np.linalg.norm(gyro) < BROKEN):
+            return False
+        if not 0.0 < h < GAP:
+            self._arrays["inertial"][:] = self._arrays["averaged"][:] = self._seen.reshape(-1, 2).mean(axis=0)
+            return False
+        self._gyro[:], self._accel[:] = gyro, accel
+        self._announced[:] = 0.0 if announced is None else announced
+        self._step(h, yaw_rate)
+        return True

@@ -1,0 +1,83 @@
+"""Wheels that do not go as the accelerometer says. Truth: the base's motion, from which wheels, gyro and accelerations are made."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
+from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
+from wbmpc.bases.swerve.inertial_step import ACCELERATION_ZEROS, FOLLOW, LEAST, NEAR
+from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
+from wbmpc.bases.swerve.messages import SwerveMeasurement
+from wbmpc.bases.swerve.slipping_wheels import OVER
+from wbmpc.kernel.step import Backend
+from wbmpc.model.robot import load_robot
+
+ROBOT, H, BIAS = load_robot("swerve-fixed-ur10"), 0.0025, np.array([0.01, -0.01])
+GEOMETRY = ROBOT.base.geometry
+
+
+def drive(slips: np.ndarray, inertial_unit: bool) -> float:
+    """By how much [m] the odometry is off after 2 s of rest and 1 s ahead at up to 0.3 m/s, during the last 0.3 s of which wheels turn too
+    fast by ``slips`` (4) [m/s]."""
+    estimator = SwerveEstimator(
+        ROBOT, np.zeros(3), EstimatorSettings(), DriveModel(ROBOT, H, 0.0, True), ArmDrives(6, H, 0.0)
+    )
+    steer = -GEOMETRY.wheel_heading - GEOMETRY.leg_angles(np.zeros(4))
+    wheel, way, v = np.zeros(4), 0.0, 0.0
+    for k in range(1200):
+        t = k * H
+        a = 1.0 if 2.0 <= t < 2.3 else 0.0
+        gravity = 9.81 if inertial_unit else 0.0
+        accel = np.array([a + BIAS[0], BIAS[1], gravity]) if inertial_unit else np.zeros(3)
+        estimator.take(SwerveMeasurement(t, np.zeros(0), steer, wheel.copy(), np.zeros(6), np.zeros(3), accel))
+        wheel += H * (v + 0.5 * H * a + slips * (t >= 2.7)) / GEOMETRY.wheel_radius
+        way, v = way + H * (v + 0.5 * H * a), v + H * a
+    return float(np.hypot(estimator.odometry.pose[0] - way, estimator.odometry.pose[1]))
+
+
+def test_one_wheel_that_grips_is_right_against_two_that_slip_alike() -> None:
+    """Three of four wheels slip, two of them alike: the largest group that agrees is wrong, by 30 mm."""
+    slips = np.array([0.1, 0.1, 0.25, 0.0])
+    assert drive(slips, True) < 0.006
+    assert drive(slips, False) > 0.02
+
+
+@pytest.mark.parametrize("inertial_unit", [True, False])
+def test_sound_wheels_count_in_full(inertial_unit: bool) -> None:
+    assert drive(np.zeros(4), inertial_unit) < 1e-4 + H * 0.3
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_the_step(backend: Backend) -> None:
+    """Truth: NumPy's algebra for a gyro without tilts."""
+    rng, seen = np.random.default_rng(5), np.zeros(8)
+    found = InertialVelocity(seen, backend)
+    v, average, zero = np.zeros(2), np.zeros(2), np.zeros(2)
+    for _ in range(50):
+        seen[:], accel, rate = 0.05 * rng.normal(size=8), rng.normal(size=2), float(rng.normal())
+        known = rng.uniform(size=4) < 0.3
+        assert found.update(H, np.array([0.0, 0.0, rate]), np.array([*accel, 9.81]), rate, known)
+        v = v + H * (accel - zero + rate * np.array([v[1], -v[0]]))
+        average = average + (1.0 - np.exp(-H / OVER)) * (v - average)
+        off = seen.reshape(4, 2) - average
+        weights = 1.0 / (1.0 + np.sum(off**2, axis=1) / NEAR**2)
+        weights = np.where(known, np.minimum(weights, 0.05), weights)
+        step = H / FOLLOW * max(weights.mean(), LEAST) * (weights @ off) / weights.sum()
+        v, average, zero = v + step, average + step, zero - step / ACCELERATION_ZEROS
+        np.testing.assert_allclose(found.weights, weights, rtol=1e-9)
+        np.testing.assert_allclose(found.velocity, v, atol=1e-12)
+
+
+def test_without_gravity_there_is_no_inertial_unit_and_gaps_start_anew() -> None:
+    seen = np.tile([0.3, 0.1], 4)
+    found = InertialVelocity(seen)
+    up = np.array([0.0, 0.0, 9.81])
+    for bad in (np.zeros(3), np.full(3, np.nan), np.full(3, np.inf)):
+        assert not found.update(H, np.zeros(3), bad, 0.0, None)
+        assert not found.update(H, bad + np.inf, up, 0.0, None)
+    assert not found.update(5.0, np.zeros(3), up, 0.0, None)
+    assert found.velocity == pytest.approx([0.3, 0.1])
+    assert found.update(H, np.zeros(3), up, 0.0, None)
+    assert (found.weights > 0.99).all()
