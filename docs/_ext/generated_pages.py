@@ -68,7 +68,7 @@ def _escaped(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: l
 
 
 def public_names() -> str:
-    """``wbmpc.NAME`` with the first message of its docstring."""
+    """``wbmpc.NAME`` with the first sentence of its docstring."""
     import wbmpc
 
     rows = []
@@ -80,7 +80,7 @@ def public_names() -> str:
 
 
 def _first(text: str) -> str:
-    """First message, as text for a Markdown cell."""
+    """First sentence, as text for a Markdown cell."""
     text = " ".join(text.split())
     text = re.sub(r":\w+:`~?([^`]*)`", r"`\1`", text).replace("``", "`")
     return re.split(r"(?<=[.:])\s", text, maxsplit=1)[0].rstrip(":").replace("|", "\\|")

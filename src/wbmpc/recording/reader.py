@@ -147,12 +147,13 @@ def _flat_field(prefix: str, kind: str, name: str, value: Any) -> Iterator[tuple
         yield from _flat(prefix, inner.kind, value)
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording; of a file that ends in the middle everything before that, of a damaged one all that is whole.
+def read_recording(path: str | Path) -> Recording:
+    """Read a recording (a file, or a run's folder); of one that ends in the middle everything before that, of a damaged one all that is whole.
 
     Damage is noted in the recording and logged as a warning. Raises :class:`InputError` when there is no such file, it is not
     MCAP, or nothing of it can be read.
     """
+    path = Path(path)
     if path.is_dir():
         path = path / "run.mcap"
     if not path.is_file():

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from wbmpc.checks import quoted
 from wbmpc.errors import InputError, unknown_name
 
 
@@ -31,6 +32,14 @@ class Thresholds:
 
 
 THRESHOLDS = Thresholds()
+
+
+def check_settings_type(who: str, settings: object) -> None:
+    """Raise :class:`InputError` of ``who`` for what are no settings of a solver, such as their name."""
+    if not isinstance(settings, SQP):
+        raise InputError(
+            f"{who}: settings are needed, got {quoted(settings)!r}; valid: wb.SQP(…), wb.ILQR(…), wb.SLQ(…)"
+        )
 
 
 def _count(value: object, minimum: int) -> bool:
