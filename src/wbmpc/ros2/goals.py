@@ -91,7 +91,7 @@ class Planner:
         self.base_height = robot.base.body_height
         self.shoulder, self.reach = _arm(robot)
         #: (3, m): the twists of the base's frame that its speeds make, the last of which is the turn
-        self.twist = np.asarray(getattr(robot.base, "twist", np.eye(3)), float)
+        self.twist = np.asarray(robot.base.twist, float)
 
     # ------------------------------------------------------------------ tasks
     def hold(self, x: Array, t: float) -> Task:
