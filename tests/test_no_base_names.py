@@ -18,8 +18,8 @@ NAMES = re.compile(
 )
 ROOMS = (
     "clearance", "mapping", "embedded", "study", "report", "plots", "tasks", "settings.py", "default_problem.py", "experiment.py", "registry.py",
-    "reproduce.py", "result.py", "run_files.py", "run_index.py", "model", "obstacles", "ocp", "kernel", "solver", "mpc", "runtime", "simulation", "estimation",
-    "control", "stability", "recording", "view", "ros2", "cli", "robots", "benchmark", "types.py", "compare.py",
+    "reproduce.py", "result.py", "run_files.py", "run_index.py", "model", "obstacles", "ocp", "kernel", "solver", "mpc", "runtime",
+    "simulation", "estimation", "control", "stability", "recording", "view", "ros2", "cli", "robots", "benchmark", "types.py", "compare.py",
 )  # fmt: skip
 #: The robot with which an experiment of any robot starts, where none is given.
 DEFAULT_ROBOT = re.compile(r'robot: str = "[a-z0-9-]+"')

@@ -42,7 +42,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 @dataclass(frozen=True)
 class Experiment:
-    """A name, a line about it, its settings and ``run(settings, seed, progress)``.
+    """A ``name``, a line about it (``summary``), its settings (``config_type``) and ``run(settings, seed, progress)``.
 
     The name is that of the run's directory too: letters, digits, dots, dashes and underscores. Raises :class:`InputError` for
     another one.
@@ -142,7 +142,8 @@ class Scenario:
     """What an experiment's settings and a seed make: parts that fill ``log``, and what is measured and drawn of it.
 
     ``metrics`` and ``plots`` are asked once, after all parts, and only if something was recorded. ``compared``: the parts do the
-    same task in different ways, and all of them are run; without it they follow each other, and the first failure is the end.
+    same task in different ways, and all of them are run; without it they follow each other, and the first failure is the end. ``idealisations``: what
+    is simpler than in reality, for the report.
     """
 
     log: Log

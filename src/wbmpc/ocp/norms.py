@@ -14,9 +14,14 @@ from wbmpc.errors import InputError
 class Norm(Protocol):
     """``value(r)``, its first derivative and a non-negative curvature, each row by row."""
 
-    def value(self, r: ca.SX) -> ca.SX: ...
-    def gradient(self, r: ca.SX) -> ca.SX: ...
-    def curvature(self, r: ca.SX) -> ca.SX: ...
+    def value(self, r: ca.SX) -> ca.SX:
+        """The cost of each row."""
+
+    def gradient(self, r: ca.SX) -> ca.SX:
+        """Its derivative by the row."""
+
+    def curvature(self, r: ca.SX) -> ca.SX:
+        """What the Hessian has for the second derivative, not negative."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +29,15 @@ class Quadratic:
     """½ r²."""
 
     def value(self, r: ca.SX) -> ca.SX:
+        """The cost of each row."""
         return 0.5 * r * r
 
     def gradient(self, r: ca.SX) -> ca.SX:
+        """Its derivative by the row."""
         return r
 
     def curvature(self, r: ca.SX) -> ca.SX:
+        """What stands for the second derivative."""
         return ca.SX.ones(r.shape)
 
 
@@ -51,12 +59,15 @@ class SmoothL1:
         return ca.sqrt(1.0 + (r / ca.DM(self.scale)) ** 2)
 
     def value(self, r: ca.SX) -> ca.SX:
+        """The cost of each row."""
         return ca.DM(self.scale) ** 2 * (self._root(r) - 1.0)
 
     def gradient(self, r: ca.SX) -> ca.SX:
+        """Its derivative by the row."""
         return r / self._root(r)
 
     def curvature(self, r: ca.SX) -> ca.SX:
+        """What stands for the second derivative."""
         return 1.0 / self._root(r)
 
 
@@ -64,6 +75,7 @@ class SmoothL1:
 class RelaxedBarrier:
     """−μ ln h for h > δ, else μ (½ ((h − 2δ)/δ)² − ½ − ln δ): a soft inequality h ≥ 0.
 
+    ``mu`` μ: its weight, in units of the cost; ``delta`` δ: from where on it is quadratic, in units of the residual.
     Source: Feller and Ebenbauer, "Relaxed logarithmic barrier function based MPC" (2017), quadratic relaxation.
     """
 
@@ -77,14 +89,17 @@ class RelaxedBarrier:
             )
 
     def value(self, h: ca.SX) -> ca.SX:
+        """The cost of each row."""
         near = self.mu * (0.5 * (((h - 2 * self.delta) / self.delta) ** 2 - 1.0) - ca.log(self.delta))
         return ca.if_else(h > self.delta, -self.mu * ca.log(ca.fmax(h, self.delta)), near)
 
     def gradient(self, h: ca.SX) -> ca.SX:
+        """Its derivative by the row."""
         near = self.mu * (h - 2 * self.delta) / self.delta**2
         return ca.if_else(h > self.delta, -self.mu / ca.fmax(h, self.delta), near)
 
     def curvature(self, h: ca.SX) -> ca.SX:
+        """What stands for the second derivative."""
         safe = ca.fmax(h, self.delta)
         return self.mu / (safe * safe)
 

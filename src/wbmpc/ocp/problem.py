@@ -88,14 +88,17 @@ class OptimalControlProblem:
 
     @property
     def costs(self) -> list[Cost]:
+        """The costs in their order."""
         return [t for t in self.terms.values() if isinstance(t, Cost)]
 
     @property
     def equalities(self) -> list[Constraint]:
+        """Constraints whose residual has to vanish."""
         return [t for t in self.terms.values() if isinstance(t, Constraint) and t.equality]
 
     @property
     def inequalities(self) -> list[Constraint]:
+        """All other constraints."""
         return [t for t in self.terms.values() if isinstance(t, Constraint) and not t.equality]
 
     def refined(self, step: float) -> OptimalControlProblem:

@@ -16,7 +16,8 @@ class Reference:
     """Samples of a reference: ``times`` (n,) [s, absolute], ``values`` (n, width).
 
     Between samples: linear; the quaternion part of a pose by normalised linear interpolation; with ``hold`` the value
-    of the last sample at or before t. Before the first and after the last sample the end values hold.
+    of the last sample at or before t: the ``kind`` "linear", "pose", "hold" or "pose_hold".
+    Before the first and after the last sample the end values hold.
     """
 
     times: NDArray[np.float64]

@@ -69,7 +69,8 @@ class Cost:
 
 @dataclass(frozen=True)
 class Constraint:
-    """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``).
+    """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``), in ``modes`` (names; all when left out).
+    Messages and logs call it by its ``name``.
 
     Equalities (``Zero``): rows of state and input enter the Riccati recursion exactly; ``softness`` (one number for all
     rows) softens them: the residual may be softness times its multiplier. Rows of the state alone, and rows at the end,

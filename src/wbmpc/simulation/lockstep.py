@@ -64,7 +64,7 @@ def contacts_of(*plants: Any) -> tuple[Contacts, ...]:
 
 @dataclass(frozen=True)
 class Timing:
-    """Whole numbers of physics steps: of a controller tick, of an MPC period, of the computation delay (in ticks)."""
+    """``period`` [s] of a controller's tick, of ``steps`` physics steps; ticks of an MPC's period (``mpc_every``), of its ``delay``."""
 
     period: float
     steps: int

@@ -129,7 +129,7 @@ class SQP:
     one and goes on with it;
     ``equality_bound``: in real time a plan fails whose first input misses an equality by more than this share of what the row
     makes of inputs, |D| + Σ |D_i u_i|; those that contradict each other do so at every solve;
-    ``backend``: machine code, or the interpreted twin.
+    ``interior_point``: how hard limits are kept; ``backend``: machine code, or the interpreted twin.
     """
 
     iterations: int = 300
@@ -212,7 +212,7 @@ class SQP:
 class ILQR(SQP):
     """Single shooting: the policy is rolled out, feedback included, so that every iterate is a motion of the model.
 
-    Source: Tassa, Erez and Todorov 2012; Gauss-Newton instead of second derivatives.
+    All settings are those of :class:`SQP`. Source: Tassa, Erez and Todorov 2012; Gauss-Newton instead of second derivatives.
     """
 
     single_shooting = True
@@ -220,7 +220,7 @@ class ILQR(SQP):
 
 @dataclass(frozen=True)
 class SLQ(ILQR):
-    """ILQR on a refined grid, close to its limit in continuous time: no interval is longer than ``step`` [s].
+    """ILQR on a refined grid, close to its limit in continuous time: no interval is longer than ``step`` [s]. Other settings: :class:`SQP`.
 
     Source: Farshidian et al. 2017, "An efficient optimal planning and control framework for quadrupedal locomotion".
     """

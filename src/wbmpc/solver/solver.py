@@ -67,7 +67,9 @@ def _warn(why: str) -> None:
 
 @dataclass
 class Solver:
-    """One problem bound to one solver: owns the kernel, the memory and the warm start.
+    """A problem ``ocp`` bound to a solver with ``settings``: owns the kernel, the memory and the warm start.
+
+    ``use_cache``: take compiled code from the cache of this machine, and put it there.
 
     For one thread at a time: who calls it while another thread is in it gets :class:`SolverBusy`.
     """
