@@ -21,7 +21,7 @@ from wbmpc import settings_table as table
 #: Sub-packages with an API page; of ``solver`` what users hold, the other files are the compiled driver.
 PACKAGES = (
     "model", "bases", "ocp", "solver", "mpc", "embedded", "runtime", "estimation", "control", "simulation", "tasks", "robots", "recording",
-    "stability", "study", "ros2",
+    "stability", "study", "ros2", "obstacles", "mapping",
 )  # fmt: skip
 ONLY = {
     "embedded": ("exporter",),
@@ -30,7 +30,7 @@ ONLY = {
     "ros2": ("bus", "settings", "network"),
 }
 #: Modules beside the packages.
-MODULES = ("types", "errors", "lie", "trajectory", "result", "log")
+MODULES = ("types", "errors", "lie", "trajectory", "result", "log", "experiment", "default_problem", "settings")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
