@@ -3,6 +3,7 @@ name, the list of words below."""
 
 from __future__ import annotations
 
+import ast
 import re
 from pathlib import Path
 
@@ -158,3 +159,25 @@ def test_every_page_is_in_a_table_of_contents() -> None:
                 (page.parent / f"{line.strip()}.md").resolve() for line in block.splitlines() if line and line[0] != ":"
             }
     assert {p for p in pages() if p.name != "README.md"} <= listed
+
+
+def test_every_module_that_a_page_refers_to_has_a_page_of_its_own() -> None:
+    """Sphinx leaves a role without a page as it is, and warns of nothing."""
+    assigned = {
+        node.targets[0].id: ast.literal_eval(node.value)
+        for node in ast.parse((ROOT / "docs" / "_ext" / "generated_pages.py").read_text()).body
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
+    }
+    described = (*assigned["PACKAGES"], *assigned["MODULES"])
+    for page in pages():
+        for name in re.findall(r"\{py:\w+\}`(?:[^`<]*<)?wbmpc\.([\w.]+)>?`", page.read_text()):
+            package, _, rest = name.partition(".")
+            only = assigned["ONLY"].get(package, (rest.partition(".")[0],))
+            assert package in described and rest.partition(".")[0] in only, f"{page.name}: {name}"
+
+
+def test_the_size_of_the_translator_is_what_the_page_says() -> None:
+    modules = ("translate", "expressions", "ir", "builder", "vectors", "library", "function")
+    lines = sum(len((ROOT / "src" / "wbmpc" / "kernel" / f"{m}.py").read_text().splitlines()) for m in modules)
+    said = re.search(r"translator has (\d+) lines", (ROOT / "docs" / "explanation" / "solver.md").read_text())
+    assert said is not None and abs(int(said[1]) - lines) < 0.05 * lines

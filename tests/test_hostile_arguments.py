@@ -202,3 +202,45 @@ def test_lengths_of_shapes_are_numbers(radius: Any) -> None:
         wb.shapes.Sphere(radius)
     with pytest.raises(InputError, match="sphere: 'center' needs 3 finite numbers"):
         wb.shapes.Sphere(1.0, ["1", 0, 0])  # type: ignore[list-item]
+
+
+# ---------------------------------------------------------------------- what problems are made of
+def _constraint(given: Given, **wrong: Any) -> wb.Constraint:
+    return wb.Constraint("limit", **{"residual": wb.residuals.Input(given.dynamics), **wrong})
+
+
+WRONG_PARTS: dict[str, tuple[Callable[[Given], object], str]] = {
+    "set": (lambda g: _constraint(g, set=(-1.0, 1.0)), r"constraint 'limit', set: got '\(-1.0, 1.0\)'; valid: .*wb.sets.Box"),
+    "class of a set": (lambda g: _constraint(g, set=wb.sets.NonNegative), "constraint 'limit', set: .*valid: "),
+    "penalty": (lambda g: _constraint(g, penalty=1e3), "constraint 'limit', penalty: got '1000.0'; valid: wb.RelaxedBarrier"),
+    "residual": (lambda g: _constraint(g, residual=lambda s: s.u), "term 'limit', residual: .*valid: one of wb.residuals"),
+    "class of a residual": (lambda g: wb.Cost("c", wb.residuals.Input), "term 'c', residual: .*valid: one of wb.residuals"),
+    "norm": (lambda g: wb.Cost("c", wb.residuals.Input(g.dynamics), norm="l1"), "cost 'c', norm: got 'l1'; valid: wb.SmoothL1"),
+    "term": (lambda g: g.problem().add("speed"), "term: a wb.Cost or a wb.Constraint is needed, got 'speed'"),
+    "dynamics": (lambda g: wb.OptimalControlProblem("cart", 1.0, 4), r"dynamics: a system is needed, .*wb.Ode\(…\), got 'cart'"),
+    "settings of an MPC": (lambda g: wb.MPC(g.ocp, solver="sqp"), r"mpc, solver: settings are needed, got 'sqp'; valid: wb.SQP\(…\)"),
+    "settings of a solver": (lambda g: wb.Solver(g.ocp, "sqp"), r"solver: settings are needed, got 'sqp'; valid: wb.SQP\(…\)"),
+    "problem of a solver": (lambda g: wb.Solver(g.dynamics), "solver: an OptimalControlProblem is needed"),
+    "problem of an MPC": (lambda g: wb.MPC(None), "mpc: an OptimalControlProblem is needed, got 'None'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("part", WRONG_PARTS)
+def test_parts_of_a_problem_are_of_the_kind_that_is_needed(part: str, given: Given) -> None:
+    make, message = WRONG_PARTS[part]
+    with pytest.raises(InputError, match=message):
+        make(given)
+
+
+def test_a_reference_of_a_term_that_compares_with_none_says_how_it_would(given: Given) -> None:
+    ocp = wb.OptimalControlProblem(given.dynamics, 1.0, 4)
+    ocp.add(wb.Cost("own", wb.residuals.Expression(1, lambda s: s.u), 1.0))
+    with pytest.raises(
+        InputError, match=r"reference 'own': its term compares with none; valid: none, or .*reference=…"
+    ):
+        wb.Solver(ocp, wb.SQP(backend="interpreted")).set_reference("own", wb.Reference.constant([0.0]))
+
+
+def test_an_unknown_public_name_has_a_hint() -> None:
+    with pytest.raises(AttributeError, match=r"no attribute 'Solvr' \(did you mean 'Solver'\?\)"):
+        wb.Solvr  # noqa: B018

@@ -129,6 +129,15 @@ def test_libraries_stay_in_their_rooms(package: str) -> None:
     assert users <= ONLY_IN[package]
 
 
+def test_only_tests_of_the_solver_know_its_memory() -> None:
+    """Who tests something else would hold the solver to today's layout."""
+    memory = {"wbmpc.solver.workspace", "wbmpc.solver.memory_layout"}
+    tests = Path(__file__).parent
+    for path in sorted(p for p in tests.rglob("*.py") if p.parent.name not in ("kernel", "solver")):
+        names = imported(ast.parse(path.read_text()), "")
+        assert not {n for n in names if n in memory or n.rpartition(".")[0] in memory}, path.relative_to(tests)
+
+
 def test_the_check_sees_a_wrong_import() -> None:
     inside_a_function = (
         "def f():\n    from wbmpc.cli import main\n    import wbmpc.report\n    from ..simulation import world\n"

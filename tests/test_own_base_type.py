@@ -89,6 +89,7 @@ class RailBase:
         self.brakes: dict[str, str] = {}
         self.unit_quaternions: tuple[int, ...] = ()
         self.footprint: Footprint | None = None
+        self.twist = np.eye(3)
         self.wheels, self.balances, self.ground, self.body_height = 0, False, 0.0, float(self._position[2])
 
     def root(self, x: ca.SX) -> FramePose:
@@ -127,7 +128,7 @@ class Speeds:
 class RailPlant:
     """Drives that follow speeds at once: MuJoCo's positions are integrals of the commands."""
 
-    timestep, fell, diverged = 0.005, False, False
+    timestep, fell, diverged, rests, has_physics, fall_reason = 0.005, False, False, True, True, ""
 
     def __init__(self, robot: RobotModel) -> None:
         self.description, self.time, self.world = robot.description, 0.0, self
@@ -147,6 +148,8 @@ class RailPlant:
         self.arrange(self.data.qpos + steps * self.timestep * command.values)
 
     def push(self, force: np.ndarray) -> None: ...
+
+    def end_pushes(self) -> None: ...
 
     def frames(self, height: float) -> dict[str, np.ndarray]:
         tip = self.data.site("tip")

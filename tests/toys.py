@@ -18,7 +18,6 @@ from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
-from wbmpc.solver.workspace import aligned
 
 
 class ToyDynamics(Ode):
@@ -216,6 +215,13 @@ def call_lanes(
 def call_pointers(address: int, *arrays: np.ndarray) -> None:
     """Call ``void f(ptr, …)``."""
     ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(arrays))(address)(*[a.ctypes.data for a in arrays])
+
+
+def aligned(count: int) -> np.ndarray:
+    """Zeros whose first element is at a multiple of 64 bytes, as compiled code needs."""
+    raw = np.zeros(count + 8)
+    start = (-raw.ctypes.data % 64) // 8
+    return raw[start : start + count]
 
 
 def aligned_copy(array: np.ndarray) -> np.ndarray:

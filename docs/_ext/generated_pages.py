@@ -21,7 +21,7 @@ from wbmpc import settings_table as table
 #: Sub-packages with an API page; of ``solver`` what users hold, the other files are the compiled driver.
 PACKAGES = (
     "model", "bases", "ocp", "solver", "mpc", "embedded", "runtime", "estimation", "control", "simulation", "tasks", "robots", "recording",
-    "stability", "study", "ros2",
+    "stability", "study", "ros2", "obstacles", "mapping",
 )  # fmt: skip
 ONLY = {
     "embedded": ("exporter",),
@@ -30,7 +30,7 @@ ONLY = {
     "ros2": ("bus", "settings", "network"),
 }
 #: Modules beside the packages.
-MODULES = ("types", "errors", "lie", "trajectory", "result", "log")
+MODULES = ("types", "errors", "lie", "trajectory", "result", "log", "experiment", "default_problem", "settings")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -69,7 +69,7 @@ def _escaped(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: l
 
 
 def public_names() -> str:
-    """``wbmpc.NAME`` with the first message of its docstring."""
+    """``wbmpc.NAME`` with the first sentence of its docstring."""
     import wbmpc
 
     rows = []
@@ -81,7 +81,7 @@ def public_names() -> str:
 
 
 def _first(text: str) -> str:
-    """First message, as text for a Markdown cell."""
+    """First sentence, as text for a Markdown cell."""
     text = " ".join(text.split())
     text = re.sub(r":\w+:`~?([^`]*)`", r"`\1`", text).replace("``", "`")
     return re.split(r"(?<=[.:])\s", text, maxsplit=1)[0].rstrip(":").replace("|", "\\|")

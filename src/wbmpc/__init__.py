@@ -161,7 +161,9 @@ if not TYPE_CHECKING:  # a type checker knows the names above, and no other
     def __getattr__(name: str) -> Any:
         """Load a public name when it is first used, so that importing the package costs nothing."""
         if name not in _MODULES:
-            raise AttributeError(f"module 'wbmpc' has no attribute '{name}'")
+            from wbmpc.errors import did_you_mean
+
+            raise AttributeError(f"module 'wbmpc' has no attribute '{name}'{did_you_mean(name, _MODULES)}")
         module = import_module(_MODULES[name])
         return module if _MODULES[name].endswith(f".{name}") else getattr(module, name)
 

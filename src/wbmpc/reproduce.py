@@ -26,7 +26,7 @@ from wbmpc.result import Metric
 from wbmpc.run_files import definition_in, read_metrics
 from wbmpc.units import scale
 
-#: Seeds of one call, at most: the ball robot's take about a minute each, in every experiment.
+#: Seeds of one call, at most: those of a robot that balances take about a minute each, in every experiment.
 MAX_SEEDS = 1000
 _SEEDS = re.compile(r"\s*(?P<first>[0-9]{1,9})(-(?P<last>[0-9]{1,9}))?\s*")
 #: Exit codes after which there is a result: completed, or ended early with its figures.

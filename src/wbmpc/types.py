@@ -67,7 +67,11 @@ MeasurementT = TypeVar("MeasurementT", covariant=True)
 
 
 class Plant(Protocol[CommandT, MeasurementT]):
-    """A simulated robot. ``timestep`` [s]; ``step`` holds a command for n steps; ``measure`` belongs to ``time``."""
+    """A simulated robot. ``timestep`` [s]; ``step`` holds a command for n steps; ``measure`` belongs to ``time``.
+
+    ``has_physics``: whether bodies touch each other, as contacts and clearances need. ``rests``: nothing moves. ``fall_reason``: what
+    counted as the fall, empty without one. ``end_pushes``: nothing pushes the robot any more.
+    """
 
     timestep: float
 
@@ -79,6 +83,17 @@ class Plant(Protocol[CommandT, MeasurementT]):
 
     @property
     def diverged(self) -> bool: ...
+
+    @property
+    def has_physics(self) -> bool: ...
+
+    @property
+    def rests(self) -> bool: ...
+
+    @property
+    def fall_reason(self) -> str: ...
+
+    def end_pushes(self) -> None: ...
 
     def measure(self) -> MeasurementT: ...
 

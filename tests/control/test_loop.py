@@ -13,7 +13,7 @@ import pytest
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.simulation.lockstep import Ending, Timing, run_lockstep
-from wbmpc.types import Observation
+from wbmpc.types import Observation, Plant
 
 
 class FakeMPC:
@@ -64,7 +64,16 @@ class ErringController(FakeController):
 
 
 def fake_plant(falls_after: int = 10**9, diverges_after: int = 10**9):  # type: ignore[no-untyped-def]
-    plant = SimpleNamespace(steps=0, fell=False, diverged=False, commands=[])
+    plant = SimpleNamespace(
+        steps=0,
+        fell=False,
+        diverged=False,
+        commands=[],
+        rests=True,
+        has_physics=True,
+        fall_reason="",
+        end_pushes=lambda: None,
+    )
 
     def step(command, n: int) -> None:  # type: ignore[no-untyped-def]
         plant.steps += n
@@ -260,3 +269,13 @@ def test_progress_ends_at_one() -> None:
     )
     assert progress[-1] == 1.0
     assert progress == sorted(progress)
+
+
+@pytest.mark.parametrize("member", ["has_physics", "rests", "fall_reason", "end_pushes"])
+def test_a_plant_that_lacks_a_part_of_the_protocol_is_not_taken_for_one_with_a_default(member: str) -> None:
+    """A wrong name would silently leave the robot pushed, or its contacts uncounted."""
+    plant = fake_plant(falls_after=20)
+    assert hasattr(Plant, member)
+    delattr(plant, member)
+    with pytest.raises(AttributeError, match=member):
+        run_lockstep(plant, FakeController(), FakeMPC(), Timing(0.01, 3, 5, 1), 0.5, lambda *a: None)

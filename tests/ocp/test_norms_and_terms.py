@@ -26,8 +26,6 @@ from wbmpc.ocp import (
     sets,
 )
 from wbmpc.solver import SQP, Solver
-from wbmpc.solver.reference_direction import barrier
-from wbmpc.solver.workspace import box_table
 from wbmpc.studies.minniti2019.door_residuals import PanelContact
 from wbmpc.trajectory import geometric_grid
 
@@ -64,22 +62,6 @@ def test_barrier_formula_and_curvature() -> None:
     for f in (b.value, b.gradient, b.curvature):
         low, high = evaluate(f, np.array([delta - 1e-9, delta + 1e-9]))
         assert low == pytest.approx(high, rel=1e-6)
-
-
-def test_box_rows_of_the_solver_are_that_barrier() -> None:
-    """Rows of the form s z + c, also with |s| ≠ 1: value, slope and curvature by finite differences and the chain rule."""
-    rows = [(0, 1.0, 0.5, 0.2, 0.1), (0, -2.0, 1.0, 0.2, 0.1), (1, 3.0, 0.0, 0.05, 0.2)]
-    table = box_table(rows)
-    for z in (np.array([0.1, 0.3]), np.array([0.49, -0.4]), np.array([-0.6, 0.01])):
-        value, gradient, curvature = barrier(table, z)
-        terms = [(RelaxedBarrier(mu, d), i, s, s * z[i] + c) for i, s, c, mu, d in rows]
-        assert value == pytest.approx(sum(evaluate(b.value, np.array([h]))[0] for b, _, _, h in terms), rel=1e-12)
-        slope, curve = np.zeros(2), np.zeros(2)
-        for b, i, s, h in terms:
-            slope[i] += s * evaluate(b.gradient, np.array([h]))[0]
-            curve[i] += s * s * evaluate(b.curvature, np.array([h]))[0]
-        np.testing.assert_allclose(gradient, slope, rtol=1e-12)
-        np.testing.assert_allclose(curvature, curve, rtol=1e-12)
 
 
 def test_smooth_l1_is_quadratic_near_and_linear_far() -> None:

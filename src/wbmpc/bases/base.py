@@ -186,7 +186,8 @@ class Base(Protocol):
     ``ground`` [m]: height of the floor in the model's world (negative where the world's origin is
     above it). ``body_height`` [m]: of the body's frame above the floor at home. ``balances``: the robot falls when it is stopped.
     ``wheels``: how many wheels :meth:`rolling` has rows of; 0 where no constraint makes them roll. ``footprint``: None where the
-    base does not stand on feet of its own. An optional ``jacobian(x, u, w, m)`` gives ẋ and its Jacobian (nx, nx + nu) where
+    base does not stand on feet of its own. ``twist`` (3, m): what the body's frame does (vx, vy, wz) by the speeds that the base can have,
+    the last of which is the turn. An optional ``jacobian(x, u, w, m)`` gives ẋ and its Jacobian (nx, nx + nu) where
     there is a shorter way than to differentiate ``derivative``. Where there are brakes, an optional ``check_brakes(leg, brake)``
     raises :class:`InputError` if joints that stay at ``leg`` (n) [rad] with ``brake`` (n, 1 = open) let the base move freely.
     """
@@ -204,6 +205,7 @@ class Base(Protocol):
     balances: bool
     wheels: int
     footprint: Footprint | None
+    twist: Array
 
     def chain(self, x: ca.SX) -> Chain:
         """The tree of links at a state."""

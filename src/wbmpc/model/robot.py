@@ -159,7 +159,7 @@ class RobotModel:
 
 
 def load_robot(name_or_path: str | Path, **base: Any) -> RobotModel:
-    """A built-in robot by name, or one's own YAML. ``base`` replaces keys of the base section.
+    """A built-in robot by name, or one's own YAML (``name_or_path``). ``base`` replaces keys of the base section.
 
     ``load_robot("my_robot.yaml", contact="wrench", contact_frame="tool")``: the wrench of the world at that frame is an input.
     Raises :class:`InputError` naming file and key.

@@ -9,11 +9,16 @@ import numpy as np
 from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.ocp import OptimalControlProblem
+from wbmpc.ocp.problem import check_problem
 from wbmpc.solver import SQP
+from wbmpc.solver.settings import check_settings_type
 
 
 def check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
-    """Raise :class:`InputError` for settings under which nothing would say that a plan misses hard limits or equalities."""
+    """Raise :class:`InputError` for settings under which nothing would say that a plan misses hard limits or equalities,
+    and for what is no problem or are no settings."""
+    check_problem("mpc", ocp)
+    check_settings_type("mpc, solver", settings)
     limits = any(term.hard for term in ocp.inequalities)
     unreported = limits and settings.interior_point.mode != "real_time"
     if unreported or (settings.compute_kkt and (limits or ocp.equalities)):

@@ -68,7 +68,7 @@ class MPC:
             or first_iterations < 1
         ):
             raise InputError(f"mpc.first_iterations: must be a whole number from 1 on, got {first_iterations!r}")
-        settings = solver or SQP.real_time()
+        settings = SQP.real_time() if solver is None else solver
         check_settings(ocp, settings)
         self.ocp, self.rate = ocp, float(rate)
         self.solver = Solver(ocp, settings)

@@ -14,9 +14,14 @@ from wbmpc.errors import InputError
 class Norm(Protocol):
     """``value(r)``, its first derivative and a non-negative curvature, each row by row."""
 
-    def value(self, r: ca.SX) -> ca.SX: ...
-    def gradient(self, r: ca.SX) -> ca.SX: ...
-    def curvature(self, r: ca.SX) -> ca.SX: ...
+    def value(self, r: ca.SX) -> ca.SX:
+        """The cost of each row."""
+
+    def gradient(self, r: ca.SX) -> ca.SX:
+        """Its derivative by the row."""
+
+    def curvature(self, r: ca.SX) -> ca.SX:
+        """What the Hessian has for the second derivative, not negative."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc import trajectory
-from wbmpc.checks import real_numbers
+from wbmpc.checks import quoted, real_numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.layout import Layout
 from wbmpc.ocp.terms import Constraint, Cost
@@ -66,6 +66,7 @@ class OptimalControlProblem:
     ) -> None:
         if integrator not in ("rk2", "rk4"):
             raise unknown_name("integrator", integrator, ("rk2", "rk4"))
+        _check_dynamics(dynamics)
         self.dynamics = dynamics
         self.integrator = integrator
         self.align_events = align_events
@@ -135,7 +136,9 @@ class OptimalControlProblem:
         return html_table(repr(self).partition(";")[0] + ")", ["term", "kind", "residual", "rows", "at", "modes"], rows)
 
     def add(self, term: Term) -> None:
-        """Add a term; its name must be new. Solvers that were made before reject to go on."""
+        """Add a term; its name must be new. Solvers that were made before raise :class:`InputError` at their next solve."""
+        if not isinstance(term, Cost | Constraint):
+            raise InputError(f"term: a wb.Cost or a wb.Constraint is needed, got {quoted(term)!r}")
         if term.name in self.terms:
             raise InputError(f"term '{term.name}' is already there; valid: a new name")
         self.terms[term.name] = term
@@ -145,6 +148,20 @@ class OptimalControlProblem:
         if name not in self.terms:
             raise unknown_name("term", name, self.terms)
         return self.terms[name]
+
+
+def check_problem(who: str, ocp: object) -> None:
+    """Raise :class:`InputError` of ``who`` for what is no problem."""
+    if not isinstance(ocp, OptimalControlProblem):
+        raise InputError(f"{who}: an OptimalControlProblem is needed, got {quoted(ocp)!r}")
+
+
+def _check_dynamics(dynamics: object) -> None:
+    """Raise :class:`InputError` for what is no :class:`SystemDynamics`."""
+    if isinstance(dynamics, type) or not (callable(dynamics) and hasattr(dynamics, "unit_quaternions")):
+        raise InputError(
+            f"dynamics: a system is needed, such as robot.dynamics() or wb.Ode(…), got {quoted(dynamics)!r}"
+        )
 
 
 def _grid(horizon: float, intervals: int, first: float | None, grid: Sequence[float] | None) -> np.ndarray:

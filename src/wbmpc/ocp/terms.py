@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from wbmpc.checks import real_numbers
+from wbmpc.checks import quoted, real_numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.ocp.norms import AugmentedLagrangian, Norm, Quadratic, RelaxedBarrier
 from wbmpc.ocp.residuals import Residual
-from wbmpc.ocp.sets import Set, Zero
+from wbmpc.ocp.sets import Box, NonNegative, Set, Zero
 
 Weight = float | Sequence[float] | Mapping[str, float | Sequence[float]]
 At = Literal["path", "terminal", "path+terminal"]
@@ -24,6 +24,14 @@ def _check_at(name: str, at: str, modes: tuple[str, ...] | None) -> None:
         raise unknown_name("part of the horizon", at, _AT, where=f"term '{name}', at")
     if modes is not None and (isinstance(modes, str) or not modes or not all(isinstance(m, str) for m in modes)):
         raise InputError(f"term '{name}': modes must be a tuple of names, at least one, got {modes!r}")
+
+
+def _check_residual(name: str, residual: Any) -> None:
+    """Raise :class:`InputError` for what is no residual, such as a function or a residual's class."""
+    if isinstance(residual, type) or not (callable(residual) and hasattr(residual, "size")):
+        raise InputError(
+            f"term '{name}', residual: got {quoted(residual)!r}; valid: one of wb.residuals, or your own (wb.residuals.Expression)"
+        )
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,11 @@ class Cost:
 
     def __post_init__(self) -> None:
         _check_at(self.name, self.at, self.modes)
+        _check_residual(self.name, self.residual)
+        if isinstance(self.norm, type) or not hasattr(self.norm, "curvature"):
+            raise InputError(
+                f"cost '{self.name}', norm: got {quoted(self.norm)!r}; valid: wb.SmoothL1(scale), or none for the quadratic norm"
+            )
         self.expand(self.weight)
         if self.terminal_weight is not None:
             self.expand(self.terminal_weight, "terminal weight")
@@ -58,7 +71,8 @@ class Cost:
 
 @dataclass(frozen=True)
 class Constraint:
-    """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``).
+    """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``), in ``modes`` (names; all when left out).
+    Messages and logs call it by its ``name``.
 
     ``name``: one that the problem does not have yet. ``modes``: the names of the modes in which it holds; all when left out.
 
@@ -84,6 +98,17 @@ class Constraint:
 
     def __post_init__(self) -> None:
         _check_at(self.name, self.at, self.modes)
+        _check_residual(self.name, self.residual)
+        if not isinstance(self.set, (Zero, NonNegative, Box)):
+            raise InputError(
+                f"constraint '{self.name}', set: got {quoted(self.set)!r}; valid: wb.sets.Zero(), wb.sets.NonNegative(), "
+                "wb.sets.Box(lower, upper)"
+            )
+        if not isinstance(self.penalty, (RelaxedBarrier, AugmentedLagrangian)):
+            raise InputError(
+                f"constraint '{self.name}', penalty: got {quoted(self.penalty)!r}; valid: wb.RelaxedBarrier(mu, delta), "
+                "wb.AugmentedLagrangian(rho)"
+            )
         if not 0.0 <= self.softness < np.inf:
             raise InputError(f"constraint '{self.name}': softness must not be negative, got {self.softness}")
         if not self.slack > 0.0:

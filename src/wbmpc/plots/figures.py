@@ -13,8 +13,6 @@ from wbmpc.plots.series import Drawing, Plot, Series
 
 #: More points than this per line are thinned out (min and max of each bin are kept).
 MAX_POINTS = 1500
-#: The label of axes that share zoom and cursor on a page.
-TIME = "time [s]"
 #: Width of a legend in the narrowest card [pixels], of an entry's mark, and of a letter, about.
 _LEGEND, _MARK, _LETTER = 360, 45, 6.3
 _COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]

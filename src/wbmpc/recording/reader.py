@@ -58,6 +58,7 @@ class Recording:
     ``complete``: whether the run closed it; else it was killed and the last moments are missing.
     ``damage``: what of it could not be read though it is there, or is not what was written; clauses.
 
+    ``path``: of the file; ``topics``: by name; ``metadata``: texts by key of each record, "run" and "result" of a run.
     ``attachments``: for each name the time [s] from which it holds, and its bytes.
     """
 
@@ -151,12 +152,13 @@ def _flat_field(prefix: str, kind: str, name: str, value: Any) -> Iterator[tuple
         yield from _flat(prefix, inner.kind, value)
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording; of a file that ends in the middle everything before that, of a damaged one all that is whole.
+def read_recording(path: str | Path) -> Recording:
+    """Read the recording ``path`` (a file, or a run's folder): all that is whole of one that is cut or damaged.
 
     Damage is noted in the recording and logged as a warning. Raises :class:`InputError` when there is no such file, it is not
     MCAP, or nothing of it can be read.
     """
+    path = Path(path)
     if path.is_dir():
         path = path / "run.mcap"
     if not path.is_file():

@@ -93,7 +93,7 @@ class Planner:
         self._center, self.reach = _arm(robot)
         self.shoulder = float(self._center[2])
         #: (3, m): the twists of the base's frame that its speeds make, the last of which is the turn
-        self.twist = np.asarray(getattr(robot.base, "twist", np.eye(3)), float)
+        self.twist = np.asarray(robot.base.twist, float)
 
     # ------------------------------------------------------------------ tasks
     def hold(self, x: Array, t: float) -> Task:

@@ -57,7 +57,7 @@ class Ending:
 
 def contacts_of(*plants: Any) -> tuple[Contacts, ...]:
     """What is known of the contacts of simulated robots, of those that have physics."""
-    worlds = [getattr(plant, "world", None) for plant in plants if getattr(plant, "has_physics", True)]
+    worlds = [getattr(plant, "world", None) for plant in plants if plant.has_physics]
     found = [getattr(world, "contacts", None) for world in worlds]
     return tuple(contacts for contacts in found if contacts is not None)
 
@@ -251,10 +251,10 @@ def run_lockstep(
 
 def _come_to_rest(plant: Any, controller: Controller, timing: Timing, longest: float) -> None:
     """Stop the robot, which nothing pushes any more, until it rests: for :data:`STOP_TIME` at least, and the ``longest`` time [s] at most."""
-    getattr(plant, "end_pushes", lambda: None)()
+    plant.end_pushes()
     for _ in range(max(round(longest / STOP_TIME), 1)):
         plant.step(controller.stop(), round(STOP_TIME / timing.period) * timing.steps)
-        if plant.diverged or getattr(plant, "rests", True):
+        if plant.diverged or plant.rests:
             return
 
 
@@ -305,7 +305,7 @@ def _tick(
 
 def _because(plant: Any, mpc: Any) -> str:
     """Why the robot fell, as far as plant and MPC know."""
-    whys = [why for why in (getattr(plant, "fall_reason", ""), getattr(mpc, "fault", "")) if why]
+    whys = [why for why in (plant.fall_reason, getattr(mpc, "fault", "")) if why]
     return f" because {'; the MPC had no new plan: '.join(whys)}" if whys else ""
 
 

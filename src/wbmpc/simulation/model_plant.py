@@ -32,6 +32,7 @@ class ModelPlant:
 
     #: Whether bodies touch each other: contacts and clearances are none of this plant's.
     has_physics = False
+    fall_reason = ""
 
     def __init__(
         self, robot: RobotModel, mpc: MPC, start: Array, timestep: float = TIMESTEP, edit: Edit | None = None

@@ -124,7 +124,7 @@ class Perturbation(BaseModel):
         return getattr(self, name) not in (0, type(self).model_fields[name].default)
 
     def check_read(self, reads: Collection[str], reason: str, reasons: Mapping[str, str]) -> None:
-        """Raise :class:`InputError` for the first setting that is :meth:`asked` for and that a plant does not read, with the
+        """Raise :class:`InputError` for the first setting that somebody wants (:meth:`is_set`) and that a plant does not read, with the
         reason of this setting, or the one of all others."""
         for name in type(self).model_fields:
             if name not in reads and self.is_set(name):

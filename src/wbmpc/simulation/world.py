@@ -344,6 +344,7 @@ class WorldAccess:
     """What a plant hands on to its world: time, the fall, pushes."""
 
     world: World
+    has_physics = True
 
     @property
     def time(self) -> float:

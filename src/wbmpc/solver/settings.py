@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from wbmpc.checks import quoted
 from wbmpc.errors import InputError, unknown_name
 
 
@@ -31,6 +32,14 @@ class Thresholds:
 
 
 THRESHOLDS = Thresholds()
+
+
+def check_settings_type(who: str, settings: object) -> None:
+    """Raise :class:`InputError` of ``who`` for what are no settings of a solver, such as their name."""
+    if not isinstance(settings, SQP):
+        raise InputError(
+            f"{who}: settings are needed, got {quoted(settings)!r}; valid: wb.SQP(…), wb.ILQR(…), wb.SLQ(…)"
+        )
 
 
 def _count(value: object, minimum: int) -> bool:
@@ -203,7 +212,7 @@ class SQP:
 class ILQR(SQP):
     """Single shooting: the policy is rolled out, feedback included, so that every iterate is a motion of the model.
 
-    Source: Tassa, Erez and Todorov 2012; Gauss-Newton instead of second derivatives.
+    All settings are those of :class:`SQP`. Source: Tassa, Erez and Todorov 2012; Gauss-Newton instead of second derivatives.
     """
 
     single_shooting = True
@@ -211,7 +220,7 @@ class ILQR(SQP):
 
 @dataclass(frozen=True)
 class SLQ(ILQR):
-    """ILQR on a refined grid, close to its limit in continuous time: no interval is longer than ``step`` [s].
+    """ILQR on a refined grid, close to its limit in continuous time: no interval is longer than ``step`` [s]. Other settings: :class:`SQP`.
 
     Source: Farshidian et al. 2017, "An efficient optimal planning and control framework for quadrupedal locomotion".
     """

@@ -19,6 +19,7 @@ from wbmpc.checks import absolute_time, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
 from wbmpc.kernel.step import bind
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
+from wbmpc.ocp.problem import check_problem
 from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
@@ -27,7 +28,7 @@ from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive, Interruptible
 from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, SETTINGS, StateField
-from wbmpc.solver.settings import SLQ, SQP, Effort
+from wbmpc.solver.settings import SLQ, SQP, Effort, check_settings_type
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.trajectory import Trajectory
 from wbmpc.solver.violations import violation_message
@@ -66,7 +67,9 @@ def _warn(why: str) -> None:
 
 @dataclass
 class Solver:
-    """One problem bound to one solver: owns the kernel, the memory and the warm start.
+    """A problem ``ocp`` bound to a solver with ``settings``: owns the kernel, the memory and the warm start.
+
+    ``use_cache``: take compiled code from the cache of this machine, and put it there.
 
     ``ocp``: the problem; ``settings`` of the solver; ``use_cache``: whether machine code is kept on the disk. For one thread at a time:
     who calls it while another thread is in it gets :class:`SolverBusy`.
@@ -77,6 +80,8 @@ class Solver:
     use_cache: bool = True
 
     def __post_init__(self) -> None:
+        check_problem("solver", self.ocp)
+        check_settings_type("solver", self.settings)
         #: who is in the memory; also for who reads a plan from it after the solve
         self.exclusive = Exclusive("the solver")
         with Interruptible():
@@ -130,6 +135,11 @@ class Solver:
         """What the term ``name`` compares with from now on."""
         slices = self.problem.references.slices
         if name not in slices:
+            if name in self.ocp.terms:
+                raise InputError(
+                    f"reference '{name}': its term compares with none; valid: {', '.join(slices) or 'none'}, "
+                    "or a residual with reference=… (wb.residuals.Expression: how many numbers)"
+                )
             raise unknown_name("reference", name, slices)
         width = slices[name].stop - slices[name].start
         if not isinstance(reference, Reference):

@@ -115,7 +115,7 @@ def _carried(tool: Array, start: Array, pose: Array) -> Array:
 
 def _twist(robot: RobotModel) -> Array:
     """(3, 3): what the body's frame does when its base has speeds ahead, to the left and about the vertical."""
-    matrix = getattr(robot.base, "twist", np.eye(3))
+    matrix = robot.base.twist
     return np.asarray(matrix if matrix.shape[1] == 3 else np.column_stack([matrix[:, 0], np.zeros(3), matrix[:, -1]]))
 
 

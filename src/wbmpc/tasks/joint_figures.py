@@ -22,7 +22,7 @@ class JointRecord:
 
     def __init__(self, log: Log, robot: RobotModel, system: System) -> None:
         self._log, self._robot, self._mpc = log, robot, system.mpc
-        self._data = system.plant.data if getattr(system.plant, "has_physics", True) else None
+        self._data = system.plant.data if system.plant.has_physics else None
         own, layout = robot.state, system.mpc.dynamics.state
         self._own = np.concatenate([np.arange(layout.size)[layout[group]] for group in own.groups])
         joints = set(robot.description.joints())

@@ -142,7 +142,7 @@ class SceneWatch:
             "obstacle_clearance_min": Metric(around.least, "m", least=self._margin - TOLERATED),
             "obstacle_contacts": Metric(float(around.contacts), "1", goal=0.0),
             "contact_speed_max": Metric(around.contact_speed, "m/s"),
-            **(caused if getattr(self._system.plant, "has_physics", True) else {}),
+            **(caused if self._system.plant.has_physics else {}),
             "stuck_time": Metric(self._stuck, "s"),
             "braking_plans": Metric(float(self._system.mpc.statistics.braking_plans), "1"),
             **(self._perception.metrics() if self._perception else {}),

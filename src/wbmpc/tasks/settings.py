@@ -48,7 +48,7 @@ class TaskSettings(SimulationSettings):
     """``robot``: a name (see 'wbmpc list') or a file; ``mpc``: what differs from the robot's default problem;
     ``weights``: factors of costs by name, as the sliders of a view set them; ``avoid``:
     "nothing" for plans that know of no obstacles, to compare with; ``stability``: what keeps a robot from tipping over that stops fast
-    with a load."""
+    with a load. The others (``physics``, ``plant``, ``computation_delay``, ``settle_time``, ``obstacles``): :class:`SimulationSettings`."""
 
     robot: str = "differential-ur10"
     mpc: TaskMpcSettings = TaskMpcSettings()

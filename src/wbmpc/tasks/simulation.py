@@ -35,7 +35,8 @@ def simulate(
     since: float = 0.0,
     **settings: Any,
 ) -> RunResult:
-    """Run ``mpc``, with its costs, constraints and references, on a simulated ``robot`` for ``duration`` [s].
+    """Run ``mpc``, with its costs, constraints and references, on a simulated ``robot`` for ``duration`` [s]. ``seed``: of all that
+    is random; ``name``: what files and the view call the run.
 
     In MuJoCo by default: plant perturbed against the model, noisy sensors, drives with lag, delay. ``settings`` are those of
     :class:`wbmpc.tasks.settings.SimulationSettings`: ``physics="kinematic"`` for the model itself, ``plant={"mass": 0}``,

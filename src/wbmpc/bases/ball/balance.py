@@ -122,7 +122,7 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
 
 
 def _support(effect: Array, limits: Array, spin: Array, maximum: float) -> float:
-    """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ most."""
+    """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ maximum."""
     from scipy.optimize import linprog
 
     rows, bounds = (None, None) if not np.isfinite(maximum) else (np.vstack([spin, -spin]), [maximum, maximum])

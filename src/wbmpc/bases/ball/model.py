@@ -73,6 +73,7 @@ class BallBase:
         self.mode_bounds: dict[str, tuple[float, float]] = {}
         self.brakes: dict[str, str] = {}
         self.footprint: Footprint | None = None
+        self.twist = np.eye(3)
         self.wheels, self.balances = 0, True
         self.ground, self.body_height = self.base.ground, self.radius
 

@@ -34,6 +34,7 @@ class FixedBase:
         self.mode_bounds: dict[str, tuple[float, float]] = {}
         self.brakes: dict[str, str] = {}
         self.footprint: Footprint | None = None
+        self.twist: NDArray[np.float64] = np.eye(3)
         self.wheels, self.balances = 0, False
         self.ground, self.body_height = 0.0, float(position[2])
 

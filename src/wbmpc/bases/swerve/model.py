@@ -182,6 +182,7 @@ class SwerveBase:
         self.mode_bounds = {group: (0.0, 1.0) for group in self.mode}
         self.brakes = dict.fromkeys(self.mode, "leg")
         self.footprint: Footprint | None = ModuleFootprint(self)
+        self.twist = np.eye(3)
         self.wheels = self.geometry.modules
         self.ground, self.balances = 0.0, False
         self.parameters: dict[str, list[str]] = {"drift": ["vx", "vy", "wz"]}
