@@ -138,7 +138,7 @@ class RobotDescription(Section):
     torso: tuple[str, ...] = ()
     packages: dict[str, Path] = Field(default={})
     xacro_arguments: dict[str, str] = Field(default={})
-fixed_joints: dict[str, _Place] = Field(default={})
+    fixed_joints: dict[str, _Place] = Field(default={})
     couple: dict[str, Coupled] = Field(default={})
     home: dict[str, _Place] = Field(default={})
     limits: LimitsDescription = LimitsDescription()

@@ -64,10 +64,10 @@ class RealTimeRunner:
     """``robot`` and ``controller`` run in the control thread; ``mpc`` in a thread, or in a process if it is a function that makes
     one (importable, for it runs there; then ``sizes`` are needed, ``Sizes.of(ocp)``).
 
-    ``parameters``: model parameters (as of the solver) that the controller estimates, sent with every observation. The controller must not use the solver's memory of ``mpc``: it gets an MPC of its own.
-    ``setup`` is called in that process first. ``watch(t, late, plans)`` is called in the control thread after each command, with the
-    tick's time and by how much it began late [s]; it must
-    not wait, and is dropped when it fails. ``state`` says in a message what the runner does, or why it stopped; ``error`` is the
+    ``parameters``: model parameters (as of the solver) that the controller estimates, sent with every observation. The controller must not
+    use the solver's memory of ``mpc``: it gets an MPC of its own. ``setup`` is called in that process first. ``watch(t, late, plans)``
+    is called in the control thread after each command, with the tick's time and by how much it began late [s]; it must not wait, and is
+    dropped when it fails. ``state`` says in a message what the runner does, or why it stopped; ``error`` is the
     exception behind it. In virtual time use :meth:`run`.
 
     ``settings`` and ``clock`` (None: defaults, the wall clock). To read: ``plans``: policies in force and on their way; ``punctuality`` of

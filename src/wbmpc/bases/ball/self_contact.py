@@ -25,5 +25,5 @@ class SelfContact:
         """Whether a pair that touches, or nearly so, at a ``state`` (nx) would come nearer if arm ``joint`` turned by ``turn`` [rad]."""
         turned = state.copy()
         turned[self._arm + joint] += turn
-        now, then = self._rows.measure(np.array([state, turned])).distance
+        now, then = self._rows.measure(np.array([state, turned]))
         return bool(((then < now) & (now < TOUCHES)).any())
