@@ -1,6 +1,6 @@
-"""Pictures for the documents, drawn by MuJoCo: both papers' robots at work (states of real runs), all built-in robots at home.
+"""Pictures for the documents, drawn by MuJoCo: the ball robot at work (a state of a real run), all built-in robots at home.
 
-Needs the extra ``video``. Usage: python scripts/pictures.py [swerve | rezero | robots]...
+Needs the extra ``video``. Usage: python scripts/pictures.py [rezero | robots]...
 """
 
 from __future__ import annotations
@@ -12,14 +12,11 @@ import numpy as np
 from PIL import Image
 
 from wbmpc.bases.ball.plant import BallPlant
-from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.film import SceneModel
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.render import Camera, Renderer
 from wbmpc.studies.minniti2019 import steps as rezero_steps
-from wbmpc.studies.pankert2022 import track as swerve_track
-from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 from wbmpc.view.realtime import scene_of
 from wbmpc.view.render import overview
 
@@ -41,22 +38,10 @@ def save(name: str, picture: np.ndarray) -> None:
     small.quantize(256).save(IMAGES / name, optimize=True)
 
 
-def draw(plant: SwervePlant | BallPlant, camera: Camera, line: np.ndarray) -> np.ndarray:
+def draw(plant: BallPlant, camera: Camera, line: np.ndarray) -> np.ndarray:
     """The plant with the way that its end effector is asked to go."""
     with Renderer(plant, SIZE[0] * FINER, SIZE[1] * FINER) as renderer:
         return renderer.frame(camera, line)
-
-
-def swerve() -> None:
-    """The swerve robot on its way along the sine, in the second period."""
-    result = swerve_track.EXPERIMENT.run(SwerveTrackSettings(periods=2, settle_time=2.0), 0)
-    robot, log = load_robot("swerve-ur10"), result.log
-    k = int(0.62 * len(log.times("base")))
-    parts = {g: log.array(g)[k] for g in ("base", "steer", "arm")}
-    state = robot.state.split(robot.home) | parts
-    plant = SwervePlant(robot.description, state, Perturbation.none())
-    camera = Camera(target=(0.25, 0.3, 0.38), distance=4.6, azimuth=2.35, elevation=-0.36, field=0.5)
-    save("swerve.png", draw(plant, camera, log.array("hand_reference")[::4]))
 
 
 def rezero() -> None:
@@ -96,7 +81,7 @@ def at_home(name: str) -> Image.Image:
     return Image.fromarray(picture).resize((TILE, TILE), Image.Resampling.LANCZOS)
 
 
-PICTURES = {"swerve": swerve, "rezero": rezero, "robots": robots}
+PICTURES = {"rezero": rezero, "robots": robots}
 
 if __name__ == "__main__":
     for chosen in sys.argv[1:] or PICTURES:
