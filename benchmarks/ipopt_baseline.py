@@ -1,4 +1,4 @@
-"""The discretised problem of a solver for IPOPT, with the L1 slacks of hard state rows as unknowns of its own."""
+"""The discretized problem of a solver for IPOPT, with the L1 slacks of hard state rows as unknowns of its own."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ PANELS = (
 )
 #: What is drawn for less than this on a logarithmic axis [unit of the axis].
 MINIMUM = 1e-3
-COLOURS = ("#1f5fa8", "#4aa3c7", "#8a5fbf", "#d1495b", "#2a9d6f")
+COLORS = ("#1f5fa8", "#4aa3c7", "#8a5fbf", "#d1495b", "#2a9d6f")
 SIZE = (1200, 1500)
 
 
@@ -29,7 +29,7 @@ def _points(found: Runs, figure: str, factor: float, variant: int, log: bool) ->
         if variant >= len(names):
             continue
         values = np.array([run[figure] for run in by[names[variant]]]) * factor
-        width = 0.8 / len(COLOURS)
+        width = 0.8 / len(COLORS)
         x.append(k - 0.4 + width * (variant + np.linspace(0.15, 0.85, values.size)))
         y.append(np.maximum(values, MINIMUM) if log else values)
     return np.concatenate(x), np.concatenate(y)
@@ -43,7 +43,7 @@ def _html(found: Runs, path: Path) -> None:
     for row, (key, title, factor, goal, log) in enumerate(PANELS, 1):
         for v, variant in enumerate(variants):
             x, y = _points(found, key, factor, v, log)
-            marker = {"size": 5, "color": COLOURS[v % len(COLOURS)]}
+            marker = {"size": 5, "color": COLORS[v % len(COLORS)]}
             shown = row == 1
             figure.add_scatter(
                 x=x,
@@ -76,7 +76,7 @@ def _png(found: Runs, path: Path) -> None:
     for axis, (key, title, factor, goal, log) in zip(axes, PANELS, strict=True):
         for v, variant in enumerate(variants):
             x, y = _points(found, key, factor, v, log)
-            axis.plot(x, y, ".", color=COLOURS[v % len(COLOURS)], label=variant, markersize=5)
+            axis.plot(x, y, ".", color=COLORS[v % len(COLORS)], label=variant, markersize=5)
         if goal is not None:
             axis.axhline(goal, color="0.3", linestyle="--", linewidth=1)
         if log:

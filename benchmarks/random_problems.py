@@ -4,7 +4,7 @@ Usage: python benchmarks/random_problems.py [--kind random|structured] [--seeds 
 
 Every seed draws a system (one to six states, one to four inputs, sines and products), a grid of 1 to 100 intervals, costs, and
 some of: hard bounds and rows, discs, obstacles, multiplier rows, barriers, equalities of every kind, switched modes; starts inside
-and outside. Guesses are the start held. IPOPT gets the same discretised problem (``ipopt_baseline.py``) and is started where ours
+and outside. Guesses are the start held. IPOPT gets the same discretized problem (``ipopt_baseline.py``) and is started where ours
 ended (is that an optimum?) and from our guess (which optimum, or none?).
 """
 

@@ -19,7 +19,7 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-from wbmpc.reproduce import finished, summarise
+from wbmpc.reproduce import finished, summarize
 
 ROOT = Path(__file__).parents[1]
 MARK = re.compile(r"(<!--= (?P<what>[^>]*?) -->)(?P<text>.*?)(<!--/-->)")
@@ -33,7 +33,7 @@ def of_sites(sites: list[Path]) -> dict[str, dict[str, dict[str, Any]]]:
     """By experiment and metric: median, worst, and the values of all runs."""
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for site in sites:
-        for name, entry in summarise(finished(site)).items():
+        for name, entry in summarize(finished(site)).items():
             runs = [run["metrics"] for run in entry["runs"].values()]
             values = {m: [r[m]["value"] for r in runs if m in r] for m in entry["metrics"]}
             found[name] = {m: {**figures, "values": values[m]} for m, figures in entry["metrics"].items()}

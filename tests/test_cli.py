@@ -180,7 +180,7 @@ def test_figures_of_a_run_that_the_user_ended_are_not_judged(capsys: pytest.Capt
         result = RunResult("x", 1, False, "ended at 3 s", figures, None, Log(), interrupted=interrupted)
         _table([result])
         out = " ".join(
-            (capsys.readouterr().out + page(result).split("<body>")[1].split("What is idealised")[0]).split()
+            (capsys.readouterr().out + page(result).split("<body>")[1].split("What is idealized")[0]).split()
         )
         assert ("missed" in out) is not interrupted and ("inf" in out) is not interrupted
         assert ("not measured" in out) is interrupted and ("of all steps" in out) is not interrupted

@@ -210,7 +210,7 @@ def test_a_run_that_ended_early_is_compared_and_said_to_be(capsys: pytest.Captur
     assert notes[1].endswith("b did not complete: the solver gave up at 0.10 s")
 
 
-def test_curves_have_names_and_the_runs_the_same_colours() -> None:
+def test_curves_have_names_and_the_runs_the_same_colors() -> None:
     rng = np.random.default_rng(1)
     log = {}
     for channel, width in (("tour.base_odometry", 3), ("hand", 3), ("leg", 4), ("other", 2)):
@@ -222,7 +222,7 @@ def test_curves_have_names_and_the_runs_the_same_colours() -> None:
     assert names["leg"] == [f"a {wheel}" for wheel in ("LF", "RF", "LB", "RB")] and names["other"] == ["a [0]", "a [1]"]
     for series in plots.values():
         half = len(series) // 2
-        assert [s.colour for s in series[:half]] == [s.colour for s in series[half:]] == list(range(half))
+        assert [s.color for s in series[:half]] == [s.color for s in series[half:]] == list(range(half))
         assert all(s.dashed for s in series[half:])
     assert wheels({"settings": {"robot": "nowhere.yaml"}}) == wheels({}) == ()
 

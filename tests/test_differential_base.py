@@ -1,4 +1,4 @@
-"""The base type ``differential``. Truth: MuJoCo's kinematics and rolling tyres, and the textbook's v = r (ωr + ωl) / 2."""
+"""The base type ``differential``. Truth: MuJoCo's kinematics and rolling tires, and the textbook's v = r (ωr + ωl) / 2."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_wheel_matrix_is_the_textbooks():
         assert ROBOT.base.rates @ [v, w] == pytest.approx(wheel_rates(v, w))
 
 
-def test_tyres_drive_a_square_in_the_world():
+def test_tires_drive_a_square_in_the_world():
     plant = ideal_plant(ROBOT)
     for _ in range(4):
         moved = drive(plant, wheel_rates(0.25, 0.0), 2.0)

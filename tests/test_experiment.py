@@ -89,7 +89,7 @@ def test_a_result_holds_what_was_measured_drawn_and_assumed() -> None:
     found = result(scenario(("a", Outcome(mpc=planner()), False), ("b", Outcome(), False)))
     assert (found.experiment, found.seed, found.completed, found.settings) == ("fake", 7, True, {"weight": 2.0})
     assert found.metrics["parts"].value == 2.0 and found.plots[0].title == "drawn" and found.mpc.solves == 10
-    assert found.idealisations == ["nothing is real"] and found.log.channels == ["a", "b"]
+    assert found.idealizations == ["nothing is real"] and found.log.channels == ["a", "b"]
 
 
 def test_solves_are_those_of_the_last_part_that_has_some_and_too_many_that_fail_end_a_run() -> None:

@@ -39,7 +39,7 @@ def test_the_doctor_finds_no_error_and_files_name_their_source(name: str) -> Non
     result = examine_robot(name)
     assert result.count("error") == 0, result.findings
     text = load_robot(name).description.model.read_text()
-    assert "licence" in text and "mesh" not in text
+    assert "license" in text and "mesh" not in text
 
 
 @pytest.mark.parametrize("name", some(gallery.OWN, [3]))

@@ -19,7 +19,7 @@ from wbmpc.settings import MpcSettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, Solver, Status
 
-#: Quantised encoders (2^14 per turn) and N(0, 5 mrad) on every steering message, on top of the usual perturbations.
+#: Quantized encoders (2^14 per turn) and N(0, 5 mrad) on every steering message, on top of the usual perturbations.
 NOISY = Perturbation(steer_noise=0.005)
 
 

@@ -275,7 +275,7 @@ def test_an_mpc_moves_the_rail_to_a_goal_that_the_arm_does_not_reach(gantry: Pat
         fastest = max(fastest, abs(u[0]))
         x = x + 0.05 * u
     np.testing.assert_allclose(mujoco_tip(x), goal, atol=2e-3)
-    assert 0.39 < fastest <= 0.4 + 1e-6  # a metre at 0.4 m/s
+    assert 0.39 < fastest <= 0.4 + 1e-6  # a meter at 0.4 m/s
 
 
 @pytest.mark.parametrize(

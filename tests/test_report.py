@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 import wbmpc as wb
 from fake_experiment import FakeSettings, run
 from wbmpc.log import Log
-from wbmpc.plots.figures import MAX_POINTS, _colours, _legend_rows, _thin, hint, plotly_figure
+from wbmpc.plots.figures import MAX_POINTS, _colors, _legend_rows, _thin, hint, plotly_figure
 from wbmpc.report import goal_text, page, plots_page, to_json, versions, write_run
 from wbmpc.report.run_page import solve_lines
 from wbmpc.result import Metric, MpcStatistics, Plot, Series
@@ -57,7 +57,7 @@ def test_files_of_a_run(tmp_path: Path) -> None:
     } <= set(data)
     assert data["metrics"]["path_length"] == {"value": 20.53, "unit": "m"}
     assert data["settings"] == result.settings
-    assert data["idealisations"] == result.idealisations
+    assert data["idealisations"] == result.idealizations
     assert {"wbmpc", "mujoco", "casadi", "numpy", "llvmlite", "python", "cpu"} <= set(data["versions"])
     with np.load(files["log"]) as log:
         np.testing.assert_array_equal(log["hand"], result.log.array("hand"))
@@ -140,7 +140,7 @@ def test_page_of_a_fall_says_so() -> None:
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 @pytest.mark.parametrize("width", [1200, 500])
 def test_plots_stay_within_their_cards(tmp_path: Path, width: int) -> None:
-    """Measured by a browser; the first plot is a narrow one, which is drawn before its neighbour is there."""
+    """Measured by a browser; the first plot is a narrow one, which is drawn before its neighbor is there."""
     result = run(FakeSettings(), 3)
     result.plots = [result.plots[i] for i in (1, 2, 0)]
     measure = (
@@ -233,17 +233,17 @@ def test_goals_as_text() -> None:
     assert texts == ["", "≤ 20", "≥ 5", "0 to 20"]
 
 
-def test_a_signal_and_its_reference_share_a_colour_and_a_meaning_keeps_its_own() -> None:
-    line = lambda name, colour=None: Series(name, np.zeros(2), np.zeros(2), colour=colour)
-    x, x_reference, y, y_planned = _colours([line("x"), line("x, reference"), line("y"), line("y, planned")])
+def test_a_signal_and_its_reference_share_a_color_and_a_meaning_keeps_its_own() -> None:
+    line = lambda name, color=None: Series(name, np.zeros(2), np.zeros(2), color=color)
+    x, x_reference, y, y_planned = _colors([line("x"), line("x, reference"), line("y"), line("y, planned")])
     assert x == x_reference != y == y_planned
     path, error = (
-        _colours([line("reference"), line("estimated frame"), line("world")]),
-        _colours([line("world"), line("estimated frame")]),
+        _colors([line("reference"), line("estimated frame"), line("world")]),
+        _colors([line("world"), line("estimated frame")]),
     )
     assert path[1:] == error[::-1] and len(set(path)) == 3
-    assert len(set(_colours([line("world"), *(line(f"joint {i}") for i in range(5))]))) == 6
-    assert _colours([line("a", 2), line("b", 2)])[0] == _colours([line("c", 2)])[0]
+    assert len(set(_colors([line("world"), *(line(f"joint {i}") for i in range(5))]))) == 6
+    assert _colors([line("a", 2), line("b", 2)])[0] == _colors([line("c", 2)])[0]
 
 
 def test_the_page_names_command_and_duration(tmp_path: Path) -> None:
@@ -312,7 +312,7 @@ def joint(name: str, values: list[float], limits: tuple[float, float] | None, da
     return Series(name, np.arange(float(len(values))), np.array(values), dashed, limits=limits)
 
 
-def test_limits_are_drawn_in_the_colour_of_their_line_and_shared_ones_once() -> None:
+def test_limits_are_drawn_in_the_color_of_their_line_and_shared_ones_once() -> None:
     """Truth: a limit is a level line over all times at its own height; an infinite one is none."""
     plot = Plot("t", "time [s]", "angle [rad]", [
         joint("a", [0.0, 1.0, 0.5], (-1.5, 2.0)), joint("a, planned", [0.1, 0.9, 0.4], None, True), joint("b", [0.2, 0.1, 0.0], (-np.inf, 2.0)),

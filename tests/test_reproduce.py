@@ -20,7 +20,7 @@ from wbmpc import reproduce
 from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.report import write_run
-from wbmpc.reproduce import Job, parse_seeds, plan, run_all, summarise, write_site
+from wbmpc.reproduce import Job, parse_seeds, plan, run_all, summarize, write_site
 
 HERE = Path(__file__).parent
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(HERE.parent / "src")}
@@ -106,7 +106,7 @@ def test_ctrl_c_ends_what_goes_on(tmp_path: Path) -> None:
 
 def test_medians_are_judged(site) -> None:  # type: ignore[no-untyped-def]
     out, jobs, _, _ = site
-    metrics = summarise(jobs)["fake"]["metrics"]
+    metrics = summarize(jobs)["fake"]["metrics"]
     files = [json.loads((out / "fake" / f"seed{s}" / "metrics.json").read_text())["metrics"] for s in (0, 3, 4, 5)]
     values = [f["hand_error_mean_odometry"]["value"] for f in files]
     m = metrics["hand_error_mean_odometry"]
@@ -154,7 +154,7 @@ def test_goals_are_ranges_and_least_values_too(tmp_path: Path) -> None:
         run = {"completed": True, "metrics": metrics, "targets": targets, "idealisations": [], "settings": {}}
         (job.directory / "metrics.json").write_text(json.dumps(run))
         job.mark.touch()
-    met = {name: m["met"] for name, m in summarise(jobs)["fake"]["metrics"].items()}
+    met = {name: m["met"] for name, m in summarize(jobs)["fake"]["metrics"].items()}
     assert met == {"ratio": True, "torque": False, "low": False}  # medians 11, 211 and 4
     page = write_site(jobs, {}, tmp_path, clips=False).read_text()
     assert "≥ 10" in page and "195 to 206" in page and "1 of 3 goals pass; short: fake: torque, fake: low." in page

@@ -67,7 +67,7 @@ def test_wheels_turned_by_hand_are_aligned_first() -> None:
 
 @pytest.mark.parametrize("seed", [3])
 def test_a_wheel_turned_by_hand_before_a_start_with_the_wrong_plan(seed: int) -> None:
-    """Three wheels agree, one is across: the nearest common centre is found and the drive starts from it."""
+    """Three wheels agree, one is across: the nearest common center is found and the drive starts from it."""
     motion = Motion((0.0, 0.2, 0.0), 3.0, start=2.0)
     steer = -np.array([1.0, -1.0, -1.0, 1.0]) * np.pi / 4 + np.array([0.0, 0.0, 1.4, 0.0])
     result = drive(motion, steer=steer, perturbation=Perturbation(), seed=seed)

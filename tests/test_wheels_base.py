@@ -1,4 +1,4 @@
-"""The base type ``wheels``. Truth: MuJoCo's velocities of the wheels' bodies, rolling tyres, the geometry of files written here."""
+"""The base type ``wheels``. Truth: MuJoCo's velocities of the wheels' bodies, rolling tires, the geometry of files written here."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ def write(folder: Path, wheels: list[Wheel], axis: str = "0 0", **base: Any) -> 
     bodies, records, speeds = "", [], {"pan": 2.0, "lift": 2.0}
     for i, ((x, y), sign, (ox, oy), keys) in enumerate(wheels):
         inertial = '<inertial pos="0 0 0" mass="1" diaginertia="0.003 0.003 0.003"/>'
-        tyre = f'<joint name="w{i}" axis="0 1 0"/><geom type="cylinder" size="{RADIUS} 0.02" euler="{np.pi / 2} 0 0"/>'
+        tire = f'<joint name="w{i}" axis="0 1 0"/><geom type="cylinder" size="{RADIUS} 0.02" euler="{np.pi / 2} 0 0"/>'
         at = f"{x} {y} {RADIUS - HEIGHT}"
         if sign:
             steer = f'<joint name="s{i}" axis="{axis} {sign}"/>'
-            bodies += f'<body name="fork{i}" pos="{at}">{inertial}{steer}<body name="disc{i}" pos="{ox} {oy} 0">{inertial}{tyre}</body></body>'
+            bodies += f'<body name="fork{i}" pos="{at}">{inertial}{steer}<body name="disc{i}" pos="{ox} {oy} 0">{inertial}{tire}</body></body>'
         else:
-            bodies += f'<body name="disc{i}" pos="{at}">{inertial}{tyre}</body>'
+            bodies += f'<body name="disc{i}" pos="{at}">{inertial}{tire}</body>'
         speeds |= {f"w{i}": 12.0, **({f"s{i}": 5.0} if sign else {})}
         records.append({"joint": f"w{i}", **({"steer": f"s{i}"} if sign else {}), **keys})
     (folder / "robot.xml").write_text(f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
@@ -130,8 +130,8 @@ def test_odometry_finds_the_way_that_wheels_rolled(kind: str, tmp_path: Path) ->
     assert np.linalg.eigvalsh(odometry.covariance).min() > 0.0
 
 
-def test_steered_tyres_roll_in_the_plan(tmp_path: Path) -> None:
-    """In the closed loop without physics: the tip follows a line aside, and no tyre slips."""
+def test_steered_tires_roll_in_the_plan(tmp_path: Path) -> None:
+    """In the closed loop without physics: the tip follows a line aside, and no tire slips."""
     settings = PathTaskSettings.model_validate(
         {"robot": str(write(tmp_path, CASTERS)), "physics": "kinematic", "settle_time": 0.2,
          "path": {"kind": "line", "length": 0.3, "direction": 0.1, "ramp": 1.0}}

@@ -77,7 +77,7 @@ def build(settings: Settings, seed: int) -> wb.Scenario:
         loop.run,
         metrics=lambda run: {"moved": wb.Metric(float(moved().max()), "m", goal=0.01)},
         plots=lambda run: [wb.Plot("hand", "s", "m", [wb.Series("moved", log.times("hand"), moved())])],
-        idealisations=["none"],
+        idealizations=["none"],
     )
 
 

@@ -193,7 +193,7 @@ static void call_jacobian(const double *xs, const double *us, int k, double *f, 
     scatter_dynamics_jacobian_1(buffer, j);
 }
 
-static double linearise(int k, double *violation) {
+static double linearize(int k, double *violation) {
     double h = grid[k + 1] - grid[k], f1[NX], f2[NX], middle[NX], cost;
     call_jacobian(x[k], u[k], k, f1, jacobian1[0]);
     for (int i = 0; i < NX; i++) middle[i] = x[k][i] + 0.5 * h * f1[i];
@@ -240,7 +240,7 @@ static double backward(double *violation) {
     add_barrier(end_boxes, NBE, x[N], 0, 1.0, value[0], LX);
     for (int i = 0; i < NX; i++) gradient[N][i] = value[NX][i];
     for (int k = N - 1; k >= 0; k--) {
-        cost += linearise(k, violation);
+        cost += linearize(k, violation);
         riccati(ab[k][0], hessian[0], rows, gains[k][0]);
     }
     return cost;

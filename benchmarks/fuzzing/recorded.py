@@ -114,7 +114,7 @@ def scenes(rng: random.Random, folder: Path) -> Case:
     scene: dict[str, Any] = {
         "robot": "b", "bodies": [{"name": "b", "parent": "world", "moves": True}],
         "shapes": [{"body": "b", "kind": "box", "size": [1.0, 1.0, 1.0], "pose": [0.0, 0, 0, 1, 0, 0, 0],
-                    "colour": [1.0, 1, 1, 1], "vertices": [], "faces": []}],
+                    "color": [1.0, 1, 1, 1], "vertices": [], "faces": []}],
     }  # fmt: skip
     kind, expected = rng.choice(("as it is", "missing", "other", "deep", "text")), INVALID
     text: str | None = None

@@ -16,7 +16,7 @@ from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.ir import LANES
 from wbmpc.solver.workspace import aligned
 from whole_race import loops
-from whole_race.lq import eliminate, linearise, pack, substitute
+from whole_race.lq import eliminate, linearize, pack, substitute
 
 _FREE = {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN, ca.OP_NEG}
 _CALLS = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_ATAN2, ca.OP_ACOS, ca.OP_ASIN, ca.OP_ATAN, ca.OP_EXP, ca.OP_LOG}
@@ -29,7 +29,7 @@ def operations(function: ca.Function) -> tuple[int, int]:
 
 
 def riccati_operations(s: Sizes) -> int:
-    """Operations of one Riccati step, without the padding: products, factorisations, substitutions."""
+    """Operations of one Riccati step, without the padding: products, factorizations, substitutions."""
     x, z, u, g = s.nx + 1, s.nz, s.nu, s.ng
     cholesky = sum((2 * (u - 1 - j) + 1) * (s.first + j + 1) for j in range(u))
     total = 2 * z * x * x + 2 * x * x * x + 2 * z * u * x + 2 * x * x * u + cholesky + u * u * x
@@ -115,7 +115,7 @@ def profile(problem: Problem, repeat: int = 100) -> dict[str, Any]:
     single = single_iteration(solver, solution.x, solution.u)
     whole = float(milliseconds(lambda: single.run(problem.x0), repeat).min())
     stage = _stage_times(problem, solution.x, solution.u, program, repeat)
-    packed = pack(solver.kernel, linearise(program, solution.x, solution.u, problem.x0), solver.problem.softness)
+    packed = pack(solver.kernel, linearize(program, solution.x, solution.u, problem.x0), solver.problem.softness)
     slopes = 4 if program.stages.rk4 else 2
     short = {n: packed._replace(sizes=np.array([n, *packed.sizes[1:]], dtype=np.int64)) for n in (0, program.n)}
     times = {

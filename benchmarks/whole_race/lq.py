@@ -18,7 +18,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class LQProblem:
-    """minimise Σ ½ δzᵀ H δz + gᵀ δz, δx⁺ = AB δz + b, CD δz + e = 0, δx_0 given; z = (x, u).
+    """minimize Σ ½ δzᵀ H δz + gᵀ δz, δx⁺ = AB δz + b, CD δz + e = 0, δx_0 given; z = (x, u).
 
     ``ab`` (N, nx, nz), ``b`` (N, nx), ``h`` (N, nz, nz), ``g`` (N, nz), ``cd`` (N, ng, nz), ``e`` (N, ng), terminal
     ``h_end`` (nx, nx), ``g_end`` (nx,), ``dx0`` (nx,).
@@ -35,7 +35,7 @@ class LQProblem:
     dx0: Array
 
 
-def linearise(program: Program, x: Array, u: Array, x0: Array) -> LQProblem:
+def linearize(program: Program, x: Array, u: Array, x0: Array) -> LQProblem:
     """The quadratic problem at the trajectory x (N + 1, nx), u (N, nu)."""
     s, stages, nx = program.samples, program.stages, program.nx
     if program.t.path.rows or program.t.end.rows:

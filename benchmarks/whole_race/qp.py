@@ -13,7 +13,7 @@ from wbmpc.benchmark.child import within
 from wbmpc.benchmark.ours import milliseconds
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
-from whole_race.lq import LQProblem, Packed, eliminate, linearise, our_step, pack, substitute
+from whole_race.lq import LQProblem, Packed, eliminate, linearize, our_step, pack, substitute
 
 #: A step is right when it differs from ours by no more than this.
 RIGHT = 1e-6
@@ -26,7 +26,7 @@ PEERS = ("hpipm", "osqp")
 
 
 def matrices(lq: LQProblem) -> tuple[sparse.csc_matrix, np.ndarray, sparse.csc_matrix, np.ndarray]:
-    """H, g, A, c of minimise ½ zᵀ H z + gᵀ z, A z = c; z = (u_0, x_1, u_1, …, x_N), rows [gap; equality] per stage.
+    """H, g, A, c of minimize ½ zᵀ H z + gᵀ z, A z = c; z = (u_0, x_1, u_1, …, x_N), rows [gap; equality] per stage.
 
     The start is known, so it is no unknown: HPIPM would take it as a constraint for its interior point. The gap is
     A δx + B δu − δx⁺ = −b, the sign that CasADi's interface to HPIPM asks for.
@@ -94,12 +94,12 @@ def step_problem(problem: Problem) -> tuple[LQProblem, Packed]:
     solver, program = problem.solver, Program(problem.solver)
     assert solver.kernel is not None
     x, u = np.tile(problem.x0, (program.n + 1, 1)), np.tile(problem.u0, (program.n, 1))
-    lq = linearise(program, x, u, problem.x0)
+    lq = linearize(program, x, u, problem.x0)
     return lq, pack(solver.kernel, lq, solver.problem.softness)
 
 
 def quadratic_race(problem: Problem, repeat: int = 20, seconds: float = 30.0) -> list[dict[str, Any]]:
-    """Rows with milliseconds of one step, without linearisation, and the largest difference from our step.
+    """Rows with milliseconds of one step, without linearization, and the largest difference from our step.
 
     ``step_ms`` is the solver's own time where CasADi measures it, else that of the whole call.
     """

@@ -15,7 +15,7 @@ def _quadratic(rows: list[dict[str, Any]]) -> Table:
     ending = lambda r: r.get("error") or ("yes" if r["success"] else "no")
     cells = [[r["problem"], r["solver"], r.get("step_ms"), r.get("difference"), ending(r)] for r in rows]
     columns = ("problem", "solver", "ms", "difference", "right to 1e-6")
-    return table_of("The quadratic problem of one step, without linearisation", columns, cells)
+    return table_of("The quadratic problem of one step, without linearization", columns, cells)
 
 
 def _floor(profiles: list[dict[str, Any]]) -> Table:

@@ -20,7 +20,7 @@ from wbmpc.kernel import Kernel
 from wbmpc.kernel.cache import trusted_file
 from wbmpc.kernel.compiled import RELATIVE_SOFTNESS, output_maps
 from wbmpc.ocp import Transcription
-from whole_race.lq import LQProblem, eliminate, linearise, pack
+from whole_race.lq import LQProblem, eliminate, linearize, pack
 
 SOURCE = Path(__file__).parents[1] / "c" / "iteration.c"
 FLAGS = (
@@ -157,7 +157,7 @@ def yardstick(problem: Problem, repeat: int = 200, rounds: int = 5) -> dict[str,
     single.run(x0)
     ours = single.trajectory(copy=False)
     difference = max(np.abs(ours.x - after_x).max(), np.abs(ours.u - after_u).max())
-    lq = linearise(Program(solver), solution.x, solution.u, problem.x0)
+    lq = linearize(Program(solver), solution.x, solution.u, problem.x0)
     times = _race(library, single, lq, kernel, t, x0, repeat, rounds)
     return {
         "problem": problem.name,

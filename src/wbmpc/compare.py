@@ -189,8 +189,8 @@ def _components(channel: str, count: int, modules: tuple[str, ...]) -> tuple[str
 def overlay(runs: Sequence[Run], names: list[str], modules: tuple[str, ...] = ()) -> list[Plot]:
     """The channels that all runs have. ``modules``: :func:`wheels`.
 
-    Of two runs each channel is a plot, and the second run has the same colours, dashed; of more runs each component is a plot, and
-    each run has a colour.
+    Of two runs each channel is a plot, and the second run has the same colors, dashed; of more runs each component is a plot, and
+    each run has a color.
     """
     logs = [run.log for run in runs]
     channels = [c for c in logs[0] if all({c, f"{c}.time"} <= log.keys() for log in logs)]
@@ -202,7 +202,7 @@ def overlay(runs: Sequence[Run], names: list[str], modules: tuple[str, ...] = ()
             title,
             "time [s]",
             _label(title, channel),
-            [replace(s, name=n, dashed=False, colour=k) for k, (s, n) in enumerate(group)],
+            [replace(s, name=n, dashed=False, color=k) for k, (s, n) in enumerate(group)],
         )
         for channel, by_run in lines.items()
         for title, group in _by_component(channel, by_run, len(runs))
@@ -267,5 +267,5 @@ def _lines(channel: str, runs: Sequence[Run], names: list[str], modules: tuple[s
         parts = run.labels.get(channel) or _components(channel, len(rows), modules)
         for i, row in enumerate(rows[:MAX_LINES]):
             label = f"{name} {parts[i]}" if len(rows) > 1 else name
-            lines.append((Series(label, log[f"{channel}.time"], row, dashed=k == 1, colour=i), name))
+            lines.append((Series(label, log[f"{channel}.time"], row, dashed=k == 1, color=i), name))
     return lines

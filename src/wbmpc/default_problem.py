@@ -29,7 +29,7 @@ from wbmpc.ocp.symbols import Residual
 from wbmpc.settings import MpcSettings, Settings, StabilitySettings, Weight
 
 Array = NDArray[np.float64]
-#: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a metre from where it should be.
+#: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a meter from where it should be.
 CLEARANCE_SLACK = 3e4
 #: Of the accelerations, what plans use: wheels of a base are limited together, and feedback needs some.
 ACCELERATION_SHARE = 0.6

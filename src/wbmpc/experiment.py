@@ -7,7 +7,7 @@ An experiment is data and a few lines. Its settings and a seed make a :class:`Sc
         ...
         log = Log()
         loop = Loop(plant, controller, mpc, timing, duration, record)
-        return Scenario.single(log, loop.run, metrics, plots, IDEALISATIONS)
+        return Scenario.single(log, loop.run, metrics, plots, IDEALIZATIONS)
 
     EXPERIMENT = Experiment.of("my-task", "what it shows", MySettings, build)
 """
@@ -150,7 +150,7 @@ class Run:
 class Scenario:
     """What an experiment's settings and a seed make: parts that fill ``log``, and what is measured and drawn of it.
 
-    ``idealisations``: what the simulation leaves out, as texts.
+    ``idealizations``: what the simulation leaves out, as texts.
 
     ``metrics`` and ``plots`` are asked once, after all parts, and only if something was recorded. ``compared``: the parts do the
     same task in different ways, and all of them are run; without it they follow each other, and the first failure is the end.
@@ -160,7 +160,7 @@ class Scenario:
     parts: Sequence[Part]
     metrics: Callable[[Run], dict[str, Metric]]
     plots: Callable[[Run], Sequence[Plot | Drawing]]
-    idealisations: Sequence[str]
+    idealizations: Sequence[str]
     compared: bool = False
 
     @classmethod
@@ -170,10 +170,10 @@ class Scenario:
         run: Callable[[Progress | None], Outcome],
         metrics: Callable[[Run], dict[str, Metric]],
         plots: Callable[[Run], Sequence[Plot | Drawing]],
-        idealisations: Sequence[str],
+        idealizations: Sequence[str],
     ) -> Scenario:
         """One part, which needs no name."""
-        return cls(log, (Part("", run),), metrics, plots, idealisations)
+        return cls(log, (Part("", run),), metrics, plots, idealizations)
 
 
 def run_scenario(
@@ -194,7 +194,7 @@ def run_scenario(
         plots.append(_solve_times(planners[-1]))
     return RunResult(
         name, seed, not reason, reason, defined(name, {**metrics, **_common(run, metrics)}, definitions), statistics, log, plots,
-        list(scenario.idealisations), settings.model_dump(mode="json"), run.ending.interrupted, run.faults, run.failure,
+        list(scenario.idealizations), settings.model_dump(mode="json"), run.ending.interrupted, run.faults, run.failure,
     )  # fmt: skip
 
 

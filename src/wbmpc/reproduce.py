@@ -145,7 +145,7 @@ def _finish(job: Job, code: int) -> str:
 
 
 # ---------------------------------------------------------------------- the site
-def summarise(jobs: list[Job]) -> dict[str, Any]:
+def summarize(jobs: list[Job]) -> dict[str, Any]:
     """By experiment: the runs' files, and over all finished runs median and worst of each metric beside paper and goal."""
     out: dict[str, Any] = {}
     for job in jobs:
@@ -200,7 +200,7 @@ def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool =
 
     ``jobs``: all that it shows (see :func:`jobs_of_site`).
     """
-    found, sections = summarise(jobs), []
+    found, sections = summarize(jobs), []
     names = list(dict.fromkeys(j.name for j in jobs))
     for name in names:
         lost = {j.seed: reason for j, reason in failed.items() if j.name == name}
@@ -265,7 +265,7 @@ def _experiment_page(name: str, entry: dict[str, Any], lost: dict[int, str], cli
 <h2>Redrawn figures</h2><p class="sub">Seed {shown}, at its plots; they can be zoomed.</p>
 <iframe class="card" style="width: 100%; height: 900px" title="plots of seed {shown}" src="seed{shown}/report.html#plots"></iframe>
 <h2>Runs</h2><p class="sub">Each run's page has its plots.</p>{table(["run", ""], runs, set())}
-<h2>What is idealised</h2><ul class="card">{ideal}</ul>
+<h2>What is idealized</h2><ul class="card">{ideal}</ul>
 <h2>Settings</h2><details class="card"><summary>Settings of all runs</summary><pre>{settings}</pre></details>
 {_versions({name: entry})}"""
     return document(name, body, plots=False)

@@ -95,7 +95,7 @@ class MpcStatistics:
 @dataclass
 class RunResult:
     """Everything a run leaves behind, of an ``experiment`` by name with a ``seed``; ``completed``: whether it got to its end; ``metrics`` by name;
-    ``log``: its signals; ``plots`` of its report; ``idealisations``: what the simulation leaves out, as texts; ``settings`` as plain
+    ``log``: its signals; ``plots`` of its report; ``idealizations``: what the simulation leaves out, as texts; ``settings`` as plain
     values; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
     experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages; ``failure``: the
     ``outcome`` of a run that neither completed nor was interrupted; ``command`` repeats the run, and ``wall_time`` [s] is how long it
@@ -109,7 +109,7 @@ class RunResult:
     mpc: MpcStatistics | None
     log: Log
     plots: Sequence[Plot | Drawing] = field(default_factory=list)
-    idealisations: list[str] = field(default_factory=list)
+    idealizations: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False
     faults: list[str] = field(default_factory=list)

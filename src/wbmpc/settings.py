@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wbmpc.configuration import OnlyWith, reject_booleans, reject_unread
-from wbmpc.simulation.localization import Localisation
+from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
 
@@ -37,7 +37,7 @@ class Settings(BaseModel):
 
 class MpcSettings(Settings):
     """``rate`` [Hz]; ``horizon`` [s] with ``intervals``; ``first_interval`` [s] of a geometric grid (0: uniform);
-    ``computation_delay`` [s]: modelled computation time; ``iterations`` per update; ``limits``: by an interior
+    ``computation_delay`` [s]: modeled computation time; ``iterations`` per update; ``limits``: by an interior
     point (hard) or relaxed barriers (soft), both with ``barrier_mu``; ``rollout_restart``: see
     :class:`wbmpc.solver.InteriorPoint`."""
 
@@ -89,9 +89,9 @@ class LidarSettings(Settings):
     position: float = Field(0.005, gt=0, le=100)
     yaw: float = Field(0.002, gt=0, le=3.2)
 
-    def source(self, seed: int) -> Localisation:
+    def source(self, seed: int) -> Localization:
         """The simulated source."""
-        return Localisation(self.rate, self.age, self.position, self.yaw, seed)
+        return Localization(self.rate, self.age, self.position, self.yaw, seed)
 
 
 class ExperimentSettings(Settings):

@@ -28,7 +28,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class GlobalPose:
-    """What a localisation says: ``pose`` (x, y, yaw) of the base at ``time`` [s], with its ``covariance`` (3, 3)."""
+    """What a localization says: ``pose`` (x, y, yaw) of the base at ``time`` [s], with its ``covariance`` (3, 3)."""
 
     time: float
     pose: Array

@@ -36,7 +36,7 @@ from whole_race import closed_loop, crocoddyl_peer
 from whole_race import race as whole
 from whole_race.figure import write
 from whole_race.floor import operations, riccati_operations
-from whole_race.lq import linearise, our_step, pack
+from whole_race.lq import linearize, our_step, pack
 from whole_race.qp import matrices, quadratic_race, step_problem
 from whole_race.scaling import limited_arm, slope
 from whole_race.tables import text
@@ -181,7 +181,7 @@ def test_a_start_beside_the_guess_moves_the_step() -> None:
     program, kernel = Program(problem.solver), problem.solver.kernel
     assert kernel is not None
     x, u = np.tile(problem.x0, (11, 1)), np.zeros((10, 1))
-    lq = linearise(program, x, u, problem.x0 + np.array([0.3, -0.1]))
+    lq = linearize(program, x, u, problem.x0 + np.array([0.3, -0.1]))
     step = our_step(pack(kernel, lq, problem.solver.problem.softness))
     h, g, a, right = matrices(lq)
     z = step[2:]

@@ -24,7 +24,7 @@ def rotation(rng: np.random.Generator) -> np.ndarray:
 
 
 def drawn(kind: str, rng: np.random.Generator) -> Solid:
-    """A solid of some centimetres to a metre, flat ones among them, at the origin."""
+    """A solid of some centimeters to a meter, flat ones among them, at the origin."""
     if kind == "mesh":
         made = solids.mesh(rng.normal(size=(14, 3)) * rng.uniform(0.05, 0.3, 3))
         return Solid(kind, made.size, vertices=made.vertices)

@@ -1,4 +1,4 @@
-"""Every solver on every test problem. Truth: IPOPT, and Fatrop where it converges, on the same discretisation."""
+"""Every solver on every test problem. Truth: IPOPT, and Fatrop where it converges, on the same discretization."""
 
 from __future__ import annotations
 

@@ -193,8 +193,8 @@ def test_what_makes_the_disturbance_infinite_is_reported() -> None:
         controller.measure(BallMeasurement(0.0, state, 0.0))
 
 
-def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learnt() -> None:
-    """The shift of the limit is that of the disturbance just learnt (tests/control/test_lean_control.py), beside a push's room."""
+def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learned() -> None:
+    """The shift of the limit is that of the disturbance just learned (tests/control/test_lean_control.py), beside a push's room."""
     controller = ball_controller(observer=True)
     controller.lean_control = LeanControl(BALL, np.zeros(3), 0.6, 2.0)
     state = np.zeros(2 * N)
@@ -202,11 +202,11 @@ def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learnt() -> No
         state[N] = 0.9 * k * PERIOD
         controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
     given = controller.mpc.parameters[-1]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(given["push"], controller.lean_control.centre(controller.disturbance, 0.0))
+    np.testing.assert_allclose(given["push"], controller.lean_control.center(controller.disturbance, 0.0))
     assert given["push"][0] > 0.01
 
 
-#: Height [m] of the centre of mass over the ball's centre, arm straight up: by hand, from masses and places in the robot's file.
+#: Height [m] of the center of mass over the ball's center, arm straight up: by hand, from masses and places in the robot's file.
 HEIGHT = (18.66 * 0.1956 + 1.2 * 0.48 + 1.4 * 0.63 + 1.1 * 0.94) / (18.66 + 1.2 + 1.4 + 1.1)
 
 

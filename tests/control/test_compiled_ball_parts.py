@@ -24,7 +24,7 @@ HOME = ROBOT.home
 
 @pytest.mark.parametrize("scale", [0.5, 3.0, 20.0])
 def test_torques_of_both_back_ends(scale: float) -> None:
-    """They say the same, within the limits; truth of how much of a lean is kept: a linear programme over lean and spin."""
+    """They say the same, within the limits; truth of how much of a lean is kept: a linear program over lean and spin."""
     rng, one, other = np.random.default_rng(1), TorqueLimits(ROBOT, 6), TorqueLimits(ROBOT, 6, "interpreted")
     limit, along = one.limit[:3], one.spin / np.linalg.norm(one.spin)
     most = ROBOT.description.limits.spin_effort / np.linalg.norm(one.spin)

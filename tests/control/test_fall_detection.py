@@ -31,7 +31,7 @@ def plan(pitch: float, at: float = 0.1) -> Policy:
 
 
 def test_plans_in_a_row_that_lean_too_far() -> None:
-    """The load's centre of mass is 0.28 to 0.45 m above the ball: 0.2 rad are within 115 mm, 0.6 rad are not."""
+    """The load's center of mass is 0.28 to 0.45 m above the ball: 0.2 rad are within 115 mm, 0.6 rad are not."""
     forecast = FallPredictor(ROBOT, ARM, plans=4, ahead=0.1001)
     for pitch in (0.6, 0.6, 0.6, 0.2, 0.6, 0.6, 0.6):
         policy = plan(pitch)
@@ -71,8 +71,8 @@ def test_a_rate_that_leads_there_counts_like_the_lean() -> None:
             stop_for(turning.update(0.0025 * k, x))
 
 
-def test_a_learnt_force_moves_the_lean_from_which_falls_count() -> None:
-    """What is 40 mm beyond the reach counts as none if a learnt force answers 60 mm of it."""
+def test_a_learned_force_moves_the_lean_from_which_falls_count() -> None:
+    """What is 40 mm beyond the reach counts as none if a learned force answers 60 mm of it."""
     forecast, answered = FallPredictor(ROBOT, ARM, seconds=0.02), FallPredictor(ROBOT, ARM, seconds=0.02)
     lean = next(
         p

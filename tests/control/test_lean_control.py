@@ -16,7 +16,7 @@ HEIGHT = 0.2
 
 
 def pushed(size: float, heading: float = 0.0) -> np.ndarray:
-    """Generalised forces of a horizontal force along the heading, ``HEIGHT`` above the ball's centre, of an upright base."""
+    """Generalized forces of a horizontal force along the heading, ``HEIGHT`` above the ball's center, of an upright base."""
     force = np.zeros(ROBOT.base.nq)
     force[:2] = size * np.array([np.cos(heading), np.sin(heading)])
     force[3] = size * HEIGHT
@@ -35,28 +35,28 @@ def test_the_robot_stands_where_its_weight_answers_the_moment_about_the_floor() 
 
 
 def test_what_the_wheels_bear_is_the_force_at_the_contact() -> None:
-    """The floor's friction answers the force: a moment of F r about the ball's centre, whatever the height. A moment alone, as
-    of a displaced centre of mass, costs the wheels nothing: the robot stands with a lean, and the limit moves with it."""
+    """The floor's friction answers the force: a moment of F r about the ball's center, whatever the height. A moment alone, as
+    of a displaced center of mass, costs the wheels nothing: the robot stands with a lean, and the limit moves with it."""
     low, high = pushed(40.0), pushed(40.0)
     high[3] *= 2.0
     np.testing.assert_allclose(LEAN._borne(low, 0.0), LEAN._borne(high, 0.0), atol=1e-3)
     moment = np.zeros(ROBOT.base.nq)
     moment[3] = 2.0
     assert np.abs(LEAN._borne(moment, 0.0)).max() < 1e-3 < 5e-3 < np.abs(stand(moment)).max()
-    np.testing.assert_allclose(LEAN.centre(moment, 0.0), LEAN.shift(moment, 0.0) - LEAN._borne(moment, 0.0))
+    np.testing.assert_allclose(LEAN.center(moment, 0.0), LEAN.shift(moment, 0.0) - LEAN._borne(moment, 0.0))
 
 
 def test_the_limit_is_about_where_the_robot_stands_as_far_as_the_reach_allows() -> None:
     weak, strong = pushed(10.0), pushed(60.0)
-    np.testing.assert_allclose(LEAN.centre(weak, 0.0), -stand(weak), atol=1e-12)  # in the middle of the limit
-    margin = 0.6 * LEAN.reach - np.abs(stand(strong) + LEAN.centre(strong, 0.0))[0]
+    np.testing.assert_allclose(LEAN.center(weak, 0.0), -stand(weak), atol=1e-12)  # in the middle of the limit
+    margin = 0.6 * LEAN.reach - np.abs(stand(strong) + LEAN.center(strong, 0.0))[0]
     left = MAXIMUM * LEAN.reach - np.abs(LEAN._borne(strong, 0.0))[0]
     assert margin == pytest.approx(left, abs=1e-9) and left > 0.0
 
 
 def test_the_heading_turns_it_all() -> None:
-    along = LEAN.centre(pushed(60.0), 0.0)
-    turned = LEAN.centre(pushed(60.0, 0.5 * np.pi), 0.5 * np.pi)
+    along = LEAN.center(pushed(60.0), 0.0)
+    turned = LEAN.center(pushed(60.0, 0.5 * np.pi), 0.5 * np.pi)
     np.testing.assert_allclose(turned, [-along[1], along[0]], atol=1e-12)
 
 
@@ -99,6 +99,6 @@ def test_what_is_left_of_a_push_that_is_over_is_no_force_that_lasts() -> None:
     lean_control, x, n = LeanControl(ROBOT, ARM, 0.6, 2.0), ROBOT.home.copy(), ROBOT.base.nq
     x[n] = 4.0
     for t in np.arange(0.0, 3.0, 0.0025):
-        learnt = 150.0 * min(t / 0.2, 1.0) if t < 0.2 else 150.0 * np.exp(-(t - 0.2) / 0.3)
-        lean_control.check(float(t), pushed(float(learnt)), x)
+        learned = 150.0 * min(t / 0.2, 1.0) if t < 0.2 else 150.0 * np.exp(-(t - 0.2) / 0.3)
+        lean_control.check(float(t), pushed(float(learned)), x)
     assert not lean_control.push_fault

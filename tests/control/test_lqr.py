@@ -75,8 +75,8 @@ def test_no_other_gain_costs_less(robot: RobotModel, gains: RegulatorGains) -> N
 def test_rest_under_a_force_to_first_command(robot: RobotModel, gains: RegulatorGains) -> None:
     arm, force = robot.home[robot.state["arm"]], np.array([0.2, -0.3, -0.5])
     (x0, u0), (x1, u1) = robot.base.numeric.equilibrium(arm), robot.base.numeric.equilibrium(arm, force=force)
-    generalised = slopes(lambda q: robot.pose(np.concatenate([q, np.zeros(q.size)]))[0], x0[: robot.base.nq]).T @ force
-    shift = gains.at_rest(arm) @ generalised
+    generalized = slopes(lambda q: robot.pose(np.concatenate([q, np.zeros(q.size)]))[0], x0[: robot.base.nq]).T @ force
+    shift = gains.at_rest(arm) @ generalized
     away = np.concatenate([x1[3:5] - x0[3:5], u1 - u0])
     assert np.linalg.norm(away) > 0.01
     assert np.linalg.norm(shift - away) < 0.03 * np.linalg.norm(away)

@@ -50,7 +50,7 @@ def test_base_accelerates_as_the_whole_robot_with_that_arm(seed: int) -> None:
     # the whole robot: whatever arm torques that takes, the disturbance as its parameter
     needed = BALL.base.numeric.inverse_dynamics(x[:N], x[N:], a)
     q, u = ca.SX.sym("q", N), ca.SX.sym("u", N - 2)
-    given = BALL.base.generalised_force(q, u, ca.SX.zeros(BALL.parameters.size))
+    given = BALL.base.generalized_force(q, u, ca.SX.zeros(BALL.parameters.size))
     force_of = ca.Function("force", [q, u], [given])
     arm = needed[5:] - np.array(force_of(x[:N], np.concatenate([wheels, np.zeros(N - 5)]))).ravel()[5:]
     acts = np.array(force_of(x[:N], np.concatenate([wheels, arm]))).ravel() + np.concatenate([force, np.zeros(N - 5)])

@@ -199,7 +199,7 @@ def test_no_steering_command_is_beyond_what_the_description_allows() -> None:
 
 
 def test_first_plan_starts_from_wheels_that_agree() -> None:
-    """Wheels turned by hand: the state for the first plan has the nearest angles with a common centre, not the measured."""
+    """Wheels turned by hand: the state for the first plan has the nearest angles with a common center, not the measured."""
     crooked = np.array([0.6, -0.3, 0.2, 0.9])
     controller = SwerveController(SWERVE, np.zeros(3), PERIOD)
     controller.measure(message(steer=crooked))

@@ -35,7 +35,7 @@ GEOMETRY = BallGeometry(0.125, ROBOT.base.wheel_torque_map().T, MOUNT)
 
 # ---------------------------------------------------------------------- motions from formulas
 def motion(seconds: float, rng: np.random.Generator):  # type: ignore[no-untyped-def]
-    """Ball centre (n, 3), rotations, and velocity (n, 3) of the inertial unit of a smooth random motion: the ball's
+    """Ball center (n, 3), rotations, and velocity (n, 3) of the inertial unit of a smooth random motion: the ball's
     velocity is a sum of sines, integrated exactly, and so are the base's Euler angles."""
     t = H * np.arange(round(seconds / H) + 1)
     a, w, c = rng.uniform(0.02, 0.1, (5, 1)), rng.uniform(1.0, 5.0, (5, 1)), rng.uniform(0.0, 6.0, (5, 1))
@@ -106,17 +106,17 @@ def test_exact_sensors_give_the_exact_state() -> None:
 KEPT = np.r_[0:2, 3:15]  # without the height, which the floor says and no noise disturbs
 
 
-def normalised(error: np.ndarray, covariance: np.ndarray, parts: np.ndarray) -> float:
+def normalized(error: np.ndarray, covariance: np.ndarray, parts: np.ndarray) -> float:
     return float(error[parts] @ np.linalg.solve(covariance[np.ix_(parts, parts)], error[parts]))
 
 
 def test_errors_are_as_large_as_the_covariance_says() -> None:
-    """Normalised estimation error squared over the seeds against both 99 % bounds of chi-square, whole and by part."""
+    """Normalized estimation error squared over the seeds against both 99 % bounds of chi-square, whole and by part."""
     noise = replace(BallNoise(), scale_time=1e6)
     runs = [filtered(seed, 1.5, noise) for seed in range(SEEDS)]
     parts = {"all": KEPT, "position": KEPT[:2], "velocity": np.r_[3:6], "attitude": np.r_[6:9], "biases": np.r_[9:15]}
     for name, part in parts.items():
-        total, size = sum(normalised(e, f.covariance, part) for e, f in runs), SEEDS * len(part)
+        total, size = sum(normalized(e, f.covariance, part) for e, f in runs), SEEDS * len(part)
         low, high = chi2.ppf([0.005, 0.995], size)
         assert low < total < high, f"{name}: {total:.0f} of {size}, allowed {low:.0f} to {high:.0f}"
 
@@ -179,7 +179,7 @@ def test_errors_in_physics_stay_within_the_covariance() -> None:
     parts = {"position": np.r_[0:2], "velocity": np.r_[3:6], "tilt": np.r_[6:8], "yaw": np.r_[8:9]}
     parts |= {"gyro bias": np.r_[9:12], "accelerometer bias": np.r_[12:15]}
     for name, part in parts.items():
-        total = sum(normalised(r.error(), r.estimator.filter.covariance, part) for r in runs)
+        total = sum(normalized(r.error(), r.estimator.filter.covariance, part) for r in runs)
         size = SEEDS * len(part)
         assert size / 25.0 < total < chi2.ppf(0.99, size), f"{name}: {total:.0f} of {size}"
 
@@ -203,7 +203,7 @@ def test_a_ball_that_creeps_under_a_lasting_twist_is_no_bias_of_the_gyro() -> No
     """As before a door: the end effector's force twists the robot for seconds. Yaw and the gyro's bias about the vertical stay within their
     covariance (99 %); without the torque they do not."""
     part = np.array([8, 11])
-    wrong = lambda run: normalised(run.error(), run.estimator.filter.covariance, part)
+    wrong = lambda run: normalized(run.error(), run.estimator.filter.covariance, part)
     assert wrong(twisted(0, 1.0)) < chi2.ppf(0.99, 2)
     assert wrong(twisted(0, 0.0)) > 3.0 * chi2.ppf(0.99, 2)
 

@@ -36,7 +36,7 @@ def everywhere(t: float) -> np.ndarray:
 
 
 def record(base: Drawn, std: tuple[float, float, float], every: int = 5) -> WheelRecord:
-    """What a localisation and the encoders of that base say."""
+    """What a localization and the encoders of that base say."""
     messages = list(base)
     times, leg, steer, wheel, gyro = (np.array(part) for part in zip(*messages, strict=True))
     places = np.array(base.poses[::every])
@@ -231,7 +231,7 @@ VALID = {**{f"modules.a.{k}": v for k, v in module_keys(UNEVEN.wheel_radius).ite
 
 @pytest.mark.parametrize("key", VALID)
 def test_every_number_of_a_file_is_one_that_the_described_robot_can_have(key: str, tmp_path: Path) -> None:
-    """Truth: no encoder is mounted a radian off, no tyre made to half the radius; what is just outside of the range is out."""
+    """Truth: no encoder is mounted a radian off, no tire made to half the radius; what is just outside of the range is out."""
     path, valid = tmp_path / "c.yaml", VALID[key]
     least, width = valid.lower, valid.upper - valid.lower
     assert (

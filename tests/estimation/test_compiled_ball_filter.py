@@ -12,7 +12,7 @@ from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_memory import FilterMemory
 from wbmpc.bases.ball.filter_solve import explain
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState, rotation_of
-from wbmpc.bases.ball.filter_step import linearise
+from wbmpc.bases.ball.filter_step import linearize
 from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.kernel.step import bind
 
@@ -89,7 +89,7 @@ def test_slopes_are_the_derivatives_of_the_residuals() -> None:
     memory.state = x
     a = memory.arrays
     a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, gyro, accel
-    bind(linearise, a, n=3, radius=float(g.radius))(H, 0.4, 0.0, 0.0)
+    bind(linearize, a, n=3, radius=float(g.radius))(H, 0.4, 0.0, 0.0)
     a["z"][:] = a["y"]
     y = memory.new_state()
     r = residuals(g, s, x, y, wheel, gyro, accel)

@@ -73,11 +73,11 @@ def test_hold_is_as_long_as_asked(hold: float) -> None:
 
 
 def test_an_unknown_inertia_is_no_constant_force() -> None:
-    """A load of 2 kg that swings with the robot takes ± 2 N for every m/s²: what is learnt of it while the robot accelerates by
+    """A load of 2 kg that swings with the robot takes ± 2 N for every m/s²: what is learned of it while the robot accelerates by
     2 m/s² is little, and a constant force is still found, if later."""
     accelerating = lambda t: np.array([-2.0 * 2.0 * np.sign(np.sin(3.0 * t)), 0.0, 0.0, 0.0, 0.0])
 
-    def learnt(calm: tuple[float, float]) -> float:
+    def learned(calm: tuple[float, float]) -> float:
         observer = DisturbanceObserver(lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N, calm=calm)
         x, out = np.zeros(2 * N), []
         for k in range(1200):
@@ -86,14 +86,14 @@ def test_an_unknown_inertia_is_no_constant_force() -> None:
             x = step(x, u + accelerating(k * H), H)
         return float(np.abs(out).max())
 
-    assert learnt((np.inf, np.inf)) > 2.0
-    assert learnt((0.5, 0.2)) < 1.0
+    assert learned((np.inf, np.inf)) > 2.0
+    assert learned((0.5, 0.2)) < 1.0
     found = observed(12.0, lambda t: CONSTANT, calm=(0.5, 0.2))[-1]
     np.testing.assert_allclose(found, CONSTANT, rtol=0.03)
 
 
 @pytest.mark.parametrize("size", [28.0, 300.0])
-def test_a_force_that_goes_on_is_learnt_and_forgotten_while_the_robot_moves(size: float) -> None:
+def test_a_force_that_goes_on_is_learned_and_forgotten_while_the_robot_moves(size: float) -> None:
     """Along x from 2 s to 5 s, below and far beyond the gate (30 N for the mass of 20 kg). Half a second after it came, and
     after it has gone, all but 10 % is known another 0.8 s later: poles of 3.5 and 21.5 /s."""
     lasting = lambda t: np.array([size if 2.0 <= t < 5.0 else 0.0, 0.0, 0.0, 0.0, 0.0])

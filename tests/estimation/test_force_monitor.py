@@ -148,7 +148,7 @@ def controller_with_stalled_sensor(begin: float) -> DoorController:
 
 @pytest.mark.parametrize(("off", "reported"), [(2.6, False), (6.5, True)])
 def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> None:
-    """A zero that is off by 2.6 N was a touch at 0.01 s, and the closed panel learnt in the air. 8 N from 2 s on are one."""
+    """A zero that is off by 2.6 N was a touch at 0.01 s, and the closed panel learned in the air. 8 N from 2 s on are one."""
     controller, rng = controller_with_stalled_sensor(1.0), np.random.default_rng(2)
     for k in range(round(2.5 / H)):
         force = np.array([0.0, 0.0, off + 8.0 * (k * H >= 2.0)]) + 0.1 * rng.normal(size=3)

@@ -44,7 +44,7 @@ def squared(error: np.ndarray, covariance: np.ndarray) -> float:
 
 
 def consistent(values: list[float], degrees: int, level: float = 0.998) -> bool:
-    """Whether the sum of normalised errors squared lies within its two-sided chi-square bounds; the lower one with the margin of
+    """Whether the sum of normalized errors squared lies within its two-sided chi-square bounds; the lower one with the margin of
     1.25 in variance that is kept for slip that lasts."""
     low, high = chi2.ppf([(1 - level) / 2, (1 + level) / 2], degrees * len(values))
     return bool(low / 1.25 < sum(values) < high)
@@ -104,7 +104,7 @@ def test_covariance_fits_with_any_number_of_modules(geometry) -> None:  # type: 
 
 
 def lasting_slip(geometry: ModuleGeometry, seed: int, speed: float, lasts: float) -> float:
-    """Normalised error squared after 5 s straight on with wheels that slip along their way by an Ornstein-Uhlenbeck process of this
+    """Normalized error squared after 5 s straight on with wheels that slip along their way by an Ornstein-Uhlenbeck process of this
     ``speed`` [m/s], which ``lasts`` [s], two parts in space: along by the wheel, across by its steering."""
     h, n, rng = 0.01, geometry.modules, np.random.default_rng(seed)
     keep, slip = np.exp(-h / lasts), speed * rng.normal(size=(n, 2))

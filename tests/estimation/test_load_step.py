@@ -58,7 +58,7 @@ def test_what_is_no_weight_is_no_load() -> None:
 
 
 def test_both_back_ends_weigh_alike() -> None:
-    """A load that comes, is learnt exactly, and goes; with noise of the speeds."""
+    """A load that comes, is learned exactly, and goes; with noise of the speeds."""
     rng, arms = np.random.default_rng(3), (Arm(), Arm(backend="interpreted"))
     for k in range(160):
         speed, force = 0.01 * rng.normal(size=N), 0.1 * rng.normal(size=N) + (0.8 if 40 <= k < 110 else 0.0) * WEIGHT

@@ -24,7 +24,7 @@ def turned(heading: np.ndarray, arm: np.ndarray) -> np.ndarray:
 
 
 def model(up: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """Zero-moment points (k, 2) of the nominal table: its centre of mass is TALL over the ground, its arm moves it by REACH."""
+    """Zero-moment points (k, 2) of the nominal table: its center of mass is TALL over the ground, its arm moves it by REACH."""
     return MIDDLE + turned(heading, np.array([REACH, 0.0])) - TALL * up[:2] / up[2]
 
 
@@ -95,7 +95,7 @@ def test_the_covariance_is_that_of_the_errors() -> None:
     assert np.mean(sizes) == pytest.approx(4.0, abs=0.5)
 
 
-def test_without_tippings_nothing_is_learnt() -> None:
+def test_without_tippings_nothing_is_learned() -> None:
     vague = estimate_mass_offset(tippings(0, np.zeros(2), np.zeros(2)), base=0.003, arm=0.001, seen=0.1)
     assert vague.rank == 0
     found = estimate_mass_offset([], base=0.003, arm=0.001)

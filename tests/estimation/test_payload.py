@@ -31,7 +31,7 @@ def test_the_weight_of_a_mass_is_found_and_taken_over() -> None:
     np.testing.assert_allclose(rest + slower.mass * weight, 1.3 * weight, atol=1e-9)  # no force appears or goes
 
 
-def test_a_displaced_centre_of_mass_is_no_payload() -> None:
+def test_a_displaced_center_of_mass_is_no_payload() -> None:
     """10 mm of 25 kg in the base turn the lean alone: of 2.5 N m, which 0.35 kg would give, little is taken for a mass."""
     pitched = np.zeros(N)
     pitched[3] = np.sign(ROBOT.base.numeric.tool_weight(HOME)[3]) * 2.5

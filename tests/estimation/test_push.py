@@ -1,4 +1,4 @@
-"""The drift of a lean that a model does not explain. Truth: MuJoCo's centre of mass under speeds the model knows nothing of."""
+"""The drift of a lean that a model does not explain. Truth: MuJoCo's center of mass under speeds the model knows nothing of."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HOME = ROBOT.home[ROBOT.state["arm"]]
 
 
 def offset(q: np.ndarray) -> np.ndarray:
-    """Horizontal offset (2) [m] of the centre of mass of all but the ball from the ball's centre, for angles q (8), by MuJoCo."""
+    """Horizontal offset (2) [m] of the center of mass of all but the ball from the ball's center, for angles q (8), by MuJoCo."""
     spec = load_spec(ROBOT.description)
     spec.body("base").add_freejoint()
     model = spec.compile()

@@ -86,7 +86,7 @@ def test_riccati_node_against_its_kkt_system(nx: int, nu: int, data: st.DataObje
     node = random_node(s, data.draw(st.integers(0, 99)))
     a, b, bu, h, g, c, d, e, p, slope = node
     gain, value = run_node(s, node)
-    # minimise over u the quadratic of (x, u) plus the next value, for every state and for the constant
+    # minimize over u the quadratic of (x, u) plus the next value, for every state and for the constant
     ab, ng = np.hstack([a, bu]), s.ng
     m, q = h + ab.T @ p @ ab, g + ab.T @ (slope + p @ b)
     left = np.block([[m[nx:, nx:], d.T], [d, np.zeros((ng, ng))]])

@@ -116,12 +116,12 @@ def test_derivatives_of_eight_nodes(solver, name: str) -> None:  # type: ignore[
 
 
 def test_matrix_layout(solver) -> None:  # type: ignore[no-untyped-def]
-    """The solver's matrices after :func:`linearise_block`, read back as dense arrays with columns [x, 1, u]."""
+    """The solver's matrices after :func:`linearize_block`, read back as dense arrays with columns [x, 1, u]."""
     problem, s, ws = solver.problem, solver.kernel.sizes, solver.ws
     x, u, p, w, _ = eight_stages(solver, 4)
     n = min(8, len(ws.u))
     ws.x[:n], ws.u[:n], ws.p[:n, : p.shape[1]], ws.w[: w.size] = x[:n], u[:n], p[:n], w
-    riccati.linearise_block(ws.memory, ws.table, 0, n, 0)
+    riccati.linearize_block(ws.memory, ws.table, 0, n, 0)
     index = [*range(s.nx), *range(s.first, s.nz)]
     at = lambda place, rows, k: ws.memory[ws.table[place] + k * rows * s.lz :][: rows * s.lz].reshape(rows, s.lz)
     quadratic = problem.derivatives["cost_quadratic"]

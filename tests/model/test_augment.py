@@ -68,8 +68,8 @@ def test_drive_lag_follows_the_exponential() -> None:
     for _ in range(200):
         x = solver.simulate(x, u, 1e-3)
     np.testing.assert_allclose(x[dynamics.state["arm_actual"]], 0.5 * (1.0 - np.exp(-2.0)), rtol=1e-5)
-    travelled = 0.5 * (0.2 - 0.1 * (1.0 - np.exp(-2.0)))
-    np.testing.assert_allclose(x[robot.state["arm"]] - robot.home[robot.state["arm"]], travelled, rtol=1e-4)
+    traveled = 0.5 * (0.2 - 0.1 * (1.0 - np.exp(-2.0)))
+    np.testing.assert_allclose(x[robot.state["arm"]] - robot.home[robot.state["arm"]], traveled, rtol=1e-4)
 
 
 @pytest.mark.parametrize(

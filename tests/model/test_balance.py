@@ -1,5 +1,5 @@
 """LeanControl of the ball robot. Truth: the planar pendulum on a ball by hand, with masses and inertia that MuJoCo sums up;
-MuJoCo's centres of mass and the torques that hold its arm."""
+MuJoCo's centers of mass and the torques that hold its arm."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def in_mujoco(state: np.ndarray) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def load_offset(state: np.ndarray) -> np.ndarray:
-    """Centre of mass (3) [m] of all but the ball, from the ball's centre."""
+    """Center of mass (3) [m] of all but the ball, from the ball's center."""
     model, data = in_mujoco(state)
     first = model.body("base").subtreemass * data.body("base").subtree_com - BALL_MASS * data.body("ball").xipos
     return first / (model.body("base").subtreemass - BALL_MASS) - data.body("ball").xipos
@@ -74,7 +74,7 @@ def test_pole_and_reach_of_a_planar_pendulum() -> None:
     model, data = in_mujoco(np.zeros(16))
     offset = load_offset(np.zeros(16))
     mass, height = model.body("base").subtreemass[0] - BALL_MASS, offset[2]
-    inertia = 0.0  # about the load's centre of mass, y axis
+    inertia = 0.0  # about the load's center of mass, y axis
     for b in range(1, model.nbody):
         if model.body(b).name != "ball":
             turn = data.body(b).ximat.reshape(3, 3)

@@ -193,7 +193,7 @@ def test_payload_is_a_mass_at_the_tool(mass: float) -> None:
         same = loaded.dynamics().parameters.vector({"force": weight})
         still = np.concatenate([x[:N], np.zeros(N)])  # at rest it is its weight, moved or not
         forces = [
-            numeric([loaded.base.generalised_force(*names[:3])], *names)(still, u, w, [])[0] for w in (same, 0 * same)
+            numeric([loaded.base.generalized_force(*names[:3])], *names)(still, u, w, [])[0] for w in (same, 0 * same)
         ]
         np.testing.assert_allclose(
             (forces[0] - forces[1]).ravel(), mass * loaded.base.numeric.tool_weight(x[:N]), atol=1e-9
@@ -202,7 +202,7 @@ def test_payload_is_a_mass_at_the_tool(mass: float) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**31))
-def test_disturbance_is_a_generalised_force(seed: int) -> None:
+def test_disturbance_is_a_generalized_force(seed: int) -> None:
     """Truth: M (v̇ with − v̇ without) = the disturbance."""
     rng = np.random.default_rng(seed)
     x, u, push = random_state(rng), rng.uniform(-5, 5, 6), rng.uniform(-10, 10, N)
@@ -214,7 +214,7 @@ def test_disturbance_is_a_generalised_force(seed: int) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**31))
-def test_wheel_power_equals_power_of_the_generalised_force(seed: int) -> None:
+def test_wheel_power_equals_power_of_the_generalized_force(seed: int) -> None:
     """Truth: rim speed = speed of the ball's surface at each contact; power balance τ·ψ̇ = Q·v."""
     rng = np.random.default_rng(seed)
     x, torque = random_state(rng), rng.uniform(-5, 5, 3)
@@ -223,7 +223,7 @@ def test_wheel_power_equals_power_of_the_generalised_force(seed: int) -> None:
     relative = base.T @ np.array([-v[1] / RADIUS, v[0] / RADIUS, 0]) - local_rates(q) @ v[2:5]
     speeds = contact_map().T @ relative  # velocities are dual to torques
     s, r, u, w = ca.SX.sym("q", N), ca.SX.sym("v", N), ca.SX.sym("u", 6), ca.SX.sym("w", ROBOT.parameters.size)
-    got, force = numeric([ROBOT.base.wheel_speeds(s, r), ROBOT.base.generalised_force(s, u, w)], s, r, u, w)(
+    got, force = numeric([ROBOT.base.wheel_speeds(s, r), ROBOT.base.generalized_force(s, u, w)], s, r, u, w)(
         q, v, [*torque, 0, 0, 0], np.zeros(ROBOT.parameters.size)
     )
     np.testing.assert_allclose(got.ravel(), speeds, atol=1e-12)
@@ -280,7 +280,7 @@ def test_jacobian_equals_differences_and_automatic_differentiation(contact: str)
 @pytest.mark.parametrize("force", [(0.0, 0, 0), (-15.0, 5.0, 3.0)])
 @pytest.mark.parametrize("arm", [(0.0, 1.0, 0.8), (1.2, -0.7, 1.1)])
 def test_equilibrium_rests_and_balances_moments(arm, force) -> None:
-    """Truth: statics about the ball's contact point, with the centre of mass computed by MuJoCo."""
+    """Truth: statics about the ball's contact point, with the center of mass computed by MuJoCo."""
     x, u = ROBOT.base.numeric.equilibrium(arm, yaw=0.4, force=force)
     elsewhere = load_robot("rezero", contact="wrench", contact_frame="base")
     np.testing.assert_allclose(elsewhere.base.numeric.equilibrium(arm, yaw=0.4, force=force)[0], x, atol=1e-9)

@@ -141,7 +141,7 @@ def test_a_model_becomes_a_robot(wheels: str, base: str, count: int, tmp_path: P
 
 @pytest.mark.parametrize("powered", [False, True])
 def test_rear_wheels_without_limits_are_no_casters(powered: bool, tmp_path: Path) -> None:
-    """A URDF demands limits of a steering axis: they do not make casters of the tyres on a fixed axle behind it."""
+    """A URDF demands limits of a steering axis: they do not make casters of the tires on a fixed axle behind it."""
     free = '<limit velocity="10.0" effort="5"/>'
     fork = link("fork") + joint(
         "steer", "hull", "fork", (0.4, 0, 0.1), "0 0 1", 'lower="-1" upper="1" velocity="3" effort="5"'

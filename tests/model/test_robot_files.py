@@ -45,13 +45,13 @@ def rejection(path: Path) -> str:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (BALL, '<body name="ball" pos="0 0 -0.1">', ("the ball's centre, which is at (0, 0, -0.1) m", "'base'")),
+        (BALL, '<body name="ball" pos="0 0 -0.1">', ("the ball's center, which is at (0, 0, -0.1) m", "'base'")),
         (BALL, '<body name="ball" pos="0.05 0 0">', ("(0.05, 0, 0) m",)),
         (BALL, '<body name="ball" euler="0 0 0.3">', ("same axes as 'base'",)),
         (BALL_JOINT, '<joint name="ball" type="ball" pos="0 0 0.02"/>', ("(0, 0, 0.02) m",)),
         (BALL_JOINT, "", ("one joint of type ball", "it has none")),
         (BALL_JOINT, '<joint name="ball" axis="0 1 0"/>', ("one joint of type ball", "it has hinge")),
-        (COM, '<inertial pos="0 0 0.03" mass="2.65"', ("centre of mass is at (0, 0, 0.03) m",)),
+        (COM, '<inertial pos="0 0 0.03" mass="2.65"', ("center of mass is at (0, 0, 0.03) m",)),
         (INERTIA, 'diaginertia="0.0166 0.0166 0.03"', ("0.03 kg m²", "more than 1 %")),
         (BALL_JOINT, BALL_JOINT + f'<body name="core">{MASS}</body>', ("bodies with mass hang on it",)),
         (
@@ -70,7 +70,7 @@ def test_a_ball_that_the_equations_do_not_describe(tmp_path: Path, old: str, new
 
 
 def test_a_ball_within_the_tolerance_of_drawings(tmp_path: Path) -> None:
-    """A tenth of a millimetre and half a percent."""
+    """A tenth of a millimeter and half a percent."""
     near = ball_robot(
         tmp_path, (BALL, '<body name="ball" pos="0 0 1e-4">'), (INERTIA, 'diaginertia="0.0166 0.0166 0.01668"')
     )

@@ -21,7 +21,7 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.door_plant import Door, DoorPlant
 
 START, END, ARM, LEG = "<worldbody>", "</worldbody>", '<joint name="lift"', '<joint name="m1_leg"'
-TYRE, HULL = (
+TIRE, HULL = (
     '<geom type="ellipsoid" size="0.08 0.02 0.08" contype="0" conaffinity="0"/>',
     '<geom type="cylinder" size="0.35 0.08"',
 )
@@ -99,9 +99,9 @@ def test_what_looks_at_the_scene_goes_with_it(tmp_path: Path) -> None:
     assert not spec.cameras and spec.body("box") is None
 
 
-def test_a_robot_stands_on_the_tyres_of_the_plant(tmp_path: Path) -> None:
+def test_a_robot_stands_on_the_tires_of_the_plant(tmp_path: Path) -> None:
     """Wheels as exporters write them, and a hull that reaches the floor: their shapes carry nothing."""
-    path = ring(tmp_path, (TYRE, '<geom type="cylinder" size="0.08 0.02" euler="1.5708 0 0"/>'),
+    path = ring(tmp_path, (TIRE, '<geom type="cylinder" size="0.08 0.02" euler="1.5708 0 0"/>'),
                 (f'{HULL} contype="0" conaffinity="0"/>', '<geom type="cylinder" size="0.35 0.40"/>'))  # fmt: skip
     robot = load_robot(path)
     plant = SwervePlant(robot.description, None, Perturbation.none(), 0, settle=0.3)

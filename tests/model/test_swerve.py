@@ -111,11 +111,11 @@ def test_rolling_rows_equal_the_motion_of_the_wheels(variant) -> None:
     for _ in range(4):
         px, pu, pm = random_point(robot, rng)
         got, flow = rows(px, pu, [], pm)
-        centres = []
+        centers = []
         for sign in (1, -1):
             d = placed.put(px + sign * h * flow.ravel())
-            centres.append(np.array([d.body(f"wheel_{n}").xpos for n in MODULES]))
-        velocity = (centres[0] - centres[1]) / (2 * h)
+            centers.append(np.array([d.body(f"wheel_{n}").xpos for n in MODULES]))
+        velocity = (centers[0] - centers[1]) / (2 * h)
         d = placed.put(px)
         spin = pu[robot.input["wheel"]]
         for i, n in enumerate(MODULES):

@@ -63,7 +63,7 @@ def test_a_straight_line_takes_the_least_time(mpc: wb.MPC) -> None:
     states, progress = drive(mpc, np.zeros(4), 90)
     least = length / speed + speed / FORCE
     arrival = np.argmax(np.abs(states[:, 0] - length) < 0.01) / RATE
-    assert least - 0.15 < arrival < 1.1 * least  # the last centimetre takes √(2 · 0.01 / F) = 0.14 s
+    assert least - 0.15 < arrival < 1.1 * least  # the last centimeter takes √(2 · 0.01 / F) = 0.14 s
     assert states[:, 0].max() < length + 1e-3 and states[:, 2].max() < 1.06 * speed
     assert progress[-1] == pytest.approx(length, abs=2e-3) and np.abs(states[:, 1]).max() < 1e-6
     # never faster than the force allows

@@ -103,7 +103,7 @@ def test_a_fast_mpc_repeats_the_observation() -> None:
 
 
 def test_one_delay_for_each_observation() -> None:
-    """At a controller's tick without a new observation nothing is learnt about the latency."""
+    """At a controller's tick without a new observation nothing is learned about the latency."""
     runner = virtual(mpc=make_mpc(1000.0))
     observe = runner._observe
     runner._observe = lambda due: observe(due) if round(due / PERIOD) % 4 == 0 else None  # type: ignore[method-assign]

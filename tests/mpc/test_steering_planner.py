@@ -170,7 +170,7 @@ def test_it_is_quick() -> None:
 
 # ---------------------------------------------------------------------- alignment
 @pytest.mark.parametrize("seed", range(6))
-def test_aligned_wheels_have_a_common_centre(seed: int) -> None:
+def test_aligned_wheels_have_a_common_center(seed: int) -> None:
     """The side-slip rows of the aligned angles have a twist in their null space; angles that had one stay."""
     rng = np.random.default_rng(seed)
     steer = rng.uniform(-1.5, 1.5, 4)

@@ -63,7 +63,7 @@ def matrices(dynamics: FrequencyShaping) -> tuple[np.ndarray, ...]:
 
 @pytest.mark.parametrize("k", [0, 1])
 def test_every_input_has_its_own_response(k: int) -> None:
-    """u over ν of the realisation is the inverse of gain (s + zero) / (s + pole)."""
+    """u over ν of the realization is the inverse of gain (s + zero) / (s + pole)."""
     a, b, c, d = matrices(FrequencyShaping(linear(), {"u": FILTERS}))
     f, omega = FILTERS[k], np.array([0.1, 3.0, 20.0, 300.0])
     states = slice(3, 5)

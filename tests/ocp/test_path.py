@@ -22,7 +22,7 @@ COORDINATE = st.floats(-0.3, 0.3)
 @settings(max_examples=draws(10, 200), deadline=None)
 @given(st.lists(st.tuples(COORDINATE, COORDINATE, COORDINATE), min_size=2, max_size=6))
 def test_arc_length_is_that_of_the_spline(offsets: list[tuple[float, float, float]]) -> None:
-    """Waypoints that go on by a metre along x and anywhere aside."""
+    """Waypoints that go on by a meter along x and anywhere aside."""
     points = np.array(offsets) + np.arange(len(offsets))[:, None] * [1.0, 0.0, 0.0]
     path = Path(points)
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])

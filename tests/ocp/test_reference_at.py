@@ -28,4 +28,4 @@ def test_poses_turn_between_samples() -> None:
         q = reference.at(t)[3:]
         assert np.linalg.norm(q) == pytest.approx(1.0)
         apart = Rotation.from_quat(q[[1, 2, 3, 0]]).inv() * Slerp(TIMES, turns)(t)
-        assert apart.magnitude() < 1e-4  # a normalised line is not quite an arc
+        assert apart.magnitude() < 1e-4  # a normalized line is not quite an arc

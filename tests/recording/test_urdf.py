@@ -41,10 +41,10 @@ def compare(description: RobotDescription, seed: int) -> None:
         np.testing.assert_allclose(placed.rotation, turn.T @ rotation.reshape(3, 3), atol=1e-8, err_msg=name)
     mass = pinocchio.computeTotalMass(theirs) + theirs.inertias[0].mass
     assert mass == pytest.approx(model.body_mass[1:].sum(), rel=1e-8)
-    centre = pinocchio.centerOfMass(theirs, memory, q) * pinocchio.computeTotalMass(theirs)
-    centre = (centre + theirs.inertias[0].mass * theirs.inertias[0].lever) / mass
+    center = pinocchio.centerOfMass(theirs, memory, q) * pinocchio.computeTotalMass(theirs)
+    center = (center + theirs.inertias[0].mass * theirs.inertias[0].lever) / mass
     mujoco.mj_comPos(model, data)
-    np.testing.assert_allclose(centre, turn.T @ (data.subtree_com[base] - origin), atol=1e-8)
+    np.testing.assert_allclose(center, turn.T @ (data.subtree_com[base] - origin), atol=1e-8)
 
 
 @pytest.mark.parametrize("name", available_robots())

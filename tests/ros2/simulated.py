@@ -121,14 +121,14 @@ class Simulated:
             closing.callback(self.control.close)
 
 
-class Localisation:
-    """Another localisation of a simulated robot, ``/localisation``: its true pose, moved by ``offset`` (2) [m], as long as it is
+class Localization:
+    """Another localization of a simulated robot, ``/localization``: its true pose, moved by ``offset`` (2) [m], as long as it is
     ``sending``; with a ``covariance`` (36), or exact."""
 
     def __init__(self, s: Simulated, covariance: Any = ()) -> None:
         self.offset, self.sending = np.zeros(2), True
         self._covariance = {"covariance": covariance} if len(covariance) else {}
-        self._poses = s.other.publisher("/localisation", "nav_msgs/msg/Odometry")
+        self._poses = s.other.publisher("/localization", "nav_msgs/msg/Odometry")
         self._truth, s.sim._odom = s.sim._odom, self
 
     def publish(self, message: dict[str, Any]) -> None:

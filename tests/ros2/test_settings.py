@@ -117,7 +117,7 @@ def test_faults_are_one_message_with_the_file(tmp_path: Path, text: str, says: s
         load_settings(path, ROBOT)
 
 
-def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt(tmp_path: Path) -> None:
+def test_the_speed_at_which_learned_forces_end_a_run_needs_some_that_are_learned(tmp_path: Path) -> None:
     path, ball = write(tmp_path, "{estimate_disturbance: false, max_pushed_speed: 1}"), load_robot("rezero")
     with pytest.raises(InputError, match="max_pushed_speed: nothing uses it without estimate_disturbance=true"):
         load_settings(path, ball)

@@ -67,7 +67,7 @@ def test_a_ball_robot_without_torques_lies_on_the_floor_in_the_end() -> None:
 
 
 @pytest.mark.parametrize("name", ["swerve-ur10", "swerve-mabi", "differential-ur10", "mecanum-ur10", "rezero"])
-def test_every_body_of_a_built_in_robot_collides_but_for_neighbours(name: str) -> None:
+def test_every_body_of_a_built_in_robot_collides_but_for_neighbors(name: str) -> None:
     """Each body has a shape that collides, or rollers that stand for it; what is excluded is drawn in each other at home."""
     robot = load_robot(name)
     plant = base_type(robot.description.base.type).plant(robot, IDEAL, 0)

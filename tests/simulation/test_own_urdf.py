@@ -53,7 +53,7 @@ def test_it_stands_and_drives(robot) -> None:  # type: ignore[no-untyped-def]
     plant = SwervePlant(robot.description, None, Perturbation.none())
     start = plant.truth()
     assert start.tilt < 1e-3
-    # the planner's height of the end effector is the simulated one, but for what the tyres give way
+    # the planner's height of the end effector is the simulated one, but for what the tires give way
     assert start.tool[2] == pytest.approx(robot.pose(robot.home)[0][2], abs=5e-3)
     for _ in range(200):
         plant.step(SwerveCommand(np.full(4, 2.0), np.zeros(4), np.zeros(1), np.zeros(0)), 10)

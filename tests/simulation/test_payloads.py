@@ -59,7 +59,7 @@ def test_a_load_lies_in_the_middle_of_the_body_and_turns_with_it() -> None:
     for p in (light, heavy):
         rest(p, 0.5)
     more = heavy.truth().wheel_force - light.truth().wheel_force
-    # the tyres sink in, and an unsymmetrical load would show as different shares
+    # the tires sink in, and an unsymmetrical load would show as different shares
     assert more == pytest.approx(np.full(4, 150.0 * G / 4), rel=0.05)
     box = heavy.model.body("body_payload").id
     assert heavy.model.body_inertia[box] == pytest.approx(

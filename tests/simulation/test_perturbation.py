@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from wbmpc.robots import load_description, load_spec
-from wbmpc.simulation.perturbation import Perturbation, quantise
+from wbmpc.simulation.perturbation import Perturbation, quantize
 
 BODIES = [b.name for b in load_spec(load_description("swerve-ur10")).bodies if b.name != "world"]
 
@@ -48,7 +48,7 @@ def test_radii_differ_wheel_by_wheel_and_a_common_factor_is_a_setting_of_its_own
     assert all(np.ptp(d.radius) == 0.0 and d.radius[0] != 1.0 for d in common)
 
 
-def test_bodies_change_as_drawn_and_balanced_ones_keep_their_centre():
+def test_bodies_change_as_drawn_and_balanced_ones_keep_their_center():
     description = load_description("swerve-ur10")
     nominal, spec = load_spec(description).compile(), load_spec(description)
     draw = draws(1)[0]
@@ -85,13 +85,13 @@ def test_bad_settings_are_rejected(bad):
         Perturbation(**bad)
 
 
-def test_quantisation_is_within_half_a_count():
+def test_quantization_is_within_half_a_count():
     angles = np.random.default_rng(0).uniform(-10, 10, 1000)
     step = 2 * np.pi / 2**14
-    read = quantise(angles, 2**14)
+    read = quantize(angles, 2**14)
     assert np.abs(read - angles).max() <= step / 2 + 1e-12
     assert read / step == pytest.approx(np.round(read / step), abs=1e-6)
-    assert quantise(angles, 0) is angles
+    assert quantize(angles, 0) is angles
 
 
 def test_specifications_are_fresh_for_every_plant():

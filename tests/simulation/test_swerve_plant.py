@@ -68,7 +68,7 @@ def test_truth_is_the_planners_kinematics():
     p = plant(state={"base": [0.4, -0.3, 2.0]})
     truth = p.truth()
     position, _ = ROBOT.pose(truth.state)
-    # the tyres sink in by less than half a millimetre
+    # the tires sink in by less than half a millimeter
     assert np.abs(position - truth.tool).max() < 5e-4
     assert truth.pose == pytest.approx([0.4, -0.3, 2.0], abs=1e-4)
     x = ROBOT.home.copy()
@@ -103,11 +103,11 @@ def slip_torque(seed: int) -> float:
     return torque
 
 
-def test_a_brake_slips_at_200_newton_metres():
+def test_a_brake_slips_at_200_newton_meters():
     assert 195.0 < slip_torque(0) < 206.0
 
 
-def test_encoders_are_quantised_with_their_offsets():
+def test_encoders_are_quantized_with_their_offsets():
     p = plant(Perturbation(encoder_jitter=0.0), seed=5)
     m, joints, names = p.measure(), p.truth().joints, p._names
     for group, counts in (("leg", 2**14), ("steer", 2**14), ("wheel", 2**14), ("arm", 2**17)):
@@ -236,10 +236,10 @@ def drive(p: SwervePlant, v, seconds: float) -> tuple[np.ndarray, np.ndarray, fl
     return odometry.pose, truth, slip
 
 
-def test_odometry_follows_a_metre_straight_on():
+def test_odometry_follows_a_meter_straight_on():
     estimate, truth, slip = drive(plant(), [0.5, 0.0, 0.0], 2.5)
     assert truth[0] == pytest.approx(1.0, abs=0.03)
-    # radius less half the tyre's sink: some 7 mm in 10 m
+    # radius less half the tire's sink: some 7 mm in 10 m
     assert np.abs(estimate - truth).max() < 1.5e-3
     assert slip < 2e-3
 

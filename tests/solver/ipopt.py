@@ -1,4 +1,4 @@
-"""The same discretised problem for IPOPT: what the solutions are compared with."""
+"""The same discretized problem for IPOPT: what the solutions are compared with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Optimal trajectories of both robots. Truth: IPOPT on the same discretisation, from a start that is not optimal."""
+"""Optimal trajectories of both robots. Truth: IPOPT on the same discretization, from a start that is not optimal."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_quaternion_base_has_the_same_optimum() -> None:
 
 
 @pytest.mark.parametrize("kind", ["rk2", "rk4", "quaternion"])
-def test_linearised_dynamics_are_the_derivative_of_the_step(kind: str) -> None:
+def test_linearized_dynamics_are_the_derivative_of_the_step(kind: str) -> None:
     """[A B] of the first interval against differences of the simulated step, unit quaternions included."""
     r = np.random.default_rng(2)
     solver = quaternion_solver("quaternion") if kind == "quaternion" else pendulum(integrator=kind)

@@ -358,7 +358,7 @@ def test_the_log_has_a_row_for_every_iteration() -> None:
     assert max(counts) == len(solver.log)
 
 
-def test_a_limit_of_a_few_micrometres_that_gives_way_is_reported() -> None:
+def test_a_limit_of_a_few_micrometers_that_gives_way_is_reported() -> None:
     """A box of ±3 µm, entered at 9 µm/s with a drive of 3 µm/s²: whatever it does, it stops 13.5 µm further."""
     unit = 3e-6
     ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0])), 2.0, 20)

@@ -22,7 +22,7 @@ BOTH = pytest.mark.parametrize("chosen", [MERIT, FILTER], ids=["merit", "filter"
 
 
 def solve(residual: Callable[[ca.SX], ca.SX], start: float, chosen: SQP, row: Constraint | None = None) -> Solution:
-    """Minimise ½ r(u)², or with a row that too, by one input over one interval of 1 s."""
+    """Minimize ½ r(u)², or with a row that too, by one input over one interval of 1 s."""
     ocp = OptimalControlProblem(ToyDynamics(1, 1, lambda x, u, w, m: u), 1.0, 1)
     ocp.add(Cost("r", Rows(1, lambda s: residual(s.u)), 1.0))
     if row is not None:

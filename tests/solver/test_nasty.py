@@ -102,7 +102,7 @@ def test_the_unit_of_a_row_does_not_matter(algorithm: str, scale: float, inside:
 
 
 def test_a_state_limit_in_a_small_unit_says_that_it_gave_way() -> None:
-    """Its L1 slack costs 1e3 per unit of the row: 1e-5 per metre, which the other costs outweigh."""
+    """Its L1 slack costs 1e3 per unit of the row: 1e-5 per meter, which the other costs outweigh."""
     found = solve(cart(row("low", lambda s: 1e-8 * (s.u + 0.5 + 0.1 * s.x[0]), hard=True)), SQP())
     assert found.status is Status.RELAXED
     assert re.search(r"low\.all\[0\] by 2\.\d+e-08 at node 0, which is 2\.\d+ in the variables", found.detail)
@@ -335,7 +335,7 @@ def test_second_derivatives_without_a_value_name_the_term() -> None:
 
 
 def test_dry_friction_names_the_motion_that_no_step_can_follow() -> None:
-    """ẍ = u − 5 sign(ẋ): the linearisation at rest knows nothing of it."""
+    """ẍ = u − 5 sign(ẋ): the linearization at rest knows nothing of it."""
     dry = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0] - 5 * ca.sign(x[1])))
     found = solve(cart(dynamics=dry), SQP())
     # no step can, but a motion may

@@ -1,4 +1,4 @@
-"""Equalities that are curved in the inputs, with Gauss-Newton. Truth: IPOPT on the same discretisation; circles, by hand."""
+"""Equalities that are curved in the inputs, with Gauss-Newton. Truth: IPOPT on the same discretization; circles, by hand."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ SOFT_GOALS: dict[str, Callable[..., ca.SX]] = {
     [*((name, c, "compiled") for name in SOFT_GOALS for c in (1e-3, 1e-2, 1.0)), ("wheel", 1e-2, "interpreted")],
 )
 def test_a_nonlinear_soft_goal(name: str, softness: float, backend: str) -> None:
-    """A row g with softness c is a cost of ½ g² / c per interval, which IPOPT minimises."""
+    """A row g with softness c is a cost of ½ g² / c per interval, which IPOPT minimizes."""
     solvers = []
     for term in (
         Constraint("goal", Rows(1, SOFT_GOALS[name]), softness=softness),

@@ -1,4 +1,4 @@
-"""Hard rows that are curved in the inputs. Truth: IPOPT on the same discretisation; the projection onto a disc, by hand; the
+"""Hard rows that are curved in the inputs. Truth: IPOPT on the same discretization; the projection onto a disc, by hand; the
 constraints evaluated anew; the interpreted twin."""
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ START = np.array([5.0, 0.3, 1.0, -2.0])
 @pytest.mark.parametrize("weight", [1e-4, 0.01, 1.0])
 @pytest.mark.parametrize("hessian", ["gauss_newton", "exact"])
 def test_optimum_against_ipopt(limit: Callable[[], Constraint], weight: float, hessian: str) -> None:
-    """From an input at rest, where a disc's linearisation says nothing."""
+    """From an input at rest, where a disc's linearization says nothing."""
     solver = made(limit(), SQP(hessian=hessian), weight)
     found = solver.solve(START)
     assert found.status is Status.CONVERGED, found

@@ -100,7 +100,7 @@ def test_pose_reference_is_close_to_slerp() -> None:
     np.testing.assert_allclose(np.linalg.norm(got[:, 3:], axis=1), 1.0, atol=1e-14)
     slerp = Slerp(TIMES, Rotation.from_quat(quaternions()[:, [1, 2, 3, 0]]))(np.clip(GRID, 0.1, 1.1))
     error = (Rotation.from_quat(got[:, [4, 5, 6, 3]]) * slerp.inv()).magnitude()
-    # normalised linear interpolation lags by at most about 0.016 θ³ between samples, and is exact at samples and middles
+    # normalized linear interpolation lags by at most about 0.016 θ³ between samples, and is exact at samples and middles
     assert error.max() < 0.02 * 0.5**3
     at = np.isclose(GRID[:, None], [0.1, 0.25, 0.4, 0.45, 0.5, 0.7, 0.9, 1.0, 1.1], atol=1e-3).any(axis=1)
     assert sampled(Reference.poses(TIMES, positions, quaternions()), 0.25)[0, 3:] @ slerp_at(0.25) > 1.0 - 1e-12

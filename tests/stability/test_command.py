@@ -27,7 +27,7 @@ def test_json_has_the_papers_areas(capsys: pytest.CaptureFixture[str]) -> None:
         data = reported(capsys, "swerve-ur10", "--configuration", name)
         assert (round(data["support_polygon_area"], 2), round(data["double_support_area"], 2)) == areas
         assert data["stays_upright"] and len(data["triangle_margins"]) == 4 and len(data["regions"]) == 4
-        assert data["zero_moment_point"] == pytest.approx(data["centre_of_mass"][:2])
+        assert data["zero_moment_point"] == pytest.approx(data["center_of_mass"][:2])
 
 
 def test_a_push_and_a_slope_move_the_zero_moment_point_by_their_moments(capsys: pytest.CaptureFixture[str]) -> None:
@@ -37,7 +37,7 @@ def test_a_push_and_a_slope_move_the_zero_moment_point_by_their_moments(capsys: 
     assert moved == pytest.approx(50.0 * 0.80 / (9.81 * rest["mass"]), rel=0.01)  # the end effector is 0.80 m high
     sloped = reported(capsys, "swerve-ur10", "--slope", "0.1")
     moved = sloped["zero_moment_point"][0] - rest["zero_moment_point"][0]
-    assert moved == pytest.approx(-0.10033 * rest["centre_of_mass"][2], rel=1e-3)  # tan 0.1, downhill
+    assert moved == pytest.approx(-0.10033 * rest["center_of_mass"][2], rel=1e-3)  # tan 0.1, downhill
     assert not reported(capsys, "swerve-ur10", "--wrench", "0,2000,0")["stays_upright"]
     assert reported(capsys, "swerve-ur10", "--wrench", "0,0,2000")["zero_moment_point"] is None
 

@@ -27,7 +27,7 @@ def assert_needs(least: float, feet: np.ndarray, load: Load) -> None:
 
 @pytest.mark.parametrize("moved", [(0.0, 0.0), (7.0, -3.0)])
 def test_a_slope_needs_its_tangent(moved: tuple[float, float]) -> None:
-    """Wherever the centre of mass and the frame's origin are: no foot needs more than its load gives."""
+    """Wherever the center of mass and the frame's origin are: no foot needs more than its load gives."""
     load = Load.gravity(80.0, (0.1 + moved[0], 0.2 + moved[1], 0.6), slope_gravity(0.3, 0.7))
     assert friction_needed(SQUARE + moved, load) == pytest.approx(math.tan(0.3), rel=1e-9)
 

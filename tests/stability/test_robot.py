@@ -1,4 +1,4 @@
-"""Zero-moment point and margins of a described robot. Truth: MuJoCo's centre of mass, its inverse dynamics of a floating
+"""Zero-moment point and margins of a described robot. Truth: MuJoCo's center of mass, its inverse dynamics of a floating
 robot, and the contact forces of the simulated one."""
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def groups(model: RobotModel, values: np.ndarray, m: mujoco.MjModel, out: np.nda
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_mass_and_centre_of_mass_are_mujocos(seed: int) -> None:
+def test_mass_and_center_of_mass_are_mujocos(seed: int) -> None:
     x = some_state(seed)
     _, d = floating(SWERVE, x)
     stance = STANCE(x)
@@ -140,19 +140,19 @@ def at_rest(plant: SwervePlant, seconds: float) -> None:
         plant.step(SwerveCommand.stop(), 5)
 
 
-def centre_of_pressure(plant: SwervePlant) -> np.ndarray:
+def center_of_pressure(plant: SwervePlant) -> np.ndarray:
     feet, forces = plant.data.xpos[plant._wheel_bodies][:, :2], plant.truth().wheel_force
     return forces @ feet / forces.sum()
 
 
 @pytest.mark.parametrize(("configuration", "slope"), [("H", 0.0), ("X", 0.1), ("A", 0.05)])
-def test_the_grounds_centre_of_pressure_is_the_zero_moment_point(configuration: str, slope: float) -> None:
+def test_the_grounds_center_of_pressure_is_the_zero_moment_point(configuration: str, slope: float) -> None:
     gravity = slope_gravity(slope, uphill=2.0)
     plant = stood(configuration, tilt=gravity)
     plant.push([30.0, 40.0, -50.0], [3.0, 2.0, 0.0], body="wrist_3_link", point=tool_in_wrist())
     at_rest(plant, 1.5)
     a = assess(SWERVE, configuration, [30.0, 40.0, -50.0, 3.0, 2.0, 0.0], gravity)
-    assert centre_of_pressure(plant) - plant.truth().pose[:2] == pytest.approx(a.stance.zmp, abs=2e-3)
+    assert center_of_pressure(plant) - plant.truth().pose[:2] == pytest.approx(a.stance.zmp, abs=2e-3)
 
 
 def tool_in_wrist() -> np.ndarray:
@@ -183,7 +183,7 @@ def test_the_robot_tips_when_the_margin_is_negative(configuration: str, directio
     assert tilts[0] < 0.02 < 0.06 < tilts[1]
 
 
-# ---------------------------------------------------------------------- the optimiser's residual
+# ---------------------------------------------------------------------- the optimizer's residual
 def symbols(model: RobotModel, dynamics: object) -> tuple[residuals.Symbols, list[ca.SX]]:
     x, u = ca.SX.sym("x", dynamics.state.size), ca.SX.sym("u", dynamics.input.size)
     w, m, r = ca.SX.sym("w", model.parameters.size), ca.SX.sym("m", model.mode.size), ca.SX.sym("r", 6)

@@ -148,7 +148,7 @@ def test_room_for_pushes_needs_a_limit_and_an_estimate(without: str, needed: str
     configure(RezeroPushHandSettings, [without], "rezero-push-hand")
 
 
-def test_the_speed_at_which_learnt_forces_end_a_run_needs_some_that_are_learnt() -> None:
+def test_the_speed_at_which_learned_forces_end_a_run_needs_some_that_are_learned() -> None:
     with pytest.raises(
         InputError, match="rezero-push-hand: --set max_pushed_speed: nothing uses it without estimate_disturbance=true"
     ):

@@ -1,5 +1,5 @@
 """Other robots on a ball from their descriptions alone: four wheels, steeper wheels, an arm of six joints. Truth: MuJoCo's physics
-keeps them up or not, and the lean at rest is that of MuJoCo's centre of mass."""
+keeps them up or not, and the lean at rest is that of MuJoCo's center of mass."""
 
 from __future__ import annotations
 

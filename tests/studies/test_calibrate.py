@@ -67,7 +67,7 @@ def test_what_the_odometry_needs_is_found(calibration: Path) -> None:
     error = found.steer_offset - plant.offsets["steer"] - plant.offsets["leg"]
     for signs in ([1, 1, 1, 1], [1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]):
         assert abs(np.dot(signs, error)) / 4.0 < 0.6e-3, signs
-    # tyres sink in: the radius that counts is up to 0.1 % less than that of the wheel
+    # tires sink in: the radius that counts is up to 0.1 % less than that of the wheel
     radius = found.wheel_radius / (0.1 * plant.draw.radius) - 1.0
     assert -2.0e-3 < radius.mean() < 1.0e-3
 

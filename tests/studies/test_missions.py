@@ -218,7 +218,7 @@ def test_what_nothing_reads_or_nobody_can_follow_is_rejected(experiment: str, gi
         ("swerve-plaster", ["localization=none", "lidar.rate=5"]),
     ],
 )
-def test_a_localisation_that_the_run_or_its_reference_drive_has_is_taken(experiment: str, given: list[str]) -> None:
+def test_a_localization_that_the_run_or_its_reference_drive_has_is_taken(experiment: str, given: list[str]) -> None:
     check_taken(experiment, given)
 
 

@@ -38,7 +38,7 @@ def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[n
     assert 0.001 < m["force_error_ratio_high"] < 0.06  # with a load that has not been weighed yet
     assert m["contact_share_high"] == 1.0 and m["fell"] == 0.0
     assert m["door_angle_max"] == pytest.approx(door.max()) and door.max() > np.deg2rad(60.0)
-    assert 0.1 < m["lean_mean_high"] < 0.4  # 16 N at 0.65 m above the ball's centre against 25 kg
+    assert 0.1 < m["lean_mean_high"] < 0.4  # 16 N at 0.65 m above the ball's center against 25 kg
     assert force[t > t[-1] - 0.2].max() == 0.0  # it has let go
     assert m["payload_estimated"] == pytest.approx(1.0, abs=0.15)
     end_effector = log.array("hand_high")[log.times("hand_high") > t[-1] - 1.0]

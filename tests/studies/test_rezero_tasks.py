@@ -77,7 +77,7 @@ def test_a_fall_is_foreseen_and_ends_with_motors_off() -> None:
     assert 0.1 < tilt[-1] < 0.85 and len(tilt) > 0.5 * 400
 
 
-def test_a_force_beyond_all_leans_is_learnt_reported_and_ends_the_run() -> None:
+def test_a_force_beyond_all_leans_is_learned_reported_and_ends_the_run() -> None:
     """90 N for good: 1.3 times what the wheels can hold (90 N x 0.125 m against 8.6 N m at the ball)."""
     settings = RezeroPushHandSettings(forces=(90.0,), push_duration=5.0, settle_time=0.5)
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
@@ -94,12 +94,12 @@ def test_circle_path_is_a_circle_from_rest_to_rest() -> None:
     s = RezeroCircleSettings(radius=0.2, lap_time=4.0, rounds=2, settle_time=1.0)
     t = np.arange(0.0, 14.0, 0.001)
     path = rezero_circle.ball_path(s, t)
-    centred = path - [0.0, 0.2]
-    np.testing.assert_allclose(np.hypot(*centred.T), 0.2, atol=1e-12)
+    centered = path - [0.0, 0.2]
+    np.testing.assert_allclose(np.hypot(*centered.T), 0.2, atol=1e-12)
     speed = np.linalg.norm(np.gradient(path, t, axis=0), axis=1)
     assert speed[t < 0.99].max() < 1e-9 and speed[t > 10.1].max() < 1e-9
     np.testing.assert_allclose(speed[(t > 2.1) & (t < 8.9)], 0.2 * 2.0 * np.pi / 4.0, rtol=1e-3)
-    turned = np.unwrap(np.arctan2(centred[:, 1], centred[:, 0]))
+    turned = np.unwrap(np.arctan2(centered[:, 1], centered[:, 0]))
     assert turned[-1] - turned[0] == pytest.approx(4.0 * np.pi, abs=1e-9)
     assert np.abs(np.gradient(speed, t)).max() < 1.1 * 0.2 * 2.0 * np.pi / 4.0
 

@@ -26,7 +26,7 @@ def test_a_raised_foot_and_its_opposite_always_carry() -> None:
 @given(st.integers(0, 10_000))
 @settings(max_examples=30, deadline=None)
 def test_the_resting_triangle_is_that_of_the_lowest_potential_energy(seed: int) -> None:
-    """A rigid body rests as low as the ground allows: the plane over all points of the ground that is lowest at the centre
+    """A rigid body rests as low as the ground allows: the plane over all points of the ground that is lowest at the center
     of mass, a linear programme."""
     rng = np.random.default_rng(seed)
     feet, heights = rng.uniform(-1, 1, (rng.integers(3, 7), 2)), rng.uniform(0, 0.02, 8)

@@ -20,7 +20,7 @@ from wbmpc.studies.pankert2022.wobble_figures import time_error, unloaded
 
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
-    """A plant like the model but for its centres of mass and its gyro, after one turn that shows them."""
+    """A plant like the model but for its centers of mass and its gyro, after one turn that shows them."""
     plant = Perturbation.none(com_offset=0.01, gyro_noise=2e-4, gyro_bias=0.01)
     settings = SwerveWobbleSettings(
         heights=(0.02,), turn=20.0, plant=plant, calibration=(("H", "LF"),), calibration_turn=20.0
@@ -55,7 +55,7 @@ def test_a_turn_before_shows_the_masses(result) -> None:  # type: ignore[no-unty
     m = {name: metric.value for name, metric in result.metrics.items()}
     assert m["calibration_tippings"] == 2.0
     assert m["support_switch_time_error_max"] < 0.4 * m["support_switch_time_error_nominal_max"] < np.inf
-    # it is learnt from the gyro alone: nothing of the physics' truth is recorded of that turn
+    # it is learned from the gyro alone: nothing of the physics' truth is recorded of that turn
     assert [name for name in result.log.channels if "calibration" in name] == ["gyro_calibration_0_H_100mm"]
 
 

@@ -57,11 +57,11 @@ class Page:
         """Open it and wait until a scene is drawn, and drawn on."""
         self.page.goto(url, timeout=120_000)
         self.page.wait_for_selector("canvas[data-engine]", timeout=120_000)
-        assert self.until(lambda: self.colours() > 50, 180.0), "no scene was drawn"
+        assert self.until(lambda: self.colors() > 50, 180.0), "no scene was drawn"
         self.drawn(5)
 
-    def colours(self) -> int:
-        """How many colours the canvas shows: many, once there is a robot."""
+    def colors(self) -> int:
+        """How many colors the canvas shows: many, once there is a robot."""
         return len(np.unique(self.picture().reshape(-1, 3), axis=0))
 
     def drawn(self, pictures: int) -> None:
@@ -107,7 +107,7 @@ class Page:
         self.page.get_by_label(label).first.uncheck(timeout=20_000)
 
     def _lit(self, at: np.ndarray) -> int:
-        """Pixels near a point in the colour of a gizmo's part under the pointer (yellow)."""
+        """Pixels near a point in the color of a gizmo's part under the pointer (yellow)."""
         near = self.picture((at[0] - 60, at[1] - 60, 120, 120))
         return int(((near[..., :2] > 170).all(axis=2) & (near[..., :2].min(axis=2) - near[..., 2] > 40)).sum())
 

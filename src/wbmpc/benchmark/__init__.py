@@ -1,4 +1,4 @@
-"""The race: the solver against others on the same discretised problems, in one run on one core."""
+"""The race: the solver against others on the same discretized problems, in one run on one core."""
 
 from wbmpc.benchmark.race import run_benchmark
 

@@ -1,4 +1,4 @@
-"""The discretised problem of a :class:`Solver` as other solvers take it: stage by stage (x_k, u_k), with the same
+"""The discretized problem of a :class:`Solver` as other solvers take it: stage by stage (x_k, u_k), with the same
 Gauss-Newton Hessian, as one small C file whose stage functions are called in loops.
 """
 
@@ -67,7 +67,7 @@ def _step(f: ca.Function, x: ca.SX, u: ca.SX, p: Any, w: Any, h: Any, rk4: bool)
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(x + h * k3, u, p, w))
 
 
-def _normalised(t: Transcription, x: ca.SX) -> ca.SX:
+def _normalized(t: Transcription, x: ca.SX) -> ca.SX:
     """Unit length of the quaternions, as the solver's integrator ends a step."""
     for q in t.ocp.dynamics.unit_quaternions:
         part = x[q : q + 4]
@@ -114,7 +114,7 @@ class Stages:
         t, arguments = self.t, self.symbols[:4]
         end = _step(t.values["dynamics"], t.x, t.u, t.p, t.w, t.h, self.rk4)
         hard = [_box_rows(t.path.boxes, t.z), t.values["rows"](*arguments)]
-        return self._function("stage_rows", [ca.vertcat(-_normalised(t, end), t.values["equality"](*arguments), *hard)])
+        return self._function("stage_rows", [ca.vertcat(-_normalized(t, end), t.values["equality"](*arguments), *hard)])
 
     def jacobian(self) -> ca.Function:
         """Jacobian of :meth:`constraint` by (x, u), by the chain rule through the integrator's stages."""
@@ -132,7 +132,7 @@ class Stages:
         end, total = x + h * combine(slopes), start + h * combine(chained)
         if t.ocp.dynamics.unit_quaternions:
             free = ca.SX.sym("end", t.nx)
-            turn = ca.substitute(ca.jacobian(_normalised(t, free), free), free, end)
+            turn = ca.substitute(ca.jacobian(_normalized(t, free), free), free, end)
             total = turn @ total
         _, rows = t.derivatives["equality_jacobian"](*self.symbols[:4])
         _, general = t.derivatives["rows_jacobian"](*self.symbols[:4])

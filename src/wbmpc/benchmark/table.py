@@ -53,7 +53,7 @@ def _race(rows: list[dict[str, Any]]) -> Table:
     keys = ("problem", "solver", "iteration_ms", "iterations")
     last = ("residual", "equal_ms", "difference")
     cells = [[*(r.get(k) for k in keys), ending(r), *(r.get(k) for k in last)] for r in rows]
-    return table_of("Same discretised problem, same Hessian, one core", columns, cells)
+    return table_of("Same discretized problem, same Hessian, one core", columns, cells)
 
 
 def _sizes(rows: list[dict[str, Any]]) -> Table:

@@ -228,7 +228,7 @@ def bench(
     out: Annotated[Path | None, typer.Option(help="Directory for race.json and race.txt.")] = None,
     repeat: Annotated[int, typer.Option(min=1, help="Timed iterations per problem.")] = 200,
 ) -> None:
-    """Time the solver against others on the same discretised problems, on one core."""
+    """Time the solver against others on the same discretized problems, on one core."""
     from wbmpc.benchmark import run_benchmark
     from wbmpc.benchmark.table import text, write
 

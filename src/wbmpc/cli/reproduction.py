@@ -31,7 +31,7 @@ def reproduce(
 
     The site shows all finished runs of its directory, also those of earlier calls.
     """
-    from wbmpc.reproduce import jobs_of_site, parse_seeds, plan, run_all, summarise, write_site
+    from wbmpc.reproduce import jobs_of_site, parse_seeds, plan, run_all, summarize, write_site
 
     names = [context.obj.find(name).name for name in only] if only else list(context.obj.registry)
     jobs = plan(names, parse_seeds(seeds), out)
@@ -50,7 +50,7 @@ def reproduce(
     index = write_site(jobs, failed, out, clips)
     lost = [{"experiment": j.name, "seed": j.seed, "reason": reason} for j, reason in failed.items()]
     if as_json:
-        figures = {name: entry["metrics"] for name, entry in summarise(jobs).items()}
+        figures = {name: entry["metrics"] for name, entry in summarize(jobs).items()}
         finite = json.loads(json.dumps(figures), parse_constant=lambda _: None)
         typer.echo(json.dumps({"index": str(index), "experiments": finite, "failed": lost}))
     else:

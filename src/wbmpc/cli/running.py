@@ -112,7 +112,7 @@ def _attempt(
                 result = RunResult.aborted(name, seed, str(error), plain)
             with interrupt_noted() as pressed:  # now it waits for the files; once more, and it acts at once
                 if view is not None and view.steered:
-                    result.idealisations = [*result.idealisations, STEERED]
+                    result.idealizations = [*result.idealizations, STEERED]
                 result.command = command
                 recorder.close(outcome(result))
                 files = write_run(result, directory)

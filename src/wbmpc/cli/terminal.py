@@ -126,7 +126,7 @@ def interrupted(error: BaseException) -> bool:
 
 
 def table(title: str | None = None) -> Table:
-    """A table with lines and colours on a terminal; in a pipe plain columns, which other programs can read."""
+    """A table with lines and colors on a terminal; in a pipe plain columns, which other programs can read."""
     from rich.table import Table
 
     return Table(title=title) if sys.stdout.isatty() else Table(title=title, box=None, pad_edge=False)

@@ -103,7 +103,7 @@ def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
     with generating_for(target):
         problem, _ = emit_problem(mpc.solver.problem)
         features = _features(target, register_width())
-        libraries = [library.optimised() for library in (compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY)]
+        libraries = [library.optimized() for library in (compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY)]
     magic = int.from_bytes(
         hashlib.sha256(problem.encode() + image.words().tobytes()).digest()[:8], "little", signed=True
     )

@@ -1,4 +1,4 @@
-"""A disturbance observer for robots with full dynamics: constant generalised forces that explain the motion.
+"""A disturbance observer for robots with full dynamics: constant generalized forces that explain the motion.
 
 The speed v̂ follows the model with the disturbance d̂; their innovation ṽ = v − v̂ corrects both:
 v̂' = … + L1 ṽ, d̂' = L2 M(q) ṽ. L1 ṽ is the acceleration that d̂ does not explain, 1 / L1 late. A push is not a constant
@@ -72,7 +72,7 @@ class DisturbanceObserver:
         }  # fmt: skip
         self._observe = bind(observe, self._arrays, self.backend, size=n, gates=gates)
         self._state, self._started = np.zeros(2 * n), False
-        self.learning = 1.0  # how much of a constant disturbance the last update can have learnt
+        self.learning = 1.0  # how much of a constant disturbance the last update can have learned
 
     @property
     def force(self) -> np.ndarray:

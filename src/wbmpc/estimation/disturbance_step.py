@@ -65,7 +65,7 @@ def observe(
     felt: Floats, mean: Floats, innovation: Floats, clock: Floats, settings: Floats, t: float, h: float,
 ) -> float:  # fmt: skip
     """``velocity`` (size) as measured at ``t`` [s], ``speed`` as observed before, ``after`` what the model makes of that in h [s];
-    ``mass`` (size, size). Moves ``speed`` and ``force``; returns how much of a constant disturbance that can have learnt."""
+    ``mass`` (size, size). Moves ``speed`` and ``force``; returns how much of a constant disturbance that can have learned."""
     largest = 0.0
     for i in range(size):
         innovation[i] = velocity[i] - speed[i]

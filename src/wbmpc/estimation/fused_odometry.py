@@ -31,7 +31,7 @@ from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
 
-#: A global pose whose normalised error squared is above this is rejected: 99.99 % of chi-square with 3 degrees of freedom.
+#: A global pose whose normalized error squared is above this is rejected: 99.99 % of chi-square with 3 degrees of freedom.
 GATE = 21.1
 #: So many rejections in a row mean that the estimate is wrong and not the source: its next pose is taken as it is.
 PATIENCE = 10
@@ -56,7 +56,7 @@ class FusedOdometry:
     ``calibration``: what is known of the wheels (:meth:`WheelCalibration.unknown` when left out); ``pose_std`` (x, y, yaw)
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
     ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``taken``, ``rejected``: how
-    many global poses did and did not fit; ``misfit``: mean of the normalised squared errors of those that did (3 is expected);
+    many global poses did and did not fit; ``misfit``: mean of the normalized squared errors of those that did (3 is expected);
     ``contradiction``: by how much of their way the wheels contradicted each other. ``backend``: machine code, or its source as
     ordinary Python. Raises :class:`InputError` for a calibration of
     another number of modules, and for numbers that are not finite, of another length or negative.
@@ -131,7 +131,7 @@ class FusedOdometry:
 
     @property
     def misfit(self) -> float:
-        """Mean of the normalised squared errors of the global poses taken in: 3 is expected."""
+        """Mean of the normalized squared errors of the global poses taken in: 3 is expected."""
         return self._misfits / max(self.taken, 1)
 
     @property

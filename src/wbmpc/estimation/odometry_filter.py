@@ -102,7 +102,7 @@ def apart(state: State, rates: Array, t: float, pose: Array) -> Array:
 
 
 def misfit(state: State, error: Array, r: Array) -> float:
-    """Normalised squared error of a pose that is off by ``error`` (3), with its covariance ``r`` (3, 3). Raises
+    """Normalized squared error of a pose that is off by ``error`` (3), with its covariance ``r`` (3, 3). Raises
     :class:`InputError` where pose and state are both certain."""
     s = state.p[:3, :3] + r
     _reject_certain(s)

@@ -76,7 +76,7 @@ class WheelCalibration:
         return len(self.steer_offset)
 
     def rise(self, geometry: ModuleGeometry) -> float:
-        """By how much [m] the base stands higher than described: radii that roll farther carry it higher. (Of a soft tyre's sink
+        """By how much [m] the base stands higher than described: radii that roll farther carry it higher. (Of a soft tire's sink
         a rolling radius holds half.)"""
         return float(np.mean(self.wheel_radius)) - geometry.wheel_radius
 

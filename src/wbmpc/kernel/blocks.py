@@ -1,6 +1,6 @@
 """Between matrices of single nodes and numbers of eight nodes side by side: transpositions, and the chain rule for eight nodes.
 
-A group is eight neighbouring entries of a node's matrix. Lanes beyond the last node of a block repeat it: they read and write
+A group is eight neighboring entries of a node's matrix. Lanes beyond the last node of a block repeat it: they read and write
 the same numbers at the same addresses, so that no mask is needed.
 """
 

@@ -111,7 +111,7 @@ def target_text() -> str:
 
 
 @cache
-def _initialise() -> None:
+def _initialize() -> None:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
 
@@ -139,7 +139,7 @@ def _check(name: str, features: str) -> None:
 
 def machine_for(chosen: Target, opt: int) -> Any:
     """LLVM's machine for position-independent code of a target, on this machine or another one."""
-    _initialise_all()
+    _initialize_all()
     found = llvm.Target.from_triple(chosen.triple)
     return found.create_target_machine(
         cpu=chosen.cpu, features=chosen.features, opt=opt, reloc="pic", codemodel="small"
@@ -147,7 +147,7 @@ def machine_for(chosen: Target, opt: int) -> Any:
 
 
 @cache
-def _initialise_all() -> None:
+def _initialize_all() -> None:
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     llvm.initialize_native_asmparser()
@@ -157,19 +157,19 @@ def _machine(opt: int) -> Any:
     chosen = _CHOSEN.get()
     if chosen is not None:
         return machine_for(chosen, opt)
-    _initialise()
+    _initialize()
     cpu, flags = target()
     if os.environ.get("WBMPC_TARGET"):
         _check(cpu, flags)
     return llvm.Target.from_default_triple().create_target_machine(cpu=cpu, features=flags, opt=opt, jit=True)
 
 
-def compile_module(ir: str, optimise: int = 0) -> bytes:
-    """Object code of an LLVM module; ``optimise``: level of the passes on the IR (the kernels need none)."""
-    return emit(optimised(ir, optimise) if optimise else ir)
+def compile_module(ir: str, optimize: int = 0) -> bytes:
+    """Object code of an LLVM module; ``optimize``: level of the passes on the IR (the kernels need none)."""
+    return emit(optimized(ir, optimize) if optimize else ir)
 
 
-def optimised(ir: str, level: int) -> bytes:
+def optimized(ir: str, level: int) -> bytes:
     """An LLVM module after the passes of a level, as bitcode."""
     machine, module = _machine(2), parsed(ir)
     options = llvm.create_pipeline_tuning_options(speed_level=level)

@@ -240,9 +240,9 @@ class Library:
         text = f"{self.name} {cache.source_fingerprint(self.rooms)} {target_text()} {functions}"
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def optimised(self) -> bytes:
+    def optimized(self) -> bytes:
         """LLVM bitcode of the library after the passes on it, for this machine or the target that code is generated for; cached."""
-        from wbmpc.kernel.codegen_target import optimised, target_text
+        from wbmpc.kernel.codegen_target import optimized, target_text
 
         for module in self.modules:
             import_module(module)
@@ -250,7 +250,7 @@ class Library:
         found = cache.load(key) if key else None
         if found is not None and found[1].get("target") == target_text():
             return found[0]
-        code = optimised(self.source(), 2)
+        code = optimized(self.source(), 2)
         if key:
             cache.save(key, code, {"library": self.name, "target": target_text()})
         return code
@@ -267,7 +267,7 @@ class Library:
             key = self._key() if self.rooms else ""
             found = cache.load(key) if key else None
             if found is None or found[1].get("target") != target_text():
-                code = emit(self.optimised())
+                code = emit(self.optimized())
                 if key:
                     cache.save(key, code, {"library": self.name, "target": target_text()})
             else:

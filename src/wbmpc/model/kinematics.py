@@ -169,7 +169,7 @@ class Chain:
 
     # ------------------------------------------------------------------ dynamics
     def inverse_dynamics(self, rates: dict[int, SX], accelerations: dict[int, SX], gravity: float = 9.81) -> SX:
-        """Generalised forces of the moving joints for given rates and accelerations (recursive Newton-Euler)."""
+        """Generalized forces of the moving joints for given rates and accelerations (recursive Newton-Euler)."""
         root = RootMotion(SX(3, 1), SX(3, 1), constant([0, 0, gravity]))
         forces = self._forces(rates, accelerations, root, self._point_load())
         return self._collect(*forces)
@@ -301,7 +301,7 @@ def _joint(links: Sequence[Link], name: str) -> int:
 
 
 def solve_spd(m: SX, right: SX) -> SX:
-    """m⁻¹ right by an LDLᵀ factorisation written out (m symmetric positive definite)."""
+    """m⁻¹ right by an LDLᵀ factorization written out (m symmetric positive definite)."""
     n = m.shape[0]
     factor: list[list[SX]] = [[SX(0)] * n for _ in range(n)]
     d: list[SX] = []

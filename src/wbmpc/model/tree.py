@@ -33,7 +33,7 @@ class Link:
 
     ``parent``: index of the parent, −1 for the root. The link's frame at joint value 0 is at ``position`` (3) [m] and
     ``rotation`` (3, 3) in the parent's frame; ``axis`` (3) in the link's frame. ``mass`` [kg], ``com`` (3) [m] and
-    ``inertia`` (3, 3) [kg m²] about the centre of mass, in the link's frame. ``range``: joint limits, infinite if none. ``follows``: what
+    ``inertia`` (3, 3) [kg m²] about the center of mass, in the link's frame. ``range``: joint limits, infinite if none. ``follows``: what
     the joint is coupled to.
     """
 

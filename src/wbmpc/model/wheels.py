@@ -69,7 +69,7 @@ def rolling_inverse_kinematics(
 
 
 def aligned_steering(geometry: ModuleGeometry, leg: ArrayLike, steer: ArrayLike) -> Array:
-    """Steering angles (n,) [rad] near ``steer`` that have a common centre: those of the twist that slips least there.
+    """Steering angles (n,) [rad] near ``steer`` that have a common center: those of the twist that slips least there.
 
     The twist is the last right singular vector of the side-slip rows; the turn is weighed with the modules' distance.
     """

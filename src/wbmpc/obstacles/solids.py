@@ -18,8 +18,8 @@ class Solid:
     """A convex body in the axes of what it is fixed to.
 
     ``size`` (3) [m]: radius; radius and half length along z (capsule, cylinder); semi-axes; half lengths of a box, and of the box
-    around a mesh. ``position`` (3) [m] of its centre, ``rotation`` (3, 3) of its axes. ``vertices`` (n, 3) [m] of a mesh in its axes,
-    relative to the centre of the box around them.
+    around a mesh. ``position`` (3) [m] of its center, ``rotation`` (3, 3) of its axes. ``vertices`` (n, 3) [m] of a mesh in its axes,
+    relative to the center of the box around them.
     """
 
     kind: str
@@ -30,7 +30,7 @@ class Solid:
 
     @property
     def radius(self) -> float:
-        """Of the sphere around its centre that encloses it [m]."""
+        """Of the sphere around its center that encloses it [m]."""
         r, h = float(self.size[0]), float(self.size[1])
         if self.kind == "mesh":
             return float(np.linalg.norm(self.vertices, axis=1).max())
@@ -39,7 +39,7 @@ class Solid:
         return {"sphere": r, "capsule": r + h, "cylinder": float(np.hypot(r, h))}.get(self.kind, float(self.size.max()))
 
     def support(self, direction: Array) -> Array:
-        """Farthest points (n, 3) [m], in its own axes about its centre, along unit directions (n, 3)."""
+        """Farthest points (n, 3) [m], in its own axes about its center, along unit directions (n, 3)."""
         d, s = direction, self.size
         if self.kind == "mesh":
             return np.asarray(self.vertices[np.argmax(d @ self.vertices.T, axis=1)])
@@ -59,7 +59,7 @@ class Solid:
         return end
 
     def distance(self, points: Array) -> Array:
-        """At most the distance (n) [m] of points (n, 3), in its own axes about its centre, to the solid; exact outside of spheres,
+        """At most the distance (n) [m] of points (n, 3), in its own axes about its center, to the solid; exact outside of spheres,
         capsules, cylinders and boxes."""
         s = self.size
         if self.kind == "sphere":
@@ -113,5 +113,5 @@ def mesh(vertices: Array) -> Solid:
     except QhullError as error:
         raise ValueError("the points lie in a plane, or are fewer than 4") from error
     low, high = hull.min(axis=0), hull.max(axis=0)
-    centre = 0.5 * (low + high)
-    return Solid("mesh", 0.5 * (high - low), centre, np.eye(3), np.ascontiguousarray(hull - centre))
+    center = 0.5 * (low + high)
+    return Solid("mesh", 0.5 * (high - low), center, np.eye(3), np.ascontiguousarray(hull - center))

@@ -1,4 +1,4 @@
-"""Distances of a robot to obstacles, and of its own parts to each other, linearised at every node by an MPC."""
+"""Distances of a robot to obstacles, and of its own parts to each other, linearized at every node by an MPC."""
 
 from __future__ import annotations
 

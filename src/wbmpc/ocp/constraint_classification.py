@@ -333,7 +333,7 @@ def _gradient_lengths(jacobian: ca.SX) -> np.ndarray:
 
 
 def nonlinear_in_inputs(group: RowGroup, x: ca.SX, u: ca.SX) -> bool:
-    """Whether a hard row has second derivatives by an input and anything: its linearisation does not say where it ends."""
+    """Whether a hard row has second derivatives by an input and anything: its linearization does not say where it ends."""
     hard = [e for e, row in zip(group.expressions, group.general, strict=True) if row.kind is Kind.HARD]
     if not hard or not u.shape[0]:
         return False

@@ -28,7 +28,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 class Path:
-    """A cubic spline (C²) through ``points`` (n, 3) [m] in the world, n ≥ 2, parametrised by its arc length s from 0 to ``length`` [m].
+    """A cubic spline (C²) through ``points`` (n, 3) [m] in the world, n ≥ 2, parametrized by its arc length s from 0 to ``length`` [m].
 
     ``quaternions`` (n, 4), or one (4,) for all, orient the end effector (left out: not turned); in between they are interpolated as
     smoothly. ``periodic``: it goes on from the last point to the first, and round without an end: s counts on. Arc lengths before the
@@ -174,7 +174,7 @@ class Path:
         point = real_numbers("path, point", point)
         s = np.linspace(0.0, self.length, SEARCHED)
         best = float(s[np.argmin(np.linalg.norm(self._position(s) - point, axis=1))])
-        for _ in range(20):  # Newton's method for the foot point, kept within the neighbours
+        for _ in range(20):  # Newton's method for the foot point, kept within the neighbors
             gap, tangent = self._position(self._inside([best]))[0] - point, self.tangent([best])[0]
             slope = max(1.0 + float(self.curvature([best])[0] @ gap), 0.5)
             step = float(np.clip(-(tangent @ gap) / slope, -s[1], s[1]))

@@ -18,7 +18,7 @@ from wbmpc.ocp.sets import NonNegative
 from wbmpc.ocp.terms import Constraint, Cost
 
 #: Weight of the speed along the path [s²/m²] as a share of the end effector's [1/m²]: large enough to matter, so small that a robot
-#: which is held up stands within millimetres of its path.
+#: which is held up stands within millimeters of its path.
 SHARE = 0.02
 #: Speeds [m/s] that are farther from the desired one than this pull no harder: who asks for more than a robot can do does not get a
 #: path with its corners cut.

@@ -15,7 +15,7 @@ from wbmpc.errors import InputError
 class Reference:
     """Samples of a reference: ``times`` (n,) [s, absolute], ``values`` (n, width).
 
-    ``kind``: what holds between samples. "linear"; "pose": the quaternion part by normalised linear interpolation; "hold" and
+    ``kind``: what holds between samples. "linear"; "pose": the quaternion part by normalized linear interpolation; "hold" and
     "pose_hold": the value of the last sample at or before t. Before the first and after the last sample the end values hold.
     """
 
@@ -77,7 +77,7 @@ class Reference:
 
 
 def _continuous_quaternions(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit length, and neighbours in the same half sphere (q and −q are the same rotation)."""
+    """Unit length, and neighbors in the same half sphere (q and −q are the same rotation)."""
     if values.shape[1] != 7:
         raise InputError(f"reference: a pose has 7 numbers (position, quaternion), got {values.shape[1]}")
     values = values.copy()

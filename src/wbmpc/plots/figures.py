@@ -15,11 +15,11 @@ from wbmpc.plots.series import Drawing, Plot, Series
 MAX_POINTS = 1500
 #: Width of a legend in the narrowest card [pixels], of an entry's mark, and of a letter, about.
 _LEGEND, _MARK, _LETTER = 360, 45, 6.3
-_COLOURS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
-#: What a line's name says in every plot, by its colour; and what may stand behind a signal's name, whose colour it then has.
+_COLORS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
+#: What a line's name says in every plot, by its color; and what may stand behind a signal's name, whose color it then has.
 _MEANINGS = {"world": 0, "true": 0, "estimated frame": 1, "odometry": 1, "reference": 6, "period": 6}
 _KINDS = ("reference", "commanded", "planned", "estimated", "measured", "world", "estimated frame")
-_GRID, _GREY = "rgba(128, 140, 152, 0.25)", "#7b8894"
+_GRID, _GRAY = "rgba(128, 140, 152, 0.25)", "#7b8894"
 #: Limits are in the picture at first if it then is at most so many times as high as without them.
 _FAR = 6.0
 
@@ -49,7 +49,7 @@ def template() -> dict[str, Any]:
     layout = {"xaxis": axis, "yaxis": axis, "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)"}
     layout["modebar"] = {"bgcolor": "rgba(0,0,0,0)", "color": "#9aa7b3", "activecolor": "#5c6b7a"}
     layout["hovermode"] = "x unified"
-    return {"layout": {**layout, "font": {"color": _GREY}}}
+    return {"layout": {**layout, "font": {"color": _GRAY}}}
 
 
 def _signal(line: Series) -> str:
@@ -58,16 +58,16 @@ def _signal(line: Series) -> str:
     return signal if signal and kind in _KINDS else line.name
 
 
-def _colours(lines: Sequence[Series]) -> list[str]:
-    """A colour for each line: what a name means keeps its colour in all plots, and "x, reference" has that of "x"."""
+def _colors(lines: Sequence[Series]) -> list[str]:
+    """A color for each line: what a name means keeps its color in all plots, and "x, reference" has that of "x"."""
     signals = [_signal(line) for line in lines]
-    free = (c for c in range(len(_COLOURS)) if c not in _MEANINGS.values() or not set(signals) & set(_MEANINGS))
-    chosen = {name: line.colour for name, line in zip(signals, lines, strict=True) if line.colour is not None}
+    free = (c for c in range(len(_COLORS)) if c not in _MEANINGS.values() or not set(signals) & set(_MEANINGS))
+    chosen = {name: line.color for name, line in zip(signals, lines, strict=True) if line.color is not None}
     for name in dict.fromkeys(signals):
         if name not in chosen:
             chosen[name] = _MEANINGS[name] if name in _MEANINGS else next(free, len(chosen))
     return [
-        _COLOURS[(chosen[name] if line.colour is None else line.colour) % len(_COLOURS)]
+        _COLORS[(chosen[name] if line.color is None else line.color) % len(_COLORS)]
         for name, line in zip(signals, lines, strict=True)
     ]
 
@@ -111,10 +111,10 @@ def plotly_figure(plot: Plot) -> dict[str, Any]:
     """A plot as Plotly's ``data`` and ``layout``."""
     data: list[dict[str, Any]] = []
     shown: set[str] = set()
-    colours = _colours(plot.series)
-    for line, colour in zip(plot.series, colours, strict=True):
+    colors = _colors(plot.series)
+    for line, color in zip(plot.series, colors, strict=True):
         x, y = _thin(np.asarray(line.x, float), np.asarray(line.y, float), plot.equal_axes)
-        style = {"width": 1.6, "color": colour, "dash": "dash" if line.dashed else "solid"}
+        style = {"width": 1.6, "color": color, "dash": "dash" if line.dashed else "solid"}
         # plain lists: browsers draw them the same, and the page stays readable
         row = {"type": "scatter", "x": _short(x), "y": _short(y), "name": html.escape(line.name)}
         signal = _signal(line)
@@ -128,11 +128,11 @@ def plotly_figure(plot: Plot) -> dict[str, Any]:
             }
         )
         shown.add(signal)
-    return {"data": data + list(_limit_lines(plot, colours)), "layout": _layout(plot)}
+    return {"data": data + list(_limit_lines(plot, colors)), "layout": _layout(plot)}
 
 
-def _limit_lines(plot: Plot, colours: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """Dotted lines: one for each limit, in its line's colour, or in grey where several lines have it."""
+def _limit_lines(plot: Plot, colors: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Dotted lines: one for each limit, in its line's color, or in gray where several lines have it."""
     x = [np.asarray(line.x, float) for line in plot.series]
     ends = [float(f(v[np.isfinite(v)])) for f in (np.min, np.max) if (v := np.concatenate(x or [np.zeros(0)])).size]
     owners: dict[float, list[int]] = {}
@@ -141,7 +141,7 @@ def _limit_lines(plot: Plot, colours: Sequence[str]) -> Iterator[dict[str, Any]]
             owners.setdefault(bound, []).append(k)
     for bound, lines in owners.items():
         signals = {_signal(plot.series[k]) for k in lines}
-        style = {"width": 1.2, "color": colours[lines[0]] if len(signals) == 1 else _GREY, "dash": "dot"}
+        style = {"width": 1.2, "color": colors[lines[0]] if len(signals) == 1 else _GRAY, "dash": "dot"}
         group = {"legendgroup": html.escape(signals.pop())} if len(signals) == 1 else {}
         yield {
             "type": "scatter", "x": ends, "y": [bound, bound], "name": "limit", "mode": "lines", "line": style,

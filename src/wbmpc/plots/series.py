@@ -11,7 +11,7 @@ import numpy as np
 class Series:
     """One line of a plot: its ``name``, ``x`` (n) and ``y`` (n) in the units of the plot's labels, whether it is ``dashed``.
 
-    Lines of the same ``colour`` (a number) look alike; left out: each has its own, and "NAME, reference", "NAME, planned" and the like
+    Lines of the same ``color`` (a number) look alike; left out: each has its own, and "NAME, reference", "NAME, planned" and the like
     have that of "NAME". ``limits``: lowest and highest value that ``y`` may have (infinite: none), drawn dotted.
     """
 
@@ -19,7 +19,7 @@ class Series:
     x: np.ndarray
     y: np.ndarray
     dashed: bool = False
-    colour: int | None = None
+    color: int | None = None
     limits: tuple[float, float] | None = None
 
 

@@ -80,7 +80,7 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
     more = {
         "targets": targets,
         "settings": plain(result.settings),
-        "idealisations": result.idealisations,
+        "idealisations": result.idealizations,
         "faults": result.faults,
         "versions": versions(),
         "command": result.command,

@@ -118,7 +118,7 @@ def _solve_times(mpc: MpcStatistics | None) -> str:
 def page(result: RunResult) -> str:
     """The report as one HTML page that needs no network."""
     notes = "".join(f'<p class="sub">{html.escape(note)}.</p>' for note in goal_notes(result))
-    ideal = "".join(f"<li>{html.escape(line)}</li>" for line in result.idealisations)
+    ideal = "".join(f"<li>{html.escape(line)}</li>" for line in result.idealizations)
     settings = html.escape(json.dumps(plain(result.settings), indent=2))
     installed = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in versions().items())
     return document(
@@ -129,7 +129,7 @@ def page(result: RunResult) -> str:
 <h2>Figures</h2>{_metrics(result)}{notes}
 {_solve_times(result.mpc)}
 <h2 id="plots">Plots</h2>{_plots(result.plots)}
-<h2>What is idealised</h2><ul class="card">{ideal}</ul>
+<h2>What is idealized</h2><ul class="card">{ideal}</ul>
 <h2>How it was made</h2>{_origin(result)}
 <details class="card"><summary>Settings of this run</summary><pre>{settings}</pre></details>
 <details class="card" open><summary>Versions and processor</summary><dl>{installed}</dl></details>

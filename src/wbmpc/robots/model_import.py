@@ -1,6 +1,6 @@
 """What of a robot's file planner and simulator both use: bodies, masses, joints with their ranges, frames, shapes for the eye.
 
-The rest acts in the simulator alone. What plants have of their own is left out here (floor, tyres, drives, friction of joints,
+The rest acts in the simulator alone. What plants have of their own is left out here (floor, tires, drives, friction of joints,
 gravity), what is part of the machine and missing in the planner's equations (springs, couplings) is rejected.
 """
 
@@ -94,7 +94,7 @@ def _leave_the_world(spec: mujoco.MjSpec, base: str) -> None:
 
 
 def _reset_defaults(spec: mujoco.MjSpec, fresh: mujoco.MjSpec) -> None:
-    """The file's elements have taken what its defaults say; what plants add (floor, tyres, drives, a door) would take it too."""
+    """The file's elements have taken what its defaults say; what plants add (floor, tires, drives, a door) would take it too."""
     for default in [spec.default, *(body.classname for body in spec.bodies)]:
         for kind in ("geom", "joint", "actuator", "site"):
             copy_values(getattr(fresh.default, kind), getattr(default, kind))

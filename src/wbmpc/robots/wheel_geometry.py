@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from wbmpc.bases.base import Radius
     from wbmpc.robots.description import RobotDescription
 
-#: How far [of it] a described radius may be from that of the shapes: tyres wear, and are pressed flat.
+#: How far [of it] a described radius may be from that of the shapes: tires wear, and are pressed flat.
 MAXIMUM = 0.05
 #: How far a round shape's axis may be from the wheel's: angle [rad], and distance [of its radius].
 TILT, BESIDE = 0.02, 0.05
@@ -29,7 +29,7 @@ def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
     """Raise :class:`InputError` naming both figures where the shapes of a wheel, or of a body that is a ball, have another
     radius than the description.
 
-    A wheel without round shapes about its axis, of meshes that are not loaded, or of several bodies (whose tyre may be another
+    A wheel without round shapes about its axis, of meshes that are not loaded, or of several bodies (whose tire may be another
     one) cannot be checked.
     """
     for radius in description.base.radii():
@@ -68,11 +68,11 @@ def _of_model(model: mujoco.MjModel, joint: str) -> float | None:
     for g in np.flatnonzero(model.geom_bodyid == model.jnt_bodyid[j]):
         kind, size = mujoco.mjtGeom(int(model.geom_type[g])), model.geom_size[g]
         turned = lie.quaternion_to_rotation(model.geom_quat[g].copy())
-        centre = model.geom_pos[g] - anchor
+        center = model.geom_pos[g] - anchor
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
             mesh = int(model.geom_dataid[g])
             start = int(model.mesh_vertadr[mesh])
-            points = model.mesh_vert[start : start + int(model.mesh_vertnum[mesh])] @ turned.T + centre
+            points = model.mesh_vert[start : start + int(model.mesh_vertnum[mesh])] @ turned.T + center
             found.append(float(np.linalg.norm(np.cross(points, axis), axis=1).max()))
             continue
         if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
@@ -80,7 +80,7 @@ def _of_model(model: mujoco.MjModel, joint: str) -> float | None:
             turned, size = np.roll(turned, 2 - flat, axis=1), np.sort(np.delete(size, flat))[::-1]
         if not (kind == mujoco.mjtGeom.mjGEOM_SPHERE or (kind in _ROUND and _along(turned[:, 2], axis))):
             continue
-        if np.linalg.norm(np.cross(centre, axis)) <= BESIDE * size[0]:
+        if np.linalg.norm(np.cross(center, axis)) <= BESIDE * size[0]:
             found.append(float(size[0]))
     return max(found, default=None)
 

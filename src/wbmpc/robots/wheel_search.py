@@ -24,7 +24,7 @@ class Wheel:
     """``center`` (3) [m] and ``axle`` (3) in the world of the file, at zero; ``radius`` [m] as the shapes show it, or else the height of
     the center above the file's world (``assumed``); ``steer``, ``hinge``: vertical axes above it, the second one that of a leg;
     ``offset`` [m]: from the steering axis; ``passive``: a caster's; ``held``: its rollers and its suspension; ``driven``: False for a
-    tyre without a drive."""
+    tire without a drive."""
 
     joint: str
     center: Array
@@ -65,7 +65,7 @@ def find_wheels(mechanism: Mechanism) -> list[Wheel]:
 
 def _unlimited(wheel: Wheel, steered: bool, powered: bool) -> Wheel:
     """A wheel of whose drive the file says nothing, beside others of which it does: a caster, but beside wheels that are all
-    ``steered`` a tyre on a fixed axle is no caster: it keeps the base from moving sideways (a tricycle's, a car's rear wheels)."""
+    ``steered`` a tire on a fixed axle is no caster: it keeps the base from moving sideways (a tricycle's, a car's rear wheels)."""
     if wheel.passive or wheel.rollers or wheel.steer or not steered:
         return replace(wheel, passive=True)
     return replace(wheel, driven=not powered)

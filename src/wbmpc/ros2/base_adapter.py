@@ -24,7 +24,7 @@ Array = np.ndarray
 #: Weights of costs, by name and place (path or terminal).
 Weights = dict[tuple[str, Literal["path", "terminal"]], Weight]
 Groups = dict[str, Array]
-#: Another localisation's pose: time [s] of the runner's clock, (x, y, yaw), covariance (3, 3) (zero: exact).
+#: Another localization's pose: time [s] of the runner's clock, (x, y, yaw), covariance (3, 3) (zero: exact).
 Fix = tuple[float, Array, Array]
 
 
@@ -73,7 +73,7 @@ class BaseAdapter(Protocol):
 
     ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as messages; ``inspect``, called in the
     node's own thread now and then, looks for those that would take too long in a tick.
-    ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localisation's pose at every tick;
+    ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localization's pose at every tick;
     after ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes controller and MPC anew for a run
     from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``leg_commands``: what takes orders to
     the legs from the bus, None without hinges: ``ready()`` says why none can be taken, ``now()`` how brakes and legs are.

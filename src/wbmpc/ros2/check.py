@@ -14,7 +14,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
-from wbmpc.ros2.localisation import POSE_AGE, PoseSource
+from wbmpc.ros2.localization import POSE_AGE, PoseSource
 from wbmpc.ros2.settings import REQUEST_TYPES, Controller, RosSettings
 
 OK, WARNING, ERROR = "ok", "warning", "error"
@@ -107,7 +107,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     for key, kind in REQUEST_TYPES.items():
         found += _order(node, getattr(topics, key), kind)
     if poses is not None:
-        found += _localisation(node, poses, topics.pose, silent)
+        found += _localization(node, poses, topics.pose, silent)
     return found
 
 
@@ -127,8 +127,8 @@ def _which_robot(robot: RobotModel, joints: _Ear, described: list[str]) -> list[
     return [Finding(OK, "robot", f"the robot on the bus has the joints of '{target}'")] if has_joints else []
 
 
-def _localisation(node: Node, poses: PoseSource, topic: str, silent: float) -> list[Finding]:
-    """Of another localisation, without which nothing starts; ``silent`` [s]: the longest time without a pose that counts."""
+def _localization(node: Node, poses: PoseSource, topic: str, silent: float) -> list[Finding]:
+    """Of another localization, without which nothing starts; ``silent`` [s]: the longest time without a pose that counts."""
     found = _several_types(node, topic, ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped"), True)
     if any(f.level != OK for f in found):
         return found

@@ -89,5 +89,5 @@ class BusClock:
             self._changed.notify_all()
 
     def computing(self) -> float:
-        """The modelled duration of a solve [s]."""
+        """The modeled duration of a solve [s]."""
         return self.delay or 0.0

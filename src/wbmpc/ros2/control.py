@@ -22,7 +22,7 @@ from wbmpc.ros2.goals import Task
 from wbmpc.ros2.health import Health
 from wbmpc.ros2.interpreter import TURNS, control_priority, real_time_interpreter
 from wbmpc.ros2.leg_control import LegControl
-from wbmpc.ros2.localisation import POSE_AGE, PoseSource
+from wbmpc.ros2.localization import POSE_AGE, PoseSource
 from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.publishers import Publishers
 from wbmpc.ros2.request_queue import RequestQueue
@@ -369,7 +369,7 @@ class ControlNode:
         return self._other_commander or clock or self.robot_io.conflict or self.source.source.conflict
 
     def _check_other_publishers(self) -> None:
-        """Nobody moves beside another publisher. And a robot that cannot stop because it has lost its localisation at least goes
+        """Nobody moves beside another publisher. And a robot that cannot stop because it has lost its localization at least goes
         nowhere."""
         other = self._other_publisher
         lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""

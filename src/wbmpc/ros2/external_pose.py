@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wbmpc.ros2.convert import planar
-from wbmpc.ros2.localisation import PoseGate
+from wbmpc.ros2.localization import PoseGate
 from wbmpc.runtime.safety import SafeStop
 
 if TYPE_CHECKING:

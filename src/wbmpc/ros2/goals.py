@@ -301,7 +301,7 @@ def timed(positions: Array, turns: Array, times: Array | None, t: float, speed: 
 
 
 def base_track(poses: Array, times: Array | None, t: float, speeds: Speeds) -> Track:
-    """A path of planar poses (n, 3), the yaw of neighbours the shorter way round."""
+    """A path of planar poses (n, 3), the yaw of neighbors the shorter way round."""
     poses = np.array(poses, float)
     poses[:, 2] = np.unwrap(poses[:, 2])
     return Track(timed(poses[:, :2], np.abs(np.diff(poses[:, 2])), times, t, speeds.base, speeds.turn), poses)

@@ -19,7 +19,7 @@ LINE_STRIP, SPHERE = 4, 2
 LINE, POINT, MOMENTS = 0.01, 0.05, 5
 #: A base without feet of its own stands on one point, shown as a ring: its radius as a share of the base's height.
 RING = 0.3
-GREEN, RED, GREY = (0.1, 0.7, 0.2, 1.0), (0.9, 0.1, 0.1, 1.0), (0.5, 0.5, 0.5, 0.5)
+GREEN, RED, GRAY = (0.1, 0.7, 0.2, 1.0), (0.9, 0.1, 0.1, 1.0), (0.5, 0.5, 0.5, 0.5)
 
 
 class Footprint:
@@ -45,7 +45,7 @@ class Footprint:
         last = len(policy.u) - 1
         for i, k in enumerate(np.linspace(0, last, MOMENTS + 1, dtype=int)[1:]):
             polygon, _ = self.stance(policy.x[k], policy.u[k], wrench)
-            found.append(self._line(now, "predicted", i, polygon, GREY))
+            found.append(self._line(now, "predicted", i, polygon, GRAY))
         return found
 
     def stance(self, x: Array, u: Array | None, wrench: Array) -> tuple[Array, Array]:
@@ -59,18 +59,18 @@ class Footprint:
         s = self._stance(x, wrench, u=u)
         return place + support_polygon(s.feet), place + s.zmp
 
-    def _line(self, now: float, space: str, number: int, corners: Array, colour: tuple[float, ...]) -> dict[str, Any]:
+    def _line(self, now: float, space: str, number: int, corners: Array, color: tuple[float, ...]) -> dict[str, Any]:
         points = [{"x": float(a), "y": float(b), "z": 0.0} for a, b in [*corners, corners[0]]]
-        return self._marker(now, space, number, LINE_STRIP, colour) | {"scale": {"x": LINE}, "points": points}
+        return self._marker(now, space, number, LINE_STRIP, color) | {"scale": {"x": LINE}, "points": points}
 
-    def _dot(self, now: float, space: str, at: Array, colour: tuple[float, ...]) -> dict[str, Any]:
+    def _dot(self, now: float, space: str, at: Array, color: tuple[float, ...]) -> dict[str, Any]:
         if not np.isfinite(at).all():  # nothing presses on the floor
-            return self._marker(now, space, 0, SPHERE, colour) | {"action": 2}
+            return self._marker(now, space, 0, SPHERE, color) | {"action": 2}
         pose = {"position": {"x": float(at[0]), "y": float(at[1])}}
-        return self._marker(now, space, 0, SPHERE, colour) | {"scale": dict.fromkeys("xyz", POINT), "pose": pose}
+        return self._marker(now, space, 0, SPHERE, color) | {"scale": dict.fromkeys("xyz", POINT), "pose": pose}
 
-    def _marker(self, now: float, space: str, number: int, kind: int, colour: tuple[float, ...]) -> dict[str, Any]:
-        rgba = dict(zip("rgba", colour, strict=True))
+    def _marker(self, now: float, space: str, number: int, kind: int, color: tuple[float, ...]) -> dict[str, Any]:
+        rgba = dict(zip("rgba", color, strict=True))
         return {"header": header(now, self.world), "ns": space, "id": number, "type": kind, "color": rgba}
 
 

@@ -29,7 +29,7 @@ _MAX_POINTS = 20_000
 _TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 #: A path begins within this time [s], or its stamps are of another clock.
 _LATEST = 60.0
-#: So far [m] under the floor or over the base's own height a goal of the base is still one: localisations in space are not exact.
+#: So far [m] under the floor or over the base's own height a goal of the base is still one: localizations in space are not exact.
 _OFF_FLOOR = 0.5
 
 

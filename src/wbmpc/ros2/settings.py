@@ -54,7 +54,7 @@ def _topic(name: str) -> str:
 class Topics(Settings):
     """Where messages come from and go to; a remapping is another name here. An empty name switches a topic off.
 
-    ``pose``: another localisation's pose of the base in the world frame; it corrects the odometry. ``legs``, ``brakes`` and
+    ``pose``: another localization's pose of the base in the world frame; it corrects the odometry. ``legs``, ``brakes`` and
     ``leg_configuration`` are what the service ``set_legs`` does, as topics. ``wrench``: what the end effector is to exert.
     """
 
@@ -150,7 +150,7 @@ class Safety(Settings):
     """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
     ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: as long
     as the watchdog, of a slower simulator's time, at most 1 s; in lockstep 30 s, for a busy machine takes its time, or 1 s when
-    nobody publishes it any more). ``jump`` [m, rad]: how far a pose of another localisation may be off from what the robot's own
+    nobody publishes it any more). ``jump`` [m, rad]: how far a pose of another localization may be off from what the robot's own
     motion says, beyond three standard deviations."""
 
     watchdog: float = Field(0.1, ge=1e-3, le=1)
@@ -190,7 +190,7 @@ class RosSettings(Settings):
 
     ``controllers``: left out, one for each of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go
     out in the order of the legs. ``use_sim_time``: time is what ``/clock`` says. ``lockstep``: so it does, and a solve takes
-    the modelled ``mpc.computation_delay`` of that time, however fast the machine is. ``actuator_time_constant`` [s] of the drives; ``state_age`` [s]:
+    the modeled ``mpc.computation_delay`` of that time, however fast the machine is. ``actuator_time_constant`` [s] of the drives; ``state_age`` [s]:
     by the wall's clock, how old joint states are when they come, and ``wrench`` (robots that balance).
     """
 

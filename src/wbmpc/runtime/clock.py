@@ -27,7 +27,7 @@ class Clock(Protocol):
     def wait(self, until: float) -> None: ...
 
     def computing(self) -> float:
-        """How long a solve is to take [s]: modelled in virtual time; 0 where it takes time by itself."""
+        """How long a solve is to take [s]: modeled in virtual time; 0 where it takes time by itself."""
         ...
 
 
@@ -106,7 +106,7 @@ class VirtualClock:
         self._time = max(self._time, until)
 
     def computing(self) -> float:
-        """The modelled duration of this solve [s]."""
+        """The modeled duration of this solve [s]."""
         return self._computing() if callable(self._computing) else self._computing
 
 

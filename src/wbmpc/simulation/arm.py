@@ -123,12 +123,12 @@ class ArmPlant(WorldAccess):
         d.qfrc_applied[dofs] = weight
 
     def encoders(self) -> Array:
-        """Positions of all joints by group, with their zero errors, all of one age up to the jitter, before they are quantised."""
+        """Positions of all joints by group, with their zero errors, all of one age up to the jitter, before they are quantized."""
         age, (newest, kept) = int(self._noise.integers(0, self._ages + 1)), self._newest.tolist()
         read: Array = self._history[(newest - min(age, kept - 1)) % len(self._history)] + self._offsets
         return read
 
-    def quantised(self, angles: Array) -> Array:
+    def quantized(self, angles: Array) -> Array:
         """Angles of all joints [rad] as their encoders report them."""
         read: Array = np.rint(angles / self._count) * self._count
         return np.where(self._exact, angles, read) if self._exact.any() else read

@@ -1,6 +1,6 @@
 """What may touch what in a simulated world, and how often it was otherwise.
 
-Every shape has a class. Shapes of the robot's file are its hull; tyres, balls, rollers and casters roll; a tool touches handles. All
+Every shape has a class. Shapes of the robot's file are its hull; tires, balls, rollers and casters roll; a tool touches handles. All
 classes of robot and scene collide, the robot with itself too; :data:`ALLOWED` lists the pairs that are meant to touch. Any other
 contact is unwanted, and counted. Bodies that a joint connects overlap at it in most files, so they do not collide; nor do other parts
 that the file draws in each other at the robot's home (:func:`arm`).
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 #: Classes of shapes, the bits of MuJoCo's ``contype``.
 FLOOR, ROLLS, BODY, FIXED, TOUCHES, TOUCHED = 1, 2, SHAPE, 8, 16, 32
 _SCENE = FLOOR | FIXED | TOUCHED
-#: Of a geom: floors and what lies on them; tyres, balls and casters; rollers, whose axles are beside the hull; the robot's hull;
+#: Of a geom: floors and what lies on them; tires, balls and casters; rollers, whose axles are beside the hull; the robot's hull;
 #: obstacles; what a tool may touch; the tool.
 GROUND, ROLLING = {"contype": FLOOR, "conaffinity": ROLLS}, {"contype": ROLLS, "conaffinity": _SCENE | BODY | ROLLS}
 ROLLER, HULL = {"contype": ROLLS, "conaffinity": _SCENE}, {"contype": BODY, "conaffinity": _SCENE | BODY}
@@ -46,7 +46,7 @@ NARROW = 0.001
 def enable(spec: mujoco.MjSpec, home: Mapping[str, float], source: object) -> None:
     """Make the shapes of the robot's file collide, in place; ``home`` [rad or m] by joint, ``source``: the file, for errors.
 
-    Where a tyre or ball stands for its body, the drawn shapes do not; what is drawn in each other at home stays without contact.
+    Where a tire or ball stands for its body, the drawn shapes do not; what is drawn in each other at home stays without contact.
     """
     rolling = {g.parent.name for g in spec.geoms if g.contype == ROLLS}
     for number, body in enumerate(spec.bodies):

@@ -62,6 +62,6 @@ def _add(spec: mujoco.MjSpec, body: Any, k: int, shape: Shape) -> None:
     else:
         more["size"] = list(shape.size)
     body.add_geom(
-        type=_KINDS[shape.kind], pos=list(shape.pose[:3]), quat=list(shape.pose[3:]), rgba=list(shape.colour),
+        type=_KINDS[shape.kind], pos=list(shape.pose[:3]), quat=list(shape.pose[3:]), rgba=list(shape.color),
         contype=0, conaffinity=0, mass=0, **more,
     )  # fmt: skip

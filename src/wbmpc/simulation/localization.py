@@ -11,7 +11,7 @@ from wbmpc.errors import InputError
 from wbmpc.types import GlobalPose
 
 
-class Localisation:
+class Localization:
     """Poses at ``rate`` [Hz], delivered ``age`` [s] after the moment they belong to, with normal noise of standard
     deviations ``position`` [m] per axis and ``yaw`` [rad]; its own generator with ``seed``."""
 
@@ -20,7 +20,7 @@ class Localisation:
     ) -> None:
         if not (rate > 0.0 and age >= 0.0 and position >= 0.0 and yaw >= 0.0):
             raise InputError(
-                "localisation: the rate must be positive, age and standard deviations must not be negative; got "
+                "localization: the rate must be positive, age and standard deviations must not be negative; got "
                 f"{rate} Hz, {age} s, {position} m, {yaw} rad"
             )
         self.period, self.age = 1.0 / rate, age

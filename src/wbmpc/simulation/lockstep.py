@@ -1,4 +1,4 @@
-"""The lockstep loop: plant, controller and MPC in virtual time, with a modelled computation delay. Repeatable."""
+"""The lockstep loop: plant, controller and MPC in virtual time, with a modeled computation delay. Repeatable."""
 
 from __future__ import annotations
 

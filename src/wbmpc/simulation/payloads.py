@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike
 
 from wbmpc.stability import slope_gravity
 
-#: Radius [m] of the ball that is a payload; half sizes [m] of the box that is a payload on the body, and its centre above that
+#: Radius [m] of the ball that is a payload; half sizes [m] of the box that is a payload on the body, and its center above that
 #: of the body.
 PAYLOAD_RADIUS, BOX, BOX_HEIGHT = 0.05, (0.3, 0.25, 0.1), 0.24
 #: Distance [m] between cables on the floor.
 CABLES = 0.2
-_COLOUR = [0.9, 0.6, 0.1, 1.0]
+_COLOR = [0.9, 0.6, 0.1, 1.0]
 PAYLOAD, BODY_PAYLOAD = "payload", "body_payload"
 
 
 def add_payload(spec: mujoco.MjSpec, tool: str, mass: float) -> None:
-    """A ball of ``mass`` [kg] with its centre at the tool (a site or a body); it touches nothing."""
+    """A ball of ``mass`` [kg] with its center at the tool (a site or a body); it touches nothing."""
     site = next((s for s in spec.sites if s.name == tool), None)
     parent, pos = (spec.body(tool), np.zeros(3)) if site is None else (site.parent, site.pos)
     inertia = [mass * 0.4 * PAYLOAD_RADIUS**2] * 3
@@ -42,7 +42,7 @@ def _add(
     body = parent.add_body(name=name, pos=pos)
     # an unset ipos would become the body's pos
     body.explicitinertial, body.mass, body.ipos, body.inertia = True, mass, [0, 0, 0], inertia
-    body.add_geom(type=shape, size=size, mass=0, contype=0, conaffinity=0, rgba=_COLOUR)
+    body.add_geom(type=shape, size=size, mass=0, contype=0, conaffinity=0, rgba=_COLOR)
 
 
 def incline(spec: mujoco.MjSpec, slope: float, downhill: float) -> None:

@@ -40,7 +40,7 @@ class Perturbation(BaseModel):
     ``arm_counts``: per turn of the arm, 0: exact; ``steer_noise`` [rad]: standard deviation of the steering encoders per message. The
     inertial unit is of the order of an ADIS16448: ``gyro_noise`` [rad/s/√Hz]: density of its noise; ``gyro_bias`` [rad/s]: bias at the
     start; ``gyro_walk`` [rad/s/√s]: random walk of the bias; ``accel_noise`` [m/s²/√Hz]: density of the accelerometer's noise;
-    ``accel_bias`` [m/s²]: its bias at the start; ``accel_walk`` [m/s²/√s]: random walk of its bias. An idealised state sensor has
+    ``accel_bias`` [m/s²]: its bias at the start; ``accel_walk`` [m/s²/√s]: random walk of its bias. An idealized state sensor has
     ``state_age`` [s]: age of its message; ``position_noise`` [m]: noise of its positions; ``angle_noise`` [rad]: noise of its angles;
     ``speed_noise`` [m/s]: noise of its speeds; ``rate_noise`` [rad/s]: noise of its angular rates.
 
@@ -166,7 +166,7 @@ class Perturbation(BaseModel):
 
 @dataclass(frozen=True)
 class PlantSample:
-    """The numbers of one plant: factors by body, shifts (3) [m] of centres of mass in the body's frame, and the rest
+    """The numbers of one plant: factors by body, shifts (3) [m] of centers of mass in the body's frame, and the rest
     as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]; ``downhill`` [rad]: the
     direction in which a slope falls."""
 
@@ -186,9 +186,9 @@ class PlantSample:
     downhill: float = 0.0
 
     def apply_to_bodies(self, spec: mujoco.MjSpec, balanced: Collection[str] = ()) -> None:
-        """Other masses, inertias and centres of mass of a specification, in place.
+        """Other masses, inertias and centers of mass of a specification, in place.
 
-        Bodies that are ``balanced`` (wheels: they turn) keep their centres of mass. An inertia is scaled as a
+        Bodies that are ``balanced`` (wheels: they turn) keep their centers of mass. An inertia is scaled as a
         whole: scaling its moments one by one can break the triangle inequality.
         """
         nominal = spec.compile()
@@ -207,7 +207,7 @@ class PlantSample:
             body.ipos = nominal.body_ipos[b] + (0.0 if name in balanced else self.com[name])
 
 
-def quantise(values: Array, counts: int) -> Array:
+def quantize(values: Array, counts: int) -> Array:
     """Angles [rad] as an encoder with ``counts`` per turn reports them (0: exact)."""
     if counts == 0:
         return values

@@ -90,8 +90,8 @@ class Renderer:
         points = points[::stride]
         for start, end in pairwise(points):
             geom = scene.geoms[scene.ngeom]
-            kind, colour = mujoco.mjtGeom.mjGEOM_CAPSULE, np.array([0.9, 0.25, 0.1, 1.0], np.float32)
-            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), colour)
+            kind, color = mujoco.mjtGeom.mjGEOM_CAPSULE, np.array([0.9, 0.25, 0.1, 1.0], np.float32)
+            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), color)
             mujoco.mjv_connector(geom, kind, 0.006, start, end)
             scene.ngeom += 1
 

@@ -27,15 +27,15 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Shape:
-    """A coloured shape of a body. ``kind`` and ``size`` as in MuJoCo: half lengths of a box; radius; radius and half length
+    """A colored shape of a body. ``kind`` and ``size`` as in MuJoCo: half lengths of a box; radius; radius and half length
     of a cylinder or capsule along z; semi-axes; a plane's half lengths (0: endless). ``pose``: position [m] and quaternion
-    in the body. ``colour``: red, green, blue, opacity. A mesh has ``vertices`` [m] and ``faces``."""
+    in the body. ``color``: red, green, blue, opacity. A mesh has ``vertices`` [m] and ``faces``."""
 
     body: str
     kind: str
     size: tuple[float, ...]
     pose: tuple[float, ...]
-    colour: tuple[float, ...]
+    color: tuple[float, ...]
     vertices: tuple[float, ...] = ()
     faces: tuple[int, ...] = ()
 
@@ -100,7 +100,7 @@ def _check(scene: Scene) -> None:
             raise TypeError(
                 f"a shape of kind {shape.kind!r:.40} on body {shape.body!r:.40}; valid: {', '.join(sorted(known))}"
             )
-        for field, count in (("size", 3), ("pose", 7), ("colour", 4), ("vertices", None), ("faces", None)):
+        for field, count in (("size", 3), ("pose", 7), ("color", 4), ("vertices", None), ("faces", None)):
             values = getattr(shape, field)
             if (
                 not isinstance(values, tuple)
@@ -154,9 +154,9 @@ class SceneReader:
             vertices, faces = self._mesh(int(m.geom_dataid[g])) if kind == "mesh" else ((), ())
             body = self._names[int(m.geom_bodyid[g])]
             pose = (*map(float, m.geom_pos[g]), *map(float, m.geom_quat[g]))
-            colour = m.mat_rgba[m.geom_matid[g]] if m.geom_matid[g] >= 0 else m.geom_rgba[g]
+            color = m.mat_rgba[m.geom_matid[g]] if m.geom_matid[g] >= 0 else m.geom_rgba[g]
             shapes.append(
-                Shape(body, kind, tuple(map(float, m.geom_size[g])), pose, tuple(map(float, colour)), vertices, faces)
+                Shape(body, kind, tuple(map(float, m.geom_size[g])), pose, tuple(map(float, color)), vertices, faces)
             )
         return tuple(shapes)
 
@@ -179,7 +179,7 @@ class SceneReader:
         return np.stack([data.qpos[q], data.qvel[v], data.qfrc_actuator[v]], axis=1)
 
     def contacts(self, data: mujoco.MjData) -> list[Contact]:
-        """Sums of the contact forces by body, in the present state under the last command, at their centre of pressure.
+        """Sums of the contact forces by body, in the present state under the last command, at their center of pressure.
 
         Computed on a copy: between two steps MuJoCo holds the contacts of now with the forces of before.
         """

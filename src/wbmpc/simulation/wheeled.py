@@ -2,7 +2,7 @@
 them are a base type's own.
 
 Wheels are driven by velocity servos under the `discrete` integrator, and touch the floor in three-dimensional contacts whose
-softness is that of tyres.
+softness is that of tires.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.payloads import add_body_payload, incline
 from wbmpc.simulation.world import Array, Edit, add_floor, add_light, free_body, set_options
 
-#: Contact softness of the tyres (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
-TYRE = [0.01, 1.0]
-#: The same for tyres that slide (:func:`let_tyres_slide`): stiffness [1/s²] and damping [1/s] over the apparent mass, decay [1/s] of what
-#: creeps, impedance, and ratio of friction's impedance to it. Stiffness and creep under a load are those of :data:`TYRE`.
+#: Contact softness of the tires (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
+TIRE = [0.01, 1.0]
+#: The same for tires that slide (:func:`let_tires_slide`): stiffness [1/s²] and damping [1/s] over the apparent mass, decay [1/s] of what
+#: creeps, impedance, and ratio of friction's impedance to it. Stiffness and creep under a load are those of :data:`TIRE`.
 SLIDING_STIFFNESS, SLIDING_DAMPING, CREEP_DECAY, SLIDING_IMPEDANCE, SLIDING_RATIO = 9e4, 200.0, 222.0, 0.01, 1e4
 #: Gain [N m s/rad] of the wheels' servos.
 WHEEL_GAIN = 100.0
@@ -29,8 +29,8 @@ WHEEL_GAIN = 100.0
 _IMU_INTERVAL = 0.0025
 
 
-def let_tyres_slide(spec: mujoco.MjSpec, tyres: list[str]) -> None:
-    """Contacts of the geoms ``tyres`` with all that they roll on, in place, whose load does not depend on how fast they slide.
+def let_tires_slide(spec: mujoco.MjSpec, tires: list[str]) -> None:
+    """Contacts of the geoms ``tires`` with all that they roll on, in place, whose load does not depend on how fast they slide.
 
     MuJoCo's friction cone pushes surfaces apart that slide on each other, by impedance × friction × decay × speed: with usual settings a
     wheel that turns about at 0.1 m/s would lift its corner of a base on four wheels. A small impedance makes that force small; a stiffer
@@ -41,11 +41,11 @@ def let_tyres_slide(spec: mujoco.MjSpec, tyres: list[str]) -> None:
     ground = [g for g in spec.geoms if g.contype == FLOOR]
     for k, geom in enumerate(ground):
         geom.name = geom.name or f"wbmpc_ground_{k}"
-    for tyre in (spec.geom(name) for name in tyres):
+    for tire in (spec.geom(name) for name in tires):
         for geom in ground:
-            slide, spin, roll = np.maximum(geom.friction, tyre.friction)
+            slide, spin, roll = np.maximum(geom.friction, tire.friction)
             spec.add_pair(
-                geomname1=geom.name, geomname2=tyre.name, condim=3, friction=[slide, slide, spin, roll, roll],
+                geomname1=geom.name, geomname2=tire.name, condim=3, friction=[slide, slide, spin, roll, roll],
                 solref=[-SLIDING_STIFFNESS, -SLIDING_DAMPING], solreffriction=[-1.0, -CREEP_DECAY * impedance],
                 solimp=[impedance, impedance, 0.001, 0.5, 2.0],
             )  # fmt: skip
@@ -62,7 +62,7 @@ class WheeledPlant(ArmPlant):
         self.draw.apply_to_bodies(spec, balanced={spec.joint(n).parent.name for n in self._names["wheel"]})
         set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_DISCRETE)
         friction = [self.draw.friction, 0.005, 1e-4]
-        add_floor(spec, 3, friction, TYRE)
+        add_floor(spec, 3, friction, TIRE)
         free_body(spec, self.base.body, self.description.source).add_freejoint(name="root")
         add_light(spec.body(self.base.body))
         return friction

@@ -238,7 +238,7 @@ class World:
     ) -> None:
         """Push a body (the base when left out) with a force (3) [N] and torque (3) [N m] in world axes, until changed.
 
-        The force acts at ``point`` (3) [m] of the body's frame, or at its centre of mass. Zeros end the push.
+        The force acts at ``point`` (3) [m] of the body's frame, or at its center of mass. Zeros end the push.
         """
         names = [self.model.body(i).name for i in range(1, self.model.nbody)]
         if body is not None and body not in names:

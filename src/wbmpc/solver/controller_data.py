@@ -58,7 +58,7 @@ def set_reference(
     numbers: Floats, integers: Integers, capacities: Integers, slots: int, slot: int, kind: int, samples: int, t: Floats,
     v: Floats,
 ) -> int:  # fmt: skip
-    """``samples`` of the reference in a slot. Quaternions get unit length, neighbours in the same half sphere."""
+    """``samples`` of the reference in a slot. Quaternions get unit length, neighbors in the same half sphere."""
     if slot < 0 or slot >= slots or kind < 0 or kind > POSE_HOLD:
         return Result.NO_SUCH_INDEX
     s = 4 + 6 * slot
@@ -96,7 +96,7 @@ def rotations(v: Floats, samples: int) -> bool:
 
 @compiled
 def align_quaternions(numbers: Floats, values: int, samples: int) -> None:
-    """Unit length, and neighbours in the same half sphere (q and −q are the same rotation)."""
+    """Unit length, and neighbors in the same half sphere (q and −q are the same rotation)."""
     for i in range(samples):
         q, product = values + 7 * i + 3, 0.0
         norm = np.sqrt(numbers[q] ** 2 + numbers[q + 1] ** 2 + numbers[q + 2] ** 2 + numbers[q + 3] ** 2)

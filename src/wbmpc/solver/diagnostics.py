@@ -194,7 +194,7 @@ def _certified(solver: Solver, ended: Status) -> tuple[Status, str]:
 def _nonlinear_hint(solver: Solver, missed: Violation | None) -> str:
     """What to do about an equality that is nonlinear in the inputs, where that is what is missed; empty for others.
 
-    Steps on its linearisation are too long, which is no sign that it cannot be met.
+    Steps on its linearization are too long, which is no sign that it cannot be met.
     """
     terms = solver.problem.bent_terms()
     if missed is None or missed.row.split(".")[0] not in terms:

@@ -217,7 +217,7 @@ def clear_second(m: Floats, o: Integers) -> None:
 
 @compiled
 def exact_node(m: Floats, o: Integers, k: int, matrix: int, rows: int) -> None:
-    """Second derivatives of node k onto its Hessian, after its linearisation; the costate moves to node k. ``rows``: where
+    """Second derivatives of node k onto its Hessian, after its linearization; the costate moves to node k. ``rows``: where
     the node's equality rows are."""
     nx, nu, lx, lz = o[NX], o[NU], o[LX], o[LZ]
     h = m[o[GRID] + k + 1] - m[o[GRID] + k]

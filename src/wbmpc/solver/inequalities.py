@@ -170,7 +170,7 @@ def add_boxes(m: Floats, o: Integers, first: int, offset: int, boxes: int, w: fl
 
 
 @compiled
-def linearise_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, ld: int) -> tuple[float, float]:
+def linearize_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, ld: int) -> tuple[float, float]:
     """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``: w times (cost, violation).
 
     The functions of general rows along the path have been called: values in ``small``, Jacobian where it belongs.

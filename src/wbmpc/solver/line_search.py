@@ -40,7 +40,7 @@ from wbmpc.solver.nonlinear_input_constraints import follow, hold_node
 from wbmpc.solver.riccati import backward
 from wbmpc.solver.simd_batch import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
 from wbmpc.solver.soft_equalities import soft_equality_terms_of_block
-from wbmpc.solver.stages import interval, normalise, stage_end
+from wbmpc.solver.stages import interval, normalize, stage_end
 
 #: What overshooting directions shorten a step to at least.
 SHORTEST = 0.15
@@ -189,7 +189,7 @@ def take(m: Floats, o: Integers) -> None:
         m[o[U] + i] = m[o[UT] + i]
     if o[QUATERNIONS] > 0:
         for k in range(n + 1):
-            normalise(m, o, o[X] + k * nx)
+            normalize(m, o, o[X] + k * nx)
 
 
 @compiled

@@ -1,11 +1,11 @@
 """Compiled code of hard rows that are nonlinear in the inputs, a circle |u|² ≤ r² for one: their second derivatives, and inputs that
 are held within the true rows.
 
-A linearised row says little about where the true one ends. Two things help. The Hessian takes the rows' second derivatives by the
+A linearized row says little about where the true one ends. Two things help. The Hessian takes the rows' second derivatives by the
 inputs, times the multipliers, at nodes where they are positive semidefinite, as those of convex sets are (Nocedal and Wright 2006,
 section 18.1). And in real time every trial point is corrected node by node from the first one on: inputs outside a true row move
 along the rows' gradients by the shortest way (Newton's method for one row, cyclic projection for several; Bauschke and Borwein
-1996), and the states behind follow by the linearised dynamics. Roll-outs of single shooting are held within straight rows too:
+1996), and the states behind follow by the linearized dynamics. Roll-outs of single shooting are held within straight rows too:
 their feedback takes inputs far beyond what the step was made for.
 """
 
@@ -235,7 +235,7 @@ def outside(m: Floats, o: Integers, k: int) -> float:
 
 @compiled
 def correct(m: Floats, o: Integers, k: int, share: float) -> None:
-    """Move the trial inputs of node k onto the linearised rows that they are outside of, one row after the other, and ``share``
+    """Move the trial inputs of node k onto the linearized rows that they are outside of, one row after the other, and ``share``
     of the way inside that there may be."""
     _, boxes, general = node_rows(o, k)
     nu, first, change = o[NU], o[NX] + 1, o[PULLED]
@@ -303,7 +303,7 @@ def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
 
 @compiled
 def follow(m: Floats, o: Integers, k: int, alpha: float) -> None:
-    """Trial state of node k + 1 by the linearised dynamics from the trial point of node k."""
+    """Trial state of node k + 1 by the linearized dynamics from the trial point of node k."""
     nx, nu = o[NX], o[NU]
     x, previous, u, last = o[XT] + k * nx, o[X] + k * nx, o[UT] + k * nu, o[U] + k * nu
     for r in range(nx):

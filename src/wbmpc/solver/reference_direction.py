@@ -1,4 +1,4 @@
-"""The twin of :mod:`wbmpc.solver.riccati` in NumPy: a problem linearised by CasADi's interpreter, and one direction."""
+"""The twin of :mod:`wbmpc.solver.riccati` in NumPy: a problem linearized by CasADi's interpreter, and one direction."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def riccati_step(
 
 
 class InterpretedDirections:
-    """One problem linearised around the fields x, u, p, w of its ``ws``, and the step from there."""
+    """One problem linearized around the fields x, u, p, w of its ``ws``, and the step from there."""
 
     def __init__(self, problem: Transcription) -> None:
         self.problem = problem
@@ -88,7 +88,7 @@ class InterpretedDirections:
         f, j = self.derivatives["dynamics_jacobian"](x, u, self._p(k), self.ws.w)
         return np.array(f).ravel(), np.array(j)
 
-    def _normalise(self, x: np.ndarray, j: np.ndarray | None = None) -> None:
+    def _normalize(self, x: np.ndarray, j: np.ndarray | None = None) -> None:
         for start in self.problem.ocp.dynamics.unit_quaternions:
             part = slice(start, start + 4)
             norm = np.linalg.norm(x[part])
@@ -112,7 +112,7 @@ class InterpretedDirections:
             end = x + h / 6 * (f1 + 2 * f2 + 2 * f3 + f4)
             total = h / 6 * (j1 + 2 * s2 + 2 * s3 + grow(j4, s3, h))
         total = total + np.eye(nx, total.shape[1])
-        self._normalise(end, total)
+        self._normalize(end, total)
         return end, total
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
@@ -173,7 +173,7 @@ class InterpretedDirections:
         e, cd = (np.array(v) for v in self.derivatives["equality_jacobian"](*arguments))
         gradient = np.array(g).ravel() + h * slope
         rows = self.own[k]
-        rows.linearise(z, *self.derivatives["rows_jacobian"](*arguments))
+        rows.linearize(z, *self.derivatives["rows_jacobian"](*arguments))
         sigma, offset = rows.weights(self.mu)
         j = rows.jacobian
         if self.problem.nonlinear_input_rows:
@@ -192,14 +192,14 @@ class InterpretedDirections:
         full, gradient = upper + np.triu(upper, 1).T + np.diag(curve), np.array(g).ravel() + slope
         rows = self.own[n]
         values, jacobian = self.derivatives["end_rows_jacobian"](ws.x[n], self._p(n), ws.w)
-        rows.linearise(ws.x[n], values, jacobian)
+        rows.linearize(ws.x[n], values, jacobian)
         sigma, offset = rows.weights(self.mu)
         j = rows.jacobian
         whole = full + j.T @ (sigma[:, None] * j) + self.shift * np.eye(nx)
         return whole, gradient + j.T @ (sigma * offset), full, gradient
 
     def iterate(self, x0: np.ndarray) -> dict[str, Any]:
-        """Linearise and find the step; returns dx, du, the nodes' data and the cost's slope."""
+        """Linearize and find the step; returns dx, du, the nodes' data and the cost's slope."""
         ws, n = self.ws, len(self.ws.u)
         nodes = [self._node(k) for k in range(n)]
         end = self._terminal()

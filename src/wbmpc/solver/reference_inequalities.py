@@ -42,7 +42,7 @@ class RowState:
             [self.sign[: self.boxes] * z[index] + self.offset[: self.boxes], np.array(general).ravel()]
         )
 
-    def linearise(self, z: np.ndarray, general: Any, jacobian: Any) -> None:
+    def linearize(self, z: np.ndarray, general: Any, jacobian: Any) -> None:
         """h and its Jacobian by z."""
         self.h = self.values(z, general)
         selection = np.zeros((self.boxes, z.size))

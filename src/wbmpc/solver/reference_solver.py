@@ -449,7 +449,7 @@ class InterpretedSolver(InterpretedDirections):
                 self.ws.state[[StateField.COST, StateField.VIOLATION]] = cost, merit[1] + of_soft - apart
                 self.ws.x[:], self.ws.u[:] = x, u
                 for row in self.ws.x:
-                    self._normalise(row)
+                    self._normalize(row)
                 return float(alpha)
             if forced:
                 break
@@ -462,4 +462,4 @@ class InterpretedSolver(InterpretedDirections):
         for array, times in ((ws.x, ws.grid), (ws.u, middle)):
             array[:] = np.stack([np.interp(times + delta, times, c) for c in array.T], axis=1)
         for row in ws.x:
-            self._normalise(row)
+            self._normalize(row)

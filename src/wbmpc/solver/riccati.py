@@ -1,4 +1,4 @@
-"""Compiled code of one direction: linearise every node, eliminate backwards, roll the step forwards."""
+"""Compiled code of one direction: linearize every node, eliminate backwards, roll the step forwards."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wbmpc.solver.barriers import (
 )
 from wbmpc.solver.compilation import LANES, Floats, Integers, call7, compiled
 from wbmpc.solver.exact import costate_end, exact_end, exact_node
-from wbmpc.solver.inequalities import add_rows_product, linearise_rows
+from wbmpc.solver.inequalities import add_rows_product, linearize_rows
 from wbmpc.solver.memory_layout import (
     AB,
     BASE,
@@ -74,7 +74,7 @@ from wbmpc.solver.memory_layout import (
 from wbmpc.solver.nonlinear_input_constraints import add_curvature
 from wbmpc.solver.simd_batch import (
     equality_size,
-    linearise_dynamics,
+    linearize_dynamics,
     load_block,
     single_lane,
     stage_lanes,
@@ -88,14 +88,14 @@ MIN_SLOPE = 1e-3
 
 
 @compiled
-def linearise_block(m: Floats, o: Integers, first: int, count: int, slot: int) -> None:
+def linearize_block(m: Floats, o: Integers, first: int, count: int, slot: int) -> None:
     """Dynamics, cost, equality rows and general rows of ``count`` ≤ 8 nodes from ``first`` on; Hessians into the buffers from
     ``slot`` on, equality rows into their eight. What is left to do is :func:`finish_node`."""
     nx, nu, lz, values = o[NX], o[NU], o[LZ], o[LANE_VALUES]
     size, x, u = (nx + 1 + nu) * lz, o[LANE_X], o[LANE_U]
     matrix = o[H] + slot * size
     load_block(m, o, first, count, o[X], o[U])
-    linearise_dynamics(m, o, first, count)
+    linearize_dynamics(m, o, first, count)
     if (
         o[ROW_GENERAL] + o[EXACT] + o[NONLINEAR_EQUALITIES] > 0
     ):  # rows and second derivatives add where the cost's functions write nothing
@@ -134,7 +134,7 @@ def finish_node(m: Floats, o: Integers, k: int, lane: int, slot: int) -> tuple[f
     for i in range(nx + 1, nx + 1 + nu):
         m[gradient + i] = m[matrix + i * lz + nx]
     take_rows_of_lane(m, o, lane)
-    row_cost, row_violation = linearise_rows(m, o, k, x, u, matrix, lz)
+    row_cost, row_violation = linearize_rows(m, o, k, x, u, matrix, lz)
     shift = m[o[STATE] + StateField.SHIFT]
     if shift > 0.0:
         for i in range(nx + 1 + nu):
@@ -155,7 +155,7 @@ def finish_node(m: Floats, o: Integers, k: int, lane: int, slot: int) -> tuple[f
 
 
 @compiled
-def linearise_end(m: Floats, o: Integers) -> tuple[float, float]:
+def linearize_end(m: Floats, o: Integers) -> tuple[float, float]:
     """Terminal cost and rows' violation; Hessian and gradient into ``terminal`` and the value function."""
     n, nx, lx = o[N], o[NX], o[LX]
     x, end = o[X] + n * nx, o[TERMINAL]
@@ -167,7 +167,7 @@ def linearise_end(m: Floats, o: Integers) -> tuple[float, float]:
     for i in range(nx):
         m[o[G] + n * o[LZ] + i] = m[end + nx * lx + i]
     cost = m[o[SMALL]] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], x, x)
-    row_cost, violation = linearise_rows(m, o, n, x, x, end, lx)
+    row_cost, violation = linearize_rows(m, o, n, x, x, end, lx)
     m[o[STATE] + StateField.ROW_COST], m[o[STATE] + StateField.SOFT_EQUALITY_VIOLATION] = row_cost, 0.0
     if o[EXACT] > 0:
         exact_end(m, o, end)
@@ -181,7 +181,7 @@ def linearise_end(m: Floats, o: Integers) -> tuple[float, float]:
 
 
 @compiled
-def symmetrise(m: Floats, o: Integers) -> None:
+def symmetrize(m: Floats, o: Integers) -> None:
     """Mirror the value function, its gradient too: an antisymmetric rounding error would grow with the open loop's unstable modes."""
     value, lx = o[VALUE], o[LX]
     for i in range(o[NX] + 1):
@@ -191,17 +191,17 @@ def symmetrise(m: Floats, o: Integers) -> None:
 
 @compiled
 def backward(m: Floats, o: Integers, keep: bool) -> tuple[float, float, float, float]:
-    """Linearise and eliminate, from the last node to the first: (cost, Σ|gap|, Σ|equality|, Σ|row|).
+    """Linearize and eliminate, from the last node to the first: (cost, Σ|gap|, Σ|equality|, Σ|row|).
 
     ``keep``: every node keeps its Hessian (for the KKT residual); else eight buffers are enough.
     """
-    cost, rows = linearise_end(m, o)
+    cost, rows = linearize_end(m, o)
     gaps, violations = 0.0, 0.0
     base, nx, nu, lx, lz = o[BASE], o[NX], o[NU], o[LX], o[LZ]
     for block in range((o[N] - 1) // LANES, -1, -1):
         start = block * LANES
         count, slot = min(LANES, o[N] - start), start if keep else 0
-        linearise_block(m, o, start, count, slot)
+        linearize_block(m, o, start, count, slot)
         for lane in range(count - 1, -1, -1):
             k = start + lane
             c, g, v, r = finish_node(m, o, k, lane, slot + lane)
@@ -216,7 +216,7 @@ def backward(m: Floats, o: Integers, keep: bool) -> tuple[float, float, float, f
                 base + 8 * (o[K] + k * nu * lx),
                 base + 8 * o[SCRATCH],
             )
-            symmetrise(m, o)
+            symmetrize(m, o)
     return cost, gaps, violations, rows
 
 

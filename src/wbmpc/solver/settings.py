@@ -59,7 +59,7 @@ class InteriorPoint:
     0.9 of the longest that is tried (docs/explanation/solver.md).
     ``rollout_restart=False``: in real time, a state outside a limit that cuts steps to nearly nothing does not make the iterate a
     motion from there. For unstable systems, whose motion without feedback runs away within the horizon: a plan of a balancing robot
-    began metres off, and a push of 120 N s felled it instead of 260.
+    began meters off, and a push of 120 N s felled it instead of 260.
     ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/results/limits-and-race.md).
     """
 

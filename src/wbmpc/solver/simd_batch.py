@@ -120,7 +120,7 @@ def combine_lanes(m: Floats, o: Integers, out: int, k1: int) -> None:
 
 
 @compiled
-def normalise_lanes(m: Floats, o: Integers, x: int, ab: int) -> None:
+def normalize_lanes(m: Floats, o: Integers, x: int, ab: int) -> None:
     """Unit length of the quaternions of a state; with ``ab`` ≥ 0 the derivative of that onto its rows."""
     size, boxes = LANES * o[LZ], o[PATH_BOXES] + o[END_BOXES]
     for s in range(o[QUATERNIONS]):
@@ -196,11 +196,11 @@ def chain(m: Floats, o: Integers, j: int, s: int, t: int, c: float, weight: floa
 
 
 @compiled
-def linearise_dynamics(m: Floats, o: Integers, first: int, count: int) -> None:
+def linearize_dynamics(m: Floats, o: Integers, first: int, count: int) -> None:
     """[A b B] of a block that is loaded."""
     nx, lx, lz, size = o[NX], o[LX], o[LZ], (o[NX] + 1) * o[LZ]
     end, ab = integrate_lanes(m, o, LANES_DYNAMICS_J), o[AB] + first * size
-    normalise_lanes(m, o, end, o[LANE_AB])
+    normalize_lanes(m, o, end, o[LANE_AB])
     for i in range(nx):
         at, e, x = o[LANE_AB] + LANES * (i * lz + nx), end + LANES * i, o[LANE_NEXT] + LANES * i
         m[at : at + LANES] = m[e : e + LANES] - m[x : x + LANES]
@@ -244,7 +244,7 @@ def gaps(m: Floats, o: Integers, first: int, count: int, x: int, u: int) -> floa
     """Σ |end of the interval − next state| of a block that is loaded from the trajectories ``x``, ``u``."""
     nx, counted, jumped = o[NX], o[LANE_SMALL] + COUNTED, 0.0
     end = integrate_lanes(m, o, LANES_DYNAMICS)
-    normalise_lanes(m, o, end, -1)
+    normalize_lanes(m, o, end, -1)
     total = np.full(LANES, 0.0)
     for i in range(0, LANES * nx, LANES):
         e, n = end + i, o[LANE_NEXT] + i

@@ -1,6 +1,6 @@
 """Compiled code of equality rows g with a softness ε to speak of: g(z) = r with a cost of ½ r² / ε.
 
-The quadratic problem has r eliminated: after a full step r is what the linearised row is. The line search has r as a variable that
+The quadratic problem has r eliminated: after a full step r is what the linearized row is. The line search has r as a variable that
 moves along its own step, from r = g at the start: as for any SQP the merit then falls along the step. With |g| among the
 violations it would not (g ≠ 0 at the solution), and with ½ g² / ε as a cost steps follow a curved valley.
 """

@@ -35,7 +35,7 @@ class Solution:
     ``times`` (N + 1,) [s, from the start of the horizon]; ``x`` (N + 1, nx); ``u`` (N, nu), held over each interval;
     ``gain`` (N, nu, nx): u = u_k + K_k (x − x_k). ``cost`` and ``violation`` (1-norm of gaps, equalities, rows and start)
     are those of this trajectory; ``kkt`` (largest component of the Lagrangian's gradient; NaN when it was not asked for) is that
-    of the last point that was linearised, i.e. before the last step, as is the last row of
+    of the last point that was linearized, i.e. before the last step, as is the last row of
     ``log`` (iterations, columns :data:`LOG`).
     """
 

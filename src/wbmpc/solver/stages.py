@@ -71,7 +71,7 @@ def jumps_after(o: Integers, k: int) -> bool:
 
 
 @compiled
-def normalise(m: Floats, o: Integers, x: int) -> None:
+def normalize(m: Floats, o: Integers, x: int) -> None:
     """Unit length of the quaternions of a state."""
     boxes = o[PATH_BOXES] + o[END_BOXES]
     for s in range(o[QUATERNIONS]):
@@ -114,7 +114,7 @@ def integrate(m: Floats, o: Integers, x: int, u: int, p: int, h: float, out: int
         offset_state(m, o, middle, x, k1 + 2 * lx, h)
         stage(o, DYNAMICS, middle, u, p, k1 + 3 * lx, k1, k1)
         combine(m, o, out, x, k1, h)
-    normalise(m, o, out)
+    normalize(m, o, out)
 
 
 @compiled

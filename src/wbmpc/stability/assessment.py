@@ -64,7 +64,7 @@ class Assessment:
             "double_support_area": self.double_support_area,
             "regions": [{"area": r.area, "triangles": [self._named(t) for t in r.triangles]} for r in self.regions],
             "mass": s.mass,
-            "centre_of_mass": _plain(s.com),
+            "center_of_mass": _plain(s.com),
             "force": _plain(s.force),
             "zero_moment_point": _plain(s.zmp) if np.isfinite(s.zmp).all() else None,
             "polygon_margin": _plain(s.polygon_margin),
@@ -83,7 +83,7 @@ class Assessment:
             f"{self.robot.description.name}, {self.title}",
             f"  support polygon              {self.polygon_area:.3f} m2",
             f"  largest region of 2 triangles {double:.3f} m2" if self.regions else "  no two triangles overlap",
-            f"  mass, centre of mass         {s.mass:.2f} kg, ({s.com[0]:.3f}, {s.com[1]:.3f}, {s.com[2]:.3f}) m",
+            f"  mass, center of mass         {s.mass:.2f} kg, ({s.com[0]:.3f}, {s.com[1]:.3f}, {s.com[2]:.3f}) m",
         ]
         if not np.isfinite(s.zmp).all():
             return "\n".join([*rows, "  the load does not press on the ground: the robot lifts off"])

@@ -1,4 +1,4 @@
-"""A stance from above as an SVG: polygon, regions, legs, centre of mass, zero-moment point. The robot looks upwards."""
+"""A stance from above as an SVG: polygon, regions, legs, center of mass, zero-moment point. The robot looks upwards."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from wbmpc.stability.assessment import Assessment
 from wbmpc.stability.geometry import support_polygon
 from wbmpc.stability.robot import standing
 
-#: Pixels per metre, border [px], height of the text below the picture [px].
+#: Pixels per meter, border [px], height of the text below the picture [px].
 _SCALE, _BORDER, _TEXT = 260.0, 56.0, 66.0
 _REGIONS = ["#8fc1e3", "#f2c58a", "#b5d99c", "#d8b4dd", "#f0a9a0", "#c9c9a3", "#a3cfcf", "#d9cbb8"]
 _INK, _SOFT, _BODY = "#1d2733", "#5c6b7a", "#46535f"
 
 
 class _Paper:
-    """Metres, x upwards and y to the left, onto pixels."""
+    """Meters, x upwards and y to the left, onto pixels."""
 
     def __init__(self, points: NDArray[np.float64]) -> None:
         low, high = points.min(axis=0) - 0.12, points.max(axis=0) + 0.12
@@ -59,10 +59,10 @@ def draw(a: Assessment, path: NDArray[np.float64] | None = None) -> str:
     paper = _Paper(np.vstack([feet, body, np.clip(zmp, -far, far)]))
     _grid(paper)
     for k, region in enumerate(a.regions):
-        colour = _REGIONS[k % len(_REGIONS)]
+        color = _REGIONS[k % len(_REGIONS)]
         for piece in region.pieces:
-            # a stroke of the same colour closes the seams between pieces
-            paper.polygon(piece, f'fill="{colour}" stroke="{colour}" stroke-width="0.5"')
+            # a stroke of the same color closes the seams between pieces
+            paper.polygon(piece, f'fill="{color}" stroke="{color}" stroke-width="0.5"')
     for i in range(len(feet)):
         for j in range(i):
             paper.line(feet[i], feet[j], f'stroke="{_SOFT}" stroke-width="1" stroke-dasharray="5 4"')
@@ -82,7 +82,7 @@ def draw(a: Assessment, path: NDArray[np.float64] | None = None) -> str:
 
 
 def _grid(paper: _Paper) -> None:
-    """Lines every quarter metre with their coordinates every half."""
+    """Lines every quarter meter with their coordinates every half."""
     style = 'stroke="#e8ecef" stroke-width="1"'
     for x in np.arange(paper.low[0], paper.high[0] + 1e-9, 0.25):
         paper.line((x, paper.low[1]), (x, paper.high[1]), style)
@@ -129,7 +129,7 @@ def _words(paper: _Paper, a: Assessment) -> None:
     rows = [f"support polygon {a.polygon_area:.2f} m², largest region of two triangles {a.double_support_area:.2f} m²"]
     if np.isfinite(s.zmp).all():
         rows.append(
-            f"red: zero-moment point ({s.zmp[0]:.3f}, {s.zmp[1]:.3f}) m; white: centre of mass, {s.mass:.1f} kg"
+            f"red: zero-moment point ({s.zmp[0]:.3f}, {s.zmp[1]:.3f}) m; white: center of mass, {s.mass:.1f} kg"
         )
         margin, region = 1e3 * s.polygon_margin, 1e3 * a.region_margin
         if margin > 0.0:

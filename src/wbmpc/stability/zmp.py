@@ -56,14 +56,14 @@ class Load:
 
     @classmethod
     def gravity(cls, mass: float, com: ArrayLike, gravity: ArrayLike = GRAVITY) -> Load:
-        """The weight of ``mass`` [kg] with its centre at ``com`` (..., 3) [m]."""
+        """The weight of ``mass`` [kg] with its center at ``com`` (..., 3) [m]."""
         c, g = _vector("com", com), _vector("gravity", gravity)
         force = _mass(mass) * np.broadcast_to(g, c.shape)
         return cls(force, np.cross(c, force))
 
     @classmethod
     def inertia(cls, mass: float, com: ArrayLike, acceleration: ArrayLike, spin_rate: ArrayLike = _NOTHING) -> Load:
-        """What a motion asks for: ``acceleration`` (..., 3) [m/s²] of the centre of mass, ``spin_rate`` (..., 3) [N m]: time
+        """What a motion asks for: ``acceleration`` (..., 3) [m/s²] of the center of mass, ``spin_rate`` (..., 3) [N m]: time
         derivative of the angular momentum about it."""
         c = _vector("com", com)
         force = -_mass(mass) * _vector("acceleration", acceleration)

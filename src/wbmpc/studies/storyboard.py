@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
-#: Pixels per metre; half the height of a strip and its border [m]; colours.
+#: Pixels per meter; half the height of a strip and its border [m]; colors.
 _SCALE, _HALF, _BORDER = 110.0, 1.25, 1.1
 _INK, _SOFT, _BODY, _WAY, _BUMP = "#1d2733", "#5c6b7a", "#46535f", "#c8102e", "#e6d3a8"
 
@@ -29,7 +29,7 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class Ground:
-    """Around the way, all in metres: ``boxes`` (x, y, half length, half width), round ``bumps`` (x, y, radius), ``cables`` (x)."""
+    """Around the way, all in meters: ``boxes`` (x, y, half length, half width), round ``bumps`` (x, y, radius), ``cables`` (x)."""
 
     boxes: Sequence[tuple[float, float, float, float]] = ()
     bumps: Sequence[tuple[float, float, float]] = ()
@@ -42,7 +42,7 @@ def storyboard(
 ) -> str:  # fmt: skip
     """SVG text: a way along x (points ``way`` (k, 2) [m]) in ``rows`` strips from left to right, one below the other.
 
-    ``body``: half length and half width [m] of the outline. Snapshots lie in the strip in which their centre is; a hinge with
+    ``body``: half length and half width [m] of the outline. Snapshots lie in the strip in which their center is; a hinge with
     an open brake is a ring, with a closed one a dot; a line in the outline points ahead.
     """
     start, end = float(way[:, 0].min()), float(way[:, 0].max())
@@ -61,7 +61,7 @@ def storyboard(
             _mark(x, left, (row + 1) * height)
             for x in range(int(np.ceil(left - 0.9 * _BORDER)), int(left + length + _BORDER))
         ]
-        # metres, y upwards; the strip is cut off where the next one begins
+        # meters, y upwards; the strip is cut off where the next one begins
         place = f"translate({-_SCALE * (left - _BORDER):.1f} {height * (row + 0.5):.1f}) scale({_SCALE} {-_SCALE})"
         parts.append(
             f'<svg x="0" y="{row * height:.1f}" width="{width:.0f}" height="{height:.0f}" '
@@ -76,9 +76,9 @@ def storyboard(
     )
 
 
-def _line(a: Array, b: Array, colour: str, width: float, more: str = "") -> str:
+def _line(a: Array, b: Array, color: str, width: float, more: str = "") -> str:
     return (
-        f'<line x1="{a[0]:.3f}" y1="{a[1]:.3f}" x2="{b[0]:.3f}" y2="{b[1]:.3f}" stroke="{colour}" '
+        f'<line x1="{a[0]:.3f}" y1="{a[1]:.3f}" x2="{b[0]:.3f}" y2="{b[1]:.3f}" stroke="{color}" '
         f'stroke-width="{width:.3f}" {more}/>'
     )
 
@@ -138,7 +138,7 @@ def _time(s: Snapshot, left: float, top: float) -> str:
 
 
 def _mark(x: int, left: float, bottom: float) -> str:
-    """A metre of the way with its number, below the base."""
+    """A meter of the way with its number, below the base."""
     at = _SCALE * (x - left + _BORDER)
     return (
         f'<path d="M{at:.1f} {bottom:.1f}v-6" stroke="{_SOFT}"/>'

@@ -75,8 +75,8 @@ def _slice(trials: Trials, key: str) -> str:
 def _points(trials: Trials, x: list[Any]) -> Any:
     import plotly.graph_objects as go
 
-    colours = ["#1f5fa8" if t["feasible"] else "#b9c2cb" for t in trials]
+    colors = ["#1f5fa8" if t["feasible"] else "#b9c2cb" for t in trials]
     return go.Scatter(
-        x=x, y=[t["values"][0] for t in trials], mode="markers", marker={"color": colours, "size": 5},
+        x=x, y=[t["values"][0] for t in trials], mode="markers", marker={"color": colors, "size": 5},
         text=[f"trial {t['trial']}" for t in trials],
     )  # fmt: skip

@@ -12,7 +12,7 @@ from wbmpc.result import Metric, Plot, Series
 MIN_DISTANCE = 0.1
 
 
-def travelled(base: np.ndarray) -> float:
+def traveled(base: np.ndarray) -> float:
     """Length [m] of the way of poses (n, 3)."""
     return float(np.hypot(*np.diff(base[:, :2], axis=0).T).sum())
 
@@ -24,7 +24,7 @@ def general_metrics(log: Log, robot: RobotModel, since: float, fell: bool) -> di
         found |= _tracking(log, since)
     base, estimated = log.array("base"), log.array("base_estimated")
     if "base" in robot.state:
-        way = travelled(base)
+        way = traveled(base)
         found["base_path_length"] = Metric(way, "m")
         if way > MIN_DISTANCE:
             found["odometry_drift_ratio"] = Metric(float(np.hypot(*(estimated - base)[-1, :2])) / way, "1")
@@ -49,7 +49,7 @@ def _tracking(log: Log, since: float) -> dict[str, Metric]:
 def general_plots(log: Log) -> list[Plot]:
     """Paths seen from above, and errors."""
     t, tool, base = log.times("end_effector"), log.array("end_effector"), log.array("base")
-    paths = [Series("end effector", tool[:, 0], tool[:, 1], colour=0), Series("base", base[:, 0], base[:, 1], colour=2)]
+    paths = [Series("end effector", tool[:, 0], tool[:, 1], color=0), Series("base", base[:, 0], base[:, 1], color=2)]
     plots = []
     if "end_effector_reference" in log.channels:
         reference = log.array("end_effector_reference")

@@ -39,8 +39,8 @@ MODEL_RATES, RECORDED = (200.0, 400.0), 0.01
 #: End effectors of the MPC's model and of the simulated robot are at most this [m] from each other: a calibrated model is a little off.
 SAME = 0.05
 
-IDEALISATIONS = {
-    "mujoco": ["tyres are soft contacts, not a tyre model", "the computation takes a constant time"],
+IDEALIZATIONS = {
+    "mujoco": ["tires are soft contacts, not a tire model", "the computation takes a constant time"],
     "kinematic": ["there is no physics: the planner's own model is simulated, and its state is known exactly"],
 }
 
@@ -126,7 +126,7 @@ def closed_loop(
         return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
-    return Scenario.single(log, loop.run, measured, drawn, IDEALISATIONS[settings.physics])
+    return Scenario.single(log, loop.run, measured, drawn, IDEALIZATIONS[settings.physics])
 
 
 def check_loop(

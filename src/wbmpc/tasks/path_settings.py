@@ -118,7 +118,7 @@ class Sine(PathSettings):
 
 
 class Waypoints(PathSettings):
-    """Straight pieces; at the robot's own speed their corners are rounded by a centimetre."""
+    """Straight pieces; at the robot's own speed their corners are rounded by a centimeter."""
 
     def waypoints(self, position: Array, quaternion: Array) -> tuple[Array, Array]:
         """Positions (n, 3) and quaternions (n, 4) in the world of the planner, the first one where the path starts."""

@@ -21,7 +21,7 @@ from wbmpc.stability import standing
 
 class SimulationSettings(Settings):
     """``physics``: mujoco with the perturbed ``plant``, noise and lag, or kinematic: the planner's own model, exact and fast;
-    ``computation_delay`` [s]: modelled time of a solve; ``settle_time`` [s]: before the task begins, at rest; ``obstacles``: a YAML file of
+    ``computation_delay`` [s]: modeled time of a solve; ``settle_time`` [s]: before the task begins, at rest; ``obstacles``: a YAML file of
     what stands and moves in the simulated world (docs/how-to/obstacles.md)."""
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"

@@ -27,12 +27,12 @@ _EVERY, _EVERY_PLOT = 3, 6
 _ANSWER = 1.0
 #: How long the page shows why something was not done, and how long a goal is left alone after it was moved last [s].
 _SHOWN, _HELD = 10.0, 10.0
-#: Lines of the drives' groups: name and colour.
+#: Lines of the drives' groups: name and color.
 _LINES = {
     "arm": ("arm", "#2a9d6f"), "legs": ("legs", "#8a5fbf"), "steering": ("steering", "#b7791f"),
     "wheels": ("wheels", "#1f5fa8"), "drives": ("wheels (torque)", "#1f5fa8"),
 }  # fmt: skip
-#: A plot: its title, and its lines: number, name, colour, factor.
+#: A plot: its title, and its lines: number, name, color, factor.
 _Line = tuple[str, str, str, float]
 
 
@@ -164,11 +164,11 @@ class Panel:
     def _plots(self) -> None:
         self._history = History()
         self._count, empty = 0, np.zeros(1)
-        line = lambda label, colour: uplot.Series(label=label, stroke=colour, width=1.5)
+        line = lambda label, color: uplot.Series(label=label, stroke=color, width=1.5)
         self._figures = []
         with self.server.gui.add_folder("Plots"):
             for title, lines in plotted(self.controls).items():
-                series = (uplot.Series(label="t"), *(line(label, colour) for _, label, colour, _ in lines))
+                series = (uplot.Series(label="t"), *(line(label, color) for _, label, color, _ in lines))
                 handle = self.server.gui.add_uplot(
                     (empty, *(empty for _ in lines)),
                     series,

@@ -20,7 +20,7 @@ from wbmpc.view.replay import Film
 
 #: Pictures per second of clips: of a film, of a GIF.
 RATES = {".mp4": 30.0, ".gif": 12.5}
-GIF_COLOURS = 64
+GIF_COLORS = 64
 #: A camera's elevations [rad], the best first; at how many moments of a clip it is looked whether something hides the robot.
 _ELEVATIONS, _LOOKS = (-0.38, -0.7, -1.0), 12
 NO_GRAPHICS = (
@@ -96,10 +96,10 @@ def _write_mp4(path: Path, pictures: list[np.ndarray]) -> None:
 
 
 def _write_gif(path: Path, pictures: list[np.ndarray]) -> None:
-    """Few colours and no dither: a third of the size, and surfaces stay calm."""
+    """Few colors and no dither: a third of the size, and surfaces stay calm."""
     from PIL import Image
 
-    frames = [Image.fromarray(p).quantize(GIF_COLOURS, dither=Image.Dither.NONE) for p in pictures]
+    frames = [Image.fromarray(p).quantize(GIF_COLORS, dither=Image.Dither.NONE) for p in pictures]
     duration = round(1000.0 / RATES[".gif"])
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=True)
 

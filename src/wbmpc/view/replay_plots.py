@@ -17,7 +17,7 @@ _TITLES = {
     "error": ("End effector position error [mm]", 1e3), "solve": ("Solve time and deadline [ms]", 1e3),
     "speed": ("Largest joint speed [rad/s]", 1.0),
 }  # fmt: skip
-_BLUE, _AMBER, _GREY = "#1f5fa8", "#b7791f", "#7b8894"
+_BLUE, _AMBER, _GRAY = "#1f5fa8", "#b7791f", "#7b8894"
 
 
 class ReplayPlots:
@@ -37,7 +37,7 @@ class ReplayPlots:
                 if name == "solve" and np.isfinite(deadline):
                     lines.append(np.full(times.size, factor * deadline))
                     styles.append(uplot.Series(label="deadline", stroke=_AMBER, width=1.5))
-                styles.append(uplot.Series(label="now", stroke=_GREY, width=1.5))
+                styles.append(uplot.Series(label="now", stroke=_GRAY, width=1.5))
                 handle = server.gui.add_uplot(
                     marked(times, lines, 0.0), (uplot.Series(label="t"), *styles), title=title, aspect=2.2,
                     scales={"x": uplot.Scale(time=False)}, legend=uplot.Legend(show=False),

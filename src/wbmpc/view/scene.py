@@ -17,12 +17,12 @@ from wbmpc.simulation.scene import Scene, Shape
 from wbmpc.view.camera import camera_offset
 
 Array = np.ndarray
-#: Colours (0 to 255) of what is drawn over the scene, and thickness [m] of lines.
+#: Colors (0 to 255) of what is drawn over the scene, and thickness [m] of lines.
 REFERENCE, END_EFFECTOR, BASE, SUPPORT, TRIANGLE, PRESSURE, FORCE, TRAIL = (
     (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (20, 170, 190), (240, 170, 20), (200, 40, 120), (60, 70, 85),
 )  # fmt: skip
 _THICKNESS = 0.008
-#: What the colours mean, for a legend.
+#: What the colors mean, for a legend.
 LEGEND = {
     "reference of the end effector": REFERENCE, "way of the end effector": TRAIL,
     "predicted end effector": END_EFFECTOR, "predicted base": BASE, "support polygon": SUPPORT,
@@ -67,11 +67,11 @@ class ViewScene:
         if mesh is None:
             return
         parent = f"{self._root}/world" if shape.body == "world" else f"{self._root}/bodies/{shape.body}"
-        pose, opacity = np.array(shape.pose), shape.colour[3]
+        pose, opacity = np.array(shape.pose), shape.color[3]
         if shape.kind == "sphere" and shape.size[0] > _BALL:
             opacity = min(opacity, _OPACITY)
         self.server.scene.add_mesh_simple(
-            f"{parent}/shape_{i}", np.asarray(mesh.vertices), np.asarray(mesh.faces), color=np.array(shape.colour[:3]),
+            f"{parent}/shape_{i}", np.asarray(mesh.vertices), np.asarray(mesh.faces), color=np.array(shape.color[:3]),
             opacity=None if opacity >= 1.0 else opacity, flat_shading=shape.kind == "box",
             position=pose[:3], wxyz=pose[3:],
         )  # fmt: skip
@@ -126,9 +126,9 @@ class ViewScene:
             self._path("trail", s["trail"], TRAIL)
             self._path("hand_plan", s["hand_plan"], END_EFFECTOR)
             self._path("base_plan", s["base_plan"], BASE)
-            for name, colour, above in (("support", SUPPORT, 0.0), ("triangle", TRIANGLE, 0.004)):
+            for name, color, above in (("support", SUPPORT, 0.0), ("triangle", TRIANGLE, 0.004)):
                 corners = s[name][np.isfinite(s[name]).all(axis=1)] + [0.0, 0.0, above]
-                self._path(name, np.vstack([corners, corners[:1]]), colour)
+                self._path(name, np.vstack([corners, corners[:1]]), color)
             cross = s["pressure"] + 0.05 * np.array([[-1, 0, 0], [1, 0, 0], [0, 0, 0], [0, -1, 0], [0, 1, 0]])
             self._path("pressure", cross, PRESSURE)
             self._arrows(s["forces"])
@@ -140,25 +140,25 @@ class ViewScene:
         self._shown[name] = value.copy()
         return True
 
-    def _path(self, name: str, points: Array, colour: tuple[int, int, int]) -> None:
+    def _path(self, name: str, points: Array, color: tuple[int, int, int]) -> None:
         if not self._changed(name, points):
             return
         points = points[np.isfinite(points).all(axis=1)]
         segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-        self._segments(name, segments, colour, self.server.scene.add_line_segments, thickness=_THICKNESS)
+        self._segments(name, segments, color, self.server.scene.add_line_segments, thickness=_THICKNESS)
 
     def _arrows(self, forces: Array) -> None:
         if self._changed("forces", forces):
             chosen = forces[np.isfinite(forces).all(axis=(1, 2))].astype(np.float32)
             self._segments("forces", chosen, FORCE, self.server.scene.add_arrows, shaft_radius=0.012, head_radius=0.03)
 
-    def _segments(self, name: str, segments: Array, colour: tuple[int, int, int], add: Any, **style: float) -> None:
+    def _segments(self, name: str, segments: Array, color: tuple[int, int, int], add: Any, **style: float) -> None:
         if name in self._lines:
             self._lines[name].visible = len(segments) > 0
             if len(segments):
                 self._lines[name].points = segments
         elif len(segments):
-            self._lines[name] = add(f"{self._root}/over/{name}", segments, colour, **style)
+            self._lines[name] = add(f"{self._root}/over/{name}", segments, color, **style)
 
 
 def _far(moved: Array) -> bool:
@@ -178,10 +178,10 @@ def name_tab(gui: viser.GuiApi, title: str) -> None:
 
 
 def add_legend(gui: viser.GuiApi) -> None:
-    """A folder that says what the colours mean."""
+    """A folder that says what the colors mean."""
     mark = '<span style="color:rgb{};font-size:1.3em">■</span> {}'
-    with gui.add_folder("Colours", expand_by_default=False):
-        lines = "<br>".join(mark.format(colour, what) for what, colour in LEGEND.items())
+    with gui.add_folder("Colors", expand_by_default=False):
+        lines = "<br>".join(mark.format(color, what) for what, color in LEGEND.items())
         gui.add_html(f'<div style="font-size:0.8em;padding:0 0.9em 0.5em">{lines}</div>')
 
 

@@ -24,7 +24,7 @@ BASE = 5
 
 
 def load_offset(base: BallBase, q: ca.SX, w: ca.SX | None = None) -> ca.SX:
-    """Horizontal offset (2) [m] of the centre of mass of all that stands on the ball, from the ball's centre, with the payload of
+    """Horizontal offset (2) [m] of the center of mass of all that stands on the ball, from the ball's center, with the payload of
     the parameters w."""
     chain, first, mass = base.chain(q), ca.SX(3, 1), ca.SX(0)
     ball = chain.link_pose(1).position
@@ -45,7 +45,7 @@ class Balance:
     """``pole`` [1/s]: how fast a lean grows, the mean of both axes. ``reach`` (n) [m]: the largest divergent component that the
     wheels can stop, in n evenly spread directions of the base (arm held, linear about the equilibrium). ``answer`` [m/N]: a
     steady horizontal force f on the tool counts like a divergent component of ``answer`` f, the mean of both axes: a robot
-    that leans by so much against it balances without torque. For a steady generalised force d (5) [N, N m] on the base, in the
+    that leans by so much against it balances without torque. For a steady generalized force d (5) [N, N m] on the base, in the
     heading's axes: ``shift`` (2, 5), the divergent component that it counts like; ``stand`` (2, 5), the offset [m] with which the
     robot stands still under it, so that the wheels' torque there is worth (shift + stand) d of the reach."""
 
@@ -107,7 +107,7 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
     q, v = ca.SX.sym("q", base.nq), ca.SX.sym("v", base.nq)
     torque, end_effector = ca.SX.sym("u", u.size), ca.SX.sym("push", 2)
     more = ca.SX.zeros(robot.input.size - u.size)
-    force = base.generalised_force(q, ca.vertcat(torque, more), ca.SX.zeros(robot.parameters.size))
+    force = base.generalized_force(q, ca.vertcat(torque, more), ca.SX.zeros(robot.parameters.size))
     force -= base.inverse_dynamics(q, v, ca.SX(base.nq, 1))
     push = ca.jacobian(base.tool_force(q, ca.vertcat(end_effector, 0)), end_effector)
     parts = [ca.jacobian(force, q), ca.jacobian(force, torque), push, ca.jacobian(load_offset(base, q), q)]

@@ -36,11 +36,11 @@ class BallController:
 
     ``drives``: what the controller believes of them; its commands are for the state in which they will act. ``observer``: whether
     the disturbance is estimated, and the mass at the end effector where the model has it as a parameter; ``estimator``: takes the
-    state from the sensors (left out: the measurement's own, idealised one). ``forecast``: ends the run when the plans, or the lean
+    state from the sensors (left out: the measurement's own, idealized one). ``forecast``: ends the run when the plans, or the lean
     that is felt, say that the robot will fall. Raises :class:`InputError` for numbers that cannot be.
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
     ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
-    against forces that it has learnt (None: as if there were none).
+    against forces that it has learned (None: as if there were none).
     ``clamped``: whether the last command was cut to the drives' limits.
     """
 
@@ -154,7 +154,7 @@ class BallController:
         return np.zeros(2)
 
     def _answered(self) -> np.ndarray:
-        """By how much (2) [m] the lean's divergent component counts like more than it is, under the learnt disturbance."""
+        """By how much (2) [m] the lean's divergent component counts like more than it is, under the learned disturbance."""
         if self.lean_control is None or self.measured is None:
             return np.zeros(2)
         return self.lean_control.shift(self.disturbance, float(self.measured.state[2]))
@@ -208,10 +208,10 @@ class BallController:
         return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
     def _room(self) -> np.ndarray:
-        """What (2) [m] the limit of the lean counts beside the lean: pushes that are felt, forces that have been learnt."""
+        """What (2) [m] the limit of the lean counts beside the lean: pushes that are felt, forces that have been learned."""
         room = np.zeros(2) if self.shoves is None else self.shoves.room
         if self.lean_control is not None and self.measured is not None:
-            room = room + self.lean_control.centre(self.disturbance, float(self.measured.state[2]))
+            room = room + self.lean_control.center(self.disturbance, float(self.measured.state[2]))
         return room
 
     def _late(self) -> int:

@@ -70,7 +70,7 @@ class BallBaseDescription(BaseDescription):
 
     @property
     def ground(self) -> float:
-        """The world's origin is at the height of the ball's centre."""
+        """The world's origin is at the height of the ball's center."""
         return -self.ball_radius
 
     def radii(self) -> list[Radius]:

@@ -32,7 +32,7 @@ class BallEstimator:
 
     ``start`` (2 nq): where the robot stands when it is switched on, at rest; its position and heading define the world.
     ``balance`` [rad]: how well the lean at which the model balances is known. The first time that the robot has stood still for
-    :data:`STANDS`, its lean is taken to be that one. (10 mm of the robot's centre of mass are 30 mrad; an accelerometer
+    :data:`STANDS`, its lean is taken to be that one. (10 mm of the robot's center of mass are 30 mrad; an accelerometer
     bias of 0.01 m/s² is 1 mrad: it helps only against a bias that was not calibrated, or with a model that was.)
     """
 

@@ -39,12 +39,12 @@ class FallPredictor:
     """Monitors every new plan of a ball robot's MPC, and its state: returns a :class:`Fall` when falling is certain.
 
     The lean is a hard limit of the problem, relaxed only where it cannot be held. A plan in which its divergent component goes
-    beyond the wheels' reach (times ``share``) within its first ``ahead`` [s] says that the optimiser, with all torques that there
+    beyond the wheels' reach (times ``share``) within its first ``ahead`` [s] says that the optimizer, with all torques that there
     are, has found no other way; ``plans`` such plans in a row are needed, for one solve may be far from converged. What a plan
     says later is worth little while a push lasts: a lean grows tenfold in half a second, and robots whose plans were lost there
     for 0.2 s have stood. A state that has been beyond it for ``seconds`` is lost whatever is planned: a ball that slides on the
     floor does not do what plans say. A force on the end effector moves the lean from which the component counts; plans of a robot whose
-    input it is say how large it is to be. A disturbance that has been learnt moves it too (``shift``: see
+    input it is say how large it is to be. A disturbance that has been learned moves it too (``shift``: see
     :class:`wbmpc.bases.ball.lean_control.LeanControl`). Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """
 
@@ -115,5 +115,5 @@ class FallPredictor:
         return math.hypot(u + x, v + y)
 
     def _fall(self, t: float, who: str, maximum: float) -> Fall:
-        lean = f"{who} by {1e3 * maximum:.0f} mm at the centre of mass"
+        lean = f"{who} by {1e3 * maximum:.0f} mm at the center of mass"
         return Fall(t, f"{lean}, and the wheels can stop {1e3 * self.reach:.0f} mm")

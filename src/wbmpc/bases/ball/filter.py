@@ -258,7 +258,7 @@ class BallFilter:
     # ------------------------------------------------------------------ what is asked for
     @property
     def ball_velocity(self) -> Array:
-        """Velocity (3) [m/s] of the ball's centre, world axes."""
+        """Velocity (3) [m/s] of the ball's center, world axes."""
         x = self.state
         velocity: Array = x.velocity - x.rotation @ cross(self.rate, self.geometry.mount)
         return velocity

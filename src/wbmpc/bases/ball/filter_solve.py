@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
-from wbmpc.bases.ball.filter_step import Row, State, apply, linearise
+from wbmpc.bases.ball.filter_step import Row, State, apply, linearize
 from wbmpc.kernel.ir import Floats
 
 #: Variance [rad²] of rows that count for nothing.
@@ -177,9 +177,9 @@ def take(
     plain: Floats, spin: Floats, best_error: Floats, best_covariance: Floats, h: float, torque: float, gyro_more: float,
     accel_more: float, gate: float,
 ) -> tuple[int, float]:  # fmt: skip
-    """The newer state ``z`` after a message: :func:`~wbmpc.bases.ball.filter_step.linearise`, :func:`explain` (what it returns) and
+    """The newer state ``z`` after a message: :func:`~wbmpc.bases.ball.filter_step.linearize`, :func:`explain` (what it returns) and
     :func:`~wbmpc.bases.ball.filter_step.apply` in one."""
-    linearise(
+    linearize(
         n, x, y, gyro, accel, wheel, mount, wheels, radius, noise, turn, turned, half, middle, after, shift, pushed, slip, jx, jy,
         q, r, h, torque, gyro_more, accel_more,
     )  # fmt: skip

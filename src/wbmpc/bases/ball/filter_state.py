@@ -19,7 +19,7 @@ P, V, A, BG, BA = (slice(k, k + 3) for k in (0, 3, 6, 9, 12))
 @dataclass(frozen=True)
 class BallGeometry:
     """``radius`` [m] of the ball; ``turn`` (n, 3): wheel speeds over the ball's rate relative to the base, base axes;
-    ``mount`` (3) [m] of the inertial unit in the base's frame, whose origin is the ball's centre."""
+    ``mount`` (3) [m] of the inertial unit in the base's frame, whose origin is the ball's center."""
 
     radius: float
     turn: Array
@@ -42,7 +42,7 @@ class BallNoise:
     about horizontal axes, and ``spin`` about the vertical. Under a torque about the vertical that lasts longer than
     ``lasting`` [s] the ball's patch creeps steadily one way (0.011 rad/s for each N m in simulation), which would pass for
     a bias of the gyro: ``creeping`` [rad/√s] for each N m of it is added to ``spin``. ``floor`` [m]: height of the ball's
-    centre; ``path`` [m]: of the way between two messages, what a straight line of velocities does not describe. Priors:
+    center; ``path`` [m]: of the way between two messages, what a straight line of velocities does not describe. Priors:
     ``tilt`` [rad], ``start`` ([m], [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error
     of the wheels' radius, which does not stay longer than ``scale_time`` [s]: the accelerometer sees it too well to be
     believed. ``change``: error of the inertial unit's means over the difference between two in a row: motions that change
@@ -80,7 +80,7 @@ class BallNoise:
 
 @dataclass
 class BallState:
-    """``position`` (3) [m] of the ball's centre, ``velocity`` (3) [m/s] of the inertial unit, ``rotation`` of the base, all in
+    """``position`` (3) [m] of the ball's center, ``velocity`` (3) [m/s] of the inertial unit, ``rotation`` of the base, all in
     the world; biases (3) of gyro and accelerometer; ``wheel`` (n) [rad] angles; ``scale``: log of the radius factor."""
 
     position: Array

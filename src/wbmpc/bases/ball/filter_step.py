@@ -105,7 +105,7 @@ def integrate(
     n: int, h: float, x: Floats, y: Floats, gyro: Floats, accel: Floats, mount: Floats, wheels: Floats, radius: float,
     turn: Floats, turned: Floats, half: Floats, middle: Floats, after: Floats, shift: Floats, pushed: Floats,
 ) -> None:  # fmt: skip
-    """The state ``y`` after ``x`` by strapdown integration and rolling: where the residuals are linearised. ``pushed`` (3): turning of
+    """The state ``y`` after ``x`` by strapdown integration and rolling: where the residuals are linearized. ``pushed`` (3): turning of
     the ball by the way ``shift``, in base axes."""
     for i in range(3):
         turn[i] = h * (gyro[i] - x[State.GYRO_BIAS + i])
@@ -226,7 +226,7 @@ def rolling_rows(
 
 
 @step
-def linearise(
+def linearize(
     n: int, x: Floats, y: Floats, gyro: Floats, accel: Floats, wheel: Floats, mount: Floats, wheels: Floats,
     radius: float, noise: Floats, turn: Floats, turned: Floats, half: Floats, middle: Floats, after: Floats,
     shift: Floats, pushed: Floats, slip: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats, h: float, torque: float,

@@ -1,4 +1,4 @@
-"""Forces that last: how far a ball robot may lean against those that it has learnt, and which ones no lean can hold."""
+"""Forces that last: how far a ball robot may lean against those that it has learned, and which ones no lean can hold."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ MAXIMUM = 0.9
 STRONG = 0.6
 #: How long [s] a strong force has to drive the ball that fast: one of 100 N for 0.7 s does for 28 ms and is recovered from.
 HELD = 0.3
-#: A learnt force that has fallen below this share of its largest does not last: a push is over, and the observer forgets it.
+#: A learned force that has fallen below this share of its largest does not last: a push is over, and the observer forgets it.
 FADED = 0.9
 
 
 class LeanControl:
-    """The lean that a learnt disturbance d̂ asks for, from the linear model of :class:`wbmpc.bases.ball.balance.Balance` (arm held).
+    """The lean that a learned disturbance d̂ asks for, from the linear model of :class:`wbmpc.bases.ball.balance.Balance` (arm held).
 
     ``arm`` (m) [rad]: angles for which that is; ``share`` of the reach to which the problem limits the lean's divergent
     component; ``speed`` [m/s]: a ball that goes faster than this under a strong force that lasts ends the run.
@@ -66,11 +66,11 @@ class LeanControl:
         self._largest = 0.0
 
     def shift(self, force: Array, yaw: float) -> Array:
-        """By how much (2) [m] the divergent component counts like more than it is, along the world's x and y, under the learnt
-        generalised ``force`` (nq) [N, N m] at a heading [rad]."""
+        """By how much (2) [m] the divergent component counts like more than it is, along the world's x and y, under the learned
+        generalized ``force`` (nq) [N, N m] at a heading [rad]."""
         return np.array(self._worths(force, yaw)[:2])
 
-    def centre(self, force: Array, yaw: float) -> Array:
+    def center(self, force: Array, yaw: float) -> Array:
         """The same for the limit of the lean: about the lean with which the robot stands still, as far as the reach allows.
 
         What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MAXIMUM`.
@@ -82,7 +82,7 @@ class LeanControl:
         return np.array([x - (c * bx - s * by), y - (s * bx + c * by)])
 
     def check(self, t: float, force: Array, x: Array) -> None:
-        """Report once a learnt ``force`` (nq) that pushes the robot away for :data:`HELD`, at state x (nx) and time t [s]: one that no
+        """Report once a learned ``force`` (nq) that pushes the robot away for :data:`HELD`, at state x (nx) and time t [s]: one that no
         lean can hold, or a strong one that drives the ball with half of ``speed``. Raises :class:`DisturbanceTooLarge` when it has
         driven it with all of it for as long. What is left of a push that is over counts as neither.
         """

@@ -1,4 +1,4 @@
-"""What a learnt force is worth of a lean, compiled: see :class:`wbmpc.bases.ball.lean_control.LeanControl`."""
+"""What a learned force is worth of a lean, compiled: see :class:`wbmpc.bases.ball.lean_control.LeanControl`."""
 
 from __future__ import annotations
 

@@ -13,8 +13,8 @@ from wbmpc.errors import InputError
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
 
-#: How far [of its radius] a ball's centre of mass, joint and frame may be from the origin of the base's frame.
-OFF_CENTRE = 1e-3
+#: How far [of its radius] a ball's center of mass, joint and frame may be from the origin of the base's frame.
+OFF_CENTER = 1e-3
 #: How much the moments of inertia of a ball may differ [of the largest], and its axes from the base's [rad].
 UNEVEN, TURNED = 0.01, 1e-3
 
@@ -28,7 +28,7 @@ def check_ball(description: RobotDescription, model: mujoco.MjModel) -> None:
     """
     base = description.base
     assert isinstance(base, BallBaseDescription)
-    name, near = base.ball, OFF_CENTRE * base.ball_radius
+    name, near = base.ball, OFF_CENTER * base.ball_radius
     ball = model.body(name).id
     where = f"{description.model}: body '{name}' (key 'base.ball')"
     if int(model.body_parentid[ball]) != model.body(base.body).id:
@@ -42,7 +42,7 @@ def check_ball(description: RobotDescription, model: mujoco.MjModel) -> None:
     offset = model.body_pos[ball] + model.jnt_pos[model.body_jntadr[ball]]
     if np.linalg.norm(offset) > near:
         raise InputError(
-            f"{where}: the frame of '{base.body}' needs its origin at the ball's centre, which is at {_metres(offset)} in it: "
+            f"{where}: the frame of '{base.body}' needs its origin at the ball's center, which is at {_meters(offset)} in it: "
             "move the frame in the file"
         )
     if 2.0 * np.arccos(min(abs(float(model.body_quat[ball][0])), 1.0)) > TURNED:
@@ -56,7 +56,7 @@ def _check_mass(model: mujoco.MjModel, ball: int, where: str, near: float) -> No
         raise InputError(f"{where}: bodies with mass hang on it; its mass and inertia need to be in the ball itself")
     if np.linalg.norm(model.body_ipos[ball]) > near:
         raise InputError(
-            f"{where}: its centre of mass is at {_metres(model.body_ipos[ball])}, beside its centre: such a ball rolls by itself"
+            f"{where}: its center of mass is at {_meters(model.body_ipos[ball])}, beside its center: such a ball rolls by itself"
         )
     inertia = model.body_inertia[ball]
     if np.ptp(inertia) > UNEVEN * inertia.max():
@@ -66,5 +66,5 @@ def _check_mass(model: mujoco.MjModel, ball: int, where: str, near: float) -> No
         )
 
 
-def _metres(vector: np.ndarray) -> str:
+def _meters(vector: np.ndarray) -> str:
     return f"({', '.join(f'{v:g}' for v in np.round(vector, 6))}) m"

@@ -24,7 +24,7 @@ class BallCommand:
 
 @dataclass(frozen=True)
 class BallMeasurement:
-    """What a ball robot's sensors say, ``age`` [s] before ``time`` [s]; and, idealised, its state (16) with noise.
+    """What a ball robot's sensors say, ``age`` [s] before ``time`` [s]; and, idealized, its state (16) with noise.
 
     ``wheel`` (n), ``arm`` (m) [rad]: encoders; ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: angular rate and specific
     force in the axes of the base, averages since the message before (the inertial unit integrates between messages);

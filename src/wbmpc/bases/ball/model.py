@@ -37,7 +37,7 @@ class BallBase:
     ``contacts``: by frame the input groups of the force (3) [N] and of the moment (3) [N m] that act there, world axes:
     ``force`` and ``moment``, or with several frames ``force_FRAME`` and ``moment_FRAME``; ``mount`` (3) [m] of the inertial
     unit in the base's frame. Parameters w: ``disturbance`` (nq),
-    generalised forces; ``force`` (3) [N] on the tool where no contact is an input; ``push`` (2) [m], by which a push that is felt
+    generalized forces; ``force`` (3) [N] on the tool where no contact is an input; ``push`` (2) [m], by which a push that is felt
     will move the lean (no part of the dynamics: limits of the lean leave room for it); ``payload`` [kg], a point mass at the tool,
     where the description has it: left out, functions of w count none.
     """
@@ -134,7 +134,7 @@ class BallBase:
         return w[last - 1] if "payload" in self.parameters else None
 
     def root(self, x: ca.SX) -> FramePose:
-        """Pose of the base's frame, whose origin is the ball's centre."""
+        """Pose of the base's frame, whose origin is the ball's center."""
         return self.chain(x).link_pose(4)
 
     def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
@@ -170,13 +170,13 @@ class BallBase:
         )
 
     def inverse_dynamics(self, q: ca.SX, v: ca.SX, a: ca.SX, w: ca.SX | None = None) -> ca.SX:
-        """M a + h: generalised forces (nq) for accelerations a, with the payload of the parameters w."""
+        """M a + h: generalized forces (nq) for accelerations a, with the payload of the parameters w."""
         rates = {link: v[k] for k, link in enumerate(self._moving)}
         accelerations = {link: a[k] for k, link in enumerate(self._moving)}
         spin = self.spin_mass * ca.vertcat(a[0], a[1], ca.SX(self.nq - 2, 1))
         return self.chain(q, w).inverse_dynamics(rates, accelerations) + spin
 
-    def generalised_force(self, q: ca.SX, u: ca.SX, w: ca.SX) -> ca.SX:
+    def generalized_force(self, q: ca.SX, u: ca.SX, w: ca.SX) -> ca.SX:
         """S(q)ᵀ τ + Jᵀ (F, M) + disturbance, by virtual power."""
         v = ca.SX.sym("v", self.nq)
         n, arm = len(self.base.wheels.azimuths), self.nq - 5
@@ -198,19 +198,19 @@ class BallBase:
         return {"force": linear, "moment": angular}
 
     def tool_force(self, q: ca.SX, force: ca.SX) -> ca.SX:
-        """Generalised forces (nq) of a force (3) [N] on the tool, world axes."""
+        """Generalized forces (nq) of a force (3) [N] on the tool, world axes."""
         v = ca.SX.sym("v", self.nq)
         return ca.jacobian(ca.dot(force, self._velocities(q, v, self.tool)["force"]), v).T
 
     def tool_moment(self, q: ca.SX, moment: ca.SX) -> ca.SX:
-        """Generalised forces (nq) of a moment (3) [N m] on the tool, world axes."""
+        """Generalized forces (nq) of a moment (3) [N m] on the tool, world axes."""
         v = ca.SX.sym("v", self.nq)
         return ca.jacobian(ca.dot(moment, self._velocities(q, v, self.tool)["moment"]), v).T
 
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
         """ẋ = (v, M⁻¹ (forces − h))."""
         q, v = x[: self.nq], x[self.nq :]
-        right = self.generalised_force(q, u, w) - self.inverse_dynamics(q, v, ca.SX(self.nq, 1), w)
+        right = self.generalized_force(q, u, w) - self.inverse_dynamics(q, v, ca.SX(self.nq, 1), w)
         return ca.vertcat(v, solve_spd(self.mass_matrix(q, w), right))
 
     def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -218,7 +218,7 @@ class BallBase:
         q, v = x[: self.nq], x[self.nq :]
         f = self.derivative(x, u, w, m)
         a = ca.SX.sym("a", self.nq)
-        residual = self.inverse_dynamics(q, v, a, w) - self.generalised_force(q, u, w)
+        residual = self.inverse_dynamics(q, v, a, w) - self.generalized_force(q, u, w)
         slope = ca.substitute(ca.jacobian(residual, ca.vertcat(x, u)), a, f[self.nq :])
         kinematic = ca.horzcat(ca.SX(self.nq, self.nq), ca.SX.eye(self.nq), ca.SX(self.nq, u.shape[0]))
         return f, ca.vertcat(kinematic, -solve_spd(self.mass_matrix(q, w), slope))

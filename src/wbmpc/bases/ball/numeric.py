@@ -38,7 +38,7 @@ class BallNumeric:
         return self._numeric["M"](q)[0]
 
     def tool_moment(self, q: ArrayLike, moment: ArrayLike) -> Array:
-        """Generalised forces (nq) of a moment (3) [N m] of the world on the tool, world axes."""
+        """Generalized forces (nq) of a moment (3) [N m] of the world on the tool, world axes."""
         base = self._base
         if "moment" not in self._numeric:
             s, m = ca.SX.sym("q", base.nq), ca.SX.sym("m", 3)
@@ -47,7 +47,7 @@ class BallNumeric:
         return self._numeric["moment"](q, moment)[0].ravel()
 
     def tool_weight(self, q: ArrayLike) -> Array:
-        """Generalised forces (nq) [N, N m] of the weight of 1 kg at the tool."""
+        """Generalized forces (nq) [N, N m] of the weight of 1 kg at the tool."""
         base = self._base
         if "weight" not in self._numeric:
             s = ca.SX.sym("q", base.nq)
@@ -56,7 +56,7 @@ class BallNumeric:
         return self._numeric["weight"](q)[0].ravel()
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """M a + h (nq): the generalised forces of a motion."""
+        """M a + h (nq): the generalized forces of a motion."""
         base = self._base
         if "tau" not in self._functions:
             s = [ca.SX.sym(n, base.nq) for n in "qva"]
@@ -73,7 +73,7 @@ class BallNumeric:
             q, u, f = ca.SX.sym("q", n), ca.SX.sym("u", len(base.input["wheel"]) + n - 5), ca.SX.sym("f", 3)
             inputs = ca.vertcat(u, ca.SX.zeros(self._input - u.shape[0]))
             rest = base.inverse_dynamics(q, ca.SX(n, 1), ca.SX(n, 1)) - base.tool_force(q, f)
-            rest -= base.generalised_force(q, inputs, ca.SX.zeros(self._parameters))
+            rest -= base.generalized_force(q, inputs, ca.SX.zeros(self._parameters))
             self._functions["rest"] = ca.Function("rest", [q, u, f], [rest])
         rest_of, angles, push = self._functions["rest"], np.asarray(arm, float), np.asarray(force, float)
         if angles.shape != (n - 5,) or push.shape != (3,):

@@ -1,16 +1,16 @@
 """A mass in the end effector of a ball robot, weighed: what of an estimated disturbance looks like its weight is taken for it.
 
-A disturbance observer finds the generalised forces d that hold the robot where the model says it should move. A constant d is
+A disturbance observer finds the generalized forces d that hold the robot where the model says it should move. A constant d is
 right only where it was found: the weight of a mass at the tool turns with the robot and changes with the arm, and the mass has
 inertia. So the part of d that is the weight w(q) = Jᵀ(0, 0, −g) of a mass becomes that mass, which the model has as a
 parameter: m' = ``rate`` wᵀ W d / (wᵀ W w) and d' = −m' w. At the posture where that happens the model's forces stay as they
-are. W = 1 / ``spread``², by how much d is off where there is no mass: the model's own errors of mass and centre of mass, large in
+are. W = 1 / ``spread``², by how much d is off where there is no mass: the model's own errors of mass and center of mass, large in
 the base's lean, small in the arm's joints.
 
 The errors d has without a mass last, so that no time averages them away: they are a mass of standard deviation 1 / √(wᵀ W w).
 The arm has to observe it: its joints' part of wᵀ W w, w_aᵀ W_a w_a, is to be the larger one, and enough for a mass within
 ``sure`` by itself. Where it is not (an end effector above its shoulder, an arm of vertical axes alone) the disturbance stays what it is:
-a lean that a displaced centre of mass causes would be taken for a mass, which then turns with the arm.
+a lean that a displaced center of mass causes would be taken for a mass, which then turns with the arm.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _WHO = "payload estimator"
 
 
 class PayloadEstimator:
-    """``weight(q)``: generalised forces (nq) [N, N m] of 1 kg at the tool; ``rate`` [1/s]; ``spread`` of base and arm [N m];
+    """``weight(q)``: generalized forces (nq) [N, N m] of 1 kg at the tool; ``rate`` [1/s]; ``spread`` of base and arm [N m];
     ``sure`` [kg]: nothing is weighed where the arm's torques alone determine a mass with a larger standard deviation.
 
     ``mass`` [kg]: the estimate, from zero to ``maximum``. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
@@ -61,7 +61,7 @@ class PayloadEstimator:
         return float(self._arrays["load"][Load.MASS])
 
     def update(self, q: Array, force: Array, h: float) -> Array:
-        """Weigh for ``h`` [s] (0: nothing is learnt) at joint positions q (nq); the disturbance ``force`` (nq) without what became
+        """Weigh for ``h`` [s] (0: nothing is learned) at joint positions q (nq); the disturbance ``force`` (nq) without what became
         mass. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
         finite(_WHO, h=h)
         if h < 0.0:

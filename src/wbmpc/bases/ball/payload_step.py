@@ -3,7 +3,7 @@
 One that comes into it, or leaves it, at once is felt by the arm within a tenth of a second: the acceleration of the arm that the
 model does not explain, times its inertia, is a force; where that is the weight of a mass in all joints alike, it is one. To weigh
 is more exact, and takes seconds: meanwhile the arm would fall.
-Arrays: ``weight`` (n) [N, N m] of 1 kg, ``force`` (n) [N, N m] that is learnt, ``load`` and ``rule``.
+Arrays: ``weight`` (n) [N, N m] of 1 kg, ``force`` (n) [N, N m] that is learned, ``load`` and ``rule``.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def weigh(
     n: int, velocity: Floats, after: Floats, innovation: Floats, mass: Floats, force: Floats, weight: Floats, model: Floats,
     believed: Floats, apart: Floats, load: Floats, rule: Floats, learning: float, h: float,
 ) -> None:  # fmt: skip
-    """The mass of this tick, at once where a load comes or goes, else as it is learnt; the ``force`` goes without it. ``velocity``,
+    """The mass of this tick, at once where a load comes or goes, else as it is learned; the ``force`` goes without it. ``velocity``,
     ``after``, ``innovation`` and ``mass`` are those of :func:`wbmpc.estimation.disturbance_step.observe`, ``h`` [s] ago."""
     if not by_arm(n, weight, rule):
         return

@@ -75,7 +75,7 @@ class BallBaseType(BaseType):
         return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))
 
     def ros_settings(self, description: RobotDescription) -> type[BallRosSettings]:
-        """Weights of the ball robot's problem, and what is learnt of forces."""
+        """Weights of the ball robot's problem, and what is learned of forces."""
         from wbmpc.bases.ball.ros_settings import BallRosSettings
 
         return BallRosSettings

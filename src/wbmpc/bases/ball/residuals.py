@@ -31,7 +31,7 @@ class BallSpin:
 @dataclass(frozen=True)
 class CapturePoint:
     """Divergent component [m] of a ball robot's lean along ``directions`` that divide half a turn evenly, the first along x:
-    horizontal offset of the load's centre of mass from the ball plus its rate over ``pole`` [1/s]
+    horizontal offset of the load's center of mass from the ball plus its rate over ``pole`` [1/s]
     (:class:`wbmpc.bases.ball.balance.Balance`). What it has beyond the wheels' reach cannot be stopped.
 
     In a box this is a polygon around a circle. Four directions: by at most 8 % too wide; two (a square) would be by 41 %, and
@@ -101,5 +101,5 @@ class JointEffort:
     def __call__(self, s: Symbols) -> ca.SX:
         base, n = self.robot.base, self.robot.base.nq
         rest, w = ca.SX(n, 1), s.parameters
-        net = base.generalised_force(s.x[:n], s.u, w) - base.inverse_dynamics(s.x[:n], rest, rest, w)
+        net = base.generalized_force(s.x[:n], s.u, w) - base.inverse_dynamics(s.x[:n], rest, rest, w)
         return net[n - self.size :]

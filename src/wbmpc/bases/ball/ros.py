@@ -58,7 +58,7 @@ class BusBallController(BallController):
 
     #: the newest measurement, for other threads
     seen: BallMeasurement | None = None
-    #: another localisation, and the wrench (6) [N, N m] with which the world is to answer the end effector
+    #: another localization, and the wrench (6) [N, N m] with which the world is to answer the end effector
     fix: Callable[[], Fix | None] | None = None
     answer = np.zeros(6)
     _sampled: float | None = None
@@ -99,7 +99,7 @@ class BusBallController(BallController):
         self.measured = self.seen = BallMeasurement(message.now, state, max(message.now - message.time, 0.0))
 
     def parameters(self) -> dict[str, Array]:
-        """An announced moment counts as the generalised forces that it is for the robot as it stands now."""
+        """An announced moment counts as the generalized forces that it is for the robot as it stands now."""
         force, moment, disturbance = self.answer[:3], self.answer[3:], self.disturbance
         if moment.any():
             assert self.measured is not None
@@ -343,7 +343,7 @@ class BallRosAdapter:
 
     # ------------------------------------------------------------------ what is reported
     def estimate(self) -> Estimate | None:
-        """The base's frame is the ball's centre; pose and twist of the filter."""
+        """The base's frame is the ball's center; pose and twist of the filter."""
         seen = self.snapshot()
         if seen is None:
             return None

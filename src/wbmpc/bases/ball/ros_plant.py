@@ -38,6 +38,6 @@ class BallRosPlant(RosPlant):
         return self.last
 
     def base(self, truth: Truth) -> tuple[Array, Array]:
-        """Position and quaternion of the base, which leans; its frame is the ball's centre."""
+        """Position and quaternion of the base, which leans; its frame is the ball's center."""
         rotation = truth.tool_rotation @ truth.tool_rotation_in_base.T
         return np.array([*truth.pose[:2], self.lift]), lie.rotation_to_quaternion(rotation)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import LEARNT, STEPS_AND_PUSHES, BallControllerSettings
+from wbmpc.bases.ball.settings import LEARNED, STEPS_AND_PUSHES, BallControllerSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.settings import RosSettings, WrenchLimits
 from wbmpc.settings import MpcSettings
@@ -28,7 +28,7 @@ class BallRosSettings(RosSettings):
     wrench: WrenchLimits | None = WrenchLimits()
     estimate_disturbance: bool = True
     expected_push_time: float = Field(_DEFAULT.expected_push_time, ge=0, le=1.0)
-    max_pushed_speed: Annotated[float, LEARNT] = Field(_DEFAULT.max_pushed_speed, ge=0.01, le=100)
+    max_pushed_speed: Annotated[float, LEARNED] = Field(_DEFAULT.max_pushed_speed, ge=0.01, le=100)
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
         """The arm's limits are limits of the state; the wheels' are guessed."""

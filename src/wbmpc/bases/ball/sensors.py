@@ -16,7 +16,7 @@ from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.sensor_step import GRAVITY, see
 from wbmpc.errors import unknown_name
 from wbmpc.kernel.step import Backend, bind
-from wbmpc.simulation.perturbation import Perturbation, PlantSample, quantise
+from wbmpc.simulation.perturbation import Perturbation, PlantSample, quantize
 
 Array = NDArray[np.float64]
 
@@ -148,10 +148,10 @@ class BallSensors:
         return gyro, accel
 
     def encoders(self, wheel: Array, arm: Array) -> tuple[Array, Array]:
-        """Readings of wheels (n) and arm (m) [rad]: quantised, with the arm's zero errors."""
+        """Readings of wheels (n) and arm (m) [rad]: quantized, with the arm's zero errors."""
         readings = {
-            "wheel": quantise(wheel, self._p.arm_counts),
-            "arm": quantise(arm + self.arm_offset, self._p.arm_counts),
+            "wheel": quantize(wheel, self._p.arm_counts),
+            "arm": quantize(arm + self.arm_offset, self._p.arm_counts),
         }
         if not (self.faults or self._held):
             return readings["wheel"], readings["arm"]

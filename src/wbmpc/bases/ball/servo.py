@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.checks import numbers
-from wbmpc.simulation.perturbation import quantise
+from wbmpc.simulation.perturbation import quantize
 
 Array = NDArray[np.float64]
 #: Speeds are differences of encoder readings over this time [s].
@@ -34,6 +34,6 @@ class ActuatorServo:
             numbers("command", name, getattr(command, name), n)
             for name in ("position", "speed", "stiffness", "damping")
         )
-        now, first = (quantise(a + self._offset, self._counts) for a in (angles, before))
+        now, first = (quantize(a + self._offset, self._counts) for a in (angles, before))
         rate = (now - first) / max(steps * self._h, self._h)
         return self.feedforward(command) + stiffness * (position + since * speed - now) + damping * (speed - rate)

@@ -1,4 +1,4 @@
-"""Default settings of the ball robot's controller: weights, the MPC's grid and rate, what is learnt of the world."""
+"""Default settings of the ball robot's controller: weights, the MPC's grid and rate, what is learned of the world."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ STEPS_AND_PUSHES = RezeroCost(
     lean=0.6,
     speed_slack=20.0,
 )
-#: Of settings that are of learnt forces.
-LEARNT = OnlyWith(estimate_disturbance=True)
+#: Of settings that are of learned forces.
+LEARNED = OnlyWith(estimate_disturbance=True)
 
 
 def mpc_settings(barrier_mu: float) -> MpcSettings:
@@ -45,9 +45,9 @@ class BallControllerSettings(Settings):
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     estimate_disturbance: bool = True
-    estimate_payload: Annotated[bool, LEARNT] = True
+    estimate_payload: Annotated[bool, LEARNED] = True
     expected_push_time: float = Field(0.3, ge=0, le=1.0)
-    max_pushed_speed: Annotated[float, LEARNT] = Field(2.0, ge=0.01, le=100)
+    max_pushed_speed: Annotated[float, LEARNED] = Field(2.0, ge=0.01, le=100)
     actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
     actuator_dead_time: float = Field(0.010, ge=0, le=0.05)
 

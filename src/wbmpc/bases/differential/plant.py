@@ -1,4 +1,4 @@
-"""A differential drive in MuJoCo: driven tyres, and ball casters on springs.
+"""A differential drive in MuJoCo: driven tires, and ball casters on springs.
 
 Level casters that are rigid would lift the driven wheels off the floor wherever it or the robot is not exact. Here each stands on a
 spring that carries a share of the weight at level height; it touches the floor without friction.
@@ -14,7 +14,7 @@ from wbmpc.bases.planar.plant import PlanarPlant, contact_settings
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.world import Array
 
-#: Half width [m] of a tyre.
+#: Half width [m] of a tire.
 HALF_WIDTH = 0.02
 #: All casters together carry this share of the weight when the base is level; how far [m] their springs are pressed in by that;
 #: damping ratio; mass [kg] and radius (share of the wheels') of a caster.
@@ -26,20 +26,20 @@ class DifferentialPlant(PlanarPlant):
     """Physics, drives and sensors of a robot with a differential drive."""
 
     def add_wheel(self, spec: mujoco.MjSpec, index: int, radius: float, friction: list[float]) -> None:
-        """A tyre."""
-        add_tyre(spec.joint(self.base.wheels[index]), radius, friction)
+        """A tire."""
+        add_tire(spec.joint(self.base.wheels[index]), radius, friction)
 
     def add_supports(self, spec: mujoco.MjSpec, weight: float) -> None:
         """The casters."""
         add_casters(self, spec, weight, caster_places(self.description, self.model_base.geometry))
 
 
-def add_tyre(joint: mujoco.MjsJoint, radius: float, friction: list[float]) -> None:
+def add_tire(joint: mujoco.MjsJoint, radius: float, friction: list[float]) -> None:
     """An ellipsoid about a wheel's axis: cylinders take the load off wheels in combined motion."""
     turned = np.zeros(4)
     mujoco.mju_quatZ2Vec(turned, np.asarray(joint.axis, float))
     joint.parent.add_geom(
-        name=f"tyre_{joint.name}", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=[radius, radius, HALF_WIDTH], quat=turned, mass=0,
+        name=f"tire_{joint.name}", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID, size=[radius, radius, HALF_WIDTH], quat=turned, mass=0,
         **contact_settings(friction),
     )  # fmt: skip
 

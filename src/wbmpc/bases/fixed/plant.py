@@ -84,9 +84,9 @@ class FixedPlant(ArmPlant):
         self.world.check()
 
     def measure(self) -> StateMeasurement:
-        """Encoder positions: quantised, with their zero errors, up to the jitter old. The same at the same time."""
+        """Encoder positions: quantized, with their zero errors, up to the jitter old. The same at the same time."""
         if self._last is None or self._last.time != self.time:
-            self._last = StateMeasurement(self.time, self.quantised(self.encoders()))
+            self._last = StateMeasurement(self.time, self.quantized(self.encoders()))
         return self._last  # type: ignore[no-any-return]
 
     def truth(self) -> Truth:

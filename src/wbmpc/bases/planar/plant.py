@@ -17,7 +17,7 @@ from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant
+from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
@@ -27,7 +27,7 @@ class PlanarPlant(WheeledPlant):
 
     ``state`` (nx) of the planner's layout: where the robot starts, as its encoders see it; left out: the model's home.
     ``perturbation`` and ``seed``: how it differs from the model. ``edit`` changes the specification before it is compiled;
-    ``settle`` [s]: time to sink into the tyres before time 0.
+    ``settle`` [s]: time to sink into the tires before time 0.
     """
 
     def __init__(
@@ -134,12 +134,12 @@ class PlanarPlant(WheeledPlant):
         self.world.check()
 
     def measure(self) -> PlanarMeasurement:
-        """Encoder positions (quantised, with their zero errors, up to the jitter old) and the inertial unit. Asking twice at the same
+        """Encoder positions (quantized, with their zero errors, up to the jitter old) and the inertial unit. Asking twice at the same
         time gives the same message."""
         if self._last is not None and self._last.time == self.time:
             return self._last
         self.world.refresh()
-        read, imu = self.quantised(self.encoders()), self.inertial()
+        read, imu = self.quantized(self.encoders()), self.inertial()
         positions = {group: read[part] for group, part in self._parts.items()}
         self._last = PlanarMeasurement(self.time, **positions, **imu)
         return self._last
@@ -161,4 +161,4 @@ class PlanarPlant(WheeledPlant):
 
 def contact_settings(friction: list[float]) -> dict[str, object]:
     """Settings of a geom that rolls on the floor: massless, invisible in pictures."""
-    return {"condim": 3, "friction": friction, "solref": TYRE, "rgba": [0, 0, 0, 0], "group": 3, **ROLLING}
+    return {"condim": 3, "friction": friction, "solref": TIRE, "rgba": [0, 0, 0, 0], "group": 3, **ROLLING}

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
-#: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modelled to take [s].
+#: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modeled to take [s].
 CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
 #: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
 ILL = 20.0

@@ -1,7 +1,7 @@
 """Wheels that are fixed to the body: where they are, how they roll, and the matrix from the body's twist to their rates.
 
 A wheel at p rolls along d at a positive rate; the axles of its rollers lie, where they touch the ground, along
-a = d cos γ + s sin γ with s = ẑ × d (γ = 0 for omni wheels; a tyre has none). Only motion along a is passed on, so that
+a = d cos γ + s sin γ with s = ẑ × d (γ = 0 for omni wheels; a tire has none). Only motion along a is passed on, so that
 a · (v + ω ẑ × p) = r q̇ a · d: the rate is q̇ = (d + s tan γ) · (v + ω ẑ × p) / r. For a mecanum wheel at (lx, ly) with γ = ∓45
 degrees the lever of ω is lx + ly.
 """

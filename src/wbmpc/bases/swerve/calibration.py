@@ -1,6 +1,6 @@
 """Self-calibration of a swerve base's wheels from a recorded run with global poses.
 
-The poses come from a localisation, or from a survey of a short reference drive (two poses, one before and one after a
+The poses come from a localization, or from a survey of a short reference drive (two poses, one before and one after a
 stroke, are enough for the directions that the drive shows). The filter of :mod:`wbmpc.estimation.fused_odometry` runs over the
 record; what it then believes of the wheels is the calibration, with its covariance: directions that the drive does not
 show keep the uncertainty that they had.
@@ -56,7 +56,7 @@ class WheelRecord:
                 known = sorted(c for c in channels if not c.endswith(".time"))
                 raise InputError(
                     f"{where}: there is no channel '{name}' with its '{name}.time'; a calibration needs steer, wheel and place "
-                    f"(global poses: of a localisation or a survey); this one has: {', '.join(known)}"
+                    f"(global poses: of a localization or a survey); this one has: {', '.join(known)}"
                 )
         read = lambda name: _read(channels, name, where)
         times, steer, wheel = read("steer.time"), read("steer"), read("wheel")
@@ -249,11 +249,11 @@ SHOWN = 0.1
 SURPRISING, WIDER = 2.5, 5.0
 #: Ratio of the wheels' contradiction to what their doubt explains; over many wheels and directions it is close to 1.
 CROOKED = 1.5
-#: Widest standard deviations [rad, relative] of what was believed before: beyond, no encoder is mounted and no tyre made.
+#: Widest standard deviations [rad, relative] of what was believed before: beyond, no encoder is mounted and no tire made.
 MAXIMUM = (0.2, 0.1)
 #: Passes over a record; derivatives are good enough when the last pass moved by less than this share of the doubt.
 PASSES, MOVED = 8, 0.1
-#: Rejected share of the global poses, mean normalised squared error of the others (3 is expected), the wheels' contradiction over
+#: Rejected share of the global poses, mean normalized squared error of the others (3 is expected), the wheels' contradiction over
 #: their way: above this a record contradicts itself, and no numbers explain it.
 REJECTED, MISFIT, ABSURD = 0.1, 9.0, 0.15
 

@@ -1,6 +1,6 @@
 """Wheels turn first: a guess for swerve bases that are sent to goals nobody could foresee.
 
-At standstill the linearised rolling rows do not see the steering angles, so a base whose wheels point across its way would stay
+At standstill the linearized rolling rows do not see the steering angles, so a base whose wheels point across its way would stay
 where it is (see :mod:`wbmpc.bases.swerve.steering_planner`, which needs a preview of the motion: here it is the straight way to the goal).
 """
 

@@ -21,7 +21,7 @@ class InertialVelocity:
     base's velocity by each wheel, an array that goes on. ``weights`` (n): 1 for wheels that go with the base, less for
     others. ``backend``: machine code, or the same source as ordinary Python.
 
-    Tyres slip within tenths of a second; meanwhile the integral of accelerations is off by a few mm/s. What lasts (zeros, tilt
+    Tires slip within tenths of a second; meanwhile the integral of accelerations is off by a few mm/s. What lasts (zeros, tilt
     of the floor) is learned from the wheels.
     """
 

@@ -1,6 +1,6 @@
 """Wheels turn first, for swerve bases that go along a path at their own speed: the motion that is foreseen is the path's.
 
-At standstill the linearised rolling rows do not see the steering angles, and progress does not run away as a clock does: without a guess
+At standstill the linearized rolling rows do not see the steering angles, and progress does not run away as a clock does: without a guess
 a base whose wheels point across its path would wait for good.
 """
 

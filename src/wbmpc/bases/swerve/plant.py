@@ -25,9 +25,9 @@ from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import span
 from wbmpc.simulation.contacts import ROLLING
-from wbmpc.simulation.localization import Localisation
+from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.perturbation import Perturbation, clipped
-from wbmpc.simulation.wheeled import TYRE, WHEEL_GAIN, WheeledPlant, let_tyres_slide
+from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant, let_tires_slide
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
@@ -58,9 +58,9 @@ class SwervePlant(WheeledPlant):
 
     ``state``: where it starts, by group (``base`` (x, y, yaw), ``leg``, ``steer``, ``wheel``, ``arm``) or as a vector
     of the planner's layout, as its encoders see it; left out: the description's home. ``edit`` changes the
-    specification before it is compiled; ``lift`` [m] raises the start; ``settle`` [s]: time to sink into the tyres
+    specification before it is compiled; ``lift`` [m] raises the start; ``settle`` [s]: time to sink into the tires
     before time 0. ``external`` is called before every physics step with (model, data). ``brakes``: those of the hinges.
-    ``localisation``: a source of global poses, which come with the messages.
+    ``localization``: a source of global poses, which come with the messages.
     """
 
     def __init__(
@@ -74,13 +74,13 @@ class SwervePlant(WheeledPlant):
         edit: Edit | None = None,
         lift: float = 0.0,
         settle: float = 0.5,
-        localisation: Localisation | None = None,
+        localization: Localization | None = None,
     ) -> None:
         if not isinstance(description.base, SwerveBaseDescription):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         reject_two_wheels(description)
         self.description, self.base, self.timestep = description, description.base, timestep
-        self.perturbation, self.localisation = perturbation or Perturbation(), localisation
+        self.perturbation, self.localization = perturbation or Perturbation(), localization
         check_perturbation(self.perturbation)
         self._reject_brake_fault()
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
@@ -119,7 +119,7 @@ class SwervePlant(WheeledPlant):
             radius = self.base.wheel_radius * float(draw.radius[i])
             spec.joint(module.wheel).parent.add_geom(
                 name=f"contact_{module.wheel}", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-                size=[radius, WHEEL_HALF_WIDTH, radius], condim=3, friction=friction, solref=TYRE, mass=0,
+                size=[radius, WHEEL_HALF_WIDTH, radius], condim=3, friction=friction, solref=TIRE, mass=0,
                 rgba=[0, 0, 0, 0], group=3, **ROLLING,
             )  # fmt: skip
             self._normal_force_sensor(spec, f"contact_{module.wheel}")
@@ -130,7 +130,7 @@ class SwervePlant(WheeledPlant):
             self._servo(spec, module.wheel, WHEEL_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
             self._servo(spec, module.steer, WHEEL_GAIN, STEER_TORQUE, draw.steer_lag[i])
         self.finish(spec, edit)
-        let_tyres_slide(spec, [f"contact_{m.wheel}" for m in self.base.modules])
+        let_tires_slide(spec, [f"contact_{m.wheel}" for m in self.base.modules])
 
     def _servo(self, spec: mujoco.MjSpec, joint: str, gain: float, limit: float, lag: float) -> None:
         add_drive(spec, joint, joint, mujoco.mjtTrn.mjTRN_JOINT, limit, lag, gain)
@@ -253,7 +253,7 @@ class SwervePlant(WheeledPlant):
         self.world.check()
 
     def measure(self) -> SwerveMeasurement:
-        """Encoder positions (quantised, with their zero errors, up to the jitter old; all joints of a message share one
+        """Encoder positions (quantized, with their zero errors, up to the jitter old; all joints of a message share one
         age) and the inertial unit. Asking twice at the same time gives the same message."""
         if self._last is not None and self._last.time == self.time:
             return self._last
@@ -262,12 +262,12 @@ class SwervePlant(WheeledPlant):
         if noise > 0.0:
             steer = self._parts["steer"]
             raw[steer] += noise * self._noise.normal(size=steer.stop - steer.start)
-        read = self.quantised(raw)
+        read = self.quantized(raw)
         values = {group: read[part] for group, part in self._parts.items()}
         imu = self.inertial()
         place = None
-        if self.localisation is not None:
-            place = self.localisation.observe(self.time, np.array([*self.world.base_pose()[:2], self.world.yaw]))
+        if self.localization is not None:
+            place = self.localization.observe(self.time, np.array([*self.world.base_pose()[:2], self.world.yaw]))
         self._last = SwerveMeasurement(self.time, **values, **imu, place=place)
         return self._last
 

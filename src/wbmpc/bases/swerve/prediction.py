@@ -56,7 +56,7 @@ class SwervePrediction:
         if plans.current is not None:
             x[steer] = plans.current.state(t + self._tracking.settings.lag)[steer]
             return x
-        # Wheels that have no common centre can only stand: the first plan starts from the nearest that have one.
+        # Wheels that have no common center can only stand: the first plan starts from the nearest that have one.
         measured, leg = self._estimator.steer, self._estimator.leg
         aligned = aligned_steering(self.robot.base.geometry, leg if leg.size else 0.0, measured)
         if np.abs(aligned - measured).max() > CROOKED:

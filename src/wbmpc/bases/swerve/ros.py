@@ -52,7 +52,7 @@ class BusMeasurement(SwerveMeasurement):
 
 
 class BusEstimator(SwerveEstimator):
-    """On a bus: another localisation's poses come from ``fix``, and clocks start anew. ``seen``: the newest measurement with the pose
+    """On a bus: another localization's poses come from ``fix``, and clocks start anew. ``seen``: the newest measurement with the pose
     that belongs to it, for other threads; ``placed``: whether some pose has said where the robot is."""
 
     seen: tuple[SwerveMeasurement, Array] | None = None
@@ -61,7 +61,7 @@ class BusEstimator(SwerveEstimator):
     _origin: float | None = None  # of the last measurement
 
     def take(self, measurement: SwerveMeasurement) -> None:
-        """Take in the encoders of this tick, and another localisation's pose if there is a new one."""
+        """Take in the encoders of this tick, and another localization's pose if there is a new one."""
         self._follow_clock(measurement)
         super().take(measurement)
         fix = self.fix() if self.fix is not None else None
@@ -286,7 +286,7 @@ class SwerveRosAdapter:
         """Drives that follow speeds cannot exert a wrench: it counts in the zero-moment point only."""
 
     def relocate(self) -> None:
-        """The next pose of another localisation counts whatever was known before."""
+        """The next pose of another localization counts whatever was known before."""
         self.controller.estimator.placed = False
 
     # ------------------------------------------------------------------ tasks

@@ -1,10 +1,10 @@
 """Steering of a swerve base: which way round the wheels go, and a guess for a base that is to move from rest.
 
 A wheel rolls along a direction in two ways, ψ and ψ + π, and the steering's range ends at about ±π: which way round is a
-combinatorial choice that a local optimiser does not make. :func:`plan_steering` makes it by a dynamic programme over
+combinatorial choice that a local optimizer does not make. :func:`plan_steering` makes it by a dynamic program over
 the previewed motion.
 
-At standstill the linearised rolling rows do not see the steering angles (their derivative is proportional to the speed):
+At standstill the linearized rolling rows do not see the steering angles (their derivative is proportional to the speed):
 a sideways goal with straight wheels is an exact stationary point. So, once, when the previewed motion begins while the
 plan stands still, the trajectories start from rolling inverse kinematics: wheels turn first, then the base moves.
 
@@ -75,7 +75,7 @@ def plan_steering(
     limits: tuple[np.ndarray, np.ndarray],
     rate: float,
 ) -> SteeringPlan:
-    """The ways round that lose least of the motion's way: a dynamic programme over the nodes at which the base may stop.
+    """The ways round that lose least of the motion's way: a dynamic program over the nodes at which the base may stop.
 
     ``steer`` (n) [rad] now; body ``twists`` (k, 3) at ``times`` (k,); ``limits``: lower and upper (n) [rad]; ``rate`` [rad/s] of
     a turn. Between two stops a wheel's angle is continuous and inside of its limits. A stop costs the time of half a turn

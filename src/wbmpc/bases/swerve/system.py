@@ -24,7 +24,7 @@ CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
 LEG_WEIGHT = 20.0
 
 
-#: Time that a solve is modelled to take [s].
+#: Time that a solve is modeled to take [s].
 COMPUTATION_DELAY = 0.010
 
 

@@ -1,1 +1,1 @@
-"""Any mix of tyres and roller wheels, fixed or steered, with or without an offset: tricycles, cars, powered casters."""
+"""Any mix of tires and roller wheels, fixed or steered, with or without an offset: tricycles, cars, powered casters."""

@@ -22,16 +22,16 @@ SLIP = 0.01
 
 
 class WheelsOdometry(PlanarOdometry):
-    """Least squares for the motion over all wheels: driven ones show how far they rolled, tyres that they did not slip sideways.
+    """Least squares for the motion over all wheels: driven ones show how far they rolled, tires that they did not slip sideways.
     ``covariance`` (3, 3) of the pose, by the wheels' slip."""
 
     def __init__(self, base: WheelsBase, pose0: ArrayLike) -> None:
         rows = base.twist.shape[1]
         driven = sum(c.driven for c in base.wheel_contacts)
-        tyres = sum(c.roller is None for c in base.wheel_contacts)
-        super().__init__(base.twist, np.zeros((driven + tyres, rows)), pose0)
+        tires = sum(c.roller is None for c in base.wheel_contacts)
+        super().__init__(base.twist, np.zeros((driven + tires, rows)), pose0)
         self._base, self._driven = base, driven
-        self._shown = np.zeros(driven + tyres)
+        self._shown = np.zeros(driven + tires)
         self._before: tuple[Array, Array] | None = None
         self.covariance: Array = np.zeros((3, 3))
 

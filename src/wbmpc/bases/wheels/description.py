@@ -14,7 +14,7 @@ from wbmpc.bases.planar.description import Place, PlanarBaseDescription
 class WheelDescription(Section):
     """A wheel: its ``joint``; ``steer``: the joint of its steering axis, which may turn about +z or −z and may be beside the wheel;
     ``rollers`` [deg]: the angle of the axle of the roller that touches the ground from the rolling direction, positive to the left (0:
-    omni, 45 or -45: mecanum), none for a tyre; ``driven``: whether it has a drive and an encoder."""
+    omni, 45 or -45: mecanum), none for a tire; ``driven``: whether it has a drive and an encoder."""
 
     joint: str
     steer: str | None = None

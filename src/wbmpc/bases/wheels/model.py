@@ -2,7 +2,7 @@
 
 Wheel i stands at R(δ) o from its steering axis at a (o = 0 and no δ for one that does not steer), and rolls along d at an angle
 ψ = ψ₀ + σ δ in the body. Its center moves at v + ω ẑ × a + (ω + σ δ̇) ẑ × R(ψ) o; of that the part along d is f, the part to the left g.
-A tyre has g = 0 and turns at f / r; a wheel with rollers at an angle γ turns at (f + g tan γ) / r.
+A tire has g = 0 and turns at f / r; a wheel with rollers at an angle γ turns at (f + g tan γ) / r.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from wbmpc.ocp import Constraint
 
 Array = NDArray[np.float64]
-#: Of the rows that keep steered tyres from slipping sideways: measured steering angles never agree exactly.
+#: Of the rows that keep steered tires from slipping sideways: measured steering angles never agree exactly.
 SOFTNESS = 1e-6
-#: How far tyres that do not steer may disagree: angle [rad], distance [m] of their axles' lines.
+#: How far tires that do not steer may disagree: angle [rad], distance [m] of their axles' lines.
 _PARALLEL, _BESIDE = 1e-3, 0.002
 
 
 @dataclass(frozen=True)
 class Contact:
     """A wheel. ``axis`` (2) [m] of its steering, ``heading`` [rad] at zero, ``offset`` (2) [m] along and to the left of the heading;
-    ``sign`` of the steering axis (0: none) and its ``place`` among the steering joints; ``roller`` [rad], None of a tyre."""
+    ``sign`` of the steering axis (0: none) and its ``place`` among the steering joints; ``roller`` [rad], None of a tire."""
 
     axis: Array
     heading: float
@@ -97,7 +97,7 @@ def read_contacts(description: RobotDescription, tree: Tree) -> list[Contact]:
 
 
 def allowed_twist(description: RobotDescription, contacts: list[Contact]) -> tuple[Array, tuple[str, ...]]:
-    """(3, m) and names: the body's twist by the base's input. Tyres that do not steer leave a speed along them and the turn about their
+    """(3, m) and names: the body's twist by the base's input. Tires that do not steer leave a speed along them and the turn about their
     axle. Raises :class:`InputError` where their axles are not one."""
     fixed = [c for c in contacts if c.roller is None and not c.sign]
     if not fixed:
@@ -110,7 +110,7 @@ def allowed_twist(description: RobotDescription, contacts: list[Contact]) -> tup
             base = description.base
             assert isinstance(base, WheelsBaseDescription)
             raise InputError(
-                f"{description.source}: key 'base.wheels': tyres that do not steer share one axle, '{base.wheels[contacts.index(c)].joint}' is "
+                f"{description.source}: key 'base.wheels': tires that do not steer share one axle, '{base.wheels[contacts.index(c)].joint}' is "
                 f"{1e3 * abs(turning):.3g} mm away from it; wheels that are dragged have base type planar"
             )
     return twist, ("v", "wz")
@@ -125,7 +125,7 @@ class WheelsFootprint:
         self._contacts, self._casters = base.wheel_contacts, np.array(description.casters).reshape(-1, 2)
         self._part = slice(3, 3 + base.steering)
         self.names = [w.joint for w in description.wheels] + [f"caster {i}" for i in range(len(self._casters))]
-        # a caster's spring is not a tyre's
+        # a caster's spring is not a tire's
         self.size, self.even = len(self.names), not len(self._casters)
 
     def positions(self, x: Array) -> Array:
@@ -152,7 +152,7 @@ class WheelsBase(PlanarBase):
         self.footprint = standing_on(WheelsFootprint(self, description.base), np.concatenate([np.zeros(3), home]))
 
     def matrices(self, steer: Any) -> tuple[Any, Any]:
-        """Rows (k, 3 + s) of the body's twist and s steering rates: rates [rad/s] of driven wheels, and how fast tyres slip sideways over
+        """Rows (k, 3 + s) of the body's twist and s steering rates: rates [rad/s] of driven wheels, and how fast tires slip sideways over
         their radius [rad/s]."""
         roll, side = [], []
         for contact in self.wheel_contacts:
@@ -182,13 +182,13 @@ class WheelsBase(PlanarBase):
         return np.hstack([rows[:, :3] @ self.twist, rows[:, 3:]])
 
     def constraints(self, robot: RobotModel, *, hard: bool = True) -> list[Constraint]:
-        """Steered tyres do not slip sideways; driven wheels keep their largest rates."""
+        """Steered tires do not slip sideways; driven wheels keep their largest rates."""
         from wbmpc.ocp import Constraint, residuals, sets
 
         part = slice(3, 3 + self.steering)
         size, found = self.twist.shape[1] + self.steering, []
-        tyres = [c for c in self.wheel_contacts if c.roller is None]
-        steered = [i for i, c in enumerate(tyres) if c.sign]
+        tires = [c for c in self.wheel_contacts if c.roller is None]
+        steered = [i for i, c in enumerate(tires) if c.sign]
         if steered:
             slip = lambda s: self.radius * (self.by_input(self.matrices(s.x[part])[1])[steered, :] @ s.u[:size])
             found.append(Constraint("rolling", residuals.Expression(len(steered), slip), softness=SOFTNESS))

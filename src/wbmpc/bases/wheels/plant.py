@@ -1,11 +1,11 @@
-"""A mix of wheels in MuJoCo: tyres, wheels with real rollers, steering drives, casters on springs."""
+"""A mix of wheels in MuJoCo: tires, wheels with real rollers, steering drives, casters on springs."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
 
-from wbmpc.bases.differential.plant import add_casters, add_tyre
+from wbmpc.bases.differential.plant import add_casters, add_tire
 from wbmpc.bases.omnidirectional.plant import add_rollers
 from wbmpc.bases.planar.plant import PlanarPlant
 from wbmpc.bases.wheels.description import WheelsBaseDescription
@@ -17,7 +17,7 @@ class WheelsPlant(PlanarPlant):
     """Physics, drives and sensors of a robot on a mix of wheels."""
 
     def add_wheel(self, spec: mujoco.MjSpec, index: int, radius: float, friction: list[float]) -> None:
-        """Of a driven wheel: its tyre or rollers."""
+        """Of a driven wheel: its tire or rollers."""
         base = self.description.base
         assert isinstance(base, WheelsBaseDescription)
         driven = [w for w in base.wheels if w.driven]
@@ -27,7 +27,7 @@ class WheelsPlant(PlanarPlant):
         self, spec: mujoco.MjSpec, name: str, rollers: float | None, radius: float, friction: list[float]
     ) -> None:
         if rollers is None:
-            add_tyre(spec.joint(name), radius, friction)
+            add_tire(spec.joint(name), radius, friction)
         else:
             add_rollers(spec, spec.joint(name), radius, float(np.deg2rad(rollers)), friction)
 

@@ -1,4 +1,4 @@
-"""The base type ``wheels``: any mix of tyres and roller wheels, fixed or steered, with or without an offset."""
+"""The base type ``wheels``: any mix of tires and roller wheels, fixed or steered, with or without an offset."""
 
 from __future__ import annotations
 

@@ -237,7 +237,7 @@ def make_controller(settings: RezeroSettings, p: Parts) -> tuple[BallController,
 
 
 def _felt(p: Parts) -> FallPredictor:
-    """Falls that baselines foresee: by the state alone, for plans that they have are not the optimiser's of the whole robot."""
+    """Falls that baselines foresee: by the state alone, for plans that they have are not the optimizer's of the whole robot."""
     return FallPredictor(p.robot, p.arm, ahead=0.0)
 
 

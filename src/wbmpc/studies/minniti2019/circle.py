@@ -21,7 +21,7 @@ from wbmpc.studies.minniti2019.task import Task, ball_robot, bent_arm, reaching,
 
 NAME = "rezero-circle"
 SUMMARY = "the ball drives a circle while the end effector stays still (Minniti et al. 2019, video)"
-IDEALISATIONS = ["the end effector's orientation is free but for a small weight: three joints hold its position"]
+IDEALIZATIONS = ["the end effector's orientation is free but for a small weight: three joints hold its position"]
 
 
 class RezeroCircleSettings(AccurateSettings):
@@ -40,7 +40,7 @@ class RezeroCircleSettings(AccurateSettings):
 
 
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
-    """Ball positions (n, 2) [m] round a centre on its left: it starts and ends at rest, a second each of constant angular
+    """Ball positions (n, 2) [m] round a center on its left: it starts and ends at rest, a second each of constant angular
     acceleration, in between at constant speed."""
     rate, total = 2.0 * np.pi / settings.lap_time, 2.0 * np.pi * settings.rounds
     end = settings.settle_time + total / rate + 1.0
@@ -89,7 +89,7 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
         places = ball_path(settings, times)
         reference = reaching(robot, times, places, np.tile(end_effector, (times.size, 1)), home)
     task = Task(arm, duration, {"body": reference})
-    return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
+    return task_scenario(settings, seed, task, metrics, plots, IDEALIZATIONS)
 
 
 EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroCircleSettings, build, DEFINITIONS[NAME])

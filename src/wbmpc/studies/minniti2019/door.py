@@ -25,7 +25,7 @@ from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, TIP_MASS, TIP_RADIUS, Door, DoorPlant
 from wbmpc.studies.minniti2019.door_problem import default_push_cost, door_problem
 from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
-from wbmpc.studies.minniti2019.task import IDEALISATIONS, ball_robot, record_rezero
+from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_robot, record_rezero
 
 _LOG = logging.getLogger("wbmpc")
 NAME = "rezero-door"
@@ -36,7 +36,7 @@ LEVER, GAP = 0.7, 0.10
 #: A panel reaches at least so far [m] beyond where it is pushed; what of a door is drawn.
 EDGE, DRAWN = 0.08, ("width", "mass", "friction", "closer", "damping", "breakaway")
 HERE = [
-    "the door's hinge is where it is believed to be within door_position_error and door_spread; the closed panel's place is learnt from the "
+    "the door's hinge is where it is believed to be within door_position_error and door_spread; the closed panel's place is learned from the "
     "touch, the hinge from the end effector's way",
     "the panel's edges and the door's frame have no contact but with the panel's box",
     "the force sensor has noise of 0.1 N and a bias of 0.1 N for each axis; it stands between end effector and tip",
@@ -192,7 +192,7 @@ def build(settings: RezeroDoorSettings, seed: int) -> Scenario:
         log, [Part(f"{force:g} N", partial(push, force)) for force in sorted(settings.forces)],
         lambda run: {**metrics(trials, names), **worst_estimates(trials)},
         lambda run: [plot for name, t in zip(names, trials, strict=False) for plot in door_plots(name, t, settings)],
-        [*HERE, *IDEALISATIONS],
+        [*HERE, *IDEALIZATIONS],
     )  # fmt: skip
 
 

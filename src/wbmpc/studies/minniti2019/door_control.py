@@ -39,9 +39,9 @@ Array = np.ndarray
 _LOG = logging.getLogger("wbmpc")
 #: While it has not touched, the end effector is planned to touch no earlier than this [s].
 SOON = 0.05
-#: Least and largest impedance that the optimiser is reported (inertia, damping, resistance).
+#: Least and largest impedance that the optimizer is reported (inertia, damping, resistance).
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
-#: How well the generalised forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
+#: How well the generalized forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
 SPREAD = (2.0, 2.0, 1.0, 1.5, 1.5, 0.1)
 #: Before it has touched, the plan leans for no more than the first of these [N]. To lean forward the ball first rolls back, and a
 #: plan that does so again and again, as if the touch were always imminent, never touches (seen at 24 N): while a touch is overdue,
@@ -354,7 +354,7 @@ class SensorlessForce:
         n = self._nq = robot.base.nq
         q, force = ca.SX.sym("q", n), ca.SX.sym("f", 3)
         torque = ca.SX.sym("u", robot.input.size - 3)
-        known = robot.base.generalised_force(q, ca.vertcat(torque, ca.SX(3, 1)), ca.SX(robot.parameters.size, 1))
+        known = robot.base.generalized_force(q, ca.vertcat(torque, ca.SX(3, 1)), ca.SX(robot.parameters.size, 1))
         self._known = ca.Function("known", [q, torque], [known])
         self._jacobian = ca.Function("jacobian", [q], [ca.jacobian(robot.base.tool_force(q, force), force).T])
         still = np.zeros(n)

@@ -1,7 +1,7 @@
 """A door as part of the system that is planned: its states, its impedance, and where the end effector touches it.
 
 Minniti et al. 2019 plan the wrench at the end effector as a free input and leave the door's motion out (their section V-A): the
-optimiser may give the environment any impedance. Here the door's angle φ and rate are states, I φ̈ + d φ̇ + c = −ℓ nᵀF for the force
+optimizer may give the environment any impedance. Here the door's angle φ and rate are states, I φ̈ + d φ̇ + c = −ℓ nᵀF for the force
 F of the world on the end effector, and the end effector's distance from the panel is a function of robot and door whose second derivative a
 state-input equality keeps at zero (:class:`wbmpc.studies.minniti2019.door_residuals.PanelContact`).
 """
@@ -30,7 +30,7 @@ IMPEDANCE = ("inertia", "damping", "resistance")
 @dataclass(frozen=True)
 class DoorGeometry:
     """Where a door is believed to be: ``hinge`` (2) [m]; ``closed`` [rad]: heading of the closed panel from the hinge;
-    ``opening``: +1 counter-clockwise, −1 clockwise; ``offset`` [m] of the end effector's centre from the panel's middle plane when it
+    ``opening``: +1 counter-clockwise, −1 clockwise; ``offset`` [m] of the end effector's center from the panel's middle plane when it
     touches."""
 
     hinge: tuple[float, float]

@@ -32,7 +32,7 @@ class PushCost(Settings):
     arm: Weight = 5.0
 
 
-#: For an end effector whose motion the optimiser does not tie to the door: all force errors count alike, no posture (seeds 0 and 1).
+#: For an end effector whose motion the optimizer does not tie to the door: all force errors count alike, no posture (seeds 0 and 1).
 UNTIED = PushCost(force=1.0, tangential=1.0, arm=0.0)
 
 

@@ -25,7 +25,7 @@ from wbmpc.studies.minniti2019.frequency_control import FrequencyAwareController
 from wbmpc.studies.minniti2019.frequency_figures import metrics, plots
 from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
-from wbmpc.studies.minniti2019.task import IDEALISATIONS, ball_robot, record_rezero
+from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_robot, record_rezero
 
 NAME = "rezero-frequency"
 SUMMARY = "torque tracking of elastic drives with and without frequency-aware MPC (Minniti et al. 2019, section III-D)"
@@ -110,7 +110,7 @@ def build(settings: RezeroFrequencySettings, seed: int) -> Scenario:
             **metrics(settings, log, {name: o.ending for name, o in run.outcomes.items()}),
             **fault_metrics(*(o.controller for o in run.outcomes.values())),
         },
-        lambda run: plots(log), [*HERE, *IDEALISATIONS[:3]], compared=True,
+        lambda run: plots(log), [*HERE, *IDEALIZATIONS[:3]], compared=True,
     )  # fmt: skip
 
 

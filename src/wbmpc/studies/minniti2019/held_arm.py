@@ -50,7 +50,7 @@ class ServoedArm:
         pace = w[self.parameters["pace"]]
         arm = pace**2 * (w[self.parameters["goal"]] - q[5:]) - 2.0 * pace * v[5:]
         known = ca.SX.zeros(self._robot.parameters.size)
-        force = base.generalised_force(q, self.view(x, u)[1], known)[:5] + w[self.parameters["disturbance"]]
+        force = base.generalized_force(q, self.view(x, u)[1], known)[:5] + w[self.parameters["disturbance"]]
         right = force - base.inverse_dynamics(q, v, ca.vertcat(ca.SX.zeros(5), arm))[:5]
         return ca.vertcat(v, solve_spd(base.mass_matrix(q)[:5, :5], right), arm)
 
@@ -62,7 +62,7 @@ class ServoedArm:
         arm = f[n + 5 :]
         known = ca.SX.zeros(self._robot.parameters.size)
         residual = base.inverse_dynamics(q, v, ca.vertcat(a, arm))[:5]
-        residual -= base.generalised_force(q, self.view(x, u)[1], known)[:5]
+        residual -= base.generalized_force(q, self.view(x, u)[1], known)[:5]
         slope = ca.substitute(ca.jacobian(residual, outer), a, f[n : n + 5])
         kinematic = ca.horzcat(ca.SX(n, n), ca.SX.eye(n), ca.SX(n, u.shape[0]))
         return f, ca.vertcat(kinematic, -solve_spd(base.mass_matrix(q)[:5, :5], slope), ca.jacobian(arm, outer))

@@ -84,7 +84,7 @@ class RegulatorGains:
         return np.linalg.solve(r + bd.T @ p @ bd, bd.T @ p @ ad)
 
     def at_rest(self, arm: Array) -> Array:
-        """(2 + nu, nq): how lean (pitch, roll) and torques at rest change with constant generalised forces, to first order."""
+        """(2 + nu, nq): how lean (pitch, roll) and torques at rest change with constant generalized forces, to first order."""
         x, u = self.robot.base.numeric.equilibrium(arm)
         n = self.robot.base.nq
         jacobian = np.array(self._linear(x, u)[0])[n:]

@@ -1,7 +1,7 @@
 """The force at an end effector without a force sensor: a momentum observer (De Luca and Mattone, ICRA 2003).
 
 With p = M(q) v and ṗ = τ_known + τ_unknown + Ṁ v − h, where h = C v + g, the residual r' = K (ṗ − known part − r) follows the
-unknown generalised forces with bandwidth K. What it holds before the touch is the model's error; the change since then is
+unknown generalized forces with bandwidth K. What it holds before the touch is the model's error; the change since then is
 explained as a force on the end effector by least squares, weighted by how well each coordinate's force is known.
 """
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class MomentumObserver:
-    """``mass(q)``: M (n, n); ``bias(q, v)``: C v + g (n); ``bandwidth`` [1/s]. ``residual`` (n): generalised forces that the
+    """``mass(q)``: M (n, n); ``bias(q, v)``: C v + g (n); ``bandwidth`` [1/s]. ``residual`` (n): generalized forces that the
     drives do not explain [N, N m]."""
 
     def __init__(
@@ -33,7 +33,7 @@ class MomentumObserver:
         self._zero: Array | None = None
 
     def update(self, q: ArrayLike, v: ArrayLike, force: ArrayLike, interval: float) -> Array:
-        """The residual (n) at positions q (n) and speeds v (n), with the known generalised ``force`` (n) that acted over the
+        """The residual (n) at positions q (n) and speeds v (n), with the known generalized ``force`` (n) that acted over the
         ``interval`` [s] before. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be."""
         positive_time("momentum observer", interval)
         n = np.size(v)

@@ -25,7 +25,7 @@ from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
 RECOVERY = 2.0
 BALL, HAND = "rezero-push-ball", "rezero-push-hand"
 SUMMARY = "the ball robot is pushed while it holds its {} (Minniti et al. 2019, Fig. 5)"
-IDEALISATIONS = ["pushes are exact forces at the base's centre of mass"]
+IDEALIZATIONS = ["pushes are exact forces at the base's center of mass"]
 
 
 class RezeroPushSettings(RezeroSettings):
@@ -108,12 +108,12 @@ def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
     def plots(log: Log) -> list[Plot]:
         t = log.times("state")
         force = np.sum([np.outer((t >= p.start) & (t < p.start + p.length), p.force) for p in task.pushes], axis=0)
-        pushes = Plot("Pushes (Fig. 5, its grey areas)", "time [s]", "force [N]", [
+        pushes = Plot("Pushes (Fig. 5, its gray areas)", "time [s]", "force [N]", [
             Series(n, t, force[:, i]) for i, n in enumerate("xy")
         ])  # fmt: skip
         return [*common_plots(log, end_effector, ball), pushes]
 
-    return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
+    return task_scenario(settings, seed, task, metrics, plots, IDEALIZATIONS)
 
 
 BALL_EXPERIMENT = Experiment.of(

@@ -21,7 +21,7 @@ from wbmpc.result import Metric, RunResult
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.push import (
-    IDEALISATIONS,
+    IDEALIZATIONS,
     RezeroPushBallSettings,
     RezeroPushHandSettings,
     RezeroPushSettings,
@@ -91,7 +91,7 @@ def run(name: str, settings: _Limit, seed: int, progress: Progress | None = None
         defined(name, metrics, DEFINITIONS[name]),
         None,
         Log(),
-        idealisations=IDEALISATIONS,
+        idealizations=IDEALIZATIONS,
         settings=plain,
     )
 

@@ -10,7 +10,7 @@ from wbmpc.experiment import run_scenario
 from wbmpc.log import Log
 from wbmpc.result import Metric
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies.minniti2019.push import IDEALISATIONS, RezeroPushBallSettings, RezeroPushSettings
+from wbmpc.studies.minniti2019.push import IDEALIZATIONS, RezeroPushBallSettings, RezeroPushSettings
 from wbmpc.studies.minniti2019.recovery import rest
 from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
 
@@ -39,7 +39,7 @@ def push_once(settings: RezeroPushSettings, seed: int, force: float, direction: 
         recovered = not ending.reason and rest(log, held, place, end).recovered
         return {"recovered": Metric(float(recovered), "1"), "travel": Metric(float(travel.max()), "m")}
 
-    build = lambda s, k: task_scenario(s, k, task, figures, lambda log: [], IDEALISATIONS)
+    build = lambda s, k: task_scenario(s, k, task, figures, lambda log: [], IDEALIZATIONS)
     result = run_scenario("rezero-push", build, settings, seed)
     if not result.metrics:
         return Outcome(False, False, float("inf"))

@@ -3,7 +3,7 @@
 A base MPC that is reported only of ball and base and takes the arm to stand still in its nominal configuration; a joint-level PID
 for the arm, whose goal is the inverse kinematics of the end effector's task at the present pose of the base. Two things may be added:
 the disturbance observer on the base's rows (integral action: an arm that has moved is a constant tilting moment for it), and the
-arm's motion in the base MPC's prediction (its moving centre of mass and its reaction, fed forward).
+arm's motion in the base MPC's prediction (its moving center of mass and its reaction, fed forward).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _short(vector: Array, limit: float) -> Array:
 
 
 class EndEffectorInverse:
-    """Arm angles at which the end effector is nearest to a pose, for the base where it is: regularised Gauss-Newton from the last ones.
+    """Arm angles at which the end effector is nearest to a pose, for the base where it is: regularized Gauss-Newton from the last ones.
 
     Least squares of position and orientation error with ``weight`` (6) [1/m², 1/rad²; axes of the wanted end effector] and of the arm's
     distance from a posture with ``posture`` [1/rad²].

@@ -20,7 +20,7 @@ EULER = ("yaw", "pitch", "roll")
 #: Goal of the steady orientation [rad], and why it is missed where the robot's masses are not those of its model.
 TURN_GOAL = float(np.deg2rad(0.5))
 ROLL = (
-    "the roll about the forearm is part of it, which an arm with yaw and two pitch joints cannot turn: a robot whose centre of "
+    "the roll about the forearm is part of it, which an arm with yaw and two pitch joints cannot turn: a robot whose center of "
     "mass is beside its plane leans to balance; '_arm_' is without it"
 )
 
@@ -132,7 +132,7 @@ def plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
         Plot("Arm speeds over their limits", "time [s]", "|speed| / limit", [
             Series(n, t, ratio[:, i]) for i, n in enumerate(robot.state.groups["arm_velocity"])
         ]),
-        Plot("Estimated disturbance", "time [s]", "generalised force [N, N m]", [
+        Plot("Estimated disturbance", "time [s]", "generalized force [N, N m]", [
             Series(n, t, log.array("disturbance")[:, i]) for i, n in enumerate(robot.parameters.groups["disturbance"])
         ]),
     ]  # fmt: skip

@@ -24,7 +24,7 @@ from wbmpc.studies.minniti2019.task import Task, ball_robot, task_scenario
 NAME = "rezero-steps"
 SUMMARY = "the ball robot takes steps of the end effector's pose, base free (Minniti et al. 2019, Fig. 4)"
 
-IDEALISATIONS = ["with preview=true the MPC sees a step coming one horizon ahead, and leaves for it early"]
+IDEALIZATIONS = ["with preview=true the MPC sees a step coming one horizon ahead, and leaves for it early"]
 #: A move takes at least so long [s].
 MOVING = 0.5
 
@@ -112,7 +112,7 @@ def build(settings: RezeroStepsSettings, seed: int) -> Scenario:
         settings, seed,
         Task(robot.home[robot.state["arm"]], schedule.duration, references),
         lambda log, ending: metrics(log, schedule, settings, ending.fell), lambda log: plots(log, schedule, robot),
-        IDEALISATIONS, None if settings.preview else hide_future,
+        IDEALIZATIONS, None if settings.preview else hide_future,
     )  # fmt: skip
 
 

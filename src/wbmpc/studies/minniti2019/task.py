@@ -31,7 +31,7 @@ from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.types import Truth
 
-IDEALISATIONS = [
+IDEALIZATIONS = [
     "encoders, gyro and accelerometer have noise, bias and 5 ms of age; the start (position, heading) is known, and the floor "
     "is flat; with estimator=truth the controller gets the simulator's state instead, 5 ms old, with noise",
     "the geometry and masses of Rezero's arm are assumed (not published)",
@@ -50,7 +50,7 @@ def bent_arm(settings: RezeroSettings, robot: RobotModel) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Push:
-    """A force (3) [N] in world axes at the base's centre of mass, from ``start`` for ``length`` [s], whole controller periods."""
+    """A force (3) [N] in world axes at the base's center of mass, from ``start`` for ``length`` [s], whole controller periods."""
 
     start: float
     length: float
@@ -151,7 +151,7 @@ def task_scenario(
     task: Task,
     metrics: Callable[[Log, Ending], dict[str, Metric]],
     plots: Callable[[Log], list[Plot]],
-    idealisations: list[str],
+    idealizations: list[str],
     previous: Callable[[MPC, Timing, float], None] | None = None,
 ) -> Scenario:
     """One run of a task. ``previous`` is called at every tick. Raises :class:`InputError` for pushes that are no whole number of
@@ -180,7 +180,7 @@ def task_scenario(
     return Scenario.single(
         log, lambda progress: replace(loop.run(progress), mpc=system.planner or system.mpc),
         lambda run: {**metrics(log, run.ending), **estimator_metrics(log), **fault_metrics(controller)},
-        lambda run: plots(log), [*idealisations, *IDEALISATIONS],
+        lambda run: plots(log), [*idealizations, *IDEALIZATIONS],
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.step_goals import STEPS, target
-from wbmpc.studies.minniti2019.task import IDEALISATIONS, ball_system, record_rezero, robot_of
+from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_system, record_rezero, robot_of
 from wbmpc.studies.minniti2019.taskspace_figures import CONTROLLERS, metrics, plots
 
 NAME = "rezero-taskspace"
@@ -80,7 +80,7 @@ def build(settings: RezeroTaskspaceSettings, seed: int) -> Scenario:
     return Scenario(
         log, [Part(n, partial(drive, n, settings, seed, log), baseline=n != "mpc") for n in CONTROLLERS],
         lambda run: {**metrics(log, run.outcomes), **fault_metrics(*(o.controller for o in run.outcomes.values()))},
-        lambda run: plots(log), [*HERE, *IDEALISATIONS], compared=True,
+        lambda run: plots(log), [*HERE, *IDEALIZATIONS], compared=True,
     )  # fmt: skip
 
 

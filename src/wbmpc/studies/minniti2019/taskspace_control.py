@@ -147,7 +147,7 @@ def _lean_of_arm(robot: RobotModel, home: Array) -> Array:
 
 
 def _lean_stiffness(robot: RobotModel, home: Array) -> Array:
-    """How gravity's generalised forces on pitch and roll change with them, (2, 2) [N m/rad]."""
+    """How gravity's generalized forces on pitch and roll change with them, (2, 2) [N m/rad]."""
     n = robot.base.nq
     weight = lambda step: robot.base.numeric.inverse_dynamics(home[:n] + step, np.zeros(n), np.zeros(n))[3:5]
     steps = [np.eye(n)[k] * 1e-4 for k in (3, 4)]
@@ -161,7 +161,7 @@ def _functions(robot: RobotModel) -> dict[str, ca.Function]:
     w, mode = ca.SX(robot.parameters.size, 1), ca.SX(robot.mode.size, 1)
     pose, velocity = robot.frame_pose(x, robot.tool), ca.vertcat(*robot.frame_velocity(x, u, robot.tool))
     jacobian = ca.jacobian(velocity, v)
-    force = robot.base.generalised_force(q, u, w)
+    force = robot.base.generalized_force(q, u, w)
     bias = robot.base.inverse_dynamics(q, v, ca.SX(n, 1))
     now = [pose.position, pose.quaternion, velocity, jacobian, ca.jtimes(velocity, q, v), ca.jacobian(force, u), bias]
     f = robot.dynamics()(x, u, w, mode)

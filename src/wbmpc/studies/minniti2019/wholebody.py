@@ -28,7 +28,7 @@ CORNERS = np.array(
 STEADY = 1.0
 #: The share of the feedback in a torque below this [N m] is that in one of this.
 MIN_TORQUE = 0.5
-IDEALISATIONS = ["the load is unknown to the controller"]
+IDEALIZATIONS = ["the load is unknown to the controller"]
 
 
 class RezeroWholebodySettings(AccurateSettings):
@@ -105,7 +105,7 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
         grid = np.arange(0.0, float(ends[-1]), 0.05)
         references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), target(grid), home)
     task = Task(arm, float(ends[-1]), references)
-    return task_scenario(settings, seed, task, metrics, plots, IDEALISATIONS)
+    return task_scenario(settings, seed, task, metrics, plots, IDEALIZATIONS)
 
 
 EXPERIMENT = Experiment.of(NAME, SUMMARY, RezeroWholebodySettings, build, DEFINITIONS[NAME])

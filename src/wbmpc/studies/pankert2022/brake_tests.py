@@ -99,7 +99,7 @@ def _reached_back(robot: RobotModel) -> np.ndarray:
 
 
 def push(bench: Bench, name: str, is_open: bool, progress: Progress | None) -> float:
-    """Largest displacement [m] of the body while it is pushed to the left at its centre of mass."""
+    """Largest displacement [m] of the body while it is pushed to the left at its center of mass."""
     state = "open" if is_open else "closed"
     plant, farthest, channel = bench.plant(name), 0.0, f"push_{name}_{state}"
     modules = bench.robot.base.geometry.modules

@@ -21,9 +21,9 @@ from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 NAME = "swerve-brakes"
 SUMMARY = "pushes with brakes closed and open, slip of a brake, brakes that do not answer (Pankert et al. 2022, Fig. 4)"
 
-IDEALISATIONS = [
+IDEALIZATIONS = [
     "the body and the legs are rigid: the paper's robot also bends",
-    "tyres are soft contacts, not a tyre model; a closed brake is dry friction of 200 N m",
+    "tires are soft contacts, not a tire model; a closed brake is dry friction of 200 N m",
     "the time that a brake takes to open and to close is assumed",
     "the wheels stand parallel to the body and their drives hold them still",
 ]
@@ -57,7 +57,7 @@ def build(settings: SwerveBrakesSettings, seed: int) -> Scenario:
             *(test(name, faults, kind, brake_tests.fault, kind) for kind, name in KINDS.items()),
         ],
         lambda run: _metrics(moved, slip["torque"], slides, faults), lambda run: _plots(bench.log, bench.left_front),
-        IDEALISATIONS,
+        IDEALIZATIONS,
     )  # fmt: skip
 
 

@@ -12,15 +12,15 @@ from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending, Progress
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
-from wbmpc.studies.pankert2022.metrics import rms, travelled
+from wbmpc.studies.pankert2022.metrics import rms, traveled
 from wbmpc.studies.pankert2022.reference_drive import SwerveCalibrateSettings, drive, track_arm
 from wbmpc.studies.pankert2022.wheel_log import record_of, swerve_robot
 
 NAME = "swerve-calibrate"
 SUMMARY = "a short reference drive with global poses, for 'wbmpc calibrate' (steer zeros and wheel radii)"
 
-IDEALISATIONS = [
-    "global poses have independent normal noise; a real localisation has errors that last as well",
+IDEALIZATIONS = [
+    "global poses have independent normal noise; a real localization has errors that last as well",
     "the robot may drive about 2 m in each direction",
     "open hinges turn freely: one that sticks looks like a wheel that points where it should",
 ]
@@ -42,12 +42,12 @@ def build(settings: SwerveCalibrateSettings, seed: int) -> Scenario:
         return Outcome(Ending.of(plant, reason=reason), controller.faults, controller)
 
     measured = lambda _: _metrics(log, found[0]) if found else {}
-    return Scenario.single(log, run, measured, lambda _: _plots(log), IDEALISATIONS)
+    return Scenario.single(log, run, measured, lambda _: _plots(log), IDEALIZATIONS)
 
 
 def _metrics(log: Log, found: WheelCalibration) -> dict[str, Metric]:
     base, odometry, wheels = (log.array(n) for n in ("base", "base_odometry", "base_wheels"))
-    way = travelled(base)
+    way = traveled(base)
     return {
         "base_error_rms_world": Metric(rms((odometry - base)[:, :2]), "m", goal=0.010),
         "yaw_error_rms_world": Metric(rms((odometry - base)[:, 2]), "rad"),

@@ -41,8 +41,8 @@ SUMMARY = (
     "through a door in H, X and A while driving and turning, over bumps and cables (Pankert et al. 2022, Fig. 7, 8)"
 )
 
-IDEALISATIONS = [
-    "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
+IDEALIZATIONS = [
+    "the contact points lie under the steer axes; tires are soft contacts, not a tire model",
     "bumps are smooth and of the floor's mean friction; the door's posts are rigid",
     "the computation takes a constant 10 ms, the baseline's too",
     "the time that a brake takes to open and to close is assumed, and known to the planner",
@@ -69,7 +69,7 @@ class _Run:
         home = at_home(self.robot, mission.legs)
         plant = SwervePlant(
             self.robot.description, self.robot.state.split(home), self.settings.plant, self.seed, edit=edit,
-            localisation=self.settings.global_poses(self.seed),
+            localization=self.settings.global_poses(self.seed),
         )  # fmt: skip
         return home, plant
 
@@ -155,7 +155,7 @@ def _baseline_alone(bench: _Run, mission: Mission, duration: float) -> Scenario:
     """The tour with the baseline."""
     drive = partial(bench.baseline, mission, duration, terrain)
     of = lambda run: baseline_metrics(bench.log, not run.ending.reason)
-    return Scenario.single(bench.log, drive, of, lambda run: [], IDEALISATIONS)
+    return Scenario.single(bench.log, drive, of, lambda run: [], IDEALIZATIONS)
 
 
 def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
@@ -198,7 +198,7 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
             Part("knock", partial(aside, "knock", *straight(robot, "X", True), 4.0)),
             *(Part(name, partial(aside, name, *way, None)) for name, way in closed.items()),
         ],
-        measured, lambda run: plots(bench.log, robot), IDEALISATIONS,
+        measured, lambda run: plots(bench.log, robot), IDEALIZATIONS,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from wbmpc.simulation.contacts import GROUND, OBSTACLE
 #: The door [m]: where it is, its width. Half widths [m] of the body and of a leg with its wheel (for the clearance).
 DOOR, DOOR_WIDTH, BODY, LEG_HALF = 3.0, 0.90, (0.451, 0.400), 0.045
 #: Half lengths [m] of the posts that are drawn beside the gap.
-POST, POST_COLOUR = (0.03, 0.05, 1.0), (0.55, 0.40, 0.28, 1.0)
+POST, POST_COLOR = (0.03, 0.05, 1.0), (0.55, 0.40, 0.28, 1.0)
 #: Bumps (x, y) [m] of 15 mm and cables (x) of 10 mm radius [m].
 BUMPS = ((6.0, 0.6), (9.5, 0.5), (10.5, -0.5), (11.5, 0.2), (12.5, -0.6))
 BUMP_HEIGHT, BUMP_RADIUS, CABLES, CABLE_RADIUS = 0.015, 0.30, (9.0, 12.0), 0.010
@@ -22,7 +22,7 @@ def terrain(spec: mujoco.MjSpec) -> None:
     for side in (-1.0, 1.0):
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX, size=POST, pos=[DOOR, side * (0.5 * DOOR_WIDTH + POST[1]), POST[2]],
-            rgba=POST_COLOUR, **OBSTACLE,
+            rgba=POST_COLOR, **OBSTACLE,
         )  # fmt: skip
     common = {"friction": [0.75, 0.005, 1e-4], "solref": [0.01, 1.0], **GROUND}
     for x, y in BUMPS:

@@ -14,7 +14,7 @@ from wbmpc.estimation.arm_calibration import load_arm_offset
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import ExperimentSettings, LidarSettings
-from wbmpc.simulation.localization import Localisation
+from wbmpc.simulation.localization import Localization
 from wbmpc.studies.pankert2022.reference_drive import calibrated, track_arm
 
 
@@ -33,7 +33,7 @@ class DrivingSettings(ExperimentSettings):
     settle_time: float = Field(20.0, ge=0, le=120)
     actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
 
-    def global_poses(self, seed: int) -> Localisation | None:
+    def global_poses(self, seed: int) -> Localization | None:
         """The source of global poses for one plant; None: it has none."""
         return self.lidar.source(seed) if self.localization == "lidar" else None
 

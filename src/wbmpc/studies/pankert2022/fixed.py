@@ -33,8 +33,8 @@ from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 NAME = "swerve-fixed"
 SUMMARY = "base motions of a swerve base with fixed legs: MPC against inverse kinematics and four-wheel steering"
 
-IDEALISATIONS = [
-    "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
+IDEALIZATIONS = [
+    "the contact points lie under the steer axes; tires are soft contacts, not a tire model",
     "the computation of the MPC and of the baselines takes a constant 10 ms",
     "baselines know the reference ahead of time too: they turn their wheels before they start",
 ]
@@ -95,7 +95,7 @@ def build(settings: SwerveFixedSettings, seed: int) -> Scenario:
     return Scenario(
         log, [Part(name, run, baseline="mpc" in drives and name != "mpc") for name, run in drives.items()],
         lambda run: metrics(log, reference, drives, run, settings.localization == "lidar"), lambda run: plots(log, reference, drives),
-        IDEALISATIONS, compared=True,
+        IDEALIZATIONS, compared=True,
     )  # fmt: skip
 
 
@@ -112,7 +112,7 @@ def drive(
 ) -> Outcome:
     """One controller over the whole reference; logs its poses as ``base_NAME`` and ``odometry_NAME``."""
     plant = SwervePlant(
-        robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=settings.global_poses(seed)
+        robot.description, robot.state.split(robot.home), settings.plant, seed, localization=settings.global_poses(seed)
     )
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     controller = CONTROLLERS[name](robot, plant.truth().pose, timing.period, settings, reference, known)

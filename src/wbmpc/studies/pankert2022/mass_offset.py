@@ -1,13 +1,13 @@
 """How far a robot's masses are from the model's, from when it tips over known edges of its support.
 
-Masses and centres of mass that differ from the model's shift its zero-moment point. At rest, for a robot that is rigid but for an
+Masses and centers of mass that differ from the model's shift its zero-moment point. At rest, for a robot that is rigid but for an
 arm turning about the vertical, that shift is
 
     p(α) = c + R(α) b,
 
 c of what stands still and b of what turns with the arm's heading α: every part's moment over the robot's weight is one or the
-other. Not in it: the heights of centres of mass (where the robot stands tilted they shift the point too: 2.5 mm on 0.2 rad by half
-a millimetre), the mass as a whole, and what other leg angles do to c.
+other. Not in it: the heights of centers of mass (where the robot stands tilted they shift the point too: 2.5 mm on 0.2 rad by half
+a millimeter), the mass as a whole, and what other leg angles do to c.
 
 When the robot tips over an edge, its zero-moment point is on it. That is one row, n · (z + c + R(α) b − e) = 0 in (c, b), with the
 model's point z, a point e of the edge and its normal n. The rows are solved together with what is known beforehand, a normal
@@ -26,9 +26,9 @@ from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
 #: Standard deviations [m] of c and b beforehand, of each axis: about those of the 100 kg robot with
-#: masses ±5 % and centres of mass ±10 mm (3.3 and 2.6 mm, 2.2 and 1.2 mm rms over twenty draws).
+#: masses ±5 % and centers of mass ±10 mm (3.3 and 2.6 mm, 2.2 and 1.2 mm rms over twenty draws).
 BASE, ARM = 0.004, 0.002
-#: Standard deviation [m] of a zero-moment point at the time of a tipping: 20 mm/s for 20 ms, and half a millimetre of the legs'
+#: Standard deviation [m] of a zero-moment point at the time of a tipping: 20 mm/s for 20 ms, and half a millimeter of the legs'
 #: masses (which move with the legs), of heights and feet.
 SEEN = 0.0007
 

@@ -26,7 +26,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(np.atleast_2d(values.T).T ** 2, axis=1))))
 
 
-def travelled(path: np.ndarray) -> float:
+def traveled(path: np.ndarray) -> float:
     """Length [m] of a path (n, 2 or more) over the floor."""
     return float(np.sum(np.hypot(*np.diff(path[:, :2], axis=0).T)))
 

@@ -29,10 +29,10 @@ from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 NAME = "swerve-plaster"
 SUMMARY = "five lines of 3.5 m on a wall, ten times, over cables and bumps (Pankert et al. 2022, section IV-D)"
 
-IDEALISATIONS = [
+IDEALIZATIONS = [
     "the wall is exact and where the plan has it; what is sprayed stays where it hits, as a cone of constant rate",
     "the distance sensor's beam is the tool's axis; its noise is independent; the LIDAR's too",
-    "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model; the floor's bumps are smooth",
+    "the contact points lie under the steer axes; tires are soft contacts, not a tire model; the floor's bumps are smooth",
     "the computation takes a constant 10 ms; the arm's encoder offsets are not calibrated",
 ]
 #: Noise [m] and rate [Hz] of the distance sensor; what it says nothing of has these deviations [m, rad].
@@ -101,7 +101,7 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
     references.set(mpc, robot)
     plant = SwervePlant(
         robot.description, robot.state.split(robot.home), settings.plant, seed,
-        edit=terrain if settings.terrain else room, localisation=settings.global_poses(seed),
+        edit=terrain if settings.terrain else room, localization=settings.global_poses(seed),
     )  # fmt: skip
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     estimation = settings.estimation(robot, seed)
@@ -133,7 +133,7 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
 
     loop = Loop(plant, controller, mpc, timing, references.duration, record)
     measured = lambda _: metrics(log, references, sensor is not None)
-    return Scenario.single(log, loop.run, measured, lambda _: plots(log, references), IDEALISATIONS)
+    return Scenario.single(log, loop.run, measured, lambda _: plots(log, references), IDEALIZATIONS)
 
 
 EXPERIMENT = Experiment.of(NAME, SUMMARY, wall.SwervePlasterSettings, build, DEFINITIONS[NAME])

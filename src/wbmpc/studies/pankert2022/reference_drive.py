@@ -24,7 +24,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LidarSettings, Settings
 from wbmpc.simulation.lockstep import Progress, watched
-from wbmpc.simulation.perturbation import Perturbation, quantise
+from wbmpc.simulation.perturbation import Perturbation, quantize
 from wbmpc.studies.pankert2022.calibration_cache import kept
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
@@ -57,7 +57,7 @@ TRACKER, ARM_SPREAD = 1e-4, 0.7
 STRAIGHT = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 #: Largest steering speed [rad/s], gain of its servo [1/s], mean acceleration [m/s²].
 STEER_SPEED, STEER_GAIN, ACCELERATION = 2.0, 5.0, 0.4
-#: Open legs are led back by this share of their deviation for each metre on the way [1/m]; standing before that [s], and at
+#: Open legs are led back by this share of their deviation for each meter on the way [1/m]; standing before that [s], and at
 #: least so long after brakes have opened.
 LEG_GAIN, OPENING, SURE = 2.0, 0.4, 0.3
 
@@ -149,7 +149,7 @@ def drive(
     did not)."""
     plant = SwervePlant(
         robot.description, robot.state.split(robot.home), settings.plant, seed,
-        localisation=settings.lidar.source(seed),
+        localization=settings.lidar.source(seed),
     )  # fmt: skip
     steps = round(1.0 / settings.control.rate / plant.timestep)
     period, geometry = steps * plant.timestep, robot.base.geometry
@@ -191,7 +191,7 @@ def track_arm(robot: RobotModel, settings: Perturbation, poses: int, seed: int, 
         x[part] += rng.uniform(-ARM_SPREAD, ARM_SPREAD, x[part].size)
         plant.arrange(x)
         seen = plant.truth().tool_in_base + TRACKER * rng.normal(size=3)
-        read = quantise(x[part] + plant.offsets["arm"], settings.arm_counts)
+        read = quantize(x[part] + plant.offsets["arm"], settings.arm_counts)
         log.add("tracked", float(k), np.concatenate([read, seen, [TRACKER]]))
 
 

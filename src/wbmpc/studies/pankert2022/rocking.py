@@ -1,7 +1,7 @@
 """When a body that stands begins to rock over an edge of its support, from its gyro.
 
 Past the edge a rigid body falls away as an inverted pendulum. A load whose zero-moment point crosses the edge at a constant
-speed v makes it turn at ω(τ) = v / h · (cosh kτ − 1) a time τ after the crossing, with the height h of the centre of mass over the
+speed v makes it turn at ω(τ) = v / h · (cosh kτ − 1) a time τ after the crossing, with the height h of the center of mass over the
 edge and k² = m g h / I about it. So its rate is zero with zero slope where it begins: a threshold sees it late, by some tenths of a
 second, and the curve gives the beginning. ``v / h`` is fitted along with it; k is taken as known, for it hardly matters.
 """
@@ -17,7 +17,7 @@ from wbmpc.checks import positive
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
-#: k [1/s] of a robot about a metre wide with its load half a metre high. Between 2.5 and 3.5 the beginning moves by 10 ms.
+#: k [1/s] of a robot about a meter wide with its load half a meter high. Between 2.5 and 3.5 the beginning moves by 10 ms.
 GROWTH = 3.0
 #: A mean rate over WINDOW [s] above FAST [rad/s] is a rocking (fifty times a gyro's noise); it may have begun up to BEFORE [s] ago.
 #: When it has been slower for QUIET [s], another one can begin: what comes in between is the bounce.

@@ -19,7 +19,7 @@ from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 NAME = "swerve-stability"
 SUMMARY = "support polygon and triangles of H, X and A (Pankert et al. 2022, Table I)"
 
-IDEALISATIONS = [
+IDEALIZATIONS = [
     "pure geometry, no physics: wheels touch the ground in points under the steer axes",
     "the recording alone is of physics: the robot, as described, stands in each configuration with its brakes closed",
     "the paper gives no leg angles: 45 degrees for X, 0.498 rad inwards and 0.747 rad outwards for A reproduce its table",
@@ -48,7 +48,7 @@ def build(settings: SwerveStabilitySettings, seed: int) -> Scenario:
         log.add("zero_moment_point", float(k), a.stance.zmp)
     return Scenario(
         log, [Part(name, partial(_stand, robot, a)) for name, a in found.items()], lambda run: _metrics(found),
-        lambda run: [Drawing(f"Configuration {n}", draw(a)) for n, a in found.items()], IDEALISATIONS,
+        lambda run: [Drawing(f"Configuration {n}", draw(a)) for n, a in found.items()], IDEALIZATIONS,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Support switches of a robot with one wheel on a block while its stretched arm turns: predicted, and learnt from.
+"""Support switches of a robot with one wheel on a block while its stretched arm turns: predicted, and learned from.
 
 What is predicted from the model is off by what the model does not know of the robot's masses. Turns of the arm show them: the gyro
 sees when the robot begins to rock over an edge, on which its zero-moment point is then (:mod:`wbmpc.studies.pankert2022.mass_offset`).

@@ -2,7 +2,7 @@
 
 On feet of different height the robot stands on a face of the upper convex hull of the points (x, y, height): the ground
 carries it from below. On each face it is tilted, which moves its zero-moment point; where that point leaves the face
-through an edge, the robot rocks over it to the neighbouring face.
+through an edge, the robot rocks over it to the neighboring face.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def support_switches(
     to pull; the switch is dated to when that foot carries less than ``unloaded`` [N]. Rocking itself is taken as short.
     Tilted either way a robot may stand on either of two triangles: it starts on the one with the point ``start`` (2) [m],
     its zero-moment point before it tilted, or else on the one that it stands on more firmly. Where it would rock back at once, for
-    on both of two neighbours it tips to the other, it balances on their common edge: there the prediction ends. Raises
+    on both of two neighbors it tips to the other, it balances on their common edge: there the prediction ends. Raises
     :class:`InputError` for times that do not rise and for a ``stance`` of other lengths, or that is not finite (nothing presses on
     the ground, as of a robot that is lifted: it stands on nothing).
     """

@@ -28,9 +28,9 @@ NAME = "swerve-track"
 ROWS = 4
 SUMMARY = "the end effector follows a 20.53 m sine while the swerve base drives (Pankert et al. 2022, Fig. 9)"
 
-IDEALISATIONS = [
+IDEALIZATIONS = [
     "the rolling rows have a softness of 1e-6: a plan may slip by about 1e-6 m/s",
-    "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
+    "the contact points lie under the steer axes; tires are soft contacts, not a tire model",
     "the arm's joints are velocity servos; the weight that is fed forward is that of the simulated arm",
     "encoders of one message are synchronous (the message as a whole is up to 2 ms old)",
     "the wheels are calibrated with a reference drive with independent normal noise of its poses and hinges that turn freely",
@@ -44,7 +44,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     references = TrackReferences(settings, robot)
     mpc = swerve_mpc(robot, settings.mpc, settings.cost)
     plant = SwervePlant(
-        robot.description, robot.state.split(robot.home), settings.plant, seed, localisation=settings.global_poses(seed)
+        robot.description, robot.state.split(robot.home), settings.plant, seed, localization=settings.global_poses(seed)
     )
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     # after everything that rejects bad settings at once
@@ -98,7 +98,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         loop.run,
         lambda run: metrics(log, references),
         lambda run: plots(log, robot, references),
-        IDEALISATIONS,
+        IDEALIZATIONS,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.studies.pankert2022.metrics import in_both_frames, largest, mean, rms, travelled
+from wbmpc.studies.pankert2022.metrics import in_both_frames, largest, mean, rms, traveled
 from wbmpc.studies.pankert2022.track_references import TrackReferences
 from wbmpc.tasks.paths import nearest_distance
 
@@ -32,7 +32,7 @@ def metrics(log: Log, references: TrackReferences) -> dict[str, Metric]:
     turned = tuple(log.array(n)[use] for n in ("hand_rotation_world", "hand_rotation"))
     names = ("base", "base_odometry", "base_wheels", "base_release")
     base, odometry, wheels, release = (log.array(n) for n in names)
-    way = travelled(base)
+    way = traveled(base)
     moved = way if way > MIN_DISTANCE else float("nan")
     drift = lambda pose: float(np.hypot(*(pose - base)[-1, :2])) / moved
     end_effector_travel = float(np.sum(np.linalg.norm(np.diff(reference, axis=0), axis=1)))

@@ -40,8 +40,8 @@ from wbmpc.tasks.paths import Approach
 NAME = "swerve-unified"
 SUMMARY = "the end effector holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"
 
-IDEALISATIONS = [
-    "the contact points lie under the steer axes; tyres are soft contacts, not a tyre model",
+IDEALIZATIONS = [
+    "the contact points lie under the steer axes; tires are soft contacts, not a tire model",
     "the arm's joints are velocity servos; the weight that is fed forward is that of the simulated arm",
     "the computation takes a constant 10 ms; legs' and arm's encoder offsets are not calibrated",
     "the time that a brake takes to open and to close is assumed, and known to the planner",
@@ -117,7 +117,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     brakes = BrakeControl(robot, delay=settings.plant.brake_delay, changed=mpc.set_schedule)
     mission.apply(brakes)
     plant = SwervePlant(
-        robot.description, robot.state.split(home), settings.plant, seed, localisation=settings.global_poses(seed)
+        robot.description, robot.state.split(home), settings.plant, seed, localization=settings.global_poses(seed)
     )
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     controller = SwerveController(
@@ -152,7 +152,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     return Scenario.single(
         log, Loop(plant, controller, mpc, timing, duration, record).run,
         lambda run: metrics(log, begin, settings.legs.kind == "support", len(controller.faults), controller.holds),
-        lambda run: plots(log, robot, begin), IDEALISATIONS,
+        lambda run: plots(log, robot, begin), IDEALIZATIONS,
     )  # fmt: skip
 
 

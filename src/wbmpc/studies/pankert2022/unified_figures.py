@@ -10,7 +10,7 @@ from wbmpc.result import Drawing, Metric, Plot, Series
 from wbmpc.stability import StanceOf, draw
 from wbmpc.stability.assessment import Assessment
 from wbmpc.stability.geometry import overlap_regions
-from wbmpc.studies.pankert2022.metrics import in_both_frames, largest, rms, travelled
+from wbmpc.studies.pankert2022.metrics import in_both_frames, largest, rms, traveled
 
 #: Errors of the base [m, rad] at the end with which it counts as there; what may keep it from there.
 THERE, TURNED = 0.05, 0.05
@@ -36,7 +36,7 @@ def metrics(log: Log, begin: float, free: bool, faults: int, held: int) -> dict[
         **in_both_frames("base_yaw_error_rms", rms, yaw, "rad"),
         **in_both_frames("base_position_error_end", lambda e: largest(e[-1:]), place, "m", goal=THERE, note=REACH_NOTE),
         **in_both_frames("base_yaw_error_end", lambda e: largest(e[-1:]), yaw, "rad", goal=TURNED, note=REACH_NOTE),
-        "base_travel": Metric(travelled(base), "m"),
+        "base_travel": Metric(traveled(base), "m"),
         "support_margin_end": Metric(float(margins[-1, 0]), "m"),
         "support_margin_min": Metric(float(margins[:, 0].min()), "m"),
         "wheel_slip_max": Metric(float(log.array("wheel_slip")[use].max()), "m/s"),

@@ -30,10 +30,10 @@ from wbmpc.studies.pankert2022.wobble_figures import RATE, TURN, Predictions, me
 NAME = "swerve-wobble"
 SUMMARY = "one wheel on a block, the stretched arm turns: who wobbles (Pankert et al. 2022, Fig. 5, 6)"
 
-IDEALISATIONS = [
-    "body, legs and arm are rigid, tyres are soft contacts: nothing swings after a switch as the real robot does",
+IDEALIZATIONS = [
+    "body, legs and arm are rigid, tires are soft contacts: nothing swings after a switch as the real robot does",
     "the block is raised under the standing robot; the wheels' drives hold them still, the brakes are closed",
-    "predictions know the block's height and the planned arm motion, not the plant: masses and centres of mass are nominal, "
+    "predictions know the block's height and the planned arm motion, not the plant: masses and centers of mass are nominal, "
     "shifted by what the gyro saw in three turns before",
     "the gyro's bias is averaged over the rest before the motion",
 ]
@@ -82,7 +82,7 @@ def build(settings: SwerveWobbleSettings, seed: int) -> Scenario:
     return Scenario(
         log, [part(case) for case in [*first, *cases]],
         lambda run: metrics(log, settings.heights[0], cases, predictions()),
-        lambda run: plots(robot, log, settings, cases, predictions()), IDEALISATIONS,
+        lambda run: plots(robot, log, settings, cases, predictions()), IDEALIZATIONS,
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ TURN = 60.0
 #: Cut-off [Hz] of the low-pass of the gyro in Fig. 6.
 CUT_OFF = 20.0
 SWITCH_NOTE = (
-    "0.2 s are 2 to 3 mm of the zero-moment point; the plant's masses are ±5 %, its centres of mass ±10 mm elsewhere"
+    "0.2 s are 2 to 3 mm of the zero-moment point; the plant's masses are ±5 %, its centers of mass ±10 mm elsewhere"
 )
 #: Samples per second of the log.
 RATE = 400

@@ -39,7 +39,7 @@ def _links() -> list[Link]:
 
 
 def actuation(q: ca.SX) -> ca.SX:
-    """S(q), (5, 3): generalised forces per wheel torque, by the virtual power of the wheels' speeds ψ̇ = Sᵀ v.
+    """S(q), (5, 3): generalized forces per wheel torque, by the virtual power of the wheels' speeds ψ̇ = Sᵀ v.
 
     ψ̇ = −(r / r_w) aᵀ Rᵀ (Ω − ω) with wheel axes a under 45° at 0°, 120°, 240°, and the ball's spin Ω = (−ẏ, ẋ, 0) / r.
     """

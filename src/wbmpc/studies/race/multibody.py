@@ -1,4 +1,4 @@
-"""Equations of motion of a tree of joints under generalised forces: ẋ = (v, M⁻¹ (S(q) u − h))."""
+"""Equations of motion of a tree of joints under generalized forces: ẋ = (v, M⁻¹ (S(q) u − h))."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wbmpc.model.tree import Link
 
 
 class Multibody(Ode):
-    """Links of which every one moves on its joint; ``force(q, u)`` gives the generalised forces (nq).
+    """Links of which every one moves on its joint; ``force(q, u)`` gives the generalized forces (nq).
 
     ``armature`` [kg m² or kg]: inertia of every joint's drive, on the mass matrix's diagonal.
     """

@@ -1,4 +1,4 @@
-"""Another localisation of the base: poses from the bus, how old they are, and a gate for those that jump."""
+"""Another localization of the base: poses from the bus, how old they are, and a gate for those that jump."""
 
 from __future__ import annotations
 

@@ -14,15 +14,15 @@ from effort import thorough
 pytestmark = [needs_dds, thorough]
 if not MISSING:
     from balancing import ROBOT, balancing, errors, standing
-    from simulated import Localisation
+    from simulated import Localization
 
 
-def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
+def test_another_localization_leads_it_and_when_that_is_lost_it_holds_its_place(
     made: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     """The simulator's true pose, moved by an offset, as an exact source: the robot is where that says."""
-    s = made(topics={"pose": "/localisation"})
-    source = Localisation(s)
+    s = made(topics={"pose": "/localization"})
+    source = Localization(s)
     source.offset[:] = offset = np.array([3.0, -1.0])
     balancing(s)
     s.end_effector(dx=0.2)
@@ -33,21 +33,21 @@ def test_another_localisation_leads_it_and_when_that_is_lost_it_holds_its_place(
     np.testing.assert_allclose(truth.tool, ROBOT.pose(ROBOT.home)[0] + [0.2, 0.0, 0.0], atol=0.02)
     assert np.sqrt(s.control.adapter.estimate().covariance[0, 0]) < 3e-3
     source.sending = False
-    assert s.until(lambda: "holds its position: the pose on /localisation is" in s.control.state), s.control.state
+    assert s.until(lambda: "holds its position: the pose on /localization is" in s.control.state), s.control.state
     s.end_effector(dx=0.2)
     standing(s)
-    assert "a goal is rejected: the pose on /localisation" in s.control.request_queue.rejected
-    assert errors(caplog, "the pose on /localisation") == 1 and any("/localisation" in m for m in s.messages(2))
+    assert "a goal is rejected: the pose on /localization" in s.control.request_queue.rejected
+    assert errors(caplog, "the pose on /localization") == 1 and any("/localization" in m for m in s.messages(2))
     source.sending = True
     assert s.until(lambda: s.control.state == "running: stay"), s.control.state
 
 
-def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
+def test_a_localization_that_jumps_does_not_count_and_it_holds_its_place(
     made: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     """One pose that is off by 1 m is left out; when they stay there it holds its position and takes no goals until they are back."""
-    s = made(topics={"pose": "/localisation"})
-    source = Localisation(s)
+    s = made(topics={"pose": "/localization"})
+    source = Localization(s)
     balancing(s)
     source.offset[0] = 1.05
     assert s.until(lambda: "jumped by 1.0" in s.control.source.fault)
@@ -55,7 +55,7 @@ def test_a_localisation_that_jumps_does_not_count_and_it_holds_its_place(
     assert s.until(lambda: not s.control.source.fault) and s.control.state == "running: end effector to a goal"
     assert errors(caplog, "jumped by 1.0") == 1
     source.offset[0] = 1.05
-    assert s.until(lambda: "holds its position: the pose on /localisation is" in s.control.state), s.control.state
+    assert s.until(lambda: "holds its position: the pose on /localization is" in s.control.state), s.control.state
     s.end_effector(dx=0.2)
     standing(s)
     assert "jumped by 1.0" in s.control.state and "a goal is rejected: the pose on" in s.control.request_queue.rejected

@@ -1,4 +1,4 @@
-"""Another localisation of a swerve robot. Truth: poses that were sent, a Kalman step by hand, limits of the settings."""
+"""Another localization of a swerve robot. Truth: poses that were sent, a Kalman step by hand, limits of the settings."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from effort import some
 
 pytestmark = needs_dds
 if not MISSING:
-    from simulated import Localisation, Simulated
+    from simulated import Localization, Simulated
     from standin import NETWORK, PERIOD, ROBOT, check_stopped
 
     from wbmpc.bases.swerve.ros import SwerveRosAdapter
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
-    from wbmpc.ros2.localisation import PoseGate
+    from wbmpc.ros2.localization import PoseGate
 
 
 def test_a_pose_in_a_wrong_frame_is_reported_once_until_it_is_right(
@@ -47,7 +47,7 @@ def test_a_pose_in_a_wrong_frame_is_reported_once_until_it_is_right(
         time.sleep(0.6)
 
 
-def test_lost_localisation_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
+def test_lost_localization_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     p = pair(topics={"pose": "/amcl_pose"})
     assert p.until(lambda: p.control.state == "waiting: no pose on /amcl_pose"), p.control.state
     publisher = p.standin.node.publisher("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -88,7 +88,7 @@ def test_a_pose_with_a_covariance_is_weighed(pair: Callable[..., Any]) -> None:
 def simulated(caplog: pytest.LogCaptureFixture) -> Iterator[Any]:
     caplog.set_level(logging.INFO, "wbmpc")
     # an exact pose that a busy machine brings late is off by the way that the robot has gone meanwhile
-    s = Simulated(ROBOT, NETWORK, topics={"pose": "/localisation"}, safety={"jump": 0.3})
+    s = Simulated(ROBOT, NETWORK, topics={"pose": "/localization"}, safety={"jump": 0.3})
     yield s
     s.close()
 
@@ -97,10 +97,10 @@ def simulated(caplog: pytest.LogCaptureFixture) -> Iterator[Any]:
 def test_a_pose_that_jumps_stops_and_a_goal_goes_on_from_the_new_place(
     simulated: Any, caplog: pytest.LogCaptureFixture, variance: float
 ) -> None:
-    """MuJoCo's true pose, moved: by 0.03 m it is taken in, by 1 m it is not. A robot that stands believes its localisation again:
+    """MuJoCo's true pose, moved: by 0.03 m it is taken in, by 1 m it is not. A robot that stands believes its localization again:
     the next goal starts from there."""
     s = simulated
-    source = Localisation(s, np.diag([variance] * 6).ravel())
+    source = Localization(s, np.diag([variance] * 6).ravel())
 
     def go(x: float) -> None:
         s.send("/goal_pose", "geometry_msgs/msg/PoseStamped", {
@@ -115,7 +115,7 @@ def test_a_pose_that_jumps_stops_and_a_goal_goes_on_from_the_new_place(
     s.run(0.3)
     assert s.control.state == "running: base to a goal" and not s.control.source.fault
     source.offset[0] = 1.05
-    says = "the pose on /localisation jumped by "
+    says = "the pose on /localization jumped by "
     assert s.until(lambda: s.control.runner.stopped) and says in s.control.state, s.control.state
     assert s.until(lambda: any(says in m for m in s.messages(2)))
     assert s.until(lambda: np.abs(s.sim._groups["wheel"]).max() == 0.0)
