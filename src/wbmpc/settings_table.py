@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -46,11 +47,12 @@ def rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = No
 def _texts(model: type[BaseModel]) -> dict[str, tuple[str, str]]:
     """(unit, help) of fields by what the docstrings of the model and its bases say of ````name`` [unit]: text;``."""
     found: dict[str, tuple[str, str]] = {}
-    for kind in model.__mro__:
-        text = " ".join((kind.__doc__ or "").split()) if kind is not BaseModel else ""
+    kinds = [kind for kind in model.__mro__ if kind is not BaseModel]
+    # what a colon follows explains it; else a text that mentions it has to do
+    for colon, kind in product((":", ""), kinds):
+        text = " ".join((kind.__doc__ or "").split())
         for name in model.model_fields:
-            named = rf"``{name}``(?:\s*\[(?P<unit>[^\]]*)\])?"
-            place = re.search(named + ":", text) or re.search(named, text)  # what a colon follows explains it
+            place = re.search(rf"``{name}``(?:\s*\[(?P<unit>[^\]]*)\])?{colon}", text)
             if place and name not in found:
                 found[name] = (
                     place["unit"] or "",

@@ -333,7 +333,9 @@ def test_bad_readings_are_rejected() -> None:
         f.update(H, np.zeros(3), [0.0, np.nan, 0.0], np.zeros(3))
     with pytest.raises(NotFinite, match="'wheel'"):
         f.update(H, [0.0, np.inf, 0.0], np.zeros(3), np.zeros(3))
-    wide = BallFilter(GEOMETRY, np.zeros(2), np.eye(3), BallNoise(), InertialDescription(rate=1e12))
+    wide = BallFilter(
+        GEOMETRY, np.zeros(2), np.eye(3), BallNoise(), InertialDescription().model_copy(update={"rate": 1e12})
+    )
     with pytest.raises(NotFinite, match="no state follows"):
         for _ in range(3):
             wide.update(H, np.zeros(3), [1e9, 0.0, 0.0], np.zeros(3))
