@@ -6,7 +6,8 @@ Cases are run in a process of their own, one after the other; one that hangs or 
 begins in a fresh one. *Nonsense*: a case whose generator knows that it is wrong was accepted, or that it is right was rejected,
 or a message has characters that steer a terminal. Every bad case is printed with the command that runs it alone. Cases of the
 kind ``problems`` build an experiment and run it for a few ticks: they may take a minute, for some are compiled. Times are of the
-processor, so that a busy machine does not count as a hang; what waits is given six times as much.
+processor, so that a busy machine does not count as a hang; what waits is given six times as much, and then is run once more in
+a fresh process with sixty times as much before it counts as a hang.
 Exits with 1 if there are tracebacks, hangs or nonsense.
 """
 
@@ -39,8 +40,9 @@ from fuzzing.kinds import KINDS, Accepted, make, short, stand_ins
 
 from wbmpc.errors import InputError
 
-#: Longest case [s], by kind and else; by how much longer one may wait; the longest start of a process [s]; its memory [bytes].
-LIMITS, LIMIT, WAIT, START, MEMORY = {"problems": 60.0}, 10.0, 6.0, 600.0, 6 * 1024**3
+#: Longest case [s], by kind and else; by how much longer one may wait, at first and once more; the longest start of a process
+#: [s]; its memory [bytes].
+LIMITS, LIMIT, WAITS, START, MEMORY = {"problems": 60.0}, 10.0, (6.0, 60.0), 600.0, 6 * 1024**3
 COLUMNS = ("accepted", "rejected", "tracebacks", "hangs", "nonsense")
 #: Exit codes of a run that was rejected, that fell, and that was ended.
 _REJECTED, _ABORTED, _ENDED = 2, 1, 130
@@ -156,19 +158,34 @@ class Worker:
     def run(self, kind: str, number: int) -> tuple[str, str, Case | None, float]:
         """What came of a case, what was said, the case, and how long it took [s]."""
         limit = LIMITS.get(kind, LIMIT)
+        for wait in WAITS:
+            answer, busy = self._answer(kind, number, limit, wait * limit)
+            if answer is not None:
+                return answer
+            self.end()
+            code = self._process.exitcode
+            self._begin()
+            if busy >= limit:  # else it waited, or the machine was too busy: once more
+                break
+        return "hangs", f"the process ended with {code} after {busy:.1f} s of the processor", None, limit
+
+    def _answer(
+        self, kind: str, number: int, limit: float, wait: float
+    ) -> tuple[tuple[str, str, Case | None, float] | None, float]:
+        """What the process says of a case within ``limit`` [s] of the processor and ``wait`` [s], and the processor's time [s]."""
         self._pipe.send((kind, number))
-        busy, begun = self._processor_time(), time.monotonic()
+        start, begun, busy = self._processor_time(), time.monotonic(), 0.0
         try:
-            while self._processor_time() - busy < limit and time.monotonic() - begun < WAIT * limit:
+            while busy < limit and time.monotonic() - begun < wait:
                 if self._pipe.poll(0.5):
-                    return self._pipe.recv()  # type: ignore[no-any-return]
-            how = "hangs"
+                    return self._pipe.recv(), busy
+                busy = self._processor_time() - start
         except EOFError:
-            how = "tracebacks"
-        self.end()
-        code = self._process.exitcode
-        self._begin()
-        return how, f"the process ended with {code}", None, limit
+            self.end()
+            code = self._process.exitcode
+            self._begin()
+            return ("tracebacks", f"the process ended with {code}", None, limit), busy
+        return None, busy
 
     def _processor_time(self) -> float:
         """Of the process until now [s]; 0 when it is gone."""

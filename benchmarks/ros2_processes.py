@@ -25,6 +25,9 @@ from wbmpc.ros2.network import Network
 from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.sim import TRUTH_END_EFFECTOR, TRUTH_ODOM
 
+#: The state of a controller that has all it needs.
+READY = "waiting for a goal"
+
 
 @cache
 def private(domain: int) -> dict[str, str]:
@@ -46,8 +49,9 @@ class Bus:
         config: str,
         robot: str,
         fifo: bool = False,
+        ready: str = READY,
     ) -> None:
-        self.environment = environment
+        self.environment, self.ready = environment, ready
         self.log = tempfile.TemporaryFile("w+")  # noqa: SIM115
         run = [sys.executable, "-m", "wbmpc", "ros2"]
         given = [robot, "--backend", "dds", "--config", config, *(["--lockstep"] if lockstep else [])]
@@ -72,7 +76,7 @@ class Bus:
         self.node.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self._diagnostics)
         self.wait_for(lambda: "waiting" in self.said, 120.0)  # the controller has built its solver
         self.sim = self.start_sim()
-        self.wait_for(lambda: self.said == "waiting for a goal", 60.0)
+        self.wait_for(lambda: self.said == self.ready, 60.0)
 
     def _diagnostics(self, message: Any) -> None:
         self.said, self.level = message.status[0].message, message.status[0].level
@@ -118,12 +122,13 @@ def open_bus(
     settings: dict[str, Any] | None = None,
     robot: str = "swerve-ur10",
     fifo: bool = False,
+    ready: str = READY,
 ) -> Iterator[Bus]:
-    """Both processes on a private bus, ready for a goal."""
+    """Both processes on a private bus, ready for a goal, or in another state that the controller reports then."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "bus.yaml"
         config.write_text(json.dumps(settings or {}))
-        bus = Bus(private(domain), seed, lockstep, factor, str(config), robot, fifo)
+        bus = Bus(private(domain), seed, lockstep, factor, str(config), robot, fifo, ready)
         try:
             yield bus
         finally:

@@ -11,8 +11,8 @@ import yaml
 
 from wbmpc import Reference, lie
 from wbmpc.bases import base_type
-from wbmpc.bases.planar.messages import PlanarCommand
-from wbmpc.bases.planar.plant import PlanarPlant
+from wbmpc.bases.planar_motion.messages import PlanarCommand
+from wbmpc.bases.planar_motion.plant import PlanarPlant
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.robots import load_spec
 from wbmpc.simulation.lockstep import run_lockstep

@@ -34,7 +34,7 @@ BASES = {"3 fixed": (3, False), "4 on hinges": (4, True), "6 fixed": (6, False),
 SWING = 0.15
 
 
-@pytest.mark.parametrize("base", some(["3 fixed", "4 on hinges", "6 fixed"], [0, 1]))
+@pytest.mark.parametrize("base", some(["3 fixed", "4 on hinges", "6 fixed"], [0]))
 def test_it_drives_forward_sideways_and_turns(base: str, tmp_path: Path) -> None:
     """Body twist (0.15, 0.12 m/s, 0.2 rad/s) for 2 s from rest; the odometry says the same within 1.5 %."""
     path = write_base(tmp_path, *BASES[base])
@@ -62,7 +62,7 @@ def test_geometry_is_that_of_the_ring(base: str, tmp_path: Path) -> None:
     assert robot.state.size == 3 + modules * (2 + hinged) + 2
 
 
-@pytest.mark.parametrize("modules", [3, 6])
+@pytest.mark.parametrize("modules", some([3, 6], [0]))
 def test_open_legs_of_any_number_swing_and_closed_ones_stand(modules: int, tmp_path: Path) -> None:
     """Every other leg is opened at 0.5 s and sent from 0.5 to 0.35 rad by its wheel; the base stands, and no brake is at fault."""
     robot = load_robot(write_base(tmp_path, modules, True))

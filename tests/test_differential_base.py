@@ -12,9 +12,9 @@ from effort import some
 from planar_driving import HEIGHT, RADIUS, drive, follow_line, ideal_plant, kinematics_error, write_robot
 from wbmpc import Observation, Reference
 from wbmpc.bases import base_type
-from wbmpc.bases.planar.controller import PlanarController
-from wbmpc.bases.planar.messages import PlanarMeasurement
-from wbmpc.bases.planar.odometry import PlanarOdometry
+from wbmpc.bases.planar_motion.controller import PlanarController
+from wbmpc.bases.planar_motion.messages import PlanarMeasurement
+from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.default_problem import default_mpc
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot

@@ -449,6 +449,13 @@ def test_a_message_of_other_values_is_an_error_with_its_field(kind: str, message
         encode(kind, message, missing={})  # type: ignore[arg-type]
 
 
+def test_a_limit_takes_no_memory(tmp_path: Path) -> None:
+    """Truth: no machine has as much memory as may be read here."""
+    (tmp_path / "a").write_bytes(b"magic, and more")
+    assert read_file(tmp_path / "a", 2**50, b"magic") == b"magic, and more"
+    assert read_file(Path("/proc/self/status"), 2**50).startswith(b"Name:")  # its size is 0
+
+
 # ---------------------------------------------------------------------- everything
 def test_generated_cases_are_accepted_or_rejected_as_their_generators_know(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

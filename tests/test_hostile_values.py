@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wbmpc import checks
 from wbmpc.cli import main
 from wbmpc.configuration import configure
-from wbmpc.errors import InputError, RunAborted, printable, unknown_name
+from wbmpc.errors import InputError, NotFinite, RunAborted, printable, unknown_name
 from wbmpc.recording.messages import encode, fields
 from wbmpc.recording.writer import McapFile
 from wbmpc.registry import REGISTRY
@@ -55,6 +56,15 @@ def test_words_of_other_scripts_are_words() -> None:
 def test_numbers_that_no_robot_has_are_an_error_whatever_the_key(text: str) -> None:
     with pytest.raises(InputError, match="must be a finite number, at most"):
         configure(Cost, [f"start={text}"], "toy")
+
+
+def test_large_numbers_are_finite() -> None:
+    """Truth: IEEE 754: each of these is a number, though their sum is none."""
+    large = np.full(2, 1.7e308)
+    assert checks.numbers("robot", "x", large, 2) is large
+    for wrong in (np.inf, np.nan):
+        with pytest.raises(NotFinite, match="'x' needs 2 finite numbers"):
+            checks.numbers("robot", "x", np.array([1.0, wrong]), 2)
 
 
 def test_weights_are_bounded() -> None:

@@ -43,7 +43,7 @@ def test_a_robot_keeps_its_margin_to_a_box_in_its_world(driving: Path, tmp_path:
     more = (f"obstacles={path}", "settle_time=0.1", "path.length=0.5", "path.ramp=0.3", "path.speed=0.5")
     m, margin = run("end-effector-track", driving, *more, "mpc.rate=25").metrics, robot.description.collision.margin
     assert margin - 0.01 < m["obstacle_clearance_min"].value < margin + 0.05
-    assert m["obstacle_contacts"].value == 0.0 and m["stuck_time"].value == 0.0
+    assert m["obstacle_contacts"].value == 0.0 and m["time_stuck"].value == 0.0
 
 
 def test_progress_waits_for_a_wall_that_passes(driving: Path, tmp_path: Path) -> None:
@@ -82,6 +82,7 @@ def test_a_robot_that_is_stuck_says_so(tmp_path: Path) -> None:
     assert result.outcome == "stuck" and re.search(r"stuck .* m from its goal", result.reason)
     m, tool = result.metrics, result.log.array("end_effector")
     assert m["obstacle_clearance_min"].value > 0.0 and (tool[:, 0] < tip[0] + 0.1).all()
+    assert m["passed"].value == 0.0
     assert m["goal_missed"].value == pytest.approx(np.linalg.norm(tool[-1] - tip - [0.3, 0, 0]), abs=0.02)
     # the reference is at the wall after 0.5 s, stands after another 0.5 s, and waits are reported after WINDOW
     assert result.log.times("end_effector")[-1] < 0.1 + 0.3 + 1.0 + 2.0

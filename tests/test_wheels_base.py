@@ -13,7 +13,7 @@ import yaml
 import wbmpc as wb
 from planar_driving import ideal_plant
 from wbmpc import lie
-from wbmpc.bases.planar.messages import PlanarCommand
+from wbmpc.bases.planar_motion.messages import PlanarCommand
 from wbmpc.bases.wheels.control import WheelsOdometry
 from wbmpc.robots import load_spec
 from wbmpc.simulation.perturbation import Perturbation

@@ -98,6 +98,15 @@ def unit_quaternions(who: str, values: NDArray[np.float64]) -> NDArray[np.float6
 
 def numbers(who: str, name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     """``values`` as an array of ``size`` finite numbers, or :class:`InputError`, :class:`NotFinite` of ``who`` by ``name``."""
+    # what is infinite or no number stays so in a sum; a sum that is not finite may be of large numbers: those are asked one by one below
+    if (
+        type(values) is np.ndarray
+        and values.dtype is _FLOAT
+        and values.shape == (size,)
+        and size <= _FEW
+        and math.isfinite(sum(values.tolist()))
+    ):
+        return values
     try:
         value = real_numbers(who, values)
     except InputError:

@@ -109,16 +109,20 @@ def keep_apart(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalControlP
 def keep_upright(
     ocp: OptimalControlProblem, robot: RobotModel, stability: StabilitySettings | None
 ) -> OptimalControlProblem:
-    """The problem on accelerations (:func:`wbmpc.ocp.with_accelerations`) with hard rows "stability" that keep the robot from tipping over;
-    as it is where ``stability`` keeps nothing. Their reference is the world's wrench on the end effector (6), and mass [kg] and center [m]
-    of what it carries (4): both may change between any two updates. Raises :class:`InputError` for a base that stands on fewer than 3
-    feet, or whose wheels share the load in an unknown way."""
+    """The problem on accelerations (:func:`wbmpc.ocp.with_accelerations`) with hard rows "stability" that keep the robot from tipping over,
+    and, for a coefficient of friction, "grip" that keep its tires from sliding; as it is where ``stability`` keeps nothing. Their reference
+    is the world's wrench on the end effector (6), mass [kg] and center [m] of what it carries (4), and of "grip" then the coefficient: all
+    may change between any two updates. Raises :class:`InputError` for a base that stands on fewer than 3 feet, or whose wheels share the
+    load in an unknown way."""
     if stability is None or stability.keep == "nothing":
         return ocp
     ocp = with_accelerations(ocp, robot)
     if stability.keep == "wheel_loads":
         rows: Residual = residuals.WheelLoads(robot, dynamics=ocp.dynamics, payload=True)
         ocp.add(Constraint("stability", rows, sets.Box(stability.min_load, np.inf), hard=True, slack=LOAD_SLACK))
+        if stability.friction > 0.0:
+            grip = residuals.TireFriction(robot, dynamics=ocp.dynamics, payload=True)
+            ocp.add(Constraint("grip", grip, sets.NonNegative(), hard=True, slack=LOAD_SLACK))
     else:
         rows = residuals.SupportMargin(robot, dynamics=ocp.dynamics, payload=True)
         ocp.add(Constraint("stability", rows, sets.Box(stability.margin, np.inf), hard=True, slack=MARGIN_SLACK))
@@ -133,7 +137,10 @@ def make_mpc(
     if stability is None or stability.keep == "nothing":
         return MPC(ocp, settings.solver(), settings.rate, **options)
     mpc = SpeedMPC(ocp, settings.solver(), settings.rate, **options)
-    mpc.reference["stability"] = Reference.constant([*[0.0] * 6, stability.payload, *stability.payload_center])
+    carried = [*[0.0] * 6, stability.payload, *stability.payload_center]
+    mpc.reference["stability"] = Reference.constant(carried)
+    if stability.friction > 0.0:
+        mpc.reference["grip"] = Reference.constant([*carried, stability.friction])
     return mpc
 
 

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from wbmpc.control.protocols import Controller
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.mpc.mpc import MPC
@@ -32,6 +33,7 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.result import Drawing, Metric, MpcStatistics, OutcomeName, Plot, RunResult, Series
 from wbmpc.simulation.contacts import Contacts
 from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
+from wbmpc.types import Plant
 
 #: Unit and definition of metrics by name; ``*`` in a name stands for anything, and the first that fits counts.
 Definitions = Mapping[str, tuple[str, str]]
@@ -93,8 +95,8 @@ class Loop:
     something has ``faults``, a sequence of str.
     """
 
-    plant: Any
-    controller: Any
+    plant: Plant[Any, Any]
+    controller: Controller
     mpc: MPC | None
     timing: Timing
     duration: float

@@ -11,6 +11,9 @@ from typing import BinaryIO
 
 from wbmpc.errors import InputError
 
+#: Bytes that are read at a time of a file whose size says less.
+_PART = 2**20
+
 
 @contextmanager
 def open_file(path: Path) -> Iterator[BinaryIO]:
@@ -36,8 +39,14 @@ def read_file(path: Path, largest: int, magic: bytes = b"") -> bytes:
             data = _read(path, file, len(magic))
             if data != magic:
                 return data
-            if size <= largest:  # more than its size: it may grow
-                data += _read(path, file, largest + 1 - len(data))
+            parts, end = [data], len(data)
+            # more than its size: it may grow; and no more at a time, for memory is taken before anything is read
+            while size <= largest and end <= largest:
+                parts.append(_read(path, file, min(largest + 1 - end, max(size, _PART))))
+                end += len(parts[-1])
+                if not parts[-1]:
+                    break
+            data = b"".join(parts)
     except InputError:
         raise
     except ValueError as error:  # a name that no file system takes

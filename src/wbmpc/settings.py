@@ -64,11 +64,13 @@ _UPRIGHT = OnlyWith(keep=("wheel_loads", "support_margin"))
 class StabilitySettings(Settings):
     """What keeps a robot on wheels from tipping over. ``keep``: "wheel_loads" (of every wheel), "support_margin" (of the zero-moment
     point, for bases on casters too), or "nothing": plans know no inertia. ``min_load``: of the wheel that carries least, over the mean of
-    the empty robot at rest; ``margin`` [m]: from the zero-moment point to the border of the support polygon. ``payload`` [kg] at the end
+    the empty robot at rest; ``friction``: coefficient for which tires hold in plans, best the least that may be (0: any force);
+    ``margin`` [m]: from the zero-moment point to the border of the support polygon. ``payload`` [kg] at the end
     effector that plans count with, as the user states it; ``payload_center`` [m]: where it is, in the end effector's axes."""
 
     keep: Literal["nothing", "wheel_loads", "support_margin"] = "nothing"
     min_load: Annotated[float, OnlyWith(keep="wheel_loads")] = Field(0.2, ge=0, lt=1)
+    friction: Annotated[float, OnlyWith(keep="wheel_loads")] = Field(0.0, ge=0, le=10)
     margin: Annotated[float, OnlyWith(keep="support_margin")] = Field(0.05, ge=0, le=10)
     payload: Annotated[float, _UPRIGHT] = Field(0.0, ge=0, le=1000)
     payload_center: Annotated[tuple[_Center, _Center, _Center], _UPRIGHT] = (0.0, 0.0, 0.0)

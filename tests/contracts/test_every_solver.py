@@ -79,6 +79,13 @@ def goes_with(name: str, solver: str) -> bool:
     return solver != "slq" or name in ("double-integrator", "cartpole", "ballbot", "torque-arm")
 
 
+def slow(name: str, solver: str) -> bool:
+    """Whether a pair runs with all tests only: line searches and shifts are tried on the small problems."""
+    if solver in ("sqp-filter", "sqp-shift", "ilqr-filter", "slq"):
+        return name not in ("double-integrator", "cartpole", "ballbot")
+    return solver == "sqp-exact" and name in ("ball-robot-force", "torque-arm")
+
+
 @cache
 def truth(name: str, refined: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """IPOPT's answer; ``refined``: on the grid of SLQ."""
@@ -98,12 +105,7 @@ def truth(name: str, refined: bool = False) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize(
     ("name", "solver"),
-    [
-        pytest.param(n, s, marks=thorough if s == "sqp-exact" and n in ("ball-robot-force", "torque-arm") else ())
-        for n in PROBLEMS
-        for s in SOLVERS
-        if goes_with(n, s)
-    ],
+    [pytest.param(n, s, marks=thorough if slow(n, s) else ()) for n in PROBLEMS for s in SOLVERS if goes_with(n, s)],
     ids=lambda v: str(v),
 )
 def test_optimum(name: str, solver: str) -> None:

@@ -30,8 +30,8 @@ def test_torques_of_both_back_ends(scale: float) -> None:
     most = ROBOT.description.limits.spin_effort / np.linalg.norm(one.spin)
     for _ in range(30):
         torque = scale * rng.normal(size=6)
-        found = one.possible(torque)
-        np.testing.assert_allclose(found, other.possible(torque), rtol=1e-12, atol=1e-13)
+        found = one.limited(torque)
+        np.testing.assert_allclose(found, other.limited(torque), rtol=1e-12, atol=1e-13)
         lean = torque[:3] - (along @ torque[:3]) * along
         rows = np.column_stack([lean, along])  # share of the lean, spin
         best = linprog([-1.0, 0.0], np.vstack([rows, -rows]), np.tile(limit, 2), bounds=[(0, 1), (-most, most)])

@@ -214,6 +214,8 @@ ROWS = "{a: {}, b: {}, c: {}, d: {}}"
             "a correlation matrix",
         ),
         (f"modules: {ROWS}\ncorrelation: {(2 * np.eye(8) - 1).tolist()}", "a correlation matrix"),
+        (f"modules: {ROWS}\ncorrelation: {np.eye(8).astype(int).astype(str).tolist()}", "8 rows of 8 numbers"),
+        (f"modules: {ROWS}\ncorrelation: {np.eye(8, dtype=bool).tolist()}", "8 rows of 8 numbers"),
     ],
 )
 def test_bad_files_are_rejected_in_one_message(text: str, message: str, tmp_path: Path) -> None:

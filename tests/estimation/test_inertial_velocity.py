@@ -31,7 +31,7 @@ def drive(slips: np.ndarray, inertial_unit: bool) -> float:
         a = 1.0 if 2.0 <= t < 2.3 else 0.0
         gravity = 9.81 if inertial_unit else 0.0
         accel = np.array([a + BIAS[0], BIAS[1], gravity]) if inertial_unit else np.zeros(3)
-        estimator.take(SwerveMeasurement(t, np.zeros(0), steer, wheel.copy(), np.zeros(6), np.zeros(3), accel))
+        estimator.process(SwerveMeasurement(t, np.zeros(0), steer, wheel.copy(), np.zeros(6), np.zeros(3), accel))
         wheel += H * (v + 0.5 * H * a + slips * (t >= 2.7)) / GEOMETRY.wheel_radius
         way, v = way + H * (v + 0.5 * H * a), v + H * a
     return float(np.hypot(estimator.odometry.pose[0] - way, estimator.odometry.pose[1]))

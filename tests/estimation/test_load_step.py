@@ -31,7 +31,7 @@ class Arm:
             for name in ("velocity", "after"):  # the model says that nothing accelerates
                 self.observed[name][:] = self.velocity
             self.observed["force"][:] = 0.0
-            self.estimator.follow(HOME, self.observed, learning, H)
+            self.estimator.observe(HOME, self.observed, learning, H)
             self.velocity = self.velocity + H * np.linalg.solve(INERTIA, unexplained)
         return self.estimator.mass
 
@@ -66,7 +66,7 @@ def test_both_back_ends_weigh_alike() -> None:
             arm.velocity += H * np.linalg.solve(INERTIA, force - arm.estimator.mass * WEIGHT)
             arm.observed["velocity"][:] = arm.velocity + speed
             arm.observed["after"][:], arm.observed["force"][:] = arm.velocity, 0.3 * force
-            arm.estimator.follow(HOME, arm.observed, 0.8, H)
+            arm.estimator.observe(HOME, arm.observed, 0.8, H)
         one, other = (np.append(arm.observed["force"], arm.estimator.mass) for arm in arms)
         np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
     assert arms[0].estimator.mass > 0.0

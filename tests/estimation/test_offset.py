@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from effort import some
 from toys import Rows, robot
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.offset import OffsetObserver
@@ -97,7 +98,7 @@ def steady_error(case: str, observed: bool, seed: int) -> tuple[float, float]:
     return float(np.mean(errors[-100:])), float(np.mean(estimates[-100:]))
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", some(list(CASES), [1, 2]))
 def test_no_steady_error_in_closed_loop(case: str) -> None:
     """The mean over 2 s is within what noise of 1e-3 leaves of it; without the estimate the error is tens of that."""
     for seed in (0, 1):

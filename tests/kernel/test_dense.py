@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from effort import draws
 from toys import aligned_copy, call_pointers, compile_ir
 from wbmpc.kernel import dense
 from wbmpc.kernel.compiled import Sizes, emit_riccati_node
@@ -79,7 +80,7 @@ def run_node(s: Sizes, node: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.nda
     return gain[:, : nx + 1], value[: nx + 1, : nx + 1]
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=draws(12, 40), deadline=None, derandomize=True)
 @given(st.integers(1, 9), st.integers(1, 9), st.data())
 def test_riccati_node_against_its_kkt_system(nx: int, nu: int, data: st.DataObject) -> None:
     s = Sizes(nx, nu, data.draw(st.integers(0, min(8, nu))), 0, 0)

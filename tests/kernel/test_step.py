@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 from copy import deepcopy
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import wbmpc
 from wbmpc.errors import InputError, KernelError
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
@@ -55,6 +58,13 @@ def test_a_step_works_on_its_arrays(backend: str) -> None:
     np.testing.assert_array_equal(m["mean"], 5.0)
 
 
+def test_numbers_of_numpy_are_numbers_of_a_step() -> None:
+    """Truth: the same call with Python's own, 3 × 2²."""
+    step = Step(filtered, memory(), n=3, gain=0.5)
+    assert step(np.float64(4.0), np.bool_(False)) == (12.0, True, 1)
+    assert step(np.int64(9), np.bool_(True)) == (0.0, False, 1)
+
+
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 def test_functions_of_angles(backend: str) -> None:
     """Truth: NumPy's."""
@@ -96,3 +106,28 @@ def test_what_cannot_be_bound_is_named() -> None:
         Step(square, {})
     with pytest.raises(ValueError, match="zip"):
         Step(filtered, memory(), **valid)(1.0)
+
+
+def _translated(tree: ast.Module) -> dict[str, int]:
+    """The numbers of arguments of a module's translated functions."""
+    marks = ("step", "compiled")
+    return {
+        f.name: len(f.args.args)
+        for f in tree.body
+        if isinstance(f, ast.FunctionDef) and any(ast.unparse(d).split(".")[-1] in marks for d in f.decorator_list)
+    }
+
+
+def test_calls_with_many_arguments_name_them() -> None:
+    """Two arrays that change places are an error that neither types nor a compiler see; :class:`Step` binds by name anyway."""
+    files = [(f, f.read_text()) for f in Path(wbmpc.__file__).parent.rglob("*.py")]
+    trees = [(f, ast.parse(text)) for f, text in files if "kernel.ir import" in text]
+    many = {name for _, tree in trees for name, count in _translated(tree).items() if count > 12}
+    bad = [
+        f"{f.name}:{call.lineno}"
+        for f, tree in trees
+        for call in ast.walk(tree)
+        if isinstance(call, ast.Call) and ast.unparse(call.func) in many and len(call.args) > 12
+    ]
+    assert len(many) > 20
+    assert not bad

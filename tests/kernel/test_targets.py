@@ -13,7 +13,7 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
-from effort import some
+from effort import some, thorough
 from toys import LinearQuadratic, hardened_pendulum, pendulum
 from wbmpc.kernel.cache import cache_directory
 from wbmpc.kernel.codegen_target import vector_budget
@@ -93,7 +93,7 @@ def assembly(ir: str, triple: str, cpu: str) -> str:
     return str(machine.emit_assembly(module))
 
 
-@pytest.mark.parametrize("what", ["problem", "driver"])
+@pytest.mark.parametrize("what", ["problem", pytest.param("driver", marks=thorough)])
 def test_code_for_aarch64(what: str) -> None:
     """Generated, not run: vector and scalar fused multiply-add, no call but to the maths library."""
     if what == "problem":

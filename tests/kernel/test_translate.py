@@ -242,9 +242,49 @@ def test_types_that_cannot_be_translated_are_rejected() -> None:
         Library("bad").compiled(_bad_annotation)
 
 
-def test_arguments_by_name_are_rejected() -> None:
-    with pytest.raises(KernelError, match="by position"):
-        fill(m=np.zeros(4), n=2)
+@compiled
+def difference(a: float, b: float, c: float) -> float:
+    return a - 2.0 * b + 3.0 * c
+
+
+@compiled
+def mixed(a: float, b: float) -> float:
+    return difference(b, c=a, b=7.0)
+
+
+def test_arguments_by_name_go_where_they_belong() -> None:
+    """Truth: Python's own rules, for both the call from outside and the translated one."""
+    assert difference(1.0, c=2.0, b=5.0) == difference.python(1.0, c=2.0, b=5.0) == -3.0
+    assert mixed(2.0, 1.0) == mixed.interpreted(2.0, 1.0) == -7.0
+
+
+def _unknown_name(a: float) -> float:
+    return difference(a, b=a, d=a)  # type: ignore[call-arg]
+
+
+def _twice(a: float) -> float:
+    return difference(a, a, a, a=a)  # type: ignore[misc]
+
+
+def _numpy_by_name(a: float) -> float:
+    return np.sqrt(x=a)
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (_unknown_name, "each argument once; valid: a, b, c"),
+        (_twice, "each argument once"),
+        (_numpy_by_name, "by name"),
+    ],
+)
+def test_names_that_are_no_arguments_are_rejected(function: Callable[..., float], message: str) -> None:
+    own = Library("bad", uses=(LIBRARY,))
+    own.compiled(function)
+    with pytest.raises(KernelError, match=message):
+        own.source()
+    with pytest.raises(KernelError, match="needed: n"):
+        fill(np.zeros(4), m=2)
 
 
 def test_no_result_and_early_return() -> None:

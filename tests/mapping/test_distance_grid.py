@@ -69,18 +69,20 @@ def test_a_ball_of_cells_is_a_ball() -> None:
     assert np.mean(np.sum(slope * points, axis=1) / length) > 0.97
 
 
-def test_balls_are_nearest_where_samples_say() -> None:
+@pytest.mark.parametrize("layer", [0.1, 0.14])
+def test_balls_are_nearest_where_samples_say(layer: float) -> None:
     """The compiled search against the sampling of each ball; the second side has another direction."""
     rng = np.random.default_rng(2)
     occupied = np.zeros((30, 30, 12), bool)
     occupied[4:6, :, :8], occupied[20:24, 20:25, :] = True, True
-    grid = distance_grid((-0.4, -0.2, 0.1), 0.1, occupied)
+    cubes = distance_grid((-0.4, -0.2, 0.1), 0.1, occupied)
+    grid = wb.shapes.DistanceGrid(cubes.origin, 0.1, cubes.values, cubes.error, layer)
     frame, radius = np.repeat([0, 1], 6), rng.uniform(0.05, 0.1, 12)
     local, position = rng.uniform(-0.3, 0.3, (12, 3)), rng.uniform([0.3, 0.3, 0.4], [2.0, 2.0, 0.9], (5, 2, 3))
     turn, ball, center = np.eye(3), np.full((5, 2, 2), -1), np.zeros((5, 12, 3))
     distance, normal, limit = np.full((5, 2, 2), 9.0), np.zeros((5, 2, 2, 3)), 9.0
     grid_step.nearest(
-        5, 2, 12, 2, frame, local.ravel(), radius, position.ravel(), np.tile(turn, (5, 2, 1, 1)).ravel(), 30, 30, 12, 0.1,
+        5, 2, 12, 2, frame, local.ravel(), radius, position.ravel(), np.tile(turn, (5, 2, 1, 1)).ravel(), 30, 30, 12, 0.1, layer,
         np.asarray(grid.values).ravel(), np.asarray(grid.origin), turn.ravel(), distance.ravel(), normal.ravel(),
         ball.ravel(), center.ravel(),
     )  # fmt: skip

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import casadi as ca
+import mujoco
 import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.studies.minniti2019.door_model import DoorGeometry, WithDoor, place_of
+from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door, DoorPlant
+from wbmpc.studies.minniti2019.door_residuals import BodyClearance
 
 ROBOT = load_robot("rezero", contact="force")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
@@ -106,3 +113,32 @@ def test_jacobian_is_the_derivative() -> None:
 def test_robot_without_the_force_as_an_input_is_rejected() -> None:
     with pytest.raises(InputError, match="force as an input"):
         WithDoor(load_robot("rezero"))
+
+
+def test_body_clearance_is_no_more_than_what_the_physics_measures() -> None:
+    """Against MuJoCo's distances from a wide panel to the shapes of base, ball and elbow, in postures that lean and turn."""
+    wide = Door((HAND[0] + 6.0, HAND[1] + 10.0), width=20.0)
+    plant, dynamics = DoorPlant(ROBOT.description, wide, HOME, TORQUE), WithDoor(ROBOT)
+    model, data = plant.model, plant.data
+    shapes = [g for g in range(model.ngeom) if model.geom_contype[g]]
+    body = [g for g in shapes if model.body(model.geom_bodyid[g]).name in ("base", "ball")]
+    elbow = next(g for g in shapes if model.body(model.geom_bodyid[g]).name == "arm_forearm_link")
+    place = place_of(replace(geometry(1.0), hinge=wide.hinge))
+    w = dynamics.parameters.vector({"place": place, "impedance": [2.5, 10.0, 3.0]})
+    x, r = ca.SX.sym("x", 18), np.random.default_rng(4)
+    rows = BodyClearance(dynamics, HALF_THICKNESS, 0.0)
+    symbols: Any = SimpleNamespace(all_x=x, parameters=ca.DM(w), reference=ca.DM([0.0]))
+    clearance = ca.Function("clearance", [x], [rows(symbols)])
+    for _ in range(6):
+        state = HOME + np.concatenate(
+            [0.2 * r.normal(size=3), 0.15 * r.normal(size=2), 0.3 * r.normal(size=3), np.zeros(8)]
+        )
+        plant._place(state, TORQUE)
+        data.qpos[model.joint("door").qposadr[0]] = angle = r.uniform(0.0, 0.4)
+        mujoco.mj_kinematics(model, data)
+        found = np.array(clearance(np.concatenate([state, [angle, 0.0]]))).ravel()
+        measured = {g: mujoco.mj_geomDistance(model, data, model.geom("door").id, g, 10.0, np.zeros(6)) for g in shapes}
+        nearest = min(measured[g] for g in body)
+        # on the safe side; the base is not as wide everywhere as where its wheels are
+        assert nearest - 0.12 < found[:2].min() <= nearest
+        assert measured[elbow] - 0.05 < found[2] <= measured[elbow]

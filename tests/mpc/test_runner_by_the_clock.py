@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from effort import thorough
 from realtime_toys import (
     FaultyMPC,
     ToyController,
@@ -141,7 +142,7 @@ def check_safe(runner: RealTimeRunner, message: str) -> float:
     return float(found[1])
 
 
-@pytest.mark.parametrize("mode", ["thread", "process"])
+@pytest.mark.parametrize("mode", ["thread", pytest.param("process", marks=thorough)])
 def test_solves_that_fail_leave_the_policy_its_horizon(mode: str) -> None:
     with real(faulty(mode, "fails"), max_policy_age=None) as runner:
         assert wait_for(lambda: runner.report().failures > 3)
@@ -164,7 +165,7 @@ def test_a_late_solve_does_not_stop_and_one_that_hangs_does(mode: str) -> None:
             os.kill(runner.process_id, signal.SIGKILL)  # do not wait for it
 
 
-@pytest.mark.parametrize("mode", ["thread", "process"])
+@pytest.mark.parametrize("mode", ["thread", pytest.param("process", marks=thorough)])
 @pytest.mark.parametrize(
     ("fault", "message"),
     [

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from needs import needs_dds
 
+from wbmpc.bases.ball.posture import EVALUATIONS, resting
 from wbmpc.bases.ball.ros import POSTURES, BallMessage, BallRosAdapter, bodies
 from wbmpc.bases.ball.ros_settings import BallRosSettings
 from wbmpc.errors import InputError
@@ -82,3 +83,19 @@ def test_what_it_needs(adapter: Any) -> None:
     with pytest.raises(InputError, match="needs an inertial unit"):
         BusRobot(node, adapter, BallRosSettings(topics=Topics(imu="")), WallClock())
     assert BallRosSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")
+
+
+def test_a_pose_far_out_of_reach_takes_no_longer_than_a_few_within(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the floor, under the body: what is nearest is balanced, and found with as many evaluations as are allowed."""
+    solve, count = ROBOT.base.numeric.equilibrium, []
+
+    def counted(*given: Any, **more: Any) -> Any:
+        count.append(1)
+        return solve(*given, **more)
+
+    monkeypatch.setattr(ROBOT.base.numeric, "equilibrium", counted)
+    x = resting(ROBOT, np.array([0.0, 0.0, -0.12]), np.array([1.0, 0.0, 0.0, 0.0]))
+    variables = 3 + len(ROBOT.state.groups["arm"])
+    assert len(count) <= EVALUATIONS * (variables + 1) + 1
+    monkeypatch.undo()
+    np.testing.assert_allclose(x[3:5], solve(x[ROBOT.state["arm"]], yaw=float(x[2]))[0][3:5], atol=1e-9)

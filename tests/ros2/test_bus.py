@@ -204,13 +204,13 @@ def test_a_robot_may_have_more_topics_of_a_type_than_a_bucket_of_the_middlewares
 
 
 FORGOTTEN = """
-import gc
+import gc, time
 from wbmpc.ros2 import Network, open_node
 one, got = open_node("one", "dds", Network.of()), []
 open_node("other", "dds", Network.of()).subscribe("/count", "std_msgs/msg/Float64", lambda m: got.append(m.data))
 publisher = one.publisher("/count", "std_msgs/msg/Float64")
 while not publisher._writer.get_matched_subscriptions():
-    pass
+    time.sleep(0.01)
 for i in range(100):
     gc.collect()
     publisher.publish({"data": i})

@@ -24,7 +24,7 @@ if not MISSING:
 def controller(**changes: Any) -> Any:
     """What Health looks at, as a test wants it."""
     runner = SimpleNamespace(
-        plans=SimpleNamespace(current=object()), own={"ticks": 0, "misses": 0}, kept="", stopped=False,
+        plans=SimpleNamespace(current=object()), own={"ticks": 0, "skipped": 0}, kept="", stopped=False,
         punctuality=SimpleNamespace(late=0), state="running",
     )  # fmt: skip
     adapter = SimpleNamespace(must_keep_running=False, faults=[], snapshot=lambda: None)
@@ -33,7 +33,8 @@ def controller(**changes: Any) -> Any:
 
 
 def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    """By hand: 800 ticks of 2.5 ms in 2 s are real time; 400 are half of it; 80 late ones of 800 are too many."""
+    """By hand: 800 ticks of 2.5 ms in 2 s are real time; 400 are half of it; 80 late ones of 800 are too many; 56 that ran, all late,
+    beside 744 that were skipped are a factor of 0.07 and 800 of 800."""
     caplog.set_level(logging.WARNING, "wbmpc")
     now = [100.0]
     monkeypatch.setattr(module.time, "perf_counter", lambda: now[0])
@@ -45,7 +46,7 @@ def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, ca
     def passes(ticks: int, skipped: int, late: int) -> dict[str, str]:
         now[0] += 2.0
         own["ticks"] += ticks
-        own["misses"] += skipped
+        own["skipped"] += skipped
         c.runner.punctuality.late += late
         h.update()
         return h.diagnostics()
@@ -57,6 +58,7 @@ def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, ca
     assert slow["late"] == h.late == says and caplog.text.count(says) == 1
     assert "80 of 800 ticks were late" in passes(800, 0, 80)["late"]
     assert "late" not in passes(800, 0, 0)
+    assert "real-time factor 0.07, 800 of 800 ticks were late" in passes(56, 744, 57)["late"]
     c.running = False
     h.update()
     assert not h.late

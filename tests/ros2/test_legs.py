@@ -131,6 +131,26 @@ def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
     legs.stop()
 
 
+@pytest.mark.parametrize("again", [0.785, np.nan])
+def test_orders_that_change_nothing_for_a_leg_do_not_keep_its_brake_open(robot: Any, again: float) -> None:
+    """The same order, or another leg's, twice a second: the 4 s without a way are over all the same. A new angle begins anew."""
+    legs, brakes, at = robot.control.legs, BrakeControl(ROBOT), np.array([0.768, 0.0, 0.0, 0.0])
+    legs.stop()
+    legs._put(np.array([0.785, np.nan, np.nan, np.nan]), np.full(4, np.nan))
+    assert legs.apply(brakes, 0.0, at) and not legs.watch(brakes, 0.0, at)
+    for k in range(1, 8):
+        legs._put(np.array([again, 0.4 + 0.01 * k, np.nan, np.nan]), np.full(4, np.nan))
+        assert legs.apply(brakes, 0.5 * k, at) and not legs.watch(brakes, 0.5 * k, at)
+    assert legs.watch(brakes, 4.05, at) and legs.short.startswith("leg_LF stopped at 0.768 rad")
+    np.testing.assert_array_equal(legs.moving, [False, True, False, False])
+    legs._put(np.array([0.9, np.nan, np.nan, np.nan]), np.full(4, np.nan))
+    assert legs.apply(brakes, 4.1, at) and not legs.watch(brakes, 4.1, at)
+    legs._put(np.array([0.6, np.nan, np.nan, np.nan]), np.full(4, np.nan))
+    assert legs.apply(brakes, 7.0, at) and not legs.watch(brakes, 7.0, at)
+    assert not legs.watch(brakes, 10.9, at) or legs.moving[0]
+    legs.stop()
+
+
 def test_legs_with_little_left_to_go_arrive() -> None:
     """Wheels point ahead, legs are 0.05 rad from X: with drives that do exactly what is planned. A plan to the angles themselves
     leaves two legs 0.017 rad away for good."""

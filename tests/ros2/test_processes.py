@@ -15,6 +15,7 @@ import pytest
 from needs import MISSING, needs_dds
 
 from effort import thorough
+from wbmpc.cli import main
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
@@ -77,10 +78,41 @@ def test_a_killed_controller_and_a_killed_simulator(bus: Bus) -> None:
 
 
 def test_what_ends_ends_well(bus: Bus) -> None:
-    """The signal to end: exit code 0, nothing but log lines was written."""
+    """The signal to end: its status, nothing but log lines was written."""
     bus.control.terminate()
-    assert bus.control.wait(20.0) == 0
+    assert bus.control.wait(20.0) == 143
     assert "Traceback" not in bus.output() and "Exception" not in bus.output(), bus.output()
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize("command", ["control", "sim"])
+def test_a_node_that_a_signal_ends_stops_first_and_has_its_status(
+    command: str, number: int, status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truth: 128 and the signal's number, as shells have it; the order of what happens."""
+    seen: list[str] = []
+
+    class Node:
+        backend, state, behind = "dds", "ended", 0
+
+        def __init__(self, *_: object, **__: object) -> None:
+            pass
+
+        def spin(self, ended: Any, *_: object) -> str:
+            assert not ended()
+            signal.raise_signal(number)
+            assert ended()
+            seen.append("at rest")
+            return "ended"
+
+        def close(self) -> None:
+            seen.append("left the bus")
+
+    monkeypatch.setattr(sys.modules["wbmpc.cli.ros2"], "_on_bus", lambda *_: (Node(), None, None))
+    monkeypatch.setattr("wbmpc.ros2.control.ControlNode", Node)
+    monkeypatch.setattr("wbmpc.ros2.sim.SimNode", Node)
+    assert main(["ros2", command, "swerve-ur10"]) == status
+    assert seen == ["at rest", "left the bus"]
 
 
 @thorough

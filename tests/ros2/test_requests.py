@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,28 +19,27 @@ if not MISSING:
     from standin import NETWORK, drive
 
 
-@pytest.mark.parametrize(
-    ("topic", "frame", "position", "says"),
-    [
-        ("/goal_pose", "map", {}, "unknown frame 'map'; valid: odom, base_link"),
-        ("/goal_pose", "odom", {"x": float("nan")}, "a number is not finite"),
-        ("/goal_pose", "odom", {"x": 1.0, "z": 5.0}, "has z = 5.00 m in 'odom'; valid: -0.50 to "),
-        ("/goal_pose", "base_link", {"x": 1.0, "z": -2.0}, "has z = -2.00 m in 'base_link'; valid: -"),
-        ("/end_effector_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
-        ("/end_effector_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
-    ],
+BAD_GOALS: tuple[tuple[str, str, dict[str, float], str], ...] = (
+    ("/goal_pose", "map", {}, "unknown frame 'map'; valid: odom, base_link"),
+    ("/goal_pose", "odom", {"x": float("nan")}, "a number is not finite"),
+    ("/goal_pose", "odom", {"x": 1.0, "z": 5.0}, "has z = 5.00 m in 'odom'; valid: -0.50 to "),
+    ("/goal_pose", "base_link", {"x": 1.0, "z": -2.0}, "has z = -2.00 m in 'base_link'; valid: -"),
+    ("/end_effector_goal", "odom", {"x": 1.0, "z": -0.4}, "out of reach: height -0.40 m, possible 0.00 to 2.39 m"),
+    ("/end_effector_goal", "odom", {"x": 1.0, "z": 3.0}, "out of reach: height 3.00 m, possible 0.00 to 2.39 m"),
 )
-def test_a_bad_goal_changes_nothing(
-    pair: Callable[..., Any], topic: str, frame: str, position: dict[str, float], says: str
-) -> None:
+
+
+def test_bad_goals_change_nothing(pair: Callable[..., Any]) -> None:
+    """One after the other, while the robot drives."""
     p = pair(rates={"diagnostics": 0.01})  # what is new is reported at once
     drive(p)
     task = p.control.active_task
-    p.send(topic, "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": frame}, "pose": {"position": position}})
-    assert p.until(lambda: says in p.control.request_queue.rejected)
-    assert p.control.active_task is task and p.control.running
     said = lambda: [v.value for m in p.said for s in m.status for v in s.values if v.key == "rejected"]
-    assert p.until(lambda: any(says in text for text in said()))
+    for topic, frame, position, says in BAD_GOALS:
+        p.send(topic, "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": frame}, "pose": {"position": position}})
+        assert p.until(lambda: says in p.control.request_queue.rejected)  # noqa: B023 - asked within the turn
+        assert p.control.active_task is task and p.control.running
+        assert p.until(lambda: any(says in text for text in said()))  # noqa: B023
 
 
 def test_whatever_a_goal_does_what_runs_goes_on(
@@ -107,6 +107,21 @@ def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(
     assert p.until(lambda: p.control.request_queue.rejected == "a goal is rejected: the robot has stopped meanwhile")
     p.run(0.2)
     assert p.control.runner.stopped and p.standin.speed == 0.0
+
+
+def test_who_ends_brings_the_robot_to_rest_before_it_waits_for_a_plan(
+    pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truth: the order of what happens."""
+    p = pair()
+    seen: list[str] = []
+    monkeypatch.setattr(p.control.robot_io, "rest", lambda: seen.append("at rest"))
+    monkeypatch.setattr(p.control, "runner", SimpleNamespace(stopped=True))
+    monkeypatch.setattr(p.control, "_end_runner", lambda: seen.append("no more ticks"))
+    monkeypatch.setattr(p.control.planning, "close", lambda: seen.append("no more plans"))
+    p.control.close()
+    assert seen == ["no more ticks", "at rest", "no more plans"]
+    monkeypatch.undo()
 
 
 @pytest.mark.parametrize("stamped", some([False, True], [0]))

@@ -11,8 +11,8 @@ import pytest
 from needs import needs_dds, private
 
 from planar_driving import RADIUS, write_robot
-from wbmpc.bases.planar.controller import PlanarController
-from wbmpc.bases.planar.ros import UNSEEN, BusMeasurement, on_bus
+from wbmpc.bases.planar_motion.controller import PlanarController
+from wbmpc.bases.planar_motion.ros import UNSEEN, BusMeasurement, on_bus
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ros2.goals import Planner

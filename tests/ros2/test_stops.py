@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, wait_until
 
-from effort import THOROUGH
+from effort import THOROUGH, some
 from wbmpc.estimation.wheel_odometry import WheelOdometry
 
 pytestmark = needs_dds
@@ -130,14 +130,14 @@ def clock_back(t: Turned) -> Callable[[], None]:
 CAUSES = [second_publisher, stale_joints, silent_imu, broken_message, plan_too_old, clock_ahead, clock_back]
 
 
-@pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.parametrize("cause", some(CAUSES, [1, 4, 6]))
 def test_odometry_goes_on_through_stops(pair: Callable[..., Any], cause: Any) -> None:
     """Wrong by less than 5 mrad and 5 mm after a stop, and after a second one. What nobody heard of joints or inertial unit
     begins while steering still turns: twice that."""
     maximum = 1e-2 if cause in (stale_joints, silent_imu) else 5e-3
     t = Turned(pair(rates={"control": RATE}))
     t.p.ready()
-    for seconds in (0.2, 1.0) if THOROUGH or cause is silent_imu else (0.5,):
+    for seconds in (0.2, 1.0) if THOROUGH or cause is clock_back else (0.5,):
         t.turn()
         t.keep()
         end = cause(t)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
+from effort import some
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -79,7 +80,7 @@ def test_against_two_collinear_hinges() -> None:
     assert drive.torque[0] != pytest.approx(command(STEP * 599), rel=0.01)  # it is not a rigid drive
 
 
-@pytest.mark.parametrize("hertz", [3.0, 14.0, 40.0])
+@pytest.mark.parametrize("hertz", some([3.0, 14.0, 40.0], [1]))
 def test_frequency_response_with_the_joint_held(hertz: float) -> None:
     step, omega = 1e-4, 2 * np.pi * hertz  # fine: the loop's own sampling is not in the truth
     drive, seen = drives(2, step=step), []

@@ -6,6 +6,7 @@ import ipopt
 import numpy as np
 import pytest
 
+from effort import thorough
 from toys import pendulum, rezero_solver, robot, swerve_solver
 from wbmpc.ocp import (
     Constraint,
@@ -45,6 +46,7 @@ def test_toy(integrator: str) -> None:
     compare(pendulum(integrator=integrator, iterations=300), np.array([0.2, 0.5, 0.3, -0.4]))
 
 
+@thorough
 def test_swerve_follows_a_moving_hand_reference() -> None:
     model = robot("swerve-ur10")
     solver = swerve_solver()
@@ -54,6 +56,7 @@ def test_swerve_follows_a_moving_hand_reference() -> None:
     assert np.hypot(*(found.x[-1, :2] - x0[:2])) > 0.5
 
 
+@thorough
 def test_rezero_step_of_the_hand() -> None:
     model = robot("rezero")
     x0 = model.home.copy()

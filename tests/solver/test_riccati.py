@@ -81,7 +81,7 @@ def sparse_kkt(lq: LinearQuadratic) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack([nodes[:, :nx], z[n * nz : n * nz + nx]]), nodes[:, nx:]
 
 
-@settings(max_examples=draws(5, 9), deadline=None, derandomize=True)
+@settings(max_examples=draws(3, 9), deadline=None, derandomize=True)
 @given(st.sampled_from([1, 2, 400]), st.integers(1, 5), st.integers(1, 5), st.data())
 def test_short_and_long_horizons(n: int, nx: int, nu: int, data: st.DataObject) -> None:
     """No constraints, and more rows than needed: each up to three times, together more than there are inputs."""

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, Delaunay
 
+from effort import draws
 from toys import robot
 from wbmpc import stability
 from wbmpc.errors import InputError
@@ -47,7 +48,7 @@ def test_the_polygon_is_scipys_convex_hull(seed: int) -> None:
 
 
 @given(seeds)
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=draws(10, 25), deadline=None, derandomize=True)
 def test_regions_cover_the_polygon_with_the_triangles_that_brute_force_finds(seed: int) -> None:
     feet, rng = some_feet(seed), np.random.default_rng(seed)
     triangles = list(combinations(range(len(feet)), 3))
@@ -86,7 +87,7 @@ def test_margin_is_the_distance_to_the_sampled_border(seed: int) -> None:
 
 
 @given(seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=draws(10, 30), deadline=None)
 def test_within_the_region_margin_no_triangle_is_left_or_entered(seed: int) -> None:
     """A circle of that radius stays in the same triangles; a slightly larger one leaves one of them."""
     feet, rng = some_feet(seed), np.random.default_rng(seed)

@@ -4,6 +4,7 @@ contact forces, least squares of NumPy, finite differences."""
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import casadi as ca
 import mujoco
@@ -20,13 +21,14 @@ from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.augment import InputRate
 from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, residuals, with_accelerations
 from wbmpc.ocp.accelerations import RateRows
 from wbmpc.ocp.symbols import Symbols
 from wbmpc.robots import load_spec
 from wbmpc.simulation.payloads import add_payload
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.stability import Support, leg_angles
+from wbmpc.stability import Load, Support, friction_needed, leg_angles
 
 HALF, MAST, WIDE = 0.3, 0.8, 0.25
 CORNERS = [((x, y), (0.0, 1.0, 0.0)) for x in (HALF, -HALF) for y in (WIDE, -WIDE)]
@@ -150,6 +152,72 @@ def test_loads_at_rest_are_mujocos_contact_forces() -> None:
     zero = np.zeros(model.input.size)
     loads = np.array(of_support(model)(truth.state, zero, zero, [10.0, 0.0, 0.0, 0.0])[2]).ravel()
     assert truth.wheel_force == pytest.approx(loads, abs=5.0)
+
+
+def test_loads_of_a_robot_that_speeds_up_are_mujocos_contact_forces() -> None:
+    """Sideways with 1 m/s², the arm and 10 kg held: the mean of contact forces over half a second."""
+    model, change = ROBOTS["swerve-ur10"], 1.0
+    geometry, x, zero = model.base.geometry, model.home.copy(), np.zeros(4)
+    x[model.state["leg"]] = leg_angles(model, "H")
+    x[model.state["steer"]], _ = rolling_inverse_kinematics(geometry, zero, zero, np.array([0.0, 1.0, 0.0]))
+    heading = geometry.wheel_heading + x[model.state["leg"]] + x[model.state["steer"]]
+    plant = SwervePlant(model.description, model.state.split(x), Perturbation.none(payload=10.0), 0)
+    still, forces, state = SwerveCommand.stop(), [], plant.truth().state
+    arm = state[model.state["arm"]]
+    for k in range(240):
+        hold = 20.0 * (arm - state[model.state["arm"]])
+        wheel = change * 0.0025 * (k + 1) * np.sin(heading) / geometry.wheel_radius
+        plant.step(replace(still, wheel=wheel, arm=hold), round(0.0025 / plant.timestep))
+        truth = plant.truth()
+        forces.append(truth.wheel_force)
+        state = truth.state
+    rate, u = np.zeros(model.input.size), np.zeros(model.input.size)
+    rate[model.input["base"].start + 1] = change
+    rate[model.input["wheel"]] = change * np.sin(heading) / geometry.wheel_radius
+    loads, static = (
+        np.array(of_support(model)(state, u, a, [10.0, 0.0, 0.0, 0.0])[2]).ravel() for a in (rate, 0.0 * rate)
+    )
+    assert np.abs(loads - static).max() > 20.0  # what the acceleration shifts from one side to the other
+    assert np.mean(forces[60:], axis=0) == pytest.approx(loads, abs=8.0)
+
+
+@cache
+def of_feet() -> ca.Function:
+    """Loads and forces of the feet, and feet, by state, force and moment."""
+    model = ROBOTS["swerve-ur10"]
+    x, force, moment = ca.SX.sym("x", model.state.size), ca.SX.sym("f", 3), ca.SX.sym("m", 3)
+    support = Support(model, x)
+    loads = support.foot_loads((force, moment))
+    forces = support.foot_forces((force, moment), loads)
+    return ca.Function("feet", [x, force, moment], [loads, forces, support.feet])
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=draws(5, 50), deadline=None)
+def test_forces_of_the_feet_answer_the_load_and_need_no_less_than_the_least_friction(seed: int) -> None:
+    """Sums of forces and moments; a linear programme finds the least coefficient of all answers."""
+    rng = np.random.default_rng(seed)
+    force = np.array([*rng.uniform(-400.0, 400.0, 2), -rng.uniform(1500.0, 2500.0)])
+    moment = np.array([*rng.uniform(-100.0, 100.0, 2), rng.uniform(-100.0, 100.0)])
+    n, t, feet = (np.array(v) for v in of_feet()(ROBOTS["swerve-ur10"].home, force, moment))
+    n = n.ravel()
+    assert t.sum(axis=0) == pytest.approx(-force[:2], abs=1e-8)
+    assert np.sum(feet[:, 0] * t[:, 1] - feet[:, 1] * t[:, 0]) == pytest.approx(-moment[2], abs=1e-8)
+    assert (n > 0.0).all()
+    assert np.max(np.linalg.norm(t, axis=1) / n) >= friction_needed(feet, Load(force, moment)) - 1e-6
+
+
+def test_a_box_slides_where_its_acceleration_is_mu_g(box: RobotModel) -> None:
+    """In closed form: every tire pushes with its load times the acceleration over g."""
+    dynamics = InputRate(box.dynamics(), ["base"])
+    rows = compiled(box, dynamics, residuals.TireFriction(box, dynamics=dynamics))
+    loads = compiled(box, dynamics, residuals.WheelLoads(box, dynamics=dynamics))
+    x, u = np.zeros(dynamics.state.size), np.zeros(dynamics.input.size)
+    for asked in (0.0, 1.0, 2.0):
+        u[dynamics.input["base_rate"]] = [asked, 0.0, 0.0]
+        carried = np.array(loads(x, u, 0.0, 0.0)).ravel()
+        found = np.array(rows(x, u, 0.0, [*[0.0] * 6, 0.15])).ravel()
+        assert found == pytest.approx(0.15 * carried - np.hypot(carried * asked / 9.81, 0.01), abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["tidybot", "differential-ur10", "swerve-ur10"])

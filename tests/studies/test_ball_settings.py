@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from configured import check_taken
+from effort import some
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
@@ -18,9 +19,10 @@ from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
 from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
 from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.task import BENT_ARM, Task
 
-BALL = [n for n in REGISTRY if n.startswith("rezero-")]
+BALL = [n for n in REGISTRY if issubclass(REGISTRY[n].config_type, RezeroSettings)]
 
 
 @pytest.mark.parametrize(
@@ -240,7 +242,7 @@ def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:
     assert of(end_effector=0.1).end_effector == pytest.approx(0.1 * usual.end_effector)
 
 
-@pytest.mark.parametrize("name", ["rezero-wholebody", "rezero-circle"])
+@pytest.mark.parametrize("name", some(["rezero-wholebody", "rezero-circle"], [1]))
 def test_regulators_are_reported_where_the_hand_goes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """They follow the body alone: their states must carry the end effector along its path (forward kinematics say where it is)."""
     given: list[Task] = []

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from effort import some
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault
@@ -70,7 +71,7 @@ def changed(monkeypatch: pytest.MonkeyPatch, fault: Callable[[BallMeasurement], 
     return HAND_EXPERIMENT.run(RezeroPushHandSettings(forces=(60.0,), settle_time=0.5, push_duration=0.1, pause=2.0), 0)
 
 
-@pytest.mark.parametrize("field", ["gyro", "wheel", "arm"])
+@pytest.mark.parametrize("field", some(["gyro", "wheel", "arm"], [1]))
 def test_a_reading_that_is_not_finite_ends_the_run_with_its_log(monkeypatch: pytest.MonkeyPatch, field: str) -> None:
     """It was raised as bad input: nothing was written, and the last torques stayed on."""
     result = changed(monkeypatch, lambda m: replace(m, **{field: getattr(m, field) * np.nan}))

@@ -131,6 +131,7 @@ def test_a_knocked_leg_comes_back() -> None:
     assert log.array("way.brake").max() == 1.0
 
 
+@thorough
 def test_the_baseline_drives_and_reconfigures() -> None:
     bench = swerve_drive._Run.of(QUIET, SWERVE, 0)
     legs = drive_missions.leg_angles(SWERVE, "X")

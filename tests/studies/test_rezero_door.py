@@ -15,7 +15,7 @@ from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 from wbmpc.studies.minniti2019.force import UNFELT_TIME, ForceMonitor
 
-SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=6.0, final_hold_time=3.0)
+SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=6.0, final_hold_time=4.0)
 #: With a mass that the controller does not know: 1 kg felled the robot after the release when the arm had no posture to go back to.
 LOADED = SHORT.model_copy(update={"payload": 1.0})
 
@@ -145,7 +145,7 @@ def test_a_hand_that_touches_has_no_joints_that_should_have_moved(monkeypatch, t
     monkeypatch.setattr(control.BallController, "_watch", lambda self, *_: setattr(self, "_accelerates", np.ones(3)))
     controller = control.DoorController.__new__(control.DoorController)
     controller.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
-    controller._watch(0.0, np.zeros(3), 0.0025)
+    controller._monitor_encoders(0.0, np.zeros(3), 0.0025)
     assert (controller._accelerates is None) == touching
 
 
@@ -188,3 +188,25 @@ def test_what_the_sensor_does_not_feel_ends_the_push(phase: str, touching: bool,
     else:
         assert ended == np.inf and controller._ends(3.0)
     assert len(controller.faults) == bool(ends) and all(ends in f for f in controller.faults)
+
+
+@pytest.mark.parametrize(
+    ("impedance", "closing"),
+    [((2.5, 10.0, 3.0), 0.15), ((1.0, 6.0, 6.4), 0.5), ((1.0, 0.1, 50.0), 0.5)],
+)
+def test_a_door_that_was_let_go_is_taken_to_come_back(impedance: tuple[float, ...], closing: float) -> None:
+    """Half of its resistance over its damping, no faster than 0.5 rad/s, and not beyond closed; while it is pushed, where it was felt."""
+    controller = control.DoorController.__new__(control.DoorController)
+    controller.period, controller.impedance, controller.moving = 0.01, np.array(impedance), False
+    controller.contact = SimpleNamespace(touching=False)  # type: ignore[assignment]
+    controller.push = SimpleNamespace(open=1.5, give_up=9.0)  # type: ignore[assignment]
+    controller.sensor = ForceMonitor()
+    controller._identify = lambda end_effector: None  # type: ignore[method-assign]
+    for phase, after in (("push", 1.2), ("release", 1.2 - closing)):
+        controller.phase, controller.door = phase, np.array([1.2, 0.3])
+        for k in range(100):
+            controller._follow(0.01 * k, np.zeros(3), np.zeros(3))
+        assert controller.door == pytest.approx([after, 0.0])
+    for k in range(2000):
+        controller._follow(1.0 + 0.01 * k, np.zeros(3), np.zeros(3))
+    assert controller.door[0] == 0.0

@@ -20,6 +20,7 @@ import pytest
 from hostile import BAD_GOALS, CAMERA, MALFORMED, Client, check_access
 from test_live import free_port
 
+from effort import thorough
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.runtime.shared_memory import Mailbox
@@ -49,7 +50,7 @@ WRONG: dict[str, tuple[Any, ...]] = {
 }
 
 
-@pytest.fixture(params=["lockstep", "realtime"], scope="module")
+@pytest.fixture(params=["lockstep", pytest.param("realtime", marks=thorough)], scope="module")
 def running(request: pytest.FixtureRequest) -> Iterator[tuple[subprocess.Popen[str], Client]]:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
     extra = ["--realtime"] if request.param == "realtime" else []

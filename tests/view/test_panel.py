@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from test_live import free_port
 
+from wbmpc import lie
+from wbmpc.obstacles.world import Obstacles
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.view.snapshot import NUMBERS
-from wbmpc.view.steering import REQUESTS, Controls, Steering
+from wbmpc.view.steering import OBSTACLE, REQUESTS, Controls, Steering, no_requests
 
 viser = pytest.importorskip("viser")
 panels = pytest.importorskip("wbmpc.view.panel")
@@ -21,7 +23,9 @@ panels = pytest.importorskip("wbmpc.view.panel")
 @pytest.fixture
 def panel() -> Any:
     server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
-    yield panels.Panel(server, Mailbox(REQUESTS), Controls("test", ("end_effector",), legs=True, base=True))
+    yield panels.Panel(
+        server, Mailbox(REQUESTS), Controls("test", ("end_effector",), legs=True, base=True, obstacle=True)
+    )
     server.stop()
 
 
@@ -83,3 +87,56 @@ def test_a_goal_is_given_where_its_handle_is_moved(panel: Any) -> None:
     np.testing.assert_allclose(panel._values["goal"][:3], [1.0, 2.0, 3.0])
     drag("end")
     assert not panel._dragged and panel._values["goals"] == 1
+
+
+def test_a_box_is_put_dragged_and_taken_away(panel: Any) -> None:
+    """What the run gets: pose and edge, 0 without a box."""
+    buttons = {h.label: h for h in panel.server.gui._gui_input_handle_from_uuid.values() if hasattr(h, "label")}
+
+    def press(label: str) -> None:
+        for callback in buttons[label]._impl.update_cb:
+            callback(SimpleNamespace(client=object(), target=buttons[label]))
+
+    press("Put there")
+    assert panel._box.visible and panel._values["obstacles"] == 1
+    np.testing.assert_allclose(panel._values["obstacle"], [*panels.AHEAD, 1.0, 0.0, 0.0, 0.0, 0.3])
+    panel._box.position = (1.0, 2.0, 0.5)
+    for callback in panel._box._impl_aux.update_cb:
+        asyncio.run(callback(SimpleNamespace(phase="update", client=object(), target=panel._box)))
+    assert panel._values["obstacles"] == 2
+    np.testing.assert_allclose(panel._values["obstacle"][:3], [1.0, 2.0, 0.5])
+    press("Take away")
+    assert not panel._box.visible and panel._values["obstacles"] == 3 and not panel._values["obstacle"].any()
+
+
+def test_a_box_of_the_user_is_an_obstacle_of_the_plan() -> None:
+    """It stands where the user sees it: the estimate drifts, and the plan's origin is 0.4 m above the floor. What cannot be meant changes
+    nothing."""
+    world, rejected = Obstacles(), []
+    mpc = SimpleNamespace(obstacles=world, ocp=SimpleNamespace(terms={}), dynamics=SimpleNamespace(state={}, mode={}))
+    running: Any = SimpleNamespace(mpc=mpc, controller=None)
+    steering, requests = Steering(running, np.array([0.0, 0.0, 0.4]), rejected.append), no_requests()
+    drift = np.array([0.5, -0.2, 0.0, *lie.quaternion_about((0, 0, 1), 0.3)])
+    seen = np.array([2.0, 1.0, 0.3, *lie.quaternion_about((0, 0, 1), 0.7)])
+
+    def ask(*values: float) -> None:
+        requests["obstacles"] += 1
+        requests["obstacle"][...] = values
+        steering.apply(0.0, requests, drift)
+
+    def check() -> None:
+        (found,) = world.snapshot(0.0).obstacles
+        place = np.concatenate([found.position + [0.0, 0.0, 0.4], found.orientation])
+        np.testing.assert_allclose(lie.pose_compose(drift, place), seen, atol=1e-12)
+        assert found.name == OBSTACLE and np.ptp(np.asarray(found.shape.half) - 0.1) == 0.0
+
+    ask(*seen, 0.2)
+    check()
+    wrong = ((np.nan, "finite"), (50.0, "at most 5 m"), (2.0, "0.05 to 2"), (2.0, "length 1"))
+    for (x, why), (edge, w) in zip(wrong, ((0.2, 1.0), (0.2, 1.0), (9.0, 1.0), (0.2, 3.0)), strict=True):
+        ask(x, 0.0, 0.3, w, 0.0, 0.0, 0.0, edge)
+        assert why in rejected[-1]
+        check()
+    steering.skip(requests)  # another run: the last order stands
+    ask(*np.zeros(8))
+    assert not len(world)

@@ -26,7 +26,7 @@ from wbmpc.recording.reader import Recording, read_recording
 from wbmpc.recording.writer import McapFile
 from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.view import render
-from wbmpc.view.replay import Film
+from wbmpc.view.replay import Film, write_page
 from wbmpc.view.snapshot import NUMBERS
 
 #: The robot's base in a page.
@@ -104,6 +104,17 @@ def test_recordings_without_pictures_are_rejected(tmp_path: Path) -> None:
 
 
 # ---------------------------------------------------------------------- pages
+def test_times_that_go_back_or_on_for_years_are_one_message(run: SimpleNamespace, tmp_path: Path) -> None:
+    """Any program may have written the stamps: no page of no pictures, none of billions."""
+    recording = read_recording(run.folder)
+    recording["/tf"].times.reverse()
+    with pytest.raises(InputError, match=r"the times of its frames \(/tf\) go back"):
+        Film(recording)
+    years: Any = SimpleNamespace(times=np.array([0.0, 4e9]), recording=recording)
+    with pytest.raises(InputError, match=r"has 4e\+09 s; a page is of at most 7200 s"):
+        write_page(years, tmp_path / "page.html", 8080)
+
+
 @pytest.fixture(scope="module")
 def page(run: SimpleNamespace) -> Path:
     pytest.importorskip("viser")

@@ -125,6 +125,7 @@ def on_its_way(robot: Any, seed: int) -> tuple[Any, ...]:
     return plant, controller, mpc, timing
 
 
+@thorough
 def test_a_driving_base_goes_on_while_its_legs_move() -> None:
     """Truth: MuJoCo. It neither turns back towards where its reference began nor stops."""
     seen: list[tuple[float, float]] = []

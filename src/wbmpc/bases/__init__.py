@@ -24,7 +24,7 @@ TABLE: dict[str, str] = {
     "differential": "wbmpc.bases.differential.plugin:DifferentialBaseType",
     "omnidirectional": "wbmpc.bases.omnidirectional.plugin:OmnidirectionalBaseType",
     "wheels": "wbmpc.bases.wheels.plugin:WheelsBaseType",
-    "planar": "wbmpc.bases.mobile.plugin:MobileBaseType",
+    "planar": "wbmpc.bases.planar.plugin:MobileBaseType",
     "swerve": "wbmpc.bases.swerve.plugin:SwerveBaseType",
     "ball": "wbmpc.bases.ball.plugin:BallBaseType",
 }

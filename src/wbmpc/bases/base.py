@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import casadi as ca
     import mujoco
 
+    from wbmpc.control.protocols import Controller, RobotController
     from wbmpc.estimation.wheel_calibration import WheelCalibration
     from wbmpc.model.joints import Limits
     from wbmpc.model.kinematics import Chain, FramePose
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.simulation.lockstep import Timing
     from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
+    from wbmpc.simulation.world import Edit, SimulatedRobot
 
 Array = NDArray[np.float64]
 
@@ -236,20 +237,17 @@ class Base(Protocol):
 class System:
     """A simulated robot with its controller and MPC, ready to run: ``plant``, ``controller``, ``mpc`` and their ``timing``.
 
-    The plant is a :class:`wbmpc.types.Plant`, the controller a :class:`wbmpc.control.protocols.Controller`. Views ask more of them:
-    the plant's ``description``, MuJoCo's ``model`` and ``data``, ``world.frames(height)`` (see :class:`wbmpc.simulation.world.World`),
-    ``push(force)`` (3) [N] on the base and ``arrange(x)``, which puts the bodies where a state (nx) has them; the controller's
-    ``robot``, ``state()`` (nx) and ``stop()``, and ``base_pose()`` (7) where it has an estimate of the base. Of references a view
-    moves "end_effector" (poses of the end effector) and "state" (nx), where the MPC has them.
+    A controller with an estimate of the base has ``base_pose()`` (7) too. Of references a view moves "end_effector" (poses of the end
+    effector) and "state" (nx), where the MPC has them.
     """
 
-    plant: Any
-    controller: Any
+    plant: SimulatedRobot
+    controller: RobotController
     mpc: MPC
     timing: Timing
 
     @property
-    def parts(self) -> tuple[Any, Any, MPC, Timing]:
+    def parts(self) -> tuple[SimulatedRobot, RobotController, MPC, Timing]:
         """In the order in which :func:`wbmpc.simulation.lockstep.run_lockstep` takes them."""
         return self.plant, self.controller, self.mpc, self.timing
 
@@ -314,7 +312,9 @@ class BaseType(Protocol):
         """The symbolic base of a described robot."""
         reject_missing_part(description, "model")
 
-    def plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None) -> Any:
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> SimulatedRobot:
         """The simulated robot at home, perturbed against the model; see :class:`System`."""
         reject_missing_part(robot.description, "plant")
 
@@ -339,7 +339,7 @@ class BaseType(Protocol):
         ones where they are left out; another MPC has the robot's own dynamics. ``edit`` adds to MuJoCo's scene."""
         reject_missing_part(robot.description, "system")
 
-    def reshaping(self, robot: RobotModel, mpc: MPC, controller: Any) -> Reshaping | None:
+    def reshaping(self, robot: RobotModel, mpc: MPC, controller: Controller) -> Reshaping | None:
         """What makes the base as wide or narrow as the obstacles of ``mpc`` allow where its reference leads, and commands what that needs
         through ``controller``; None for a base that has one shape."""
         return None

@@ -69,7 +69,8 @@ def gap(
     for _ in range(MOST):
         vv = work[Work.V] ** 2 + work[Work.V + 1] ** 2 + work[Work.V + 2] ** 2
         ahead = add_point(
-            a, b, kind, size, first, vertices, place, pa, axes, ra, others, pb, turns, rb, work, count
+            a=a, b=b, kind=kind, size=size, first=first, vertices=vertices, place=place, pa=pa, axes=axes, ra=ra,
+            others=others, pb=pb, turns=turns, rb=rb, work=work, count=count,
         )  # fmt: skip
         if ahead > 0.0 and (reach <= 0.0 or ahead * ahead >= vv * reach * reach):
             return limit

@@ -43,7 +43,7 @@ def trilinear(
 
 
 @compiled
-def take(
+def insert_ball(
     side: int, row: int, d: float, nx: float, ny: float, nz: float, b: int, distance: Floats, normal: Floats,
     ball: Integers,
 ) -> None:  # fmt: skip
@@ -62,12 +62,13 @@ def take(
 @compiled
 def nearest(
     n: int, frames: int, balls: int, sides: int, frame_of: Integers, local: Floats, radius: Floats, position: Floats,
-    rotation: Floats, nx: int, ny: int, nz: int, cell: float, values: Floats, place: Floats, turn: Floats,
+    rotation: Floats, nx: int, ny: int, nz: int, cell: float, layer: float, values: Floats, place: Floats, turn: Floats,
     distance: Floats, normal: Floats, ball: Integers, center: Floats,
 ) -> None:  # fmt: skip
     """By state, frame and side the nearest of the balls at ``local`` (b, 3) of their frames with ``radius`` (b).
 
-    Cell (0, 0, 0) is at ``place`` (3), the grid's axes are ``turn`` (3, 3). In ``distance`` (n, F, sides) [m] come limits and go results;
+    Cell (0, 0, 0) is at ``place`` (3), the grid's axes are ``turn`` (3, 3), along whose z cells are ``layer`` [m] apart. In
+    ``distance`` (n, F, sides) [m] come limits and go results;
     ``normal`` (n, F, sides, 3), ``ball`` (n, F, sides; -1: none), ``center`` (n, b, 3): of the balls.
     """
     for side in range(sides):
@@ -88,14 +89,15 @@ def nearest(
                 x, y, z = center[c] - place[0], center[c + 1] - place[1], center[c + 2] - place[2]
                 gx = (turn[0] * x + turn[3] * y + turn[6] * z) / cell
                 gy = (turn[1] * x + turn[4] * y + turn[7] * z) / cell
-                gz = (turn[2] * x + turn[5] * y + turn[8] * z) / cell
+                gz = (turn[2] * x + turn[5] * y + turn[8] * z) / layer
                 first = corner(gx, gy, gz, nx, ny, nz)
                 if first < 0 or values[first] - DROP * cell - radius[b] >= distance[row + side]:
                     continue
                 d, sx, sy, sz = trilinear(first, gx, gy, gz, nx, ny, nz, values)
+                sz = sz * cell / layer
                 steep = np.sqrt(sx * sx + sy * sy + sz * sz)
                 if steep > FLAT * cell:
-                    take(
+                    insert_ball(
                         side, row, d - radius[b],
                         (turn[0] * sx + turn[1] * sy + turn[2] * sz) / steep,
                         (turn[3] * sx + turn[4] * sy + turn[5] * sz) / steep,

@@ -150,7 +150,7 @@ class Finder:
         nearest: Any = grid_step.nearest
         nearest(
             n, frames, len(frame), sides, *(np.ascontiguousarray(a).reshape(-1) for a in arrays), *values.shape,
-            float(shape.cell), values.reshape(-1), origin, np.ascontiguousarray(turn).reshape(-1),
+            float(shape.cell), float(shape.layer or shape.cell), values.reshape(-1), origin, np.ascontiguousarray(turn).reshape(-1),
             distance.reshape(-1), normal.reshape(-1), ball.reshape(-1), center.reshape(-1),
         )  # fmt: skip
         k, f, s = np.nonzero(ball >= 0)

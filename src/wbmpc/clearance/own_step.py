@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.clearance.compilation import step
-from wbmpc.clearance.pairs_step import nearest_own, put
+from wbmpc.clearance.pairs_step import nearest_own, place_solids
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
 
 call2 = PointerCall(2)
@@ -31,12 +31,13 @@ def measure(
                 position[3 * to + i] = poses[at + i]
             for i in range(9):
                 rotation[9 * to + i] = poses[at + 3 + i]
-    put(n, shapes, frames, frame_of, local, turn, position, rotation, place, axes)
+    place_solids(n, shapes, frames, frame_of, local, turn, position, rotation, place, axes)
     for i in range(n * rows):
         distance[i] = reach
     _compared, touch = nearest_own(
-        n, shapes, rows, pairs, kind, size, around, first, vertices, row_of, one, two, place, axes, distance, normal, own,
-        other, touching, work,
+        n=n, shapes=shapes, rows=rows, pairs=pairs, kind=kind, size=size, around=around, first=first, vertices=vertices,
+        row_of=row_of, one=one, two=two, place=place, axes=axes, distance=distance, normal=normal, own=own, other=other,
+        touching=touching, work=work,
     )  # fmt: skip
     return touch
 

@@ -16,7 +16,7 @@ from wbmpc.kernel.ir import Floats, Integers
 
 
 @compiled
-def put(
+def place_solids(
     n: int, shapes: int, frames: int, frame_of: Integers, local: Floats, turn: Floats, position: Floats, rotation: Floats,
     place: Floats, axes: Floats,
 ) -> None:  # fmt: skip
@@ -52,7 +52,7 @@ def bound(
 
 
 @compiled
-def take(
+def write_gap(
     a: int, b: int, kind: Integers, size: Floats, place: Floats, pa: int, d: float, i: int, distance: Floats, normal: Floats,
     own: Floats, other: Floats, work: Floats,
 ) -> None:  # fmt: skip
@@ -91,13 +91,17 @@ def nearest(
                     continue
                 compared += 1
                 d = gap(
-                    s, b, kind, size, first, vertices, place, pa, axes, ra, others, pb, turns, rb, limit, work
+                    a=s, b=b, kind=kind, size=size, first=first, vertices=vertices, place=place, pa=pa, axes=axes,
+                    ra=ra, others=others, pb=pb, turns=turns, rb=rb, limit=limit, work=work,
                 )  # fmt: skip
                 if d == -np.inf:
                     touching[touch] = (k * shapes + s) * solids + o
                     touch += 1
                 elif d < limit:
-                    take(s, b, kind, size, place, pa, d, i, distance, normal, own, other, work)
+                    write_gap(
+                        a=s, b=b, kind=kind, size=size, place=place, pa=pa, d=d, i=i, distance=distance, normal=normal,
+                        own=own, other=other, work=work,
+                    )  # fmt: skip
     return compared, touch
 
 
@@ -124,11 +128,15 @@ def nearest_own(
                 continue
             compared += 1
             d = gap(
-                a, b, kind, size, first, vertices, place, 3 * pa, axes, 9 * pa, place, 3 * pb, axes, 9 * pb, limit, work
+                a=a, b=b, kind=kind, size=size, first=first, vertices=vertices, place=place, pa=3 * pa, axes=axes, ra=9
+                * pa, others=place, pb=3 * pb, turns=axes, rb=9 * pb, limit=limit, work=work,
             )  # fmt: skip
             if d == -np.inf:
                 touching[touch] = k * pairs + j
                 touch += 1
             elif d < limit:
-                take(a, b, kind, size, place, 3 * pa, d, i, distance, normal, own, other, work)
+                write_gap(
+                    a=a, b=b, kind=kind, size=size, place=place, pa=3 * pa, d=d, i=i, distance=distance, normal=normal,
+                    own=own, other=other, work=work,
+                )  # fmt: skip
     return compared, touch

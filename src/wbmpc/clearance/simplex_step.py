@@ -115,7 +115,7 @@ def face(work: Floats, i: int, j: int, k: int, other: int, least: float) -> floa
 
 
 @compiled
-def weigh(work: Floats, count: int) -> bool:
+def set_weights(work: Floats, count: int) -> bool:
     """Set the weights of ``count`` points; False where the origin is inside of the tetrahedron."""
     w = int(Work.WEIGHT)
     if count == 1:
@@ -136,7 +136,7 @@ def weigh(work: Floats, count: int) -> bool:
 @compiled
 def reduce(work: Floats, count: int) -> int:
     """Keep the points that the nearest one is made of, first, and put it to ``Work.FOUND``: how many they are; 0: the origin is inside."""
-    if not weigh(work, count):
+    if not set_weights(work, count):
         return 0
     kept = 0
     for a in range(3):

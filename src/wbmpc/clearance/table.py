@@ -58,7 +58,7 @@ class SolidTable:
         self._frame_of = geometry.frame_of.astype(np.int64)
         self._work = np.zeros(Work.SIZE)
         compiled = backend == "compiled"
-        steps: Any = (pairs_step.put, pairs_step.nearest)
+        steps: Any = (pairs_step.place_solids, pairs_step.nearest)
         self._put, self._nearest = (_flat(f if compiled else f.interpreted) for f in steps)
         self._fill()
 

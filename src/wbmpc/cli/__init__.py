@@ -37,7 +37,7 @@ from wbmpc.cli.terminal import (
     COMPLETED,
     INTERRUPTED,
     act_on_waiting,
-    asked_by_system,
+    ended_by_signal,
     experiment_names,
     interrupted,
     logged,
@@ -278,7 +278,8 @@ def _complain(error: Exception, debug: bool) -> None:
 
 
 def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] | None = None) -> int:
-    """Entry point; returns the exit status. Bad input is one message and status 2.
+    """Entry point; returns the exit status. Bad input is one message and status 2; whatever a signal asked to end, and however
+    it came to its end then, has the signal's status.
 
     ``registry``: experiments to use in place of the library's.
     """
@@ -291,7 +292,7 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
     open_streams()
     with unread_allowed(), terminable():
         status = _run(words, debug, quiet, verbose, registry)
-        return (asked_by_system() or status) if status == INTERRUPTED else status
+        return ended_by_signal() or status
 
 
 def _run(

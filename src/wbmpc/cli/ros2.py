@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -69,24 +66,6 @@ def _on_bus(
     return node, model, settings
 
 
-@contextmanager
-def _until_signal() -> Iterator[Callable[[], bool]]:
-    """Gives a function that says whether Ctrl-C or the signal to end has come; a second one acts at once."""
-    signals: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        if signals:
-            raise KeyboardInterrupt
-        signals.append(number)
-
-    previous = {n: signal.signal(n, note) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield lambda: bool(signals)
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-
-
 def _before_all_others(priority: int) -> None:
     """The kernel lets this process run whenever it can, one of higher priority first. Raises :class:`InputError` without the
     right to."""
@@ -115,9 +94,10 @@ def ros2_control(
     node, model, settings = _on_bus(context, robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
     from wbmpc.ros2.control import ControlNode
     from wbmpc.ros2.statistics import collect_statistics
+    from wbmpc.simulation.lockstep import interrupt_noted
 
     try:
-        with _until_signal() as ended:
+        with interrupt_noted() as ended:  # the robot is brought to rest first
             control = ControlNode(node, model, settings)
             control.spin(ended)
     finally:
@@ -144,9 +124,10 @@ def ros2_sim(
     verbose = not context.obj.quiet
     node, model, settings = _on_bus(context, robot, config, backend, "_sim", use_sim_time, lockstep, 5 * fifo)
     from wbmpc.ros2.sim import SimNode
+    from wbmpc.simulation.lockstep import interrupt_noted
 
     try:
-        with _until_signal() as ended:
+        with interrupt_noted() as ended:
             sim = SimNode(node, model, settings, seed, factor=factor)
             if verbose:
                 typer.echo(f"the simulated robot is on the bus ({node.backend})", err=True)

@@ -75,10 +75,10 @@ def _is_dropped(frame: FrameType | None) -> bool:
     return False
 
 
-def asked_by_system() -> int:
-    """128 and the number of the signal by which somebody but Ctrl-C asked this command to end: SIGTERM, or SIGHUP, as when the terminal
-    was closed. 0: nobody has."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
+def ended_by_signal() -> int:
+    """128 and the number of the signal that asked this command to end: SIGTERM, SIGHUP, as when the terminal was closed, or SIGINT,
+    which is Ctrl-C. 0: none has come."""
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
         handler = signal.getsignal(number)
         if isinstance(handler, Request) and handler.came:
             return 128 + number

@@ -14,7 +14,7 @@ import typer
 
 from wbmpc.cli.directories import RECORD_LIMIT, Force, RecordLimit, new_file, run_directory, size_of
 from wbmpc.cli.recordings import AsJson
-from wbmpc.cli.terminal import ABORTED, asked_by_system, robot_names
+from wbmpc.cli.terminal import ABORTED, robot_names
 from wbmpc.errors import InputError
 from wbmpc.view.access import Access, is_loopback
 
@@ -100,7 +100,8 @@ def view(
     for recorder in recorders:
         typer.echo(recorder.failure or f"the recording is {recorder.path}", err=True)
         expected = expected and not recorder.failure
-    _leave(ABORTED if not expected else 0)
+    if not expected:
+        raise typer.Exit(ABORTED)
 
 
 def _view_realtime(robot: str, seed: int, host: str, port: int, no_token: bool, as_json: bool) -> None:
@@ -117,16 +118,8 @@ def _view_realtime(robot: str, seed: int, host: str, port: int, no_token: bool, 
     finally:
         shown.close()
     if shown.stopped:  # the runner has said why
-        _leave(ABORTED)
+        raise typer.Exit(ABORTED)
     typer.echo(reason, err=True)
-    _leave(0)
-
-
-def _leave(status: int) -> None:
-    """End with a status; after SIGTERM or SIGHUP, by which nobody at the view ended it, with its own."""
-    status = asked_by_system() or status
-    if status:
-        raise typer.Exit(status)
 
 
 def replay(
@@ -166,7 +159,6 @@ def replay(
         player.run()
     with redirect_stdout(io.StringIO()):  # the server says that it stops
         player.server.stop()
-    _leave(0)
 
 
 def render(

@@ -6,7 +6,7 @@ A controller is assembled from parts: an estimator, monitors, the prediction ove
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,10 @@ from wbmpc.control.monitor import Fault, Monitor
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
 
-__all__ = ["Controller", "Estimator", "Fault", "Monitor"]
+if TYPE_CHECKING:
+    from wbmpc.model.robot import RobotModel
+
+__all__ = ["Controller", "Estimator", "Fault", "Monitor", "RobotController"]
 
 
 class Controller(Protocol):
@@ -32,6 +35,15 @@ class Controller(Protocol):
 
     def stop(self) -> Any:
         """The command that brings the robot to rest."""
+
+
+class RobotController(Controller, Protocol):
+    """A controller of a ``robot`` whose state views and experiments show."""
+
+    robot: RobotModel
+
+    def state(self) -> NDArray[np.float64]:
+        """The state (nx) as estimated at the last measurement."""
 
 
 @runtime_checkable

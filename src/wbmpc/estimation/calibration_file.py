@@ -108,14 +108,14 @@ def read_rows(
     return found
 
 
-def read_correlation(path: Path | str, matrix: object, order: list[str], modules: list[str]) -> Array:
+def read_correlation(path: Path | str, matrix: Any, order: list[str], modules: list[str]) -> Array:
     """What a file gives (2n, 2n) with its modules in their ``order``, for ``modules``; independent errors for None."""
     n = len(modules)
     if matrix is None:
         return np.eye(2 * n)
     try:
-        values = np.asarray(matrix, float)
-    except (TypeError, ValueError):
+        values = np.array([[real_number("correlation", value) for value in row] for row in matrix], float)
+    except (TypeError, ValueError, InputError):  # texts and truth values are no numbers
         values = np.zeros(0)
     right = values.shape == (2 * n, 2 * n) and np.isfinite(values).all() and np.allclose(values, values.T, atol=1e-6)
     # a direction without doubt (std 0) has 1 on the diagonal all the same

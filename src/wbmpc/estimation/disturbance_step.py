@@ -35,7 +35,7 @@ class Setting(IntEnum):
 
 
 @compiled
-def lasts(
+def detect_lasting_force(
     gates: int, felt: Floats, mean: Floats, clock: Floats, settings: Floats, largest: float, t: float, h: float
 ) -> None:
     """Note whether the innovation ``felt``, as shares of the gate, is that of a force that lasts: for longer than a push it has
@@ -72,7 +72,7 @@ def observe(
     for i in range(gates):
         felt[i] = innovation[i] / gate[i]
         largest = max(largest, abs(felt[i]))
-    lasts(gates, felt, mean, clock, settings, largest, t, h)
+    detect_lasting_force(gates, felt, mean, clock, settings, largest, t, h)
     if largest > 1.0:
         clock[Clock.HELD_UNTIL] = t + settings[Setting.HOLD]
     steady = t < clock[Clock.LASTS_UNTIL]

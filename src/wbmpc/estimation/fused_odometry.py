@@ -250,7 +250,7 @@ class FusedOdometry:
             if weights is None and is_open is not self._closed and is_open.any():
                 memory.legs = self._shown(is_open, h)
         self._remember()
-        self._go_on()
+        self._propagate()
         self.twist = arrays["twist"] / h
         if gap:
             self._past.clear()
@@ -262,7 +262,7 @@ class FusedOdometry:
         record[:] = self._memory.record
         self._past.append(Moment(record, self._memory.legs))
 
-    def _go_on(self) -> None:
+    def _propagate(self) -> None:
         """Over the interval that the memory holds."""
         memory, arrays = self._memory, self._memory.arrays
         memory.advance()
@@ -356,7 +356,7 @@ class FusedOdometry:
             moment.record[:end] = memory.record[:end]
             memory.record[end:] = moment.record[end:]
             memory.legs = moment.legs
-            self._go_on()
+            self._propagate()
 
     def _corrected(self, state: State, rates: Array, t: float, z: Array, r: Array) -> State | None:
         """The state with a pose taken in that belongs to a moment of the step after it, in which the base moves at ``rates``

@@ -132,8 +132,9 @@ def measure(
     for j in range(2 * n):
         correction[j] = mean[WHEELS + j]
     fit(
-        hinge, length, leg_heading, wheel_heading, n, radius, correction, weights, before, now, twist, residual, rolled,
-        heading, slope, axes, moved,
+        hinge=hinge, length=length, leg_heading=leg_heading, wheel_heading=wheel_heading, n=n, radius=radius,
+        correction=correction, weights=weights, before=before, now=now, twist=twist, residual=residual, rolled=rolled,
+        heading=heading, slope=slope, axes=axes, moved=moved,
     )  # fmt: skip
     note_contradiction(n, residual, rolled, off, rolled_off, way)
     slips = h * slip_intensity(slip, slip_mean, n, residual, weights, rolled, noise[Noise.SLIP_WINDOW], h)

@@ -71,8 +71,9 @@ def fit(
     """The ``twist`` (3) from true angles (legs, steering, wheels, n each) ``before`` and ``now``, and its ``slope`` (3, n, 2) by the
     wheels' displacements."""
     displacements(
-        hinge, length, leg_heading, wheel_heading, n, radius, correction, before, now, rolled, heading, axes, moved
-    )
+        hinge=hinge, length=length, leg_heading=leg_heading, wheel_heading=wheel_heading, n=n, radius=radius,
+        correction=correction, before=before, now=now, rolled=rolled, heading=heading, axes=axes, moved=moved,
+    )  # fmt: skip
     total, mx, my = 0.0, 0.0, 0.0
     for i in range(n):
         total += weights[i]
@@ -108,8 +109,9 @@ def dead_reckon(
 ) -> None:  # fmt: skip
     """As :func:`fit`; ``pose`` (3) moves by the twist."""
     fit(
-        hinge, length, leg_heading, wheel_heading, n, radius, correction, weights, before, now, twist, residual, rolled,
-        heading, slope, axes, moved,
+        hinge=hinge, length=length, leg_heading=leg_heading, wheel_heading=wheel_heading, n=n, radius=radius,
+        correction=correction, weights=weights, before=before, now=now, twist=twist, residual=residual, rolled=rolled,
+        heading=heading, slope=slope, axes=axes, moved=moved,
     )  # fmt: skip
     move(pose, twist[0], twist[1], twist[2])
 

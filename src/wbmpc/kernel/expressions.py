@@ -214,6 +214,11 @@ class Expressions(Vectors):
 
     def of_Call(self, node: ast.Call) -> Value:
         text = ast.unparse(node.func)
+        signature = self.signatures(self.names.get(text))
+        if signature is not None:
+            return self.library_call(signature, node)
+        if node.keywords:
+            raise self.fail(node, "only a compiled function takes arguments by name")
         if text in ("min", "max"):
             return self.extreme(text, node)
         if text == "abs":
@@ -228,10 +233,16 @@ class Expressions(Vectors):
         target = self.names.get(text)
         if isinstance(target, PointerCall):
             return self.pointer_call(target, node)
-        signature = self.signatures(target)
-        if signature is None:
-            raise self.fail(node, "this function is not compiled")
-        return self.library_call(signature, node)
+        raise self.fail(node, "this function is not compiled")
+
+    def in_order(self, signature: Signature, node: ast.Call) -> list[ast.expr]:
+        """The arguments of a call in the order of the function's own: by position first, then by name."""
+        named = {k.arg or "": k.value for k in node.keywords}
+        given = list(zip(signature.names, node.args, strict=False))
+        if sorted([*named, *(name for name, _ in given)]) != sorted(signature.names) or len(given) != len(node.args):
+            raise self.fail(node, f"needs each argument once; valid: {', '.join(signature.names)}")
+        named |= dict(given)
+        return [named[name] for name in signature.names]
 
     def extreme(self, word: str, node: ast.Call) -> Value:
         result = self.value(node.args[0])
@@ -284,9 +295,8 @@ class Expressions(Vectors):
         return Value(NONE, "")
 
     def library_call(self, signature: Signature, node: ast.Call) -> Value:
-        if len(node.args) != len(signature.arguments):
-            raise self.fail(node, f"{len(signature.arguments)} arguments are needed")
-        arguments = [self.convert(self.value(a), k, node) for a, k in zip(node.args, signature.arguments, strict=True)]
+        given = self.in_order(signature, node)
+        arguments = [self.convert(self.value(a), k, node) for a, k in zip(given, signature.arguments, strict=True)]
         text = f"call {llvm_type(signature.result)} @{signature.symbol}("
         text += ", ".join(f"{llvm_type(g.kind)} {g.text}" for g in arguments) + ")"
         if signature.result == NONE:

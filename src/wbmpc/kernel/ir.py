@@ -95,11 +95,12 @@ def alignment(kind: Type) -> str:
 
 
 class Signature(NamedTuple):
-    """LLVM name, result and argument types of a function that translated code may call."""
+    """LLVM name, result, argument types and their names, of a function that translated code may call."""
 
     symbol: str
     result: Type
     arguments: tuple[Type, ...]
+    names: tuple[str, ...]
 
     @classmethod
     def of(cls, function: Callable[..., Any]) -> Signature:
@@ -107,7 +108,7 @@ class Signature(NamedTuple):
         signature = inspect.signature(function)
         arguments = tuple(_annotated(function, p.annotation) for p in signature.parameters.values())
         symbol = f"{function.__module__.rsplit('.', 1)[-1]}_{function.__name__}"
-        return cls(symbol, _annotated(function, signature.return_annotation), arguments)
+        return cls(symbol, _annotated(function, signature.return_annotation), arguments, tuple(signature.parameters))
 
 
 class Value(NamedTuple):

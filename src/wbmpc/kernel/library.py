@@ -82,13 +82,12 @@ class Function(Generic[P, R]):
         return cast(Callable[P, R], self._interpreted)
 
     def __call__(self, *arguments: P.args, **names: P.kwargs) -> R:
-        """Run the machine code. Arrays must be contiguous, of float64 or int64. With vectors: runs as Python."""
+        """Run the machine code. Arrays must be contiguous, of float64 or int64. With vectors: runs as Python. Raises
+        :class:`KernelError` where an argument is missing, unknown, or an array that cannot be used."""
         if not _callable(self.signature):
             return self.python(*arguments, **names)
-        if names:
-            raise KernelError(f"{self.signature.symbol}: arguments are given by position")
         converted, result = [], self.signature.result
-        values: tuple[Any, ...] = arguments
+        values: tuple[Any, ...] = (*arguments, *self._in_order(len(arguments), names)) if names else arguments
         for value, kind in zip(values, self.signature.arguments, strict=True):
             if kind in (NUMS, INTS):
                 if value.dtype != (np.float64 if kind == NUMS else np.int64) or not value.flags.c_contiguous:
@@ -101,6 +100,15 @@ class Function(Generic[P, R]):
         found = tuple(bool(v) if k == BOOL else v for v, k in zip(out, kinds, strict=False))
         returned: Any = found if isinstance(result, tuple) else found[0] if found else None
         return cast(R, returned)
+
+    def _in_order(self, first: int, names: dict[str, Any]) -> list[Any]:
+        """Arguments by name in the order of the function's own, from the ``first`` on."""
+        needed = self.signature.names[first:]
+        if set(needed) != set(names):
+            raise KernelError(
+                f"{self.signature.symbol}: got the arguments {', '.join(names)}; needed: {', '.join(needed)}"
+            )
+        return [names[name] for name in needed]
 
 
 def _callable(s: Signature) -> bool:

@@ -64,18 +64,20 @@ class Step:
         first = len(self._given)
         table = np.zeros(first + len(kinds), dtype=np.int64)
         numbers = table.view(np.float64)
-        slots: list[tuple[NDArray[Any], int]] = []
+        # (views of memory give and take Python's numbers several times as fast as arrays do)
+        whole_view, number_view = table.data, numbers.data
+        slots: list[tuple[Any, int, bool]] = []
         for i, (name, kind, value) in enumerate(zip(f.argument_names, f.signature.arguments, self._given, strict=True)):
             if name in self._free:
                 if kind not in (NUM, INT, BOOL):
                     raise KernelError(f"{f.signature.symbol}: there is no array '{name}'")
-                slots.append((numbers if kind == NUM else table, i))
+                slots.append((number_view, i, False) if kind == NUM else (whole_view, i, True))
             elif kind in (NUMS, INTS):
                 table[i] = _address(f.signature.symbol, name, value, np.float64 if kind == NUMS else np.int64)
             else:
                 (numbers if kind == NUM else table)[i] = value
         self._slots = slots
-        self._results = [(numbers if k == NUM else table, first + i, k == BOOL) for i, k in enumerate(kinds)]
+        self._results = [(number_view if k == NUM else whole_view, first + i, k == BOOL) for i, k in enumerate(kinds)]
         self._several = isinstance(result, tuple)
         self._table, self._code = table, f.by_table
         self._address = table.ctypes.data
@@ -96,15 +98,15 @@ class Step:
             for place, number in zip(self._places, numbers, strict=True):
                 self._given[place] = number
             return self._function.interpreted(*self._given)
-        for (row, i), number in zip(self._slots, numbers, strict=True):
-            row[i] = number
+        for (row, i, whole), number in zip(self._slots, numbers, strict=True):
+            row[i] = int(number) if whole else number
         self._code(self._address)
         if not self._results:
             return None
         if self._several:
-            return tuple(bool(row[i]) if truth else row[i].item() for row, i, truth in self._results)
+            return tuple([bool(row[i]) if truth else row[i] for row, i, truth in self._results])
         row, i, truth = self._results[0]
-        return bool(row[i]) if truth else row[i].item()
+        return bool(row[i]) if truth else row[i]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Step:
         """Arrays move with a copy of what owns them: addresses are taken anew."""

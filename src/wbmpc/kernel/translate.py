@@ -1,8 +1,8 @@
 """A small subset of Python as LLVM IR: what the solver's driver is written in.
 
 Numbers (float, int, bool), flat arrays of float64 and int64, tuples of numbers as results; assignments, ``for … in range``,
-``while``, ``if``, arithmetic, comparisons, a few functions of NumPy, calls of other such functions, calls by address. No
-allocation, no exceptions, no bounds checks. ``//`` and ``%`` are meant for non-negative integers.
+``while``, ``if``, arithmetic, comparisons, a few functions of NumPy, calls of other such functions (arguments by position or
+name), calls by address. No allocation, no exceptions, no bounds checks. ``//`` and ``%`` are meant for non-negative integers.
 
 Eight numbers at a time: ``m[i : i + LANES]`` is one vector, to read or to write; arithmetic and comparisons by element,
 ``np.full``, ``np.where``, ``np.maximum``, ``np.minimum``, ``np.sqrt``, ``abs``, ``&``, and ``np.max``, ``np.sum``, ``np.all``

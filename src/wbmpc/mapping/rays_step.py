@@ -114,7 +114,10 @@ def add_scan(
         if kind[p] == OWN:
             end -= keep / max(length, 1e-9)
         if end > 0.0:
-            clear_ray(ox, oy, oz, dx, dy, dz, end, nx, ny, nz, scan, evidence, mark)
+            clear_ray(
+                ox=ox, oy=oy, oz=oz, dx=dx, dy=dy, dz=dz, end=end, nx=nx, ny=ny, nz=nz, scan=scan, evidence=evidence,
+                mark=mark,
+            )  # fmt: skip
     return count
 
 

@@ -42,14 +42,20 @@ class ModuleGeometry:
     def steer_axes(self, leg: ArrayLike) -> Array:
         """Positions (n, 2) [m] of the steer axes for leg angles (n,)."""
         a = self.leg_heading + self.leg_angles(leg)
-        return self.hinge + self.leg_length[:, None] * np.stack([np.cos(a), np.sin(a)], axis=1)
+        axes = np.empty((len(a), 2))
+        axes[:, 0], axes[:, 1] = np.cos(a), np.sin(a)
+        axes *= self.leg_length[:, None]
+        axes += self.hinge
+        return axes
 
 
 def wheel_velocities(geometry: ModuleGeometry, leg: ArrayLike, twist: ArrayLike, leg_rate: ArrayLike = 0.0) -> Array:
     """Velocities (n, 2) [m/s] of the steer axes in the body frame for a twist (vx, vy, ω) and leg rates (n,)."""
-    s, (vx, vy, w) = geometry.steer_axes(leg), np.asarray(twist, float)
+    s, (vx, vy, w) = geometry.steer_axes(leg), np.asarray(twist, float).tolist()
     swing = (s - geometry.hinge) * geometry.leg_angles(leg_rate)[:, None]
-    return np.stack([vx - w * s[:, 1] - swing[:, 1], vy + w * s[:, 0] + swing[:, 0]], axis=1)
+    velocities = np.empty(s.shape)
+    velocities[:, 0], velocities[:, 1] = vx - w * s[:, 1] - swing[:, 1], vy + w * s[:, 0] + swing[:, 0]
+    return velocities
 
 
 def rolling_inverse_kinematics(

@@ -60,7 +60,7 @@ class ClearanceRows:
         self.robot: Any = next((r.robot for r in terms.values() if isinstance(r, _TERMS)), None)
 
     # ------------------------------------------------------------------ before a solve
-    def look(self, t: float) -> None:
+    def update_snapshot(self, t: float) -> None:
         """Take the obstacles as they are at ``t`` [s]."""
         if self.obstacles is not None:
             self._snapshot = with_sides(self.obstacles.snapshot(t))
@@ -109,7 +109,7 @@ class ClearanceRows:
         Where the robot would come much too near to something before it can stop, solve from a plan that stops, with more passes. If that
         does not help, the stop is the result: what it is for is returned. A robot that falls when it stands is not stopped.
         """
-        self.look(t)
+        self.update_snapshot(t)
         if delta is None or self.robot.base.balances:
             run(delta or 0.0, passes)
             self.measure(t)

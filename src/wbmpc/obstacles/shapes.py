@@ -164,15 +164,18 @@ class DistanceGrid:
     in between, and nothing is known outside.
 
     ``error``: what is taken off the values; left out, half a cell's diagonal, which a transform of occupied cells may be too large by.
+    ``layer`` [m]: distance of cells along z where it is another one, as of a floor plan that is the same at all heights.
     """
 
     origin: ArrayLike
     cell: float
     values: ArrayLike
     error: float | None = None
+    layer: float | None = None
 
     def __post_init__(self) -> None:
-        checks.positive("distance grid", cell=self.cell)
+        layer = self.cell if self.layer is None else self.layer
+        checks.positive("distance grid", cell=self.cell, layer=layer)
         error = 0.5 * np.sqrt(3.0) * self.cell if self.error is None else self.error
         checks.not_negative("distance grid", error=error)
         values = np.ascontiguousarray(checks.real_numbers("distance grid: 'values'", self.values))
@@ -184,13 +187,15 @@ class DistanceGrid:
         if not np.isfinite(ends).all():
             raise InputError("distance grid: 'values' must be finite")
         _set(self, origin=checks.numbers("distance grid", "origin", self.origin, 3), values=values, error=float(error))
-        _size("distance grid", cell=self.cell)
+        _set(self, layer=float(layer))
+        _size("distance grid", cell=self.cell, layer=layer)
         checks.at_most("distance grid", LARGEST, origin=self.origin, error=error, values=ends)
 
     def sample(self, points: Array) -> tuple[Array, Array]:
         """Distance (n), ``error`` taken off, and its gradient (n, 3) at points (n, 3); infinite and 0 outside of the grid."""
         values, shape = np.asarray(self.values), np.array(np.shape(self.values))
-        place = (points - np.asarray(self.origin, float)) / self.cell
+        spacing = np.array([self.cell, self.cell, self.layer], float)
+        place = (points - np.asarray(self.origin, float)) / spacing
         inside = ((place >= 0.0) & (place <= shape - 1)).all(axis=1)
         low = np.clip(np.floor(place).astype(int), 0, shape - 2)
         f = place - low
@@ -204,7 +209,7 @@ class DistanceGrid:
             np.einsum("nijk,i,nj,nk->n", corners, slope, wy, wz),
             np.einsum("nijk,ni,j,nk->n", corners, wx, slope, wz),
             np.einsum("nijk,ni,nj,k->n", corners, wx, wy, slope),
-        ], axis=1) / self.cell  # fmt: skip
+        ], axis=1) / spacing  # fmt: skip
         return np.where(inside, found, np.inf), np.where(inside[:, None], gradient, 0.0)
 
 

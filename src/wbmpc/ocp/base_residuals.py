@@ -14,6 +14,9 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.symbols import Symbols
 from wbmpc.stability import GRAVITY, Support, counter_clockwise, standing
 
+#: Forces along the ground below this share of the mean load count as this: their size has no slope at zero.
+ROUNDED = 0.01
+
 
 @dataclass(frozen=True)
 class Rolling:
@@ -161,6 +164,27 @@ class WheelLoads:
         support = Support(self.robot, s.x)
         mean = support.mass * float(np.linalg.norm(self.gravity)) / self.size
         return support.foot_loads(_ground_load(support, s, self)) / mean
+
+
+@dataclass(frozen=True)
+class TireFriction(WheelLoads):
+    """How much more each wheel could push along the ground before it slides, μ N − ``|t|``, over the mean load at rest: ≥ 0 where tires hold.
+
+    Loads N are those of :class:`WheelLoads`, forces t those of :meth:`wbmpc.stability.Support.foot_forces`: tires push in any direction
+    (rollers do not). Reference: as there, and then the coefficient of friction μ.
+    """
+
+    @property
+    def reference(self) -> int:
+        return super().reference + 1
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        support = Support(self.robot, s.x)
+        load = _ground_load(support, s, self)
+        loads = support.foot_loads(load)
+        forces, mean = support.foot_forces(load, loads), support.mass * float(np.linalg.norm(self.gravity)) / self.size
+        size = ca.sqrt(ca.sum2(forces**2) + (ROUNDED * mean) ** 2)
+        return (s.reference[self.reference - 1] * loads - size) / mean
 
 
 def _ground_load(support: Support, s: Symbols, residual: SupportMargin | WheelLoads) -> tuple[ca.SX, ca.SX]:

@@ -16,7 +16,7 @@ import numpy as np
 from wbmpc.errors import unknown_name
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
-from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin, WheelLoads
+from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin, TireFriction, WheelLoads
 from wbmpc.ocp.clearance_residuals import Clearance, SelfClearance
 from wbmpc.ocp.contact_residuals import FrictionCone, PushForce, push_on_surface
 from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench, RelativeMotion, RelativePose
@@ -47,6 +47,7 @@ __all__ = [
     "State",
     "SupportMargin",
     "Symbols",
+    "TireFriction",
     "WheelLoads",
     "push_on_surface",
 ]

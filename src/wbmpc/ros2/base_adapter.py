@@ -12,6 +12,7 @@ import numpy as np
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.terms import Weight
 from wbmpc.ros2.bus import Node
@@ -77,6 +78,7 @@ class BaseAdapter(Protocol):
     after ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes controller and MPC anew for a run
     from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``leg_commands``: what takes orders to
     the legs from the bus, None without hinges: ``ready()`` says why none can be taken, ``now()`` how brakes and legs are.
+    ``obstacles``: what the MPC keeps clear of (:func:`obstacles_of` the settings); None: of nothing.
     ``references`` of a task that begins at x may take long, and are made in another thread.
     """
 
@@ -84,6 +86,7 @@ class BaseAdapter(Protocol):
     settings: RosSettings
     planner: Planner
     mpc: MPC
+    obstacles: Obstacles | None
     pending: PendingChanges
     controller: Any
     must_keep_running: bool
@@ -115,6 +118,11 @@ class BaseAdapter(Protocol):
     def push(self, wrench: Array) -> None: ...
     def relocate(self) -> None: ...
     def estimate(self) -> Estimate | None: ...
+
+
+def obstacles_of(settings: RosSettings) -> Obstacles | None:
+    """Room for obstacles where topics bring them."""
+    return Obstacles() if settings.sees_obstacles else None
 
 
 class PendingChanges:

@@ -55,6 +55,11 @@ class Endpoint:
     node: Any = field(default=None, compare=False)
 
 
+def nothing(reason: str) -> dict[str, Any]:
+    """An answer whose fields are as their type begins: what a service without a field for reasons says to a request that is wrong."""
+    return {}
+
+
 class Publisher(Protocol):
     """Sends messages of one topic."""
 
@@ -86,8 +91,9 @@ class Node(Protocol):
     ) -> Callable[[], None]: ...  # fmt: skip
     def work(self) -> None: ...
     def serve(
-        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False
-    ) -> None: ...
+        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False,
+        rejected: Callable[[str], Mapping[str, Any]] = nothing,
+    ) -> None: ...  # fmt: skip
     def offer(self, parameters: Parameters) -> None: ...
     def publishers(self, topic: str) -> list[Endpoint]: ...
     def subscribers(self, topic: str) -> list[Endpoint]: ...

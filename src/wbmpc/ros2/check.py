@@ -15,7 +15,7 @@ from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
 from wbmpc.ros2.localization import POSE_AGE, PoseSource
-from wbmpc.ros2.settings import REQUEST_TYPES, Controller, RosSettings
+from wbmpc.ros2.settings import OBSTACLE_TYPES, REQUEST_TYPES, Controller, RosSettings
 
 OK, WARNING, ERROR = "ok", "warning", "error"
 #: Joint states slower than this [Hz] make a poor estimate; a watchdog needs this many messages within its time.
@@ -104,7 +104,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     found += _brakes(robot, controllers)
     found += _other_odometry(node, topics.odom, settings.node)
     found += _several_types(node, topics.cmd_vel, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), False)
-    for key, kind in REQUEST_TYPES.items():
+    for key, kind in {**REQUEST_TYPES, **OBSTACLE_TYPES}.items():
         found += _order(node, getattr(topics, key), kind)
     if poses is not None:
         found += _localization(node, poses, topics.pose, silent)

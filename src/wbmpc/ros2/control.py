@@ -23,6 +23,7 @@ from wbmpc.ros2.health import Health
 from wbmpc.ros2.interpreter import TURNS, control_priority, real_time_interpreter
 from wbmpc.ros2.leg_control import LegControl
 from wbmpc.ros2.localization import POSE_AGE, PoseSource
+from wbmpc.ros2.obstacles import ObstacleTopics
 from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.publishers import Publishers
 from wbmpc.ros2.request_queue import RequestQueue
@@ -82,6 +83,7 @@ class ControlNode:
         self.legs = self.leg_control.commands
         self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady)
         self.planning = Planning(self.adapter.references)
+        self.obstacles = ObstacleTopics(node, self.adapter, settings, steady, self.now, self._plan_origin)
         self._other_commander, self._logged, self._hold_reason = "", "", ""
         self.active_task: Task | None = None
         self._graph_checked_at = -np.inf
@@ -118,7 +120,8 @@ class ControlNode:
         self._process_requests()
         self.yield_to_controller()
         parts = (
-            self.adapter.inspect, self.leg_control.update, self._send_setpoints, self.health.update, self.publishers.publish,
+            self.adapter.inspect, self.obstacles.update, self.leg_control.update, self._send_setpoints, self.health.update,
+            self.publishers.publish,
         )  # fmt: skip
         for update in parts:
             try:
@@ -137,7 +140,6 @@ class ControlNode:
         if moved:
             self._hold_trajectories()
         self._end_runner()
-        self.planning.close()
         if moved:
             end = time.perf_counter() + self.settings.safety.ramp + 0.05
             while time.perf_counter() < end:
@@ -145,6 +147,8 @@ class ControlNode:
                 time.sleep(self.period)
         if self.runner is not None:
             self.robot_io.rest()
+        self.obstacles.close()
+        self.planning.close()  # a goal's plan may take long: the robot is at rest by then
         self.rosout.close()
 
     def _end_runner(self) -> None:
@@ -192,6 +196,7 @@ class ControlNode:
         why = self._clock_lost() or self._other_publisher or self.robot_io.waiting_reason()
         if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
             why = self.source.fault or f"no pose on {self.settings.topics.pose}"
+        why = why or self.obstacles.lost()
         return f"waiting: {why}" if why else ""
 
     @property
@@ -287,6 +292,7 @@ class ControlNode:
         settings, adapter = self.settings, self.adapter
         adapter.begin(x)
         self.external_pose.reset()
+        self.obstacles.begin()
         self.set_task(task, references)
         adapter.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         self._follow_sensors()  # what the sensors said meanwhile
@@ -373,6 +379,7 @@ class ControlNode:
         nowhere."""
         other = self._other_publisher
         lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""
+        lost = lost or self.obstacles.lost()
         if (other or lost) and self.running:
             self._stop_or_hold(other or lost)
         elif self._hold_reason and not (other or lost):
@@ -410,6 +417,7 @@ class ControlNode:
             "rejected": self.request_queue.rejected,
             "rejected command for the legs": leg_commands,
             "rejected pose": self.source.fault,
+            "rejected obstacles": self.obstacles.fault,
         }
         reasons["legs stopped short"] = self.legs.short if self.legs is not None else ""
         reasons["limited speed"] = self.request_queue.limited

@@ -29,7 +29,7 @@ from cyclonedds.util import duration
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full_name
+from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full_name, nothing
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
@@ -156,8 +156,9 @@ class DdsNode:
         self._deferred.work()
 
     def serve(
-        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False
-    ) -> None:
+        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False,
+        rejected: Callable[[str], Mapping[str, Any]] = nothing,
+    ) -> None:  # fmt: skip
         """Answer a service. It is seen by peers of rmw_cyclonedds, not by those of Fast DDS."""
         name = full_name(service)
         request_type, response_type = request(kind), response(kind)
@@ -165,24 +166,29 @@ class DdsNode:
         replies = self._topic(f"rr{name}Reply", response_type, _HEADER)
         writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
 
-        def reply(data: bytes) -> None:
+        def reply(asked: tuple[bytes, int]) -> None:
+            data, size = asked
             head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
             try:
-                values = answer(self.types.decode(request_type, body))
-                said = self.types.encode(response_type, values)
+                if size > SMALL:
+                    raise InputError(f"a request of {size} bytes is too large; valid: at most {SMALL}")
+                said = self.types.encode(response_type, answer(self.types.decode(request_type, body)))
             except Exception as error:
                 self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
-                return
+                said = self.types.encode(response_type, rejected(error_message(error)))
             with suppress(DDSException):  # who asked has gone
                 writer.write(replies.data_type(said[:4] + head + said[4:]))
 
         def take(reader: DataReader) -> None:
-            for data, _ in self._small(name, reader, SMALL):
+            for data, _ in _taken(reader):
+                if len(data) < 4 + _HEADER_SIZE:  # nobody could be answered
+                    continue
+                asked = data if len(data) <= SMALL else data[: 4 + _HEADER_SIZE], len(data)
                 if deferred:
-                    self._deferred.put(name, reply, data, len(data))
+                    self._deferred.put(name, reply, asked, len(asked[0]))
                 else:
                     with self._lock:
-                        reply(data)
+                        reply(asked)
 
         self._own(self._writers, writer)
         self._read(

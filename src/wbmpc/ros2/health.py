@@ -26,15 +26,15 @@ FALLEN = 0.7
 class Health:
     """Of a controller's node; :meth:`update` is called now and then by its own thread.
 
-    ``factor``: real-time factor, by how much the runner's time went on in one second of the wall's (NaN before it is known); with
-    simulated time that of the simulator. ``late_ticks``: ticks of the last :data:`WINDOW` that were skipped, or whose command left
-    late (:class:`wbmpc.runtime.statistics.Punctuality`). ``late`` and ``fell``: what is wrong, empty if nothing is.
+    Of the last :data:`WINDOW`: ``factor``, the real-time factor, the time of the ticks that ran by that of the wall (NaN before it is
+    known); with simulated time that of the simulator. ``late_ticks``: of ``due_ticks`` those that were skipped, and those whose
+    command left late (:class:`wbmpc.runtime.statistics.Punctuality`). ``late`` and ``fell``: what is wrong, empty if nothing is.
     """
 
     def __init__(self, controller: ControlNode) -> None:
         self.controller = controller
-        self.factor, self.late_ticks, self.late, self.fell = np.nan, 0, "", ""
-        self._began: tuple[Any, float, float, int] | None = None
+        self.factor, self.late_ticks, self.due_ticks, self.late, self.fell = np.nan, 0, 0, "", ""
+        self._began: tuple[Any, float, int, int, int] | None = None
 
     def update(self) -> None:
         """Judge anew."""
@@ -47,26 +47,26 @@ class Health:
         if runner is None or not c.running or runner.plans.current is None:
             self._began, self.late = None, ""
             return
-        ticks = int(runner.own["ticks"]) * c.period
-        late = int(runner.own["misses"]) + runner.punctuality.late
-        if self._began is None or self._began[0] is not runner:
-            self._began = runner, now, ticks, late
+        counted = runner.punctuality.late, int(runner.own["skipped"]), int(runner.own["ticks"])
+        began, self._began = self._began, (runner, now, *counted)
+        if began is None or began[0] is not runner:
             return
-        passed = now - self._began[1]
+        passed = now - began[1]
         if passed < WINDOW:
+            self._began = began
             return
-        self.factor, self.late_ticks = (ticks - self._began[2]) / passed, late - self._began[3]
-        self._began = runner, now, ticks, late
+        late, skipped, ran = (new - old for new, old in zip(counted, began[2:], strict=True))
+        self.factor, self.due_ticks = ran * c.period / passed, ran + skipped
+        self.late_ticks = skipped + min(late, ran)  # the tick that runs is counted at its end
         self._judge(passed)
 
     def _judge(self, passed: float) -> None:
         """A simulator's time may be slow as it likes: it is the wall's that a robot does not wait for."""
-        expected = passed / self.controller.period
-        behind = self.factor < SLOW or self.late_ticks > OFTEN * expected
+        behind = self.factor < SLOW or self.late_ticks > OFTEN * self.due_ticks
         if isinstance(self.controller.clock, BusClock) or not behind:
             self.late = ""
             return
-        message = f"{self.late_ticks} of {expected:.0f} ticks were late in the last {passed:.1f} s"
+        message = f"{self.late_ticks} of {self.due_ticks} ticks were late in the last {passed:.1f} s"
         if not self.late:
             _LOG.warning("the controller is late: real-time factor %.2f, %s", self.factor, message)
         self.late = f"the controller is late: real-time factor {self.factor:.2f}, {message}"

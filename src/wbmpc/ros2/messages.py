@@ -35,6 +35,18 @@ SERVICES = {
         "string[] names\n", "rcl_interfaces/ParameterDescriptor[] descriptors\n",
     ),
 }  # fmt: skip
+#: Of packages that rosbags does not have (vision_msgs as of Humble).
+MESSAGES = {
+    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
+    "vision_msgs/msg/ObjectHypothesisWithPose": (
+        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
+    ),
+    "vision_msgs/msg/Detection3D": (
+        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\nstring id\n"
+    ),
+    "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
+}
 #: What is not zero or empty when it is not given.
 DEFAULTS: dict[str, dict[str, Any]] = {"geometry_msgs/msg/Quaternion": {"w": 1.0}}
 
@@ -51,6 +63,8 @@ class Types:
     def __init__(self, distribution: str) -> None:
         self._known: dict[str, tuple[Field, ...]] = {}
         self.store = get_typestore(getattr(Stores, f"ROS2_{distribution.upper()}"))
+        for name, text in MESSAGES.items():
+            self.store.register(get_types_from_msg(text, name))
         for name, parts in SERVICES.items():
             for half, text in zip((request(name), response(name)), parts, strict=True):
                 (fields,) = get_types_from_msg(text, half).values()

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.ros2.bus import Node, Qos
+from wbmpc.ros2.bus import Node, Qos, nothing
 from wbmpc.ros2.convert import error_message, stamp
 
 Value = bool | int | float | str
@@ -115,6 +115,11 @@ def _few(asked: list[Any]) -> list[Any]:
     return asked
 
 
+def _failed(reason: str) -> dict[str, Any]:
+    """A rcl_interfaces/msg/SetParametersResult."""
+    return {"successful": False, "reason": reason}
+
+
 class ParameterServices:
     """The services of rcl_interfaces for a node that has none, and /parameter_events."""
 
@@ -122,16 +127,21 @@ class ParameterServices:
         self.parameters, self.name = parameters, f"/{name}"
         self._events = node.publisher("/parameter_events", "rcl_interfaces/msg/ParameterEvent", _EVENTS)
         self._publish_event("new_parameters", list(parameters.known))
-        for service, kind, answer in (
-            ("get_parameters", "GetParameters", self._get),
-            ("get_parameter_types", "GetParameterTypes", self._types),
-            ("set_parameters", "SetParameters", self._set),
-            ("set_parameters_atomically", "SetParametersAtomically", self._set_all),
-            ("list_parameters", "ListParameters", self._list),
-            ("describe_parameters", "DescribeParameters", self._describe),
+        for service, kind, answer, rejected in (
+            ("get_parameters", "GetParameters", self._get, nothing),
+            ("get_parameter_types", "GetParameterTypes", self._types, nothing),
+            ("set_parameters", "SetParameters", self._set, lambda why: {"results": [_failed(why)]}),
+            (
+                "set_parameters_atomically",
+                "SetParametersAtomically",
+                self._set_all,
+                lambda why: {"result": _failed(why)},
+            ),
+            ("list_parameters", "ListParameters", self._list, nothing),
+            ("describe_parameters", "DescribeParameters", self._describe, nothing),
         ):
             # in the node's own thread: a flood of requests does not delay the robot's states
-            node.serve(f"{self.name}/{service}", f"rcl_interfaces/srv/{kind}", answer, deferred=True)
+            node.serve(f"{self.name}/{service}", f"rcl_interfaces/srv/{kind}", answer, deferred=True, rejected=rejected)
 
     def _value(self, name: str) -> Value | None:
         p = self.parameters.known.get(name)
@@ -162,7 +172,7 @@ class ParameterServices:
         try:
             self.parameters.set(values)
         except Exception as error:
-            return {"successful": False, "reason": error_message(error)}
+            return _failed(error_message(error))
         self._publish_event("changed_parameters", list(values))
         return {"successful": True}
 

@@ -18,7 +18,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, LARGEST, Endpoint, Qos, full_name
+from wbmpc.ros2.bus import DEFAULT, LARGEST, Endpoint, Qos, full_name, nothing
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
@@ -115,12 +115,20 @@ class RosNode:
         self._deferred.work()
 
     def serve(
-        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False
-    ) -> None:
+        self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False,
+        rejected: Callable[[str], Mapping[str, Any]] = nothing,
+    ) -> None:  # fmt: skip
         """Answer a service, in the executor's thread."""
-        self._node.create_service(
-            get_service(kind), full_name(service), lambda request, response: fill(response, answer(request))
-        )
+        name = full_name(service)
+
+        def reply(request: Any, response: Any) -> Any:
+            try:
+                return fill(response, answer(request))
+            except Exception as error:
+                self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
+                return fill(response, rejected(error_message(error)))
+
+        self._node.create_service(get_service(kind), name, reply)
 
     def offer(self, parameters: Parameters) -> None:
         """Parameters of this node, as rclpy has them."""

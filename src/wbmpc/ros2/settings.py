@@ -14,6 +14,7 @@ from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import full_name, name_fault
+from wbmpc.ros2.obstacle_settings import ObstacleSettings
 from wbmpc.settings import MpcSettings, Settings
 from wbmpc.yaml_file import load_yaml
 
@@ -26,6 +27,11 @@ REQUEST_TYPES = {
     "goal_pose": "geometry_msgs/msg/PoseStamped", "end_effector_goal": "geometry_msgs/msg/PoseStamped",
     "base_path": "nav_msgs/msg/Path", "end_effector_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
     "legs": "sensor_msgs/msg/JointState", "brakes": NUMBERS, "leg_configuration": "std_msgs/msg/String",
+}  # fmt: skip
+#: Types of obstacles, by the keys of their topics.
+OBSTACLE_TYPES = {
+    "detections": "vision_msgs/msg/Detection3DArray", "occupancy_grid": "nav_msgs/msg/OccupancyGrid",
+    "points": "sensor_msgs/msg/PointCloud2",
 }  # fmt: skip
 #: How long [s of the wall] simulated time may stand: in lockstep, and if nobody publishes it, or else.
 LOCKSTEP_PATIENCE, GONE = 30.0, 1.0
@@ -56,11 +62,15 @@ class Topics(Settings):
 
     ``pose``: another localization's pose of the base in the world frame; it corrects the odometry. ``legs``, ``brakes`` and
     ``leg_configuration`` are what the service ``set_legs`` does, as topics. ``wrench``: what the end effector is to exert.
+    ``detections``, ``occupancy_grid``, ``points``: obstacles, which plans keep clear of; needed once they are named.
     """
 
     joint_states: str = "/joint_states"
     imu: str = "/imu"
     pose: str = ""
+    detections: str = ""
+    occupancy_grid: str = ""
+    points: str = ""
     goal_pose: str = "/goal_pose"
     end_effector_goal: str = "/end_effector_goal"
     base_path: str = "/base_path"
@@ -205,6 +215,7 @@ class RosSettings(Settings):
     goals: Goals = Goals()
     wrench: WrenchLimits | None = None
     safety: Safety = Safety()
+    obstacles: ObstacleSettings = ObstacleSettings()
     joints: dict[str, str] = Field({})
     ignore: tuple[str, ...] = ()
     controllers: dict[str, Controller] = Field({})
@@ -219,6 +230,11 @@ class RosSettings(Settings):
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise ValueError("a name of letters, digits and _ is needed")
         return name
+
+    @property
+    def sees_obstacles(self) -> bool:
+        """Whether obstacles come from the bus."""
+        return any(getattr(self.topics, key) for key in OBSTACLE_TYPES)
 
     def bus_name(self, joint: str) -> str:
         """What a joint of ours is called on the bus."""

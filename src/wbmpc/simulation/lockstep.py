@@ -28,6 +28,7 @@ from wbmpc.errors import (
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.simulation.contacts import Contacts
+from wbmpc.types import Plant
 
 _LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]
@@ -49,13 +50,13 @@ class Ending:
     stuck: bool = False
 
     @classmethod
-    def of(cls, *plants: Any, reason: str = "") -> Ending:
+    def of(cls, *plants: Plant[Any, Any], reason: str = "") -> Ending:
         """Of a run of ``plants`` that was ended for a ``reason``, or went to its end."""
         fell = any(plant.fell for plant in plants)
         return cls(reason or ("the robot fell" if fell else ""), fell, contacts=contacts_of(*plants))
 
 
-def contacts_of(*plants: Any) -> tuple[Contacts, ...]:
+def contacts_of(*plants: Plant[Any, Any]) -> tuple[Contacts, ...]:
     """What is known of the contacts of simulated robots, of those that have physics."""
     worlds = [getattr(plant, "world", None) for plant in plants if plant.has_physics]
     found = [getattr(world, "contacts", None) for world in worlds]
@@ -170,7 +171,7 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def watched(
-    plant: Any, period: float, duration: float, progress: Progress | None, controller: Any = None
+    plant: Plant[Any, Any], period: float, duration: float, progress: Progress | None, controller: Any = None
 ) -> Iterator[Callable[[float, Any], None]]:
     """For experiments that step a plant themselves: its watchers see this loop as they see :func:`run_lockstep`'s.
 
@@ -204,7 +205,7 @@ def watched(
 
 
 def run_lockstep(
-    plant: Any,
+    plant: Plant[Any, Any],
     controller: Controller,
     mpc: MPC | None,
     timing: Timing,
@@ -249,7 +250,7 @@ def run_lockstep(
     return ending
 
 
-def _come_to_rest(plant: Any, controller: Controller, timing: Timing, longest: float) -> None:
+def _come_to_rest(plant: Plant[Any, Any], controller: Controller, timing: Timing, longest: float) -> None:
     """Stop the robot, which nothing pushes any more, until it rests: for :data:`STOP_TIME` at least, and the ``longest`` time [s] at most."""
     plant.end_pushes()
     for _ in range(max(round(longest / STOP_TIME), 1)):
@@ -259,7 +260,7 @@ def _come_to_rest(plant: Any, controller: Controller, timing: Timing, longest: f
 
 
 def _tick(
-    plant: Any,
+    plant: Plant[Any, Any],
     controller: Controller,
     mpc: MPC | None,
     timing: Timing,
@@ -303,7 +304,7 @@ def _tick(
     return Ending(f"the robot fell at {t:.2f} s{_because(plant, mpc)}", fell=True) if plant.fell else Ending()
 
 
-def _because(plant: Any, mpc: Any) -> str:
+def _because(plant: Plant[Any, Any], mpc: MPC | None) -> str:
     """Why the robot fell, as far as plant and MPC know."""
     whys = [why for why in (plant.fall_reason, getattr(mpc, "fault", "")) if why]
     return f" because {'; the MPC had no new plan: '.join(whys)}" if whys else ""

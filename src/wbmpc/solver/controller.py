@@ -230,7 +230,10 @@ def update(
     for i in range(o[NX]):
         start[i] = x[i]
     count[Count.UPDATES] += 1
-    known = iterate(m, o, numbers, integers, settings, log, follow, count, value, start, t, first, period)
+    known = iterate(
+        m=m, o=o, numbers=numbers, integers=integers, settings=settings, log=log, follow=follow, count=count,
+        value=value, x=start, t=t, first=first, period=period,
+    )  # fmt: skip
     status = count[Count.STATUS]
     count[Count.BROKEN] = 0 if known else count[Count.BROKEN] + 1
     usable = known and status != INPUT_INFEASIBLE and status != EQUALITY_INFEASIBLE
@@ -239,7 +242,9 @@ def update(
         return fall_back(m, o, count, value, start, times, states, inputs, room)
     take_plan(m, o, value, start, t, times, states, inputs, gains)
     plan_rows(
-        m, o[P], o[N], o[NP], m, o[W], integers, o[NU], limits, rows, switches, r, moves, by_node, by_constant, room, active, moving
+        p=m, p_at=o[P], n=o[N], size=o[NP], w=m, w_at=o[W], integers=integers, nu=o[NU], limits=limits, rows=rows,
+        switches=switches, r=r, moves=moves, by_node=by_node, by_constant=by_constant, room=room, active=active,
+        moving=moving,
     )  # fmt: skip
     count[Count.PLANNED] = 1
     return Result.OK
@@ -255,7 +260,10 @@ def policy(
         return Result.NO_PLAN
     if not (np.isfinite(t) and finite(x, 0, nx)):
         return Result.NOT_A_NUMBER
-    found = evaluate(times, states, inputs, gains, limits, active, moving, n, nx, nu, r, moves, True, t, x, room, u)
+    found = evaluate(
+        times=times, states=states, inputs=inputs, gains=gains, limits=limits, active=active, moving=moving, n=n, nx=nx,
+        nu=nu, r=r, moves=moves, limited=True, t=t, x=x, room=room, u=u,
+    )  # fmt: skip
     if found == CUT:
         count[Count.CUT] += 1
     return Result.NOT_A_NUMBER if found < 0 else Result.OK
@@ -275,5 +283,8 @@ def planned(
     k = interval(times, n, t)
     for j in range(nu):
         u[j] = inputs[k * nu + j]
-    hold(times, inputs, limits, active, moving, n, nu, r, moves, False, t, room, u)
+    hold(
+        times=times, inputs=inputs, limits=limits, active=active, moving=moving, n=n, nu=nu, r=r, moves=moves,
+        feedback=False, t=t, room=room, u=u,
+    )  # fmt: skip
     return Result.OK

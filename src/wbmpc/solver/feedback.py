@@ -169,7 +169,10 @@ def evaluate(
     """The input at time t in the state x: FINE, CUT to the limits where it is ``limited``, or NOT_FINITE."""
     if not law(times, states, inputs, gains, n, nx, nu, t, x, u):
         return NOT_FINITE
-    if limited and hold(times, inputs, limits, active, moving, n, nu, r, moves, True, t, room, u):
+    if limited and hold(
+        times=times, inputs=inputs, limits=limits, active=active, moving=moving, n=n, nu=nu, r=r, moves=moves, feedback=True,
+        t=t, room=room, u=u,
+    ):  # fmt: skip
         return CUT
     return FINE
 

@@ -135,6 +135,17 @@ class Support:
         a, b = (yy * along - xy * aside) / det, (xx * aside - xy * along) / det
         return -force[2] / n + a * x + b * y
 
+    def foot_forces(self, load: tuple[ca.SX, ca.SX], loads: ca.SX) -> ca.SX:
+        """Forces (n, 2) [N] along the ground with which feet that carry ``loads`` (n) [N] answer a force and a moment: those with the
+        least sum of squares over N. Together they push through the zero-moment point; each takes a share of that in proportion to its load, and of
+        the turn about the point in proportion to its load and distance."""
+        (force, moment), total = load, ca.sum1(loads)
+        at = self.feet.T @ loads / total
+        x, y = self.feet[:, 0] - at[0], self.feet[:, 1] - at[1]
+        turn = moment[2] - at[0] * force[1] + at[1] * force[0]
+        rate = -turn / ca.dot(loads, x**2 + y**2)
+        return ca.horzcat(loads * (-force[0] / total - rate * y), loads * (-force[1] / total + rate * x))
+
     def distances(self, feet: Feet, point: ca.SX) -> ca.SX:
         """Distances [m] of a point (2) to the edges of a polygon of feet, in their order (counter-clockwise: inside > 0)."""
         rows = []

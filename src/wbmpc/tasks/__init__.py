@@ -12,10 +12,12 @@ EXPERIMENTS: dict[str, str] = {
     "hold": "wbmpc.tasks.hold:EXPERIMENT",
     "goals": "wbmpc.tasks.goals:EXPERIMENT",
     "cmd-vel": "wbmpc.tasks.cmd_vel:EXPERIMENT",
+    "two-arms": "wbmpc.tasks.two_arms:EXPERIMENT",
     "obstacles-static": "wbmpc.tasks.obstacles:STATIC",
     "obstacles-moving": "wbmpc.tasks.obstacles:MOVING",
     "obstacles-sudden": "wbmpc.tasks.obstacles:SUDDEN",
     "corridor": "wbmpc.tasks.obstacles:CORRIDOR",
     "clutter": "wbmpc.tasks.obstacles:CLUTTER",
+    "pick-from-shelf": "wbmpc.tasks.pick:EXPERIMENT",
     "tip-over": "wbmpc.tasks.tip_over:EXPERIMENT",
 }

@@ -7,7 +7,8 @@ is there, and nothing of what has not appeared yet.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,28 +139,34 @@ def static_scene(settings: Among, robot: RobotModel, seed: int) -> list[SceneObs
 def moving_scene(settings: Moving, robot: RobotModel, seed: int) -> list[SceneObstacle]:
     """People who walk straight over the robot's path, from both sides and at any angle, each where the robot would then be."""
     e, rng = Extent(robot, "obstacles-moving"), np.random.default_rng(seed)
-    length, speed = settings.path.size(robot), settings.path.speed
-    low, high = sorted(settings.speeds)
+    length, (low, high) = settings.path.size(robot), sorted(settings.speeds)
     people = []
     for k in range(settings.people):
-        share = (k + 0.5) / settings.people
-        meet = settings.settle_time + 0.5 * settings.path.ramp + share * length / speed
+        along = np.array([(k + 0.5) / settings.people * length, 0.0, 0.0])
+        meet = passing(settings, float(along[0]))
         angle = rng.choice([-1.0, 1.0]) * rng.uniform(0.25, 0.75) * np.pi
-        pace = rng.uniform(low, high)
-        velocity = pace * np.array([np.cos(angle), np.sin(angle), 0.0])
-        appears = max(meet - max(SEEN_FROM / pace, SEEN_FOR), 0.0)
-        place = [*e.base[:2], e.ground] + np.array([share * length, 0.0, 0.0]) - (meet - appears) * velocity
-        shape = Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0])
-        people.append(SceneObstacle(f"person{k}", shape, {"position": place, "velocity": velocity, **SEEN_AS}, appears))
+        people.append(person(f"person{k}", [*e.base[:2], e.ground] + along, meet, rng.uniform(low, high), angle))
     return people
+
+
+def person(name: str, place: Array, meet: float, pace: float, angle: float) -> SceneObstacle:
+    """Somebody who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s]."""
+    velocity = pace * np.array([np.cos(angle), np.sin(angle), 0.0])
+    appears = max(meet - max(SEEN_FROM / pace, SEEN_FOR), 0.0)
+    motion = {"position": place - (meet - appears) * velocity, "velocity": velocity}
+    return SceneObstacle(name, Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0]), {**motion, **SEEN_AS}, appears)
+
+
+def passing(settings: Among, way: float) -> float:
+    """When [s] a robot that nothing delays has gone so far [m]."""
+    return settings.settle_time + 0.5 * settings.path.ramp + way / settings.path.speed
 
 
 def sudden_scene(settings: Sudden, robot: RobotModel, seed: int) -> list[SceneObstacle]:
     """A pillar right ahead of the base, for each seed a little aside."""
     e, rng = Extent(robot, "obstacles-sudden"), np.random.default_rng(seed)
     way = 0.5 * settings.path.size(robot)
-    appears = settings.settle_time + 0.5 * settings.path.ramp + way / settings.path.speed
-    aside = rng.uniform(-0.1, 0.1)
+    appears, aside = passing(settings, way), rng.uniform(-0.1, 0.1)
     place = [e.high[0] + way + settings.ahead + 0.1, e.base[1] + aside, e.ground]
     return [SceneObstacle("pillar", Cylinder((0, 0, 0), (0, 0, 1.5), 0.1), {"position": place}, appears)]
 
@@ -212,30 +219,32 @@ def _wrapped(angle: Array) -> Array:
     return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))
 
 
-def experiment(
-    name: str, summary: str, settings_type: type[Among], scene: Callable[..., list[SceneObstacle]]
-) -> Experiment:
-    """A path of the end effector among what ``scene(settings, robot, seed)`` makes."""
-
-    def build(settings: Among, seed: int) -> Scenario:
-        task = Task(settings, obstacles=True)
-        robot, mpc, end = task.robot, task.mpc, task.end
-        metrics: Callable[[Log], dict[str, Metric]] | None = task.metrics
-        if settings.reference == "clock":
-            end += settings.patience
-            if isinstance(settings, Corridor):
-                mpc.reference["end_effector"], metrics = swung_ahead(robot, mpc.reference["end_effector"]), None
-        made = scene(settings, robot, seed) if settings.obstacles is None else None
-        return closed_loop(
-            robot, mpc, end, seed, settings, since=settings.settle_time, scene=made, metrics=metrics, paced=True,
-            perception=getattr(settings, "perception", None),
-        )  # fmt: skip
-
-    return Experiment.of(name, summary, settings_type, build, DEFINITIONS)
+#: Of settings, a robot and a seed.
+SceneOf = Callable[[Any, RobotModel, int], list[SceneObstacle]]
 
 
-STATIC = experiment("obstacles-static", "a path past a pillar, a bar and a shelf", Among, static_scene)
-MOVING = experiment("obstacles-moving", "a path that people cross", Moving, moving_scene)
-SUDDEN = experiment("obstacles-sudden", "a pillar appears right ahead", Sudden, sudden_scene)
-CORRIDOR = experiment("corridor", "a path through a narrow corridor", Corridor, corridor_scene)
-CLUTTER = experiment("clutter", "a path among things that sensors have to find", Clutter, clutter_scene)
+def build(scene: SceneOf, settings: Among, seed: int) -> Scenario:
+    """A path of the end effector among what ``scene`` makes."""
+    task = Task(settings, obstacles=True)
+    robot, mpc, end = task.robot, task.mpc, task.end
+    metrics: Callable[[Log], dict[str, Metric]] | None = task.metrics
+    if settings.reference == "clock":
+        end += settings.patience
+        if isinstance(settings, Corridor):
+            mpc.reference["end_effector"], metrics = swung_ahead(robot, mpc.reference["end_effector"]), None
+    made = scene(settings, robot, seed) if settings.obstacles is None else None
+    return closed_loop(
+        robot, mpc, end, seed, settings, since=settings.settle_time, scene=made, metrics=metrics, paced=True,
+        perception=getattr(settings, "perception", None),
+    )  # fmt: skip
+
+
+def _experiment(name: str, summary: str, settings_type: type[Among], scene: SceneOf) -> Experiment:
+    return Experiment.of(name, summary, settings_type, partial(build, scene), DEFINITIONS)
+
+
+STATIC = _experiment("obstacles-static", "a path past a pillar, a bar and a shelf", Among, static_scene)
+MOVING = _experiment("obstacles-moving", "a path that people cross", Moving, moving_scene)
+SUDDEN = _experiment("obstacles-sudden", "a pillar appears right ahead", Sudden, sudden_scene)
+CORRIDOR = _experiment("corridor", "a path through a narrow corridor", Corridor, corridor_scene)
+CLUTTER = _experiment("clutter", "a path among things that sensors have to find", Clutter, clutter_scene)

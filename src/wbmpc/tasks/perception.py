@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,8 +112,7 @@ class Perception:
 
     def _state(self) -> Array:
         """The robot's estimated state (nx)."""
-        controller: Any = self._system.controller
-        return np.array(controller.state()[: self._robot.state.size])
+        return np.array(self._system.controller.state()[: self._robot.state.size])
 
     def _add(self, scan: Scan, state: Array) -> None:
         position, quaternion = self._robot.pose(state, self._robot.description.base.body)

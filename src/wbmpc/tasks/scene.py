@@ -135,15 +135,17 @@ class SceneWatch:
             "obstacle_contacts_caused": Metric(float(around.caused), "1", goal=0.0),
             "pushed_time_max": Metric(around.pushed, "s", goal=2.0),
         }
+        missed = np.nan if pace is None else pace.missed(self._last)
         waited = {} if pace is None else {
-            "reference_delay": Metric(pace.delay, "s"), "goal_missed": Metric(pace.missed(self._last), "m", goal=GOAL),
+            "reference_delay": Metric(pace.delay, "s"), "goal_missed": Metric(missed, "m", goal=GOAL),
+            "passed": Metric(float(missed <= GOAL), "1", least=1.0),
         }  # fmt: skip
         return {
             "obstacle_clearance_min": Metric(around.least, "m", least=self._margin - TOLERATED),
             "obstacle_contacts": Metric(float(around.contacts), "1", goal=0.0),
             "contact_speed_max": Metric(around.contact_speed, "m/s"),
             **(caused if self._system.plant.has_physics else {}),
-            "stuck_time": Metric(self._stuck, "s"),
+            "time_stuck": Metric(self._stuck, "s"),
             "braking_plans": Metric(float(self._system.mpc.statistics.braking_plans), "1"),
             **(self._perception.metrics() if self._perception else {}),
             **waited,

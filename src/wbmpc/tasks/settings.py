@@ -34,7 +34,8 @@ class SimulationSettings(Settings):
 class TaskMpcSettings(Settings):
     """Of the MPC; left out (none): as the robot's base type has them. ``rate`` [Hz]: of its updates; ``horizon`` [s]: how far it plans;
     ``intervals``: of the horizon; ``first_interval`` [s]: of a geometric grid, 0: a uniform one; ``iterations``: per update; ``limits``:
-    whether they are kept as hard constraints."""
+    whether they are kept as hard constraints; ``model``: "kinematic" plans by speeds, "dynamic" by accelerations, with the loads of all
+    wheels or what else ``stability`` keeps (left out: by accelerations where it keeps something)."""
 
     rate: float | None = Field(None, ge=1e-3, le=10_000)
     horizon: float | None = Field(None, gt=0, le=1000)
@@ -42,6 +43,7 @@ class TaskMpcSettings(Settings):
     first_interval: float | None = Field(None, ge=0, le=1000)
     iterations: int | None = Field(None, ge=1, le=50)
     limits: Literal["hard", "soft"] | None = None
+    model: Literal["kinematic", "dynamic"] | None = None
 
 
 class TaskSettings(SimulationSettings):
@@ -56,22 +58,33 @@ class TaskSettings(SimulationSettings):
     avoid: Literal["obstacles", "nothing"] = "obstacles"
     stability: StabilitySettings = StabilitySettings()
 
+    @property
+    def upright(self) -> StabilitySettings:
+        """What plans keep: ``stability`` as far as the model of the MPC knows of loads."""
+        if self.mpc.model == "kinematic":
+            return StabilitySettings()
+        if self.mpc.model == "dynamic" and self.stability.keep == "nothing":
+            return StabilitySettings(keep="wheel_loads")
+        return self.stability
+
     def prepare(
         self, obstacles: bool = False, robot: RobotModel | None = None, progress: bool = False
     ) -> tuple[RobotModel, MPC]:
         """The robot (or another one of it, with a home of its own) with its default MPC at home, which keeps clear of ``obstacles`` where
         there are any, and with ``progress`` follows a path at its own speed. Raises :class:`InputError` for a weight of no cost."""
         robot = robot or load_robot(self.robot)
-        changes: dict[str, Any] = {name: value for name, value in self.mpc.model_dump().items() if value is not None}
+        changes: dict[str, Any] = {
+            name: value for name, value in self.mpc.model_dump(exclude={"model"}).items() if value is not None
+        }
         if self.avoid == "obstacles" and (obstacles or self.obstacles is not None):
             changes["obstacles"] = Obstacles()
-        if self.stability.keep != "nothing":
+        if self.upright.keep != "nothing":
             standing(robot)
-            changes["stability"] = self.stability
+            changes["stability"] = self.upright
         if progress:
-            if self.stability.keep != "nothing":
+            if self.upright.keep != "nothing":
                 raise InputError(
-                    "stability.keep: plans with progress along a path have no stability rows; valid: nothing"
+                    "stability.keep, mpc.model: plans with progress along a path have no stability rows; valid: nothing, kinematic"
                 )
             changes["progress"] = True
         mpc = base_type(robot.description.base.type).mpc(robot, **changes)

@@ -12,6 +12,8 @@ Array = np.ndarray
 REACH, HEIGHTS = 5.0, (-0.5, 3.0)
 #: The largest push [N] and how long it may last [s]; factors of weights; speeds of a run against the clock.
 PUSH, PUSH_TIME, FACTORS, SPEEDS = 1000.0, 2.0, (1e-3, 1e3), (0.05, 1.0)
+#: Edges of a cube that somebody puts in the robot's way [m].
+EDGES = (0.05, 2.0)
 #: How far a quaternion's norm may be from 1.
 _UNIT = 1e-3
 
@@ -19,12 +21,26 @@ _UNIT = 1e-3
 def pose(goal: Array, base: Array) -> Array:
     """A pose (7) of the end effector, its height above the floor, with its quaternion at length 1; ``base``: where the robot is
     (x, y, …) [m]. Raises :class:`InputError` for one that is not finite, no pose or too far away."""
-    value = numbers("goal of the end effector", "pose", goal, 7)
+    return _pose("goal of the end effector", goal, base)
+
+
+def box(values: Array, base: Array) -> tuple[Array, float]:
+    """Pose (7) of a cube, its height above the floor, and its edge [m], 0 of one that is taken away; ``values`` (8). Raises
+    :class:`InputError` as :func:`pose` does."""
+    edge = float(numbers("box", "pose and edge", values, 8)[7])
+    if edge == 0.0:
+        return np.array(values[:7]), 0.0
+    within("box: edge [m]", edge, *EDGES)
+    return _pose("box", values[:7], base), edge
+
+
+def _pose(who: str, pose: Array, base: Array) -> Array:
+    value = numbers(who, "pose", pose, 7)
     norm = float(np.linalg.norm(value[3:]))
     if abs(norm - 1.0) > _UNIT:
-        raise InputError(f"goal of the end effector: the quaternion must have the length 1, got {norm:.3g}")
-    _near("goal of the end effector", value, base)
-    within("goal of the end effector: height [m]", float(value[2]), *HEIGHTS)
+        raise InputError(f"{who}: the quaternion must have the length 1, got {norm:.3g}")
+    _near(who, value, base)
+    within(f"{who}: height [m]", float(value[2]), *HEIGHTS)
     return np.concatenate([value[:3], value[3:] / norm])
 
 

@@ -45,7 +45,8 @@ class LiveView(Window):
     ) -> Controls:
         """What there is to control of a run with this MPC."""
         names = tuple(cost.name for cost in Steering.costs_of(mpc))
-        return Controls(self.title, names, Steering.legs_of(mpc), Steering.base_of(mpc), groups, paced, pushes)
+        around = mpc is not None and mpc.obstacles is not None
+        return Controls(self.title, names, Steering.legs_of(mpc), Steering.base_of(mpc), groups, paced, pushes, around)
 
 
 @dataclass(frozen=True)

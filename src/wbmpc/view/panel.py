@@ -14,6 +14,7 @@ from viser import uplot
 
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.stability import CONFIGURATIONS
+from wbmpc.view import bounds
 from wbmpc.view.capture import add_capture
 from wbmpc.view.history import History
 from wbmpc.view.scene import add_follow, add_legend, name_tab
@@ -27,6 +28,8 @@ _EVERY, _EVERY_PLOT = 3, 6
 _ANSWER = 1.0
 #: How long the page shows why something was not done, and how long a goal is left alone after it was moved last [s].
 _SHOWN, _HELD = 10.0, 10.0
+#: Where a box is put first (3) [m].
+AHEAD = (1.5, 0.0, 0.3)
 #: Lines of the drives' groups: name and color.
 _LINES = {
     "arm": ("arm", "#2a9d6f"), "legs": ("legs", "#8a5fbf"), "steering": ("steering", "#b7791f"),
@@ -55,6 +58,8 @@ class Panel:
         self._robot()
         self._weights()
         self._goals()
+        if self.controls.obstacle:
+            self._obstacle()
         self._plots()
         self._send()
 
@@ -146,6 +151,32 @@ class Panel:
                 "/base_goal", scale=0.6, disable_sliders=True, active_axes=(True, True, False), visible=False
             )
             self._on_drag(self._base, lambda: self._click("base_goals", base_goal=self._planar()))
+
+    def _obstacle(self) -> None:
+        """A cube that is there or not, and goes where it is dragged."""
+        scene, gui = self.server.scene, self.server.gui
+        self._box = scene.add_transform_controls("/obstacle", scale=0.4, disable_sliders=True, visible=False)
+        self._box.position = AHEAD
+        with gui.add_folder("Box"):
+            edge = gui.add_slider("Edge [m]", *bounds.EDGES, 0.05, 0.3)
+            gui.add_button("Put there").on_click(lambda _: put())
+            gui.add_button("Take away").on_click(lambda _: take_away())
+
+        def order() -> None:
+            pose = np.concatenate([self._box.position, self._box.wxyz])
+            self._click("obstacles", obstacle=np.append(pose, edge.value))
+
+        def put() -> None:
+            size = (edge.value,) * 3
+            scene.add_box("/obstacle/cube", color=(209, 73, 91), dimensions=size, opacity=0.6)
+            self._box.visible = True
+            order()
+
+        def take_away() -> None:
+            self._box.visible = False
+            self._click("obstacles", obstacle=np.zeros(8))
+
+        self._on_drag(self._box, order)
 
     def _on_drag(self, handle: Any, order: Callable[[], None]) -> None:
         """Do ``order`` where a handle is moved; not where it is only grasped or let go."""

@@ -22,6 +22,8 @@ from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, TRAIL, filled, ground,
 Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
 RATE, PAGE_RATE = 30.0, 20.0
+#: Of a film that is one page [s]: its pictures are all in the memory of a browser.
+LONGEST_PAGE = 7200.0
 #: How often it is looked whether a browser has come [s].
 WAIT = 0.2
 _NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
@@ -71,6 +73,8 @@ class Film:
         self._stages = Stages(tuple(t for t, _ in scenes), tuple(scene for _, scene in scenes))
         self.scene = self._stages.united
         self.times = np.array(recording["/tf"].times)
+        if np.any(np.diff(self.times) < 0.0):
+            raise InputError(f"{recording.path}: the times of its frames (/tf) go back")
         self._frames = [self._transforms(m) for _, m in recording["/tf"].messages()]
         static = recording.topics.get("/tf_static")
         self._static = self._transforms(static.last()) if static else {}
@@ -246,6 +250,8 @@ def write_page(film: Film, path: Path, port: int) -> None:
     from wbmpc.view.scene import ViewScene
     from wbmpc.view.server import open_server
 
+    if (length := float(film.times[-1] - film.times[0])) > LONGEST_PAGE:
+        raise InputError(f"{film.recording.path}: has {length:.6g} s; a page is of at most {LONGEST_PAGE:g} s")
     server, _ = open_server(Access.of("127.0.0.1"), port, film.recording.title)
     try:
         stage, serializer = ViewScene(server, film.scene, carried=True), None

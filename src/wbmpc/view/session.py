@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 from wbmpc.bases import base_type
 from wbmpc.bases.base import System
@@ -12,6 +11,7 @@ from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.simulation.lockstep import Ending, Watch, Watcher, run_lockstep
+from wbmpc.simulation.world import SimulatedRobot
 from wbmpc.view.live import View
 from wbmpc.view.physics import Simulated
 from wbmpc.view.realtime import RealtimeView
@@ -75,7 +75,7 @@ def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[RealTimeR
     ), simulated
 
 
-def _plant_of(robot_name: str, seed: int) -> Any:
+def _plant_of(robot_name: str, seed: int) -> SimulatedRobot:
     """The simulated robot at home, perturbed against the model; made in a process of its own."""
     robot = load_robot(robot_name)
     return base_type(robot.description.base.type).plant(robot, None, seed)

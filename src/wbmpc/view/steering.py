@@ -12,6 +12,7 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.shapes import Box
 from wbmpc.ocp import Cost, Mode, ModeSchedule, Reference
 from wbmpc.simulation.lockstep import Running
 from wbmpc.stability import CONFIGURATIONS, leg_angles
@@ -21,13 +22,17 @@ _LOG = logging.getLogger(__name__)
 Array = np.ndarray
 #: How many places there are for weights in the orders.
 MAX_WEIGHTS = 16
+#: Name of the user's box among the obstacles.
+OBSTACLE = "box of the view"
 #: Legs are where they should be within this [rad]; then their brakes close.
 _THERE = 0.01
 
 #: Shapes of what the panel sends. Names in the plural count how often something was asked for. ``weights``: factors.
+#: ``obstacle``: pose (7) of a cube above the floor, and its edge [m]; 0: there is none.
 REQUESTS: dict[str, tuple[int, ...]] = {
     "goals": (), "goal": (7,), "base_goals": (), "base_goal": (3,),
     "pushes": (), "push": (3,), "push_time": (),
+    "obstacles": (), "obstacle": (8,),
     "configurations": (), "configuration": (), "brake_clicks": (), "brakes_open": (),
     "weights": (MAX_WEIGHTS,),
     "paused": (), "steps": (), "speed": (), "resets": (), "ends": (),
@@ -45,7 +50,7 @@ def no_requests() -> dict[str, Array]:
 class Controls:
     """What there is to control: a title, names of weights, whether legs, a base goal; ``groups`` of drives whose shares of
     their limits are plotted (:data:`~wbmpc.view.actuator_load.GROUPS`); ``paced``: whether time can be
-    held, ``pushes``: whether somebody can push."""
+    held, ``pushes``: whether somebody can push, ``obstacle``: whether plans keep clear of a box that somebody puts there."""
 
     title: str
     weights: tuple[str, ...]
@@ -54,6 +59,7 @@ class Controls:
     groups: tuple[str, ...] = ()
     paced: bool = True
     pushes: bool = True
+    obstacle: bool = False
 
 
 class Steering:
@@ -97,8 +103,9 @@ class Steering:
         return bool(part.stop - part.start == 3)
 
     def skip(self, requests: dict[str, Array]) -> None:
-        """What was asked for before this run is not for it."""
+        """What was asked for before this run is not for it, but a box that stands there."""
         self._done = {name: int(requests[name]) for name in self._done}
+        self._done["obstacles"] -= int(requests["obstacle"][7] > 0.0)
 
     def _asked(self, requests: dict[str, Array], name: str) -> bool:
         new = int(requests[name]) != self._done[name]
@@ -112,6 +119,8 @@ class Steering:
             self._try(lambda: self._end_effector_goal(t, self._near(requests["goal"], drift)))
         if self._asked(requests, "base_goals"):
             self._try(lambda: self._base_goal(t, self._near_planar(requests["base_goal"], drift)))
+        if self._asked(requests, "obstacles"):
+            self._try(lambda: self._put_obstacle(requests["obstacle"], drift))
         if self._asked(requests, "pushes"):
             self._try(lambda: self._push(t, *bounds.push(requests["push"], requests["push_time"])))
         if self._push_ends is not None and t >= self._push_ends:
@@ -151,6 +160,19 @@ class Steering:
     def _near_planar(self, goal: Array, drift: Array) -> Array:
         checked = bounds.planar(goal, lie.pose_compose(drift, spatial(self._here()))[:2])
         return planar(lie.pose_between(drift, spatial(checked)))
+
+    def _put_obstacle(self, box: Array, drift: Array) -> None:
+        """Put, move or take away the user's cube."""
+        world = None if self.mpc is None else self.mpc.obstacles
+        if world is None:
+            return
+        pose, edge = bounds.box(box, lie.pose_compose(drift, spatial(self._here()))[:2])
+        if edge > 0.0:
+            pose = lie.pose_between(drift, pose)
+            half = np.full(3, 0.5 * edge)
+            world.set(OBSTACLE, Box(half), position=pose[:3] - self._lift, orientation=pose[3:])
+        elif OBSTACLE in world:
+            world.remove(OBSTACLE)
 
     def _here(self) -> Array:
         """Where the base is estimated to be (x, y, 0) [m]; a base that does not move is at the origin."""

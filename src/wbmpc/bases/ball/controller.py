@@ -104,14 +104,14 @@ class BallController:
             state = self.estimator.update(m.time - m.age, m.wheel, m.arm, m.gyro, m.accel, turning)
             measurement = m.with_state(state)
         self.measured = measurement
-        self._watch(m.time, m.arm, self.period)
-        self._feel_shoves(measurement.state, self.period)
+        self._monitor_encoders(m.time, m.arm, self.period)
+        self._detect_pushes(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
             m, more = measurement, (self._carried(), self._pushed(), self._answered())
             stop_for(self.forecast.update(m.time, m.state, *more))
 
-    def _watch(self, t: float, arm: np.ndarray, h: float) -> None:
+    def _monitor_encoders(self, t: float, arm: np.ndarray, h: float) -> None:
         """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
 
         Raises :class:`SensorFailure` when the state is not known any more.
@@ -159,7 +159,7 @@ class BallController:
             return np.zeros(2)
         return self.lean_control.shift(self.disturbance, float(self.measured.state[2]))
 
-    def _feel_shoves(self, x: np.ndarray, h: float) -> None:
+    def _detect_pushes(self, x: np.ndarray, h: float) -> None:
         """Feel a push in the state x, ``h`` [s] after the one before."""
         if self.shoves is not None:
             self.shoves.update(x, self._acted(), h, self._step)
@@ -177,7 +177,7 @@ class BallController:
         assert observer is not None
         observer.update(t, x, self._acted(), h)
         if self.payload is not None:
-            self.payload.follow(x[:n], observer.arrays, observer.learning, h)
+            self.payload.observe(x[:n], observer.arrays, observer.learning, h)
         self.disturbance = self._finite(observer.force)
         if self.lean_control is not None:
             self.lean_control.check(t, self.disturbance, x)
@@ -256,7 +256,7 @@ class BallController:
             policy = plans.at(t + k * self.period)
             if policy is None:
                 break
-            target = self.limits.possible(self._law(t + dead + k * self.period, x, policy)[1])
+            target = self.limits.limited(self._law(t + dead + k * self.period, x, policy)[1])
             torque = self.sent.follow(target, torque)
             x = self._step(x, torque, self.period)
         return Observation(until + dead, x)
@@ -273,7 +273,7 @@ class BallController:
         self.feedforward, self.target = self._law(
             t + self.sent.dead * self.period, self.ahead(), plans.current, acts=True
         )
-        return self._drive(self.limits.possible(self.target))
+        return self._drive(self.limits.limited(self.target))
 
     def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Torques [N m] without and with feedback in state x at time t [s]; ``acts``: they are sent, not only predicted."""

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from wbmpc import lie
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
-from wbmpc.bases.ball.filter_step import minimal
+from wbmpc.bases.ball.filter_step import minimal_state
 from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.ball.model import BallBase
 from wbmpc.checks import covariance as checked_covariance
@@ -56,7 +56,7 @@ class BallEstimator:
         own = {"yaw": np.array([float(x[2])]), "out": np.zeros(2 * base.nq)}
         joints = {"angle": self.arm.arrays["angle"], "joint_rate": self.arm.arrays["rate"]}
         of_filter = {name: self.filter.arrays[name] for name in ("x", "rate", "mount")}
-        self._minimal, self._out = bind(minimal, of_filter | joints | own, m=m), own["out"]
+        self._minimal, self._out = bind(minimal_state, of_filter | joints | own, m=m), own["out"]
         self._places: deque[tuple[float, Array]] = deque()
 
     def update(self, time: float, wheel: Array, arm: Array, gyro: Array, accel: Array, turning: float = 0.0) -> Array:
@@ -67,7 +67,7 @@ class BallEstimator:
         finite("ball robot's estimator", time=time)
         angles = numbers("ball robot's estimator", "arm", arm, self.arm.size)
         interval = 0.0 if self._time is None else max(time - self._time, 0.0)
-        self.filter.take(interval, wheel, gyro, accel, turning)
+        self.filter.process(interval, wheel, gyro, accel, turning)
         if self._time is not None and interval == 0.0:
             return self.state
         self._time = time

@@ -111,10 +111,10 @@ class BallFilter:
         integrated, and position, heading, lean and velocity are known as little as that module states.
 
         Raises :class:`NotFinite` for readings that are not finite, or from which no state follows."""
-        self.take(interval, wheel, gyro, accel, turning)
+        self.process(interval, wheel, gyro, accel, turning)
         return self.state
 
-    def take(
+    def process(
         self, interval: float, wheel: ArrayLike, gyro: ArrayLike, accel: ArrayLike, turning: float = 0.0
     ) -> None:  # fmt: skip
         """As :meth:`update`, for who reads the state elsewhere."""
@@ -131,12 +131,12 @@ class BallFilter:
             return
         self._turning += (1.0 - math.exp(-interval / self.noise.lasting)) * (turning - self._turning)
         try:
-            self._weigh(interval, w, message)
+            self._update(interval, w, message)
         except np.linalg.LinAlgError as error:
             raise NotFinite(
                 f"ball filter: no state follows from wheels {w}, gyro and accel {message} ({error})"
             ) from error
-        memory.go_on(self._still, STALLED)
+        memory.advance(self._still, STALLED)
 
     def _start(self, wheel: Array) -> None:
         """The first message says where the wheels are."""
@@ -168,31 +168,31 @@ class BallFilter:
         self._turning, self.faults = 0.0, ()
         self._memory.arrays["read"][:], self._memory.arrays["way"][:] = wheel, 0.0
 
-    def _weigh(self, h: float, wheel: Array, message: Array) -> None:
+    def _update(self, h: float, wheel: Array, message: Array) -> None:
         """What a ``message`` (2, 3) of the inertial unit and the wheels say; without the message if it cannot be true.
 
         One that jumps while the wheels contradict it cannot, if the wheels agree with each other: a spike, not three wheels.
         """
         unit = self._inertial
         if fault := unit.judge(h, message):
-            self._explain(h, wheel, unit.last, fault)
+            self._solve(h, wheel, unit.last, fault)
             return
         persists = unit.persists(message)
-        loose = self._explain(h, wheel, message)
+        loose = self._solve(h, wheel, message)
         if persists or (loose and unit.jumps(message)):
-            if not self._explain(h, wheel, unit.last, "jumps"):
+            if not self._solve(h, wheel, unit.last, "jumps"):
                 unit.reject()
                 return
-            self._explain(h, wheel, message)
+            self._solve(h, wheel, message)
         unit.accept(message)
 
-    def _explain(self, h: float, wheel: Array, message: Array, fault: str = "") -> bool:
+    def _solve(self, h: float, wheel: Array, message: Array, fault: str = "") -> bool:
         """Find the newer state, and the ``faults``, under the mildest explanation of the rows: no fault, the ball spins on the floor,
         one wheel slips, the ball slips. If none is good enough the best one counts. ``fault``: why the inertial message is another
         one's, which says little. Returns whether wheels, or the ball, slip in it."""
         memory, a = self._memory, self._memory.arrays
         a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, message[0], message[1]
-        choice, self.surprise = memory.take(h, self._turning, *self._doubt(h, message, fault), self._gate)
+        choice, self.surprise = memory.update(h, self._turning, *self._extra_variance(h, message, fault), self._gate)
         if choice < 0:
             raise np.linalg.LinAlgError("the residuals are not finite")
         stalled = a["stalled"].tolist()
@@ -202,7 +202,7 @@ class BallFilter:
         self.faults = certain + self._named(choice)
         return bool(choice > 0)
 
-    def _doubt(self, h: float, message: Array, fault: str) -> tuple[float, float]:
+    def _extra_variance(self, h: float, message: Array, fault: str) -> tuple[float, float]:
         """By how much the variances of turning [rad²] and push [m²/s²] are above those of a motion that does not change."""
         if fault:
             usual = self.noise.gyro, self.noise.accel
@@ -216,7 +216,7 @@ class BallFilter:
         return share * (a * a + b * b + c * c), share * (d * d + e * e + f * f)
 
     def _named(self, choice: int) -> tuple[str, ...]:
-        """What slips in an explanation (:func:`wbmpc.bases.ball.filter_solve.explain`)."""
+        """What slips in an explanation (:func:`wbmpc.bases.ball.filter_solve.solve_robust`)."""
         if choice == 0:
             return ()
         return (("ball spins", *(f"wheel_{i} slips" for i in range(self._n)), "ball slips")[choice - 1],)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.ball.filter_solve import take
+from wbmpc.bases.ball.filter_solve import update
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState
-from wbmpc.bases.ball.filter_step import Noise, State, go_on
+from wbmpc.bases.ball.filter_step import Noise, State, advance
 from wbmpc.kernel.step import Backend, bind
 
 Array = NDArray[np.float64]
 
 
 class FilterMemory:
-    """``arrays``: everything by its name in :mod:`wbmpc.bases.ball.filter_step`. Steps: ``take(h, torque, gyro_more, accel_more,
-    gate)`` finds the newer state, ``go_on(still, most)`` makes it the older one. The older state is the filter's."""
+    """``arrays``: everything by its name in :mod:`wbmpc.bases.ball.filter_step`. Steps: ``update(h, torque, gyro_more, accel_more,
+    gate)`` finds the newer state, ``advance(still, most)`` makes it the older one. The older state is the filter's."""
 
     def __init__(self, geometry: BallGeometry, noise: BallNoise, backend: Backend) -> None:
         self._made_of = geometry, noise, backend
@@ -33,8 +33,8 @@ class FilterMemory:
             "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
         }
         a = self.arrays
-        self.take = bind(take, a, backend, n=n, radius=float(geometry.radius))
-        self.go_on = bind(go_on, a, backend, n=n)
+        self.update = bind(update, a, backend, n=n, radius=float(geometry.radius))
+        self.advance = bind(advance, a, backend, n=n)
 
     def __deepcopy__(self, memo: dict[int, object]) -> FilterMemory:
         """Steps of the copy work on its own arrays, and so do those of others on these."""

@@ -127,7 +127,7 @@ def solve(
 
 
 @step
-def explain(
+def solve_robust(
     n: int, x: Floats, wheels: Floats, stalled: Floats, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats,
     moved: Floats, f: Floats, w: Floats, a: Floats, inverse: Floats, slope: Floats, error: Floats, covariance: Floats,
     plain: Floats, spin: Floats, best_error: Floats, best_covariance: Floats, gate: float,
@@ -154,7 +154,10 @@ def explain(
                 if i == j and (choice == 2 + i or choice == 2 + n):
                     more = ANY
                 q[(Row.ROLLING + i) * m + Row.ROLLING + j] = plain[i * n + j] + more
-        cost = solve(n, p, jx, jy, q, r, moved, f, w, a, inverse, slope, error, covariance)
+        cost = solve(
+            n=n, p=p, jx=jx, jy=jy, q=q, r=r, moved=moved, f=f, w=w, a=a, inverse=inverse, slope=slope, error=error,
+            covariance=covariance,
+        )  # fmt: skip
         if choice == 0:
             first = cost
         if cost < lowest:
@@ -169,7 +172,7 @@ def explain(
 
 
 @step
-def take(
+def update(
     n: int, x: Floats, y: Floats, z: Floats, gyro: Floats, accel: Floats, wheel: Floats, mount: Floats, wheels: Floats,
     radius: float, noise: Floats, turn: Floats, turned: Floats, half: Floats, middle: Floats, after: Floats,
     shift: Floats, pushed: Floats, slip: Floats, stalled: Floats, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats,
@@ -177,15 +180,17 @@ def take(
     plain: Floats, spin: Floats, best_error: Floats, best_covariance: Floats, h: float, torque: float, gyro_more: float,
     accel_more: float, gate: float,
 ) -> tuple[int, float]:  # fmt: skip
-    """The newer state ``z`` after a message: :func:`~wbmpc.bases.ball.filter_step.linearize`, :func:`explain` (what it returns) and
+    """The newer state ``z`` after a message: :func:`~wbmpc.bases.ball.filter_step.linearize`, :func:`solve_robust` (what it returns) and
     :func:`~wbmpc.bases.ball.filter_step.apply` in one."""
     linearize(
-        n, x, y, gyro, accel, wheel, mount, wheels, radius, noise, turn, turned, half, middle, after, shift, pushed, slip, jx, jy,
-        q, r, h, torque, gyro_more, accel_more,
+        n=n, x=x, y=y, gyro=gyro, accel=accel, wheel=wheel, mount=mount, wheels=wheels, radius=radius, noise=noise,
+        turn=turn, turned=turned, half=half, middle=middle, after=after, shift=shift, pushed=pushed, slip=slip, jx=jx,
+        jy=jy, q=q, r=r, h=h, torque=torque, gyro_more=gyro_more, accel_more=accel_more,
     )  # fmt: skip
-    choice, first = explain(
-        n, x, wheels, stalled, p, jx, jy, q, r, moved, f, w, a, inverse, slope, error, covariance, plain, spin, best_error,
-        best_covariance, gate,
+    choice, first = solve_robust(
+        n=n, x=x, wheels=wheels, stalled=stalled, p=p, jx=jx, jy=jy, q=q, r=r, moved=moved, f=f, w=w, a=a,
+        inverse=inverse, slope=slope, error=error, covariance=covariance, plain=plain, spin=spin, best_error=best_error,
+        best_covariance=best_covariance, gate=gate,
     )  # fmt: skip
     if choice >= 0:
         apply(n, y, best_error, turned, after, z)

@@ -241,9 +241,18 @@ def linearize(
         jx[i], jy[i] = 0.0, 0.0
     for i in range(m * m):
         q[i] = 0.0
-    integrate(n, h, x, y, gyro, accel, mount, wheels, radius, turn, turned, half, middle, after, shift, pushed)
-    inertial_rows(n, h, x, after, accel, mount, noise, turned, middle, jx, jy, q, r)
-    rolling_rows(n, h, x, y, wheel, wheels, radius, torque, noise, turn, turned, middle, pushed, slip, jx, jy, q, r)
+    integrate(
+        n=n, h=h, x=x, y=y, gyro=gyro, accel=accel, mount=mount, wheels=wheels, radius=radius, turn=turn, turned=turned,
+        half=half, middle=middle, after=after, shift=shift, pushed=pushed,
+    )  # fmt: skip
+    inertial_rows(
+        n=n, h=h, x=x, after=after, accel=accel, mount=mount, noise=noise, turned=turned, middle=middle, jx=jx, jy=jy,
+        q=q, r=r,
+    )  # fmt: skip
+    rolling_rows(
+        n=n, h=h, x=x, y=y, wheel=wheel, wheels=wheels, radius=radius, torque=torque, noise=noise, turn=turn,
+        turned=turned, middle=middle, pushed=pushed, slip=slip, jx=jx, jy=jy, q=q, r=r,
+    )  # fmt: skip
     for i in range(3):
         q[(Row.TURNING + i) * (m + 1)] += gyro_more
         q[(Row.PUSH + i) * (m + 1)] += accel_more
@@ -281,7 +290,7 @@ def detect_stalled(
 
 
 @step
-def go_on(
+def advance(
     n: int, x: Floats, y: Floats, z: Floats, p: Floats, best_covariance: Floats, gone: Floats, gyro: Floats, rate: Floats,
     wheel: Floats, read: Floats, way: Floats, stalled: Floats, still: float, most: float,
 ) -> None:  # fmt: skip
@@ -304,7 +313,7 @@ def accept(n: int, x: Floats, y: Floats, z: Floats, p: Floats, best_covariance: 
 
 
 @step
-def minimal(
+def minimal_state(
     m: int, x: Floats, rate: Floats, mount: Floats, angle: Floats, joint_rate: Floats, yaw: Floats, out: Floats
 ) -> None:
     """The state ``out`` of the minimal model: (x, y, yaw, pitch, roll, m joints) and their rates, of a filter's ``x``, the base's

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.ball.balance import Balance
-from wbmpc.bases.ball.lean_step import BASE, worth
+from wbmpc.bases.ball.lean_step import BASE, lean_offsets
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import DisturbanceTooLarge
 from wbmpc.kernel.step import Backend, bind
@@ -50,7 +50,9 @@ class LeanControl:
             "heading": np.zeros(BASE),
             "shift": self.balance.shift.ravel(),
         }
-        self._worth = bind(worth, arrays | {"whole": (self.balance.shift + self.balance.stand).ravel()}, backend)
+        self._lean_offsets = bind(
+            lean_offsets, arrays | {"whole": (self.balance.shift + self.balance.stand).ravel()}, backend
+        )
         self.reach = float(self.balance.reach.min())
         self._room = max(MAXIMUM - share, 0.0) * self.reach
         self._ball_speed = slice(robot.base.nq, robot.base.nq + 2)
@@ -68,14 +70,14 @@ class LeanControl:
     def shift(self, force: Array, yaw: float) -> Array:
         """By how much (2) [m] the divergent component counts like more than it is, along the world's x and y, under the learned
         generalized ``force`` (nq) [N, N m] at a heading [rad]."""
-        return np.array(self._worths(force, yaw)[:2])
+        return np.array(self._offsets(force, yaw)[:2])
 
     def center(self, force: Array, yaw: float) -> Array:
         """The same for the limit of the lean: about the lean with which the robot stands still, as far as the reach allows.
 
         What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MAXIMUM`.
         """
-        x, y, *borne = self._worths(force, yaw)
+        x, y, *borne = self._offsets(force, yaw)
         share = min(1.0, self._room / max(math.hypot(*borne), 1e-12))
         c, s = cos_sin(yaw)
         bx, by = share * borne[0], share * borne[1]
@@ -86,7 +88,7 @@ class LeanControl:
         lean can hold, or a strong one that drives the ball with half of ``speed``. Raises :class:`DisturbanceTooLarge` when it has
         driven it with all of it for as long. What is left of a push that is over counts as neither.
         """
-        borne = math.hypot(*self._worths(force, float(x[2]))[2:]) / self.reach
+        borne = math.hypot(*self._offsets(force, float(x[2]))[2:]) / self.reach
         vx, vy = x[self._ball_speed].tolist()
         # a ball that rolls back against the force is not driven by it
         self._largest = max(self._largest, borne) if borne > STRONG else 0.0
@@ -106,11 +108,11 @@ class LeanControl:
                 f"{what}: the ball goes faster than {self.speed:g} m/s (max_pushed_speed); motors off"
             )
 
-    def _borne(self, force: Array, yaw: float) -> Array:
-        return np.array(self._worths(force, yaw)[2:])
+    def _balanced_offset(self, force: Array, yaw: float) -> Array:
+        return np.array(self._offsets(force, yaw)[2:])
 
-    def _worths(self, force: Array, yaw: float) -> list[float]:
+    def _offsets(self, force: Array, yaw: float) -> list[float]:
         """Shift (2), along the world's axes, what the wheels bear (2), along the heading's, [m] of the reach."""
         self._force[:] = force[:BASE]
-        self._worth(yaw)
+        self._lean_offsets(yaw)
         return self._out.tolist()

@@ -12,7 +12,7 @@ BASE = 5
 
 
 @step
-def worth(shift: Floats, whole: Floats, force: Floats, heading: Floats, out: Floats, yaw: float) -> None:
+def lean_offsets(shift: Floats, whole: Floats, force: Floats, heading: Floats, out: Floats, yaw: float) -> None:
     """Of a ``force`` (5) in the world's axes: ``shift`` (2, 5) times it along the world's axes, and ``whole`` (2, 5) times it along
     those of the base's ``heading`` at ``yaw`` [rad], in ``out`` (4)."""
     c, s = np.cos(yaw), np.sin(yaw)

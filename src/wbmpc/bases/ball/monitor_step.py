@@ -7,13 +7,13 @@ from wbmpc.kernel.ir import Floats
 
 
 @compiled
-def beyond(value: float, doubt: float) -> float:
+def deadband(value: float, doubt: float) -> float:
     """What of a value is beyond ± ``doubt``."""
     return max(value - doubt, 0.0) - max(-value - doubt, 0.0)
 
 
 @step
-def surprises(n: int, arm: Floats, surprised: Floats, anchor: Floats, still: float) -> bool:
+def has_jumped(n: int, arm: Floats, surprised: Floats, anchor: Floats, still: float) -> bool:
     """Whether a reading came as a surprise and moved. (One that did not move is what is looked for.)"""
     found = False
     for i in range(n):
@@ -23,7 +23,7 @@ def surprises(n: int, arm: Floats, surprised: Floats, anchor: Floats, still: flo
 
 
 @step
-def watch(
+def detect_frozen(
     n: int, arm: Floats, speed: Floats, acceleration: Floats, anchor: Floats, believed: Floats, gone: Floats, then: Floats,
     stood: Floats, low: Floats, high: Floats, standing: Floats, still: float, expected: float, crawl: float, doubt: float,
     min_standstill: float, h: float, doubted: bool,
@@ -33,11 +33,11 @@ def watch(
     for i in range(n):
         stands = abs(arm[i] - anchor[i]) <= still and arm[i] >= low[i] and arm[i] <= high[i]
         if stands and not doubted:
-            believed[i] += h * beyond(acceleration[i] - then[i], doubt)
+            believed[i] += h * deadband(acceleration[i] - then[i], doubt)
             gone[i] += h * believed[i]
             stood[i] += h
         else:  # at the first reading too
-            anchor[i], believed[i], then[i] = arm[i], beyond(speed[i], crawl), acceleration[i]
+            anchor[i], believed[i], then[i] = arm[i], deadband(speed[i], crawl), acceleration[i]
             gone[i], stood[i] = 0.0, 0.0
         standing[i] = 1.0 if abs(gone[i]) > expected and stood[i] >= min_standstill - 1e-9 else 0.0
         if standing[i] > 0.0:

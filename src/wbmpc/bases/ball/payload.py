@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.ball.payload_step import AFTER, CALM, Load, Rule, change, learn, weigh
+from wbmpc.bases.ball.payload_step import AFTER, CALM, Load, Rule, change, learn, update_mass
 from wbmpc.checks import finite, not_negative, numbers, positive
 from wbmpc.errors import InputError
 from wbmpc.kernel.step import Backend, Step, bind
@@ -68,17 +68,17 @@ class PayloadEstimator:
             raise InputError(f"{_WHO}: 'h' must not be negative, got {h} s")
         n = np.size(q)
         q, force = numbers(_WHO, "q", q, n), numbers(_WHO, "force", force, n)
-        a = self._take(self.weight(q), force)
+        a = self._load(self.weight(q), force)
         self._steps["learn"](h)
         return a["force"].copy()
 
     def change(self, by: float, known: float, weight: Array, force: Array) -> Array:
         """Change the mass ``by`` [kg]; the disturbance ``force`` (nq), which had the ``known`` share of it, without that."""
-        a = self._take(weight, force)
+        a = self._load(weight, force)
         self._steps["change"](by, known)
         return a["force"].copy()
 
-    def _take(self, weight: Array, force: Array) -> dict[str, Array]:
+    def _load(self, weight: Array, force: Array) -> dict[str, Array]:
         a, n = self._arrays, weight.size
         if "force" not in a or a["force"].size != n:
             a["weight"], a["force"] = np.zeros(n), np.zeros(n)
@@ -86,13 +86,13 @@ class PayloadEstimator:
         a["weight"][:], a["force"][:] = weight, force
         return a
 
-    def follow(self, q: Array, observed: dict[str, Array], learning: float, h: float) -> None:
+    def observe(self, q: Array, observed: dict[str, Array], learning: float, h: float) -> None:
         """Weigh for ``h`` [s] at joint positions q (nq) what a disturbance observer has found, whose arrays ``observed`` are (always
         the same ones), at once where a load comes or goes; its ``force`` goes without what became mass.
         ``learning``: see :class:`wbmpc.estimation.disturbance.DisturbanceObserver`."""
         a, n = self._arrays, q.size
-        if "weigh" not in self._steps:
+        if "update_mass" not in self._steps:
             own = {name: np.zeros(n) for name in ("weight", "model", "believed", "apart")}
-            self._own, self._steps["weigh"] = own, bind(weigh, a | observed | own, self._backend, n=n)
+            self._own, self._steps["update_mass"] = own, bind(update_mass, a | observed | own, self._backend, n=n)
         self._own["weight"][:] = self.weight(q)
-        self._steps["weigh"](learning, h)
+        self._steps["update_mass"](learning, h)

@@ -50,7 +50,7 @@ class Rule(IntEnum):
 
 
 @compiled
-def by_arm(n: int, weight: Floats, rule: Floats) -> bool:
+def arm_observes_mass(n: int, weight: Floats, rule: Floats) -> bool:
     """Whether the arm observes a mass by itself and better than the base."""
     whole, own = 0.0, 0.0
     for i in range(n):
@@ -74,7 +74,7 @@ def change(n: int, weight: Floats, force: Floats, load: Floats, rule: Floats, by
 @step
 def learn(n: int, weight: Floats, force: Floats, load: Floats, rule: Floats, h: float) -> None:
     """What of the ``force`` is like the weight becomes mass, for ``h`` [s], where the arm observes it."""
-    if not by_arm(n, weight, rule):
+    if not arm_observes_mass(n, weight, rule):
         return
     alike, square = 0.0, 0.0
     for i in range(n):
@@ -86,7 +86,7 @@ def learn(n: int, weight: Floats, force: Floats, load: Floats, rule: Floats, h: 
 
 
 @compiled
-def feel(
+def detect_change(
     n: int, velocity: Floats, model: Floats, mass: Floats, force: Floats, weight: Floats, believed: Floats, apart: Floats,
     load: Floats, learning: float, h: float,
 ) -> tuple[float, float]:  # fmt: skip
@@ -127,17 +127,17 @@ def feel(
 
 
 @step
-def weigh(
+def update_mass(
     n: int, velocity: Floats, after: Floats, innovation: Floats, mass: Floats, force: Floats, weight: Floats, model: Floats,
     believed: Floats, apart: Floats, load: Floats, rule: Floats, learning: float, h: float,
 ) -> None:  # fmt: skip
     """The mass of this tick, at once where a load comes or goes, else as it is learned; the ``force`` goes without it. ``velocity``,
     ``after``, ``innovation`` and ``mass`` are those of :func:`wbmpc.estimation.disturbance_step.observe`, ``h`` [s] ago."""
-    if not by_arm(n, weight, rule):
+    if not arm_observes_mass(n, weight, rule):
         return
     for i in range(n):
         model[i] = (after[i] - velocity[i] + innovation[i]) / h
-    by, known = feel(n, velocity, model, mass, force, weight, believed, apart, load, learning, h)
+    by, known = detect_change(n, velocity, model, mass, force, weight, believed, apart, load, learning, h)
     if load[Load.CHANGING] > 0.0:
         change(n, weight, force, load, rule, by, known)
     else:

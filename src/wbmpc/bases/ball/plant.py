@@ -17,7 +17,7 @@ from wbmpc import lie
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.perturbation import check_perturbation
-from wbmpc.bases.ball.sensor_step import minimal_of
+from wbmpc.bases.ball.sensor_step import minimal_state
 from wbmpc.bases.ball.sensors import BallSensors, WheelGeometry
 from wbmpc.bases.ball.servo import ActuatorServo
 from wbmpc.checks import numbers, whole
@@ -109,11 +109,14 @@ class BallPlant(WorldAccess):
         arrays = {"q": np.zeros(self.model.nq), "v": np.zeros(self.model.nv), "state": np.zeros(10 + 2 * n)}
         places = {"arm_q": self._arm_q.astype(np.int64), "arm_v": self._arm_v.astype(np.int64)}
         self._minimal = arrays | places
-        self._to_minimal: Callable[[], None] = bind(minimal_of, self._minimal, m=n).call
+        self._to_minimal: Callable[[], None] = bind(minimal_state, self._minimal, m=n).call
         self._late, jitter = round(p.state_age / timestep), round(p.encoder_jitter / timestep)
         wheels = WheelGeometry.of(self.base, self.draw.radius)
         sizes, ball = (self.model.nq, self.model.nv), (int(self._ball.qposadr[0]), int(self._ball.dofadr[0]))
         self.sensors = BallSensors(p, self.draw, wheels, self._mount(), timestep, jitter, sensor_rng, sizes, ball)
+        # (views of the simulator's memory: to ask for them anew costs as much as to write into them)
+        self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
+        self.sensors.attach(self._qpos, self._qvel)
         self.servo = ActuatorServo(
             p.arm_counts, np.concatenate([np.zeros(len(wheels.turn)), self.draw.arm_offset]), timestep
         )
@@ -241,7 +244,7 @@ class BallPlant(WorldAccess):
         mujoco.mj_kinematics(self.model, d)
 
     def _record(self) -> None:
-        self._history.append(self.sensors.advance(self.data.qpos, self.data.qvel))
+        self._history.append(self.sensors.measure())
 
     # ------------------------------------------------------------------ running
     def _state_of(self, q: Array, v: Array) -> Array:
@@ -275,11 +278,14 @@ class BallPlant(WorldAccess):
 
     def step(self, command: BallCommand, steps: int = 1) -> None:
         """Hold torques for ``steps`` physics steps; drives clip at their limits."""
-        torque, plain = self.servo.feedforward(command), command.stiffness.size == 0
-        for k in range(steps):
-            self._commands.append(torque if plain else self._servo_torque(command, k * self.timestep))
-            self.world.advance(self._drive)
-            self._record()
+        torque = self.servo.feedforward(command)
+        if command.stiffness.size == 0:
+            self._given = torque
+            self.world.advance(self._drive_given, steps, self._record)
+        else:
+            for k in range(steps):
+                self._commands.append(self._servo_torque(command, k * self.timestep))
+                self.world.advance(self._drive, 1, self._record)
         self.world.check()
 
     def _servo_torque(self, command: BallCommand, since: float) -> Array:
@@ -288,12 +294,17 @@ class BallPlant(WorldAccess):
         now, before = (np.concatenate([one.wheel, one.q[self._arm_q]]) for one in seen)
         return self.servo.torque(command, since, now, before, steps)
 
+    def _drive_given(self) -> None:
+        """As :meth:`_drive`, after torques that are the same for all physics steps of a command."""
+        self._commands.append(self._given)
+        self._drive()
+
     def _drive(self) -> None:
         """Controls of one physics step: the command of a dead time ago, or what elastic drives make of it."""
         command, d = self._commands[0], self.data
-        d.ctrl[:] = command
+        self._ctrl[:] = command
         if self.drives is not None:
-            d.ctrl[self._elastic] = self.drives.step(command[self._elastic], d.actuator_velocity[self._elastic])
+            self._ctrl[self._elastic] = self.drives.step(command[self._elastic], d.actuator_velocity[self._elastic])
 
     @property
     def torque(self) -> Array:

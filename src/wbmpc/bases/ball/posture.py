@@ -7,6 +7,9 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.model.robot import RobotModel
 
+#: Evaluations at most: poses within reach take up to 20, one far out of reach would take hundreds and come no nearer.
+EVALUATIONS = 40
+
 
 def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     """State (nx) in which the robot rests with its end effector as near as it can be to a pose, and its arm near that of home.
@@ -27,4 +30,5 @@ def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> 
         turned = lie.quaternion_log(lie.quaternion_multiply(turn, target))
         return np.concatenate([place - position, 0.3 * turned, 1e-3 * (z[3:] - arm)])
 
-    return state(least_squares(error, np.concatenate([np.zeros(3), arm]), diff_step=1e-5).x)
+    start = np.concatenate([np.zeros(3), arm])
+    return state(least_squares(error, start, diff_step=1e-5, max_nfev=EVALUATIONS).x)

@@ -24,7 +24,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Brakes, Estimate, Fix, Groups, LegCommands, PendingChanges
+from wbmpc.ros2.base_adapter import Brakes, Estimate, Fix, Groups, LegCommands, PendingChanges, obstacles_of
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import EndEffectorTrack, Planner, Task
@@ -80,8 +80,8 @@ class BusBallController(BallController):
         if fix is not None:
             state = self.estimator.correct(*fix)
         self.measured = self.seen = BallMeasurement(message.now, state, age)
-        self._watch(message.time, message.arm, interval or self.period)
-        self._feel_shoves(state, interval or self.period)
+        self._monitor_encoders(message.time, message.arm, interval or self.period)
+        self._detect_pushes(state, interval or self.period)
         if self.observer is not None:
             self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
@@ -190,7 +190,9 @@ class BallRosAdapter:
         self.robot, self.settings, self.period = robot, settings, period
         self.planner = Planner(robot, settings.speeds, settings.goals)
         self.pending = PendingChanges()
-        self.mpc, self._model = (rezero_mpc(robot, settings.mpc, settings.cost) for _ in range(2))
+        self.obstacles = obstacles_of(settings)
+        self.mpc = rezero_mpc(robot, settings.mpc, settings.cost, self.obstacles)
+        self._model = rezero_mpc(robot, settings.mpc, settings.cost)
         self.mpc.guess = self.pending
         self.brakes: Brakes | None = None
         self.legs: Array | None = None

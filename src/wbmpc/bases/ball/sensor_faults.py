@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.ball.monitor_step import surprises, watch
+from wbmpc.bases.ball.monitor_step import detect_frozen, has_jumped
 from wbmpc.bases.ball.self_contact import SelfContact
 from wbmpc.checks import not_negative, positive
 from wbmpc.kernel.step import Backend, bind
@@ -98,8 +98,8 @@ class EncoderMonitor:
         a = self._arrays = {name: np.zeros(n) for name in _ARRAYS}
         a["low"][:], a["high"][:], a["anchor"][:] = low + NEAR, high - NEAR, np.nan
         constants = {"expected": expected, "crawl": crawl, "doubt": doubt, "min_standstill": min_standstill}
-        self._surprises = bind(surprises, a, backend, n=n, still=still)
-        self._watch = bind(watch, a, backend, n=n, still=still, **constants)
+        self._has_jumped = bind(has_jumped, a, backend, n=n, still=still)
+        self._detect_frozen = bind(detect_frozen, a, backend, n=n, still=still, **constants)
         self._durations: dict[str, float] = {}
         self._contact = contact
         self._doubted_until = -np.inf
@@ -116,7 +116,7 @@ class EncoderMonitor:
         doubted, standing = self._in_doubt(t, surprised), 0
         if acceleration is not None:
             a["speed"][:], a["acceleration"][:] = speed, acceleration
-            standing = self._watch(interval, doubted)
+            standing = self._detect_frozen(interval, doubted)
         if not (standing or estimator_faults or self._durations):
             return []
         stalled = self._stalled(t, state) if standing else []
@@ -141,7 +141,7 @@ class EncoderMonitor:
         """Whether speeds, and what the model makes of them, are to be believed: not just after a surprise."""
         if surprised is not None:
             self._arrays["surprised"][:] = surprised
-            if self._surprises():
+            if self._has_jumped():
                 self._doubted_until = t + DOUBTED
         return t < self._doubted_until
 

@@ -20,7 +20,7 @@ def matrix_of(q: Floats, at: int, r: Floats) -> None:
 
 
 @step
-def see(
+def measure(
     n: int, nq: int, nv: int, ball_q: int, ball_v: int, q: Floats, v: Floats, mount: Floats, wheels: Floats, row: Floats,
     velocity: Floats, rotation: Floats, last: Floats, turned: Floats, h: float, first: bool,
 ) -> None:  # fmt: skip
@@ -61,7 +61,7 @@ def see(
 
 
 @step
-def minimal_of(m: int, q: Floats, v: Floats, arm_q: Integers, arm_v: Integers, state: Floats) -> None:
+def minimal_state(m: int, q: Floats, v: Floats, arm_q: Integers, arm_v: Integers, state: Floats) -> None:
     """The minimal ``state``, x, y, yaw, pitch, roll, m joints and their rates, of positions ``q`` and velocities ``v`` in MuJoCo's
     conventions; joints are at ``arm_q`` (m) and ``arm_v`` (m)."""
     w, x, y, z = q[3], q[4], q[5], q[6]

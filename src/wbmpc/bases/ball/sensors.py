@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.description import BallBaseDescription
-from wbmpc.bases.ball.sensor_step import GRAVITY, see
+from wbmpc.bases.ball.sensor_step import GRAVITY, measure
 from wbmpc.errors import unknown_name
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.simulation.perturbation import Perturbation, PlantSample, quantize
@@ -89,13 +89,19 @@ class BallSensors:
         self._arrays = {name: np.zeros(length) for name, length in lengths.items()} | {
             "mount": np.array(mount, float), "wheels": np.array(wheels.turn, float).ravel(),
         }  # fmt: skip
-        indices = {"n": n, "nq": nq, "nv": nv, "ball_q": ball[0], "ball_v": ball[1]}
-        self._see = bind(see, self._arrays, backend, h=timestep, **indices)
+        self._indices = {"n": n, "nq": nq, "nv": nv, "ball_q": ball[0], "ball_v": ball[1]}
+        self._backend: Backend = backend
+        self._measure = bind(measure, self._arrays, backend, h=timestep, **self._indices)
         self.restart()
+
+    def attach(self, q: Array, v: Array) -> None:
+        """From now on :meth:`measure` reads these positions and velocities, which a simulator goes on writing."""
+        self._measure = bind(measure, self._arrays | {"q": q, "v": v}, self._backend, h=self._h, **self._indices)
 
     def restart(self) -> None:
         """Integrals and wheel angles start at zero."""
-        self._arrays["row"][:] = 0.0
+        self._row = self._arrays["row"]
+        self._row[:] = 0.0
         self._first, self._rest = True, np.zeros(3)
         self._given: tuple[Array, Array, int] = np.zeros(3), np.zeros(3), 0
         self._held: dict[tuple[str, int], float] = {}
@@ -103,15 +109,18 @@ class BallSensors:
     # ------------------------------------------------------------------ physics
     def advance(self, q: Array, v: Array) -> Array:
         """What there is to be seen (see :meth:`seen`) after a physics step, the first time at the start."""
-        a = self._arrays
-        a["q"][:], a["v"][:] = q, v
-        self._see(self._first)
+        self._arrays["q"][:], self._arrays["v"][:] = q, v
+        return self.measure()
+
+    def measure(self) -> Array:
+        """As :meth:`advance`, of the arrays that were given to :meth:`attach`."""
+        self._measure(self._first)
         if self._first:
-            self._rest, self._first = GRAVITY * a["rotation"][6:9], False
+            self._rest, self._first = GRAVITY * self._arrays["rotation"][6:9], False
         elif self.faults:
             for fault in self._acting("slip"):
-                a["row"][self._wheel][fault.number] += self._h * fault.speed
-        return a["row"].copy()
+                self._row[self._wheel][fault.number] += self._h * fault.speed
+        return self._row.copy()
 
     def seen(self, row: Array) -> Seen:
         """A result of :meth:`advance` by its parts."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.ball.torque_step import possible
+from wbmpc.bases.ball.torque_step import limit_torques
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 
@@ -23,14 +23,14 @@ class TorqueLimits:
         arrays = {"torque": np.zeros(size), "out": np.zeros(size), "at": np.zeros(n + 1), "room": np.zeros(n + 1)}
         self._arrays = arrays | {"along": self.spin / length, "limit": self.limit.copy()}
         largest = robot.description.limits.spin_effort / length
-        self._possible = bind(possible, self._arrays, backend, n=n, size=size, largest=largest)
+        self._limit = bind(limit_torques, self._arrays, backend, n=n, size=size, largest=largest)
 
-    def possible(self, torque: Array) -> Array:
+    def limited(self, torque: Array) -> Array:
         """Torques within the limits. Wheels that are clipped one by one would spin the ball.
 
         What leans stays as it is while some spin within its limit lets all wheels have it, and the spin nearest to the one
         asked for is taken; what leans is scaled as a whole only where there is none.
         """
         self._arrays["torque"][:] = torque
-        self._possible()
+        self._limit()
         return self._arrays["out"].copy()

@@ -7,7 +7,7 @@ from wbmpc.kernel.ir import Floats
 
 
 @step
-def possible(
+def limit_torques(
     n: int,
     size: int,
     torque: Floats,

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from wbmpc.bases.planar.description import Place, PlanarBaseDescription
+from wbmpc.bases.planar_motion.description import Place, PlanarBaseDescription
 
 
 class DifferentialBaseDescription(PlanarBaseDescription):

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from wbmpc.bases.differential.model import caster_places
-from wbmpc.bases.planar.plant import PlanarPlant, contact_settings
+from wbmpc.bases.planar_motion.plant import PlanarPlant, contact_settings
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.world import Array
 

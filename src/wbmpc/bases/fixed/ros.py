@@ -9,11 +9,11 @@ import numpy as np
 
 from wbmpc.bases.fixed.ros_settings import FixedRosSettings
 from wbmpc.control.direct import DirectController, InputCommand, StateMeasurement
-from wbmpc.default_problem import DefaultCost, default_problem, stay_at_home
+from wbmpc.default_problem import DefaultCost, default_problem, keep_clear, stay_at_home
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges, obstacles_of
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 
@@ -36,7 +36,10 @@ class FixedRosAdapter:
         self.robot, self.settings = robot, settings
         self.planner = Planner(robot, settings.speeds, settings.goals)
         self.pending = PendingChanges()
-        self.mpc = MPC(self.problem(settings.cost), settings.mpc.solver(), settings.mpc.rate, guess=self.pending)
+        self.obstacles = obstacles_of(settings)
+        problem = keep_clear(self.problem(settings.cost), robot, self.obstacles)
+        solver, rate = settings.mpc.solver(), settings.mpc.rate
+        self.mpc = MPC(problem, solver, rate, guess=self.pending, obstacles=self.obstacles)
         stay_at_home(robot, self.mpc)
         self.pending.bind(self.mpc)
         lag = settings.actuator_time_constant

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from wbmpc.bases.planar.description import PlanarBaseDescription
+from wbmpc.bases.planar_motion.description import PlanarBaseDescription
 
 #: Largest angle [deg] between a roller's axle and the rolling direction: beyond it a wheel passes on hardly any speed.
 STEEPEST = 75.0

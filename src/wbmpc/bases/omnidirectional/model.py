@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.omnidirectional.description import OmnidirectionalBaseDescription
-from wbmpc.bases.planar.model import PlanarBase
-from wbmpc.bases.planar.wheels import FixedWheels
+from wbmpc.bases.planar_motion.model import PlanarBase
+from wbmpc.bases.planar_motion.wheels import FixedWheels
 from wbmpc.errors import InputError
 from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription

@@ -14,7 +14,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.bases.omnidirectional.model import roller_angles
-from wbmpc.bases.planar.plant import PlanarPlant, contact_settings
+from wbmpc.bases.planar_motion.plant import PlanarPlant, contact_settings
 from wbmpc.simulation.contacts import ROLLER
 
 #: Rollers of a wheel: with 16, a mecanum or omni wheel of 0.1 m runs out of round by less than 0.1 mm.

@@ -12,9 +12,9 @@ import numpy as np
 from wbmpc.bases.base import Proposal, Question
 from wbmpc.bases.omnidirectional.description import OmnidirectionalBaseDescription
 from wbmpc.bases.omnidirectional.model import omnidirectional_base
-from wbmpc.bases.planar.model import PlanarBase
-from wbmpc.bases.planar.plugin import PlanarBaseType
-from wbmpc.bases.planar.proposal import axles, fixed_wheels, headings, propose
+from wbmpc.bases.planar_motion.model import PlanarBase
+from wbmpc.bases.planar_motion.plugin import PlanarBaseType
+from wbmpc.bases.planar_motion.proposal import axles, fixed_wheels, headings, propose
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import RobotDescription
 

@@ -1,1 +1,1 @@
-"""What base types share whose wheels are fixed to the body: wheel rates are a constant matrix times the body's twist."""
+"""A base that takes speeds, whatever is under it: skid steering, tracks, the driver of somebody else."""

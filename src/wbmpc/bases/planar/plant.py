@@ -1,164 +1,108 @@
-"""A robot on fixed wheels in MuJoCo. What its wheels are a base type adds."""
+"""A base that takes speeds in MuJoCo: nobody knows its wheels, so a force between floor and body drives it, within friction.
+
+The body stands on feet without friction. Its driver is a servo of the body's speeds with a lag; what it reports of its own motion has
+its scale errors, and does not see how far skidding wheels or tracks turn less than they roll.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.bases.planar.description import PlanarBaseDescription
-from wbmpc.bases.planar.messages import PlanarCommand, PlanarMeasurement
-from wbmpc.bases.planar.model import PlanarBase
-from wbmpc.bases.planar.perturbation import check_perturbation
+from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.planar_motion.plant import PlanarPlant, contact_settings
 from wbmpc.checks import numbers
-from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
-from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
-from wbmpc.simulation.contacts import ROLLING
-from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant
-from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
-from wbmpc.types import Truth
+from wbmpc.simulation.world import Array
+
+#: Half a side [m] of the square of feet about the center of mass, where a file has none; radius [m] of a foot.
+STANCE, FOOT = 0.3, 0.04
+#: Contact softness of a foot (time constant [s], damping ratio).
+STIFF = [0.004, 1.0]
+#: Time constant [s] of the body's motion under the servo's force.
+RESPONSE = 0.01
+#: Share of a turn that is lost where wheels or tracks are dragged sideways.
+LOST = 0.05
 
 
-class PlanarPlant(WheeledPlant):
-    """Physics, drives and sensors. Subclasses add what touches the ground: :meth:`add_wheel` and :meth:`add_supports`.
-
-    ``state`` (nx) of the planner's layout: where the robot starts, as its encoders see it; left out: the model's home.
-    ``perturbation`` and ``seed``: how it differs from the model. ``edit`` changes the specification before it is compiled;
-    ``settle`` [s]: time to sink into the tires before time 0.
-    """
-
-    def __init__(
-        self,
-        robot: RobotModel,
-        state: Array | None = None,
-        perturbation: Perturbation | None = None,
-        seed: int = 0,
-        timestep: float = TIMESTEP,
-        *,
-        edit: Edit | None = None,
-        settle: float = 0.5,
-    ) -> None:
-        self.robot, description = robot, robot.description
-        self.description = description
-        assert isinstance(description.base, PlanarBaseDescription) and isinstance(robot.base, PlanarBase)
-        self.base, self.model_base, self.timestep = description.base, robot.base, timestep
-        self.perturbation = perturbation or Perturbation()
-        check_perturbation(self.perturbation)
-        draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-        self._names = {
-            "wheel": self.base.wheel_joints(),
-            **{g: robot.base.state[g] for g in robot.base.state if g != "base"},
-        }
-        spec = load_spec(description, meshes=True)
-        bodies = [b.name for b in spec.bodies if b.name != "world"]
-        self.draw = self.perturbation.draw(draw_rng, bodies, self._drives(), len(self._names["arm"]))
-        with named(description.model):
-            self._build(spec, edit)
-        names = [n for group in self._names.values() for n in group]
-        self.world = World(spec, description, names, {n: description.limits.velocity.get(n, np.inf) for n in names})
-        self.model, self.data = self.world.model, self.world.data
-        self.index()
-        self.start_sensors({**{g: np.zeros(len(n)) for g, n in self._names.items()}, "arm": self.draw.arm_offset})
-        start = robot.home if state is None else numbers("start", "state", state, robot.state.size)
-        self.arrange(start)
-        self.data.qpos[self._q["arm"]] -= self.offsets["arm"]
-        self.settle(settle)
-
-    # ------------------------------------------------------------------ what base types add
-    def _drives(self) -> int:
-        """How many drives move the base."""
-        return len(self._names["wheel"]) or len(self.model_base.rates)
-
-    def add_wheel(self, spec: mujoco.MjSpec, index: int, radius: float, friction: list[float]) -> None:
-        """Give wheel ``index`` of ``radius`` [m] what touches the floor with ``friction`` (slide, spin, roll)."""
-        raise NotImplementedError
+class MobilePlant(PlanarPlant):
+    """``rolled`` (m): the way [m, rad] along each of the base's speeds, as its driver counts it."""
 
     def add_supports(self, spec: mujoco.MjSpec, weight: float) -> None:
-        """What else carries the robot, of ``weight`` [N]: casters."""
+        """The feet."""
+        settings = {**contact_settings([0.0, 0.0, 0.0]), "condim": 1, "priority": 1, "solref": STIFF}
+        for x, y in self._feet():
+            spec.body(self.base.body).add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=[x, y, FOOT - self.base.height], size=[FOOT, 0, 0], mass=0, **settings
+            )  # fmt: skip
 
-    # ------------------------------------------------------------------ building
-    def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
-        friction = self.stand_on_floor(spec)
-        weight = float(spec.compile().body_mass.sum()) * 9.81
-        for i in range(len(self._names["wheel"])):
-            self.drive_wheel(spec, i)
-            self.add_wheel(spec, i, self.model_base.geometry.radius * float(self.draw.radius[i]), friction)
-        self.add_supports(spec, weight)
-        self.finish(spec, edit)
-
-    def drive_wheel(self, spec: mujoco.MjSpec, i: int) -> None:
-        """The servo of wheel ``i``, and the sensor of what it carries."""
-        name, body = self._names["wheel"][i], spec.joint(self._names["wheel"][i]).parent
-        spec.joint(name).armature, spec.joint(name).frictionloss = 0.03, self.perturbation.dry_friction
-        effort = self.description.limits.effort.get(name, np.inf)
-        add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, self.draw.wheel_lag[i], WHEEL_GAIN)
-        # net force of all that touches below this body (data: force; reduction 3: net force)
-        spec.add_sensor(
-            name=f"contact_{name}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name,
-            intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1],
-        )  # fmt: skip
+    def _feet(self) -> Array:
+        """(n, 2) [m] in the axes of the body."""
+        if self.base.casters:
+            return np.array(self.base.casters)
+        model = load_spec(self.description).compile()
+        data, body = mujoco.MjData(model), model.body(self.base.body).id
+        for name, angle in self.description.home.items():
+            data.qpos[model.jnt_qposadr[model.joint(name).id]] = angle
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        center = data.xmat[body].reshape(3, 3).T @ (data.subtree_com[body] - data.xpos[body])
+        return center[:2] + STANCE * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 
     def index(self) -> None:
-        """Also the wheels' bodies, and every group's drives with their limits of speed."""
+        """Also the servo: masses that it moves, and its limits by friction."""
         super().index()
-        m, names, speed = self.model, self._names, self.description.limits.velocity
-        self._control = {g: np.array([m.actuator(n).id for n in part], dtype=int) for g, part in names.items()}
-        self._speed = {g: np.array([speed.get(n, np.inf) for n in part]) for g, part in names.items()}
-        self._hubs = [int(m.jnt_bodyid[m.joint(n).id]) for n in names["wheel"]]
+        m = self.model
+        self._body = m.body(self.base.body).id
+        self._inverse = np.linalg.pinv(self.model_base.twist)
+        self._order = self._speeds = np.zeros(self._inverse.shape[0])
+        self.rolled: Array = np.zeros_like(self._order)
+        mass = float(m.body_subtreemass[self._body])
+        turning = mass * STANCE**2
+        self._inertia = np.array([mass, mass, turning])
+        grip = self.draw.friction * self.weight
+        self._grip = np.array([grip, grip, grip * STANCE])
+        self._lost = np.ones(len(self._order))
+        self._lost[-1] -= LOST if self.base.slips else 0.0
 
     def arrange(self, state: Array) -> None:
         """Put the bodies where a planner's state (nx) has them, for pictures: no physics, no offsets."""
-        d, radius = self.data, self.model_base.geometry.radius
-        pose = np.array([*state[:2], 0.0, *lie.quaternion_about([0.0, 0.0, 1.0], state[2])])
-        self.world.place(pose)
-        for group in self._names:
-            if group in self.robot.state:
-                d.qpos[self._q[group]] = state[self.robot.state[group]]
-        put_followers(self.model, d)
-        mujoco.mj_kinematics(self.model, d)
-        pose[2] = radius - float(np.mean(d.xpos[self._hubs, 2]))
-        self.world.place(pose)
-        mujoco.mj_kinematics(self.model, d)
+        pose = [*state[:2], self.base.height, *lie.quaternion_about([0.0, 0.0, 1.0], state[2])]
+        self.world.place(np.array(pose))
+        self.data.qpos[self._q["arm"]] = state[self.robot.state["arm"]]
+        put_followers(self.model, self.data)
+        mujoco.mj_kinematics(self.model, self.data)
 
-    # ------------------------------------------------------------------ running
+    def carry_arm(self) -> None:
+        """Also the force that drives the body."""
+        super().carry_arm()
+        m, d, velocity = self.model, self.data, np.zeros(6)
+        self._speeds = self._speeds + (1.0 - np.exp(-self.timestep / self.draw.wheel_lag)) * (
+            self._order - self._speeds
+        )
+        mujoco.mj_objectVelocity(m, d, mujoco.mjtObj.mjOBJ_XBODY, self._body, velocity, 1)
+        moving = np.array([velocity[3], velocity[4], velocity[2]])
+        target = self.model_base.twist @ (self._speeds * self.draw.radius * self._lost)
+        push = np.clip(self._inertia / RESPONSE * (target - moving), -self._grip, self._grip)
+        turn = d.xmat[self._body].reshape(3, 3)
+        force, applied = np.zeros(m.nv), slice(0, 6)
+        mujoco.mj_applyFT(
+            m, d, turn @ [push[0], push[1], 0.0], turn @ [0.0, 0.0, push[2]], d.xpos[self._body], self._body, force
+        )
+        d.qfrc_applied[applied] = force[applied]
+        self.rolled = self.rolled + self.timestep * (self._inverse @ moving) / (self.draw.radius * self._lost)
+
     def step(self, command: PlanarCommand, steps: int = 1) -> None:
-        """Hold a command for ``steps`` physics steps. Drives clip at their speed limits, one by one."""
-        for group, names in self._names.items():
-            speed = numbers("command", group, getattr(command, group), len(names))
-            self.data.ctrl[self._control[group]] = np.clip(speed, -self._speed[group], self._speed[group])
-        self.world.refresh()
-        self.world.advance(self.carry_arm, steps, self._keep)
-        self.world.check()
+        """Hold speeds of base and arm for ``steps`` physics steps. The arm's drives clip at their limits, one by one."""
+        self._order = numbers("command", "wheel", command.wheel, len(self._order))
+        super().step(replace(command, wheel=np.zeros(0)), steps)
 
     def measure(self) -> PlanarMeasurement:
-        """Encoder positions (quantized, with their zero errors, up to the jitter old) and the inertial unit. Asking twice at the same
-        time gives the same message."""
-        if self._last is not None and self._last.time == self.time:
-            return self._last
-        self.world.refresh()
-        read, imu = self.quantized(self.encoders()), self.inertial()
-        positions = {group: read[part] for group, part in self._parts.items()}
-        self._last = PlanarMeasurement(self.time, **positions, **imu)
+        """Also the base's own count of its way."""
+        if self._last is None or self._last.time != self.time:
+            self._last = replace(super().measure(), wheel=self.rolled.copy())
         return self._last
-
-    # ------------------------------------------------------------------ truth
-    def truth(self) -> Truth:
-        """Poses, joints and the wheels' load."""
-        frames = self.world.frames(height=0.0)
-        return Truth(
-            time=self.time,
-            **frames,
-            tilt=self.world.tilt,
-            state=np.concatenate([frames["pose"], *(self.data.qpos[q] for g, q in self._q.items() if g != "wheel")]),
-            joints=self.world.joints(),
-            joint_speeds=self.world.joint_speeds(),
-            wheel_force=np.abs(self.data.sensordata[self._forces]),
-        )
-
-
-def contact_settings(friction: list[float]) -> dict[str, object]:
-    """Settings of a geom that rolls on the floor: massless, invisible in pictures."""
-    return {"condim": 3, "friction": friction, "solref": TIRE, "rgba": [0, 0, 0, 0], "group": 3, **ROLLING}

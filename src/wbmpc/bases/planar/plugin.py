@@ -1,105 +1,132 @@
-"""What the plug-ins of base types on fixed wheels have in common."""
+"""The base type ``planar``: a base that takes speeds, and whose wheels are not described."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import mujoco
+import numpy as np
+from pydantic import Field
 
-from wbmpc.bases.base import Base, BaseType, System
-from wbmpc.bases.planar.model import PlanarBase
-from wbmpc.bases.planar.wheels import FixedWheels, check_wheels, read_wheels, wheel_radius
+from wbmpc.bases.base import Base, BaseType, Proposal, Question
+from wbmpc.bases.planar_motion.description import Place, PlanarBaseDescription
+from wbmpc.bases.planar_motion.model import PlanarBase, PointFootprint, standing_on
+from wbmpc.bases.planar_motion.plugin import PlanarBaseType
+from wbmpc.bases.planar_motion.wheels import FixedWheels
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Tree, read_tree
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.findings import Finding
 
 if TYPE_CHECKING:
-    from wbmpc.bases.planar.controller import PlanarController
-    from wbmpc.mpc.mpc import MPC
-    from wbmpc.obstacles.world import Obstacles
-    from wbmpc.ros2.plants import RosPlant
-    from wbmpc.ros2.settings import RosSettings
-    from wbmpc.settings import StabilitySettings
+    from numpy.typing import NDArray
+
+    from wbmpc.bases.planar.plant import MobilePlant
+    from wbmpc.robots.mechanism import Mechanism
+    from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
-#: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modeled to take [s].
-CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
-#: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
-ILL = 20.0
+    Array = NDArray[np.float64]
 
 
-class PlanarBaseType(BaseType):
-    """Checks and system; a base type adds ``Description``, ``model`` and ``plant``."""
+class MobileBaseDescription(PlanarBaseDescription):
+    """``drive``: "omni" takes speeds ahead, aside and a turn; "differential", "skid" and "tracks" speeds ahead and a turn about ``center``
+    [m], how far ahead of the body's frame they turn; ``height`` [m] of the body's frame above the floor. Wheels are held
+    (``fixed_joints``). ``casters`` (x, y) [m] in the axes of the body: on what it stands in the simulator, by default the corners of a
+    square about its center of mass."""
+
+    joint_key: ClassVar[str] = ""
+
+    type: Literal["planar"]
+    wheels: tuple[str, ...] = Field((), max_length=0)
+    wheel_radius: None = None
+    drive: Literal["omni", "differential", "skid", "tracks"]
+    center: float = Field(0.0, ge=-100, le=100)
+    height: float = Field(0.0, ge=-10, le=10)
+    casters: tuple[tuple[Place, Place], ...] = ()
+
+    @property
+    def slips(self) -> bool:
+        """Whether wheels or tracks are dragged sideways in turns."""
+        return self.drive in ("skid", "tracks")
+
+
+class MobileBase(PlanarBase):
+    """State: (x, y, yaw) of the body's frame and the arm; input: the base's speeds and the arm's rates. Each of its speeds counts as a wheel
+    that turns at that rate."""
+
+    def __init__(
+        self, description: RobotDescription, tree: Tree, height: float, names: tuple[str, ...], twist: Array
+    ) -> None:
+        wheels = FixedWheels(np.zeros((0, 2)), np.zeros(0), 1.0, height)
+        super().__init__(description, tree, wheels, np.asarray(np.linalg.pinv(twist), float), names, twist)
+        self.wheel_upper = self.wheel_acceleration = np.full(len(names), np.inf)
+        assert isinstance(description.base, MobileBaseDescription)
+        casters = np.array(description.base.casters).reshape(-1, 2)
+        self.footprint = standing_on(PointFootprint(casters, [f"caster {i}" for i in range(len(casters))], True))
+
+    def _check_rank(self, description: RobotDescription) -> None:
+        """Nothing: there are no wheels."""
+
+
+class MobileBaseType(PlanarBaseType):
+    """Planning, and a simulated base that is driven by a force: what is under it is not known."""
+
+    Description = MobileBaseDescription
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
-        """Joints that are wheels."""
-        check_wheels(description, model)
+        """Any body can be driven."""
 
-    def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
-        """How well the wheels' rates determine each motion of the base."""
-        assert isinstance(base, PlanarBase)
-        condition = base.condition()
-        if condition <= ILL:
-            return []
-        text = f"errors of wheel rates grow {condition:.3g}-fold in the worst motion of the base"
-        return [
-            Finding("warning", "wheels", "key 'base.wheels'", text, "check positions, axes and rollers of the wheels")
-        ]
-
-    def read(self, description: RobotDescription, spec: mujoco.MjSpec) -> tuple[Tree, FixedWheels]:
-        """The file's tree and its wheels."""
-        tree = read_tree(spec, description.base.body)
-        return tree, read_wheels(description, tree, wheel_radius(description, spec.compile()))
-
-    def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
-        progress: bool = False, **changes: Any,
-    ) -> MPC:  # fmt: skip
-        """Weights that follow from the robot's size and limits."""
-        from wbmpc.default_problem import default_mpc, default_settings
-
-        return default_mpc(
-            robot, default_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
+    def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
+        """Wheels of which no other base type knows how they drive the base."""
+        if not wheels:
+            return None
+        held = tuple(n for w in wheels for n in (*((w.steer,) if w.steer else ()), w.joint, *w.held))
+        question = Question("drive", "speeds that the base takes: omni, differential, skid or tracks", "skid")
+        return Proposal(
+            {"drive": "skid"},
+            0.3,
+            f"{len(wheels)} wheels, driven by speeds of the base",
+            (),
+            held,
+            questions=(question,),
         )
 
-    def system(
-        self,
-        robot: RobotModel,
-        seed: int,
-        perturbation: Perturbation | None = None,
-        mpc: MPC | None = None,
-        edit: Edit | None = None,
-    ) -> System:
-        """A perturbed plant at home with its controller and MPC, whose goal is home."""
-        from wbmpc.simulation.lockstep import Timing
+    def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
+        """That turns slip."""
+        assert isinstance(description.base, MobileBaseDescription)
+        if not description.base.slips:
+            return []
+        text = "wheels or tracks slip sideways in every turn: how far the base turns depends on the floor"
+        return [
+            Finding(
+                "warning",
+                "base",
+                "key 'base.drive'",
+                text,
+                "take the base's pose from a gyro and a localization, not from its wheels",
+            )
+        ]
 
-        plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
-        timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
-        controller = self.controller()(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
-        return System(plant, controller, mpc, timing)
+    def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> MobileBase:
+        """The kinematic model."""
+        base = description.base
+        assert isinstance(base, MobileBaseDescription)
+        names: tuple[str, ...] = ("vx", "vy", "wz") if base.drive == "omni" else ("v", "wz")
+        # a point ahead of the center goes aside in turns
+        one = np.array([[1.0, 0.0], [0.0, -base.center], [0.0, 1.0]])
+        twist = np.eye(3) if base.drive == "omni" else one
+        return MobileBase(description, read_tree(spec, base.body), base.height, names, twist)
 
-    def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
-        """Weights that scale with the robot, and the gyro."""
-        from wbmpc.bases.planar.ros_settings import PlanarRosSettings
+    def plant(
+        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
+    ) -> MobilePlant:
+        """The simulated robot at home."""
+        from wbmpc.bases.planar.plant import MobilePlant
 
-        return PlanarRosSettings
+        return MobilePlant(robot, perturbation=perturbation, seed=seed, edit=edit)
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
-        """The adapter that reads joint states and publishes speeds."""
-        from wbmpc.bases.planar.ros import PlanarRosAdapter
-
-        return PlanarRosAdapter(robot, settings, period, self.controller())
-
-    def controller(self) -> type[PlanarController]:
-        """What drives this base type."""
-        from wbmpc.bases.planar.controller import PlanarController
-
-        return PlanarController
-
-    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
-        """Follows speeds."""
-        from wbmpc.bases.planar.ros_plant import PlanarRosPlant
-
-        return PlanarRosPlant(robot, self.plant(robot, perturbation, seed))
+    # nobody knows its drives: what its driver takes and says on a bus is not described
+    ros_settings, ros, ros_plant = BaseType.ros_settings, BaseType.ros, BaseType.ros_plant

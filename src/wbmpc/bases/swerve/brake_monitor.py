@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.bases.swerve.brake_step import look
+from wbmpc.bases.swerve.brake_step import monitor_brakes
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 from wbmpc.kernel.step import Backend, bind
@@ -106,7 +106,7 @@ class BrakeMonitor:
         self._planned, self._resting, self._reported = a["planned"], a["resting"], a["reported"]
         self._reported_at = np.zeros(n)
         constants = {"moved": self.moved, "still": self.still, "window": self.window, "settle": self.settle}
-        self._look = bind(look, a, backend, n=n, patience=self.patience, creep=self.creep, **constants)
+        self._monitor = bind(monitor_brakes, a, backend, n=n, patience=self.patience, creep=self.creep, **constants)
 
     def restart_clock(self) -> None:
         """Times start anew: the next look is a first one, at brakes that are believed again. What was reported stays reported."""
@@ -137,7 +137,7 @@ class BrakeMonitor:
             self._open[:], self._anchor[:] = a["brake"] > 0.5, a["angle"]
             self._since[:], self._first, self.time = t - self.settle, False, t
         h, self.time = t - self.time, t
-        self._unsettled, suspects = self._look(t, h, self._unsettled)
+        self._unsettled, suspects = self._monitor(t, h, self._unsettled)
         if not suspects:
             return []
         return self._withdraw(t, a["angle"]) + self._judged(t, a["angle"])

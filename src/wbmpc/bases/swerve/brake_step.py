@@ -9,7 +9,7 @@ from wbmpc.kernel.ir import Floats
 
 
 @step
-def look(
+def monitor_brakes(
     n: int, angle: Floats, brake: Floats, rate: Floats, opened: Floats, since: Floats, anchor: Floats, gone: Floats,
     planned: Floats, resting: Floats, reported: Floats, settled: Floats, crawl: Floats, expected: Floats, moved: float,
     still: float, window: float, settle: float, patience: float, creep: float, t: float, h: float, unsettled: float,

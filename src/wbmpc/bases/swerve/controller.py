@@ -106,7 +106,7 @@ class SwerveController:
         """Take in the message of this tick."""
         previous = self.measured or measurement
         self.tracking.arm.learn(measurement.arm - previous.arm, measurement.time - previous.time)
-        self.estimator.take(measurement)
+        self.estimator.process(measurement)
         self.tracking.learn_friction(previous, measurement)
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:

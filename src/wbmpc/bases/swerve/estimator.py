@@ -77,10 +77,10 @@ class SwerveEstimator:
 
     def update(self, measurement: SwerveMeasurement) -> Array:
         """The state (nx) after a message."""
-        self.take(measurement)
+        self.process(measurement)
         return self.state()
 
-    def take(self, measurement: SwerveMeasurement) -> None:
+    def process(self, measurement: SwerveMeasurement) -> None:
         """Take in a message."""
         previous, self.measured = self.measured or measurement, measurement
         m = measurement
@@ -88,7 +88,7 @@ class SwerveEstimator:
         turning = self.mean_rate(previous, m) if self.use_gyro else None
         sample = self._sample = self.wheels_alone.checked(m.leg, m.steer, m.wheel)
         self.wheels_alone.advance(sample)
-        self.odometry.advance(m.time, sample, turning, weights=self._weigh(h, sample[0], turning))
+        self.odometry.advance(m.time, sample, turning, weights=self._wheel_weights(h, sample[0], turning))
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
         if self._smoothing is not None:
@@ -98,7 +98,7 @@ class SwerveEstimator:
         """The gyro's mean yaw rate [rad/s] from one message to the next; None if it says nothing."""
         return 0.5 * float(previous.gyro[2] + now.gyro[2])
 
-    def _weigh(self, h: float, leg: Array, turning: float | None) -> Array | None:
+    def _wheel_weights(self, h: float, leg: Array, turning: float | None) -> Array | None:
         """Weights (n) of the wheels in the odometry over h [s] to a message; None: all count in full. ``leg`` (n) [rad], ``turning``
         [rad/s] of the gyro."""
         known = None if self._side_slip is None else self._side_slip.left > 0.0

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from wbmpc.bases.swerve.plant import SwervePlant
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
+    from wbmpc.control.protocols import Controller
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
@@ -79,7 +80,7 @@ class SwerveBaseType(BaseType):
 
         return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))
 
-    def reshaping(self, robot: RobotModel, mpc: MPC, controller: Any) -> LegFolding | None:
+    def reshaping(self, robot: RobotModel, mpc: MPC, controller: Controller) -> LegFolding | None:
         """Hinged legs fold where it is narrow; None for fixed legs."""
         from wbmpc.bases.swerve.leg_folding import LegFolding
 

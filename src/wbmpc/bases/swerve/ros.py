@@ -25,7 +25,7 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges, obstacles_of
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
@@ -60,10 +60,10 @@ class BusEstimator(SwerveEstimator):
     placed = False
     _origin: float | None = None  # of the last measurement
 
-    def take(self, measurement: SwerveMeasurement) -> None:
+    def process(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and another localization's pose if there is a new one."""
         self._follow_clock(measurement)
-        super().take(measurement)
+        super().process(measurement)
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
             self.correct(*fix)
@@ -169,7 +169,8 @@ class SwerveRosAdapter:
         self.planner = Planner(robot, settings.speeds, settings.goals)
         self._steering = SteeringGuess(robot, self._preview)
         self.pending = PendingChanges(self._steering)
-        self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.pending)
+        self.obstacles = obstacles_of(settings)
+        self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.pending, obstacles=self.obstacles)
         self._twists: Reference | None = None
         self._has_imu = False
         groups = robot.input.groups

@@ -86,7 +86,7 @@ class Legs:
                 )
         if topics.set_legs:
             try:
-                node.serve(topics.set_legs, SET_LEGS, self._asked)
+                node.serve(topics.set_legs, SET_LEGS, self._asked, rejected=_failed)
             except (ImportError, AttributeError, ValueError, InputError) as error:
                 _LOG.warning("%s is not served (%s); the topics are there", topics.set_legs, error)
 
@@ -99,7 +99,7 @@ class Legs:
             message = self._target(str(request.configuration), list(request.leg), request.angle, request.brake_open)
         except Exception as error:
             self.reject(f"{self.settings.topics.set_legs}: {error_message(error)}")
-            return {"success": False, "message": error_message(error)}
+            return _failed(error_message(error))
         return {"success": True, "message": message}
 
     def _from_topic(self, topic: str, take: Callable[[Any], str], message: Any) -> None:
@@ -216,10 +216,12 @@ class Legs:
             return False
         goal, brake = command
         sent = ~np.isnan(goal)
-        previous = self.angles
+        previous, were = self.angles, self.moving
         self.angles = np.where(sent, goal, leg if self.angles is None else self.angles)
         self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
-        self._nearest[:], self._since[:], self.short = np.inf, t, ""
+        # the same order once more, or one for other legs, gives a leg that comes no nearer no more time
+        new = ~were if previous is None else ~were | (self.angles != previous)
+        self._nearest[new], self._since[new], self.short = np.inf, t, ""
         brakes.reset(t)
         try:
             brakes.set(t, state, None if self.moving.any() else leg)
@@ -277,3 +279,8 @@ class Legs:
         """The robot has stopped: brakes are closed, nobody is on the way."""
         self.moving[:] = False
         self.angles = None
+
+
+def _failed(reason: str) -> dict[str, Any]:
+    """The answer to an order that is not taken."""
+    return {"success": False, "message": reason}

@@ -9,7 +9,7 @@ from wbmpc.kernel.ir import Floats
 
 
 @step
-def contradict(
+def detect_contradiction(
     n: int, hinge: Floats, length: Floats, leg_heading: Floats, leg: Floats, residual: Floats, twist: Floats,
     contradiction: Floats, velocity: Floats, odd: Floats, over: float, threshold: float, h: float, turn: float,
     gyro: bool,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.swerve.slip_step import contradict
+from wbmpc.bases.swerve.slip_step import detect_contradiction
 from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
@@ -37,7 +37,7 @@ class SlippingWheels:
             "leg_heading": np.array(geometry.leg_heading, float), "leg": self._leg, "odd": self.odd,
             "contradiction": self._contradiction, "velocity": self._velocity, **wheels.arrays,
         }  # fmt: skip
-        self._contradict = bind(contradict, arrays, backend, n=n, over=OVER, threshold=CONTRADICTS)
+        self._detect_contradiction = bind(detect_contradiction, arrays, backend, n=n, over=OVER, threshold=CONTRADICTS)
 
     @property
     def seen(self) -> Array:
@@ -53,7 +53,7 @@ class SlippingWheels:
         """After the last update of the ``wheels``, over h [s]; ``leg`` (n) [rad]; ``turn`` [rad]: the gyro's over it; ``known`` (n): wheels
         that slip, as the controller says, and have no say about the others."""
         self._leg[:] = leg
-        if self._contradict(h, 0.0 if turn is None else turn, turn is not None):
+        if self._detect_contradiction(h, 0.0 if turn is None else turn, turn is not None):
             silent = np.zeros(len(leg), bool) if known is None else known
             self.odd[self._find(self._geometry.steer_axes(leg), turn is not None, silent)] = HOLD
 

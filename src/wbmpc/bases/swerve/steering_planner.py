@@ -196,7 +196,7 @@ class SteeringGuess:
         elif current < SLOW:
             self._armed = True
         if not self._armed or self._done:
-            return trajectory if self._go_on(trajectory, t, x0) else None
+            return trajectory if self._continue_plan(trajectory, t, x0) else None
         grid = trajectory.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
         soon = speed(self.preview(t + np.array([0.0, 0.5, 1.0]), x0[self.robot.state["base"]]))
@@ -210,7 +210,7 @@ class SteeringGuess:
         """Whether a base at rest needs a plan from inverse kinematics for ``twists`` (N + 1, 3)."""
         return True
 
-    def _go_on(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> bool:
+    def _continue_plan(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> bool:
         """Where wheels of the plan stop following the preview, as at the end of their range, write the rest of it with a stop.
 
         Returns whether it did."""

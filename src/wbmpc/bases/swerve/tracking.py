@@ -15,7 +15,7 @@ from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.side_slip import SideSlip
-from wbmpc.bases.swerve.tracking_step import follow, move, predict, track
+from wbmpc.bases.swerve.tracking_step import integrate, predict, simulate_drives, track
 from wbmpc.checks import not_negative
 from wbmpc.control.drives import DryFriction
 from wbmpc.kernel.step import Backend, bind
@@ -111,12 +111,14 @@ class SwerveTracking:
         }
         servo = {"gain": s.steer_gain, "align_gain": ALIGN_GAIN}
         self._track = bind(track, a, backend, **sizes, **law, **places, **servo, **steering)
-        self._follow = bind(follow, a, backend, **sizes, steer=places["steer"], blend=blend, **steering)
+        self._simulate_drives = bind(
+            simulate_drives, a, backend, **sizes, steer=places["steer"], blend=blend, **steering
+        )
         moving = {"n": n, "legs": legs, "m": m, **places, **states}
         self._predict = bind(
             predict, a | {"u": a["future"]}, backend, nu=inputs.size, period=self.period, **moving, **steering
         )
-        self._move = bind(move, a | {"u": a["moved"]}, backend, **moving)
+        self._integrate = bind(integrate, a | {"u": a["moved"]}, backend, **moving)
 
     @property
     def target(self) -> Array:
@@ -138,7 +140,7 @@ class SwerveTracking:
         self.arm.follow(np.zeros(self.arm.sag.size))
         self._arrays["u"][:] = self._arrays["sent"][:] = 0.0
         self.clamped = self.aligning = False
-        self._follow()
+        self._simulate_drives()
         for drives in self.friction.values():
             drives.command(np.zeros(drives.droop.size), np.inf, np.inf)
 
@@ -167,7 +169,7 @@ class SwerveTracking:
         """Begin a prediction at the state x (nx): the drives still move by lag times their present rates."""
         a = self._arrays
         a["x"][:], a["brake"][: brake.size], a["moved"][:], a["ahead"][:] = x, brake, a["rates"], a["sent"]
-        self._move(self.settings.lag)
+        self._integrate(self.settings.lag)
 
     def predict(self, u: Array, brake: Array) -> None:
         """Go on with it for a period under a plan's input u (nu)."""

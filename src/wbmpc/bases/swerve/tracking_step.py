@@ -28,7 +28,7 @@ def hold_base(n: int, legs: int, base: int, leg: int, wheel: int, u: Floats) -> 
 
 
 @compiled
-def reach(
+def limit_acceleration(
     nu: int, n: int, legs: int, leg: int, steer: int, sent: Floats, u: Floats, brake: Floats, input_rate: Floats,
     excess: Floats, period: float,
 ) -> None:  # fmt: skip
@@ -63,7 +63,7 @@ def drive_arm(
 
 
 @step
-def follow(
+def simulate_drives(
     nu: int, n: int, steer: int, sent: Floats, rates: Floats, turning: Floats, blend: float, planned_steering: bool
 ) -> None:
     """What drives of first order make of ``sent`` within a period."""
@@ -102,8 +102,8 @@ def track(
     for i in range(n):
         largest = actuator_upper[steer + i]
         u[steer + i] = min(max(u[steer + i] + servo * error[i], -largest), largest)
-    reach(nu, n, legs, leg, steer, sent, u, brake, input_rate, excess, period)
-    follow(nu, n, steer, sent, rates, turning, blend, planned_steering)
+    limit_acceleration(nu, n, legs, leg, steer, sent, u, brake, input_rate, excess, period)
+    simulate_drives(nu, n, steer, sent, rates, turning, blend, planned_steering)
     fast = 0.0
     for i in range(n):
         wheels[i] = sent[wheel + i] * wheel_scale[i]
@@ -123,7 +123,7 @@ def sinc(x: float) -> float:
 
 
 @step
-def move(
+def integrate(
     n: int, legs: int, m: int, base: int, leg: int, steer: int, wheel: int, arm: int, x_base: int, x_leg: int, x_steer: int,
     x_wheel: int, x_arm: int, x: Floats, u: Floats, brake: Floats, h: float,
 ) -> None:  # fmt: skip
@@ -155,12 +155,15 @@ def predict(
     angles go on with the plan, and the servo follows them."""
     if aligning:
         hold_base(n, legs, base, leg, wheel, u)
-    reach(nu, n, legs, leg, steer, ahead, u, brake, input_rate, excess, period)
+    limit_acceleration(nu, n, legs, leg, steer, ahead, u, brake, input_rate, excess, period)
     for i in range(nu):
         moved[i] = ahead[i]
         if planned_steering and i >= steer and i < steer + n:
             moved[i] = u[i]
-    move(n, legs, m, base, leg, steer, wheel, arm, x_base, x_leg, x_steer, x_wheel, x_arm, x, moved, brake, period)
+    integrate(
+        n=n, legs=legs, m=m, base=base, leg=leg, steer=steer, wheel=wheel, arm=arm, x_base=x_base, x_leg=x_leg,
+        x_steer=x_steer, x_wheel=x_wheel, x_arm=x_arm, x=x, u=moved, brake=brake, h=period,
+    )  # fmt: skip
 
 
 @step

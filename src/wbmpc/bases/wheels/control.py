@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
-from wbmpc.bases.planar.controller import PlanarController
-from wbmpc.bases.planar.messages import PlanarCommand, PlanarMeasurement
-from wbmpc.bases.planar.odometry import PlanarOdometry
+from wbmpc.bases.planar_motion.controller import PlanarController
+from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.wheels.model import WheelsBase
 from wbmpc.checks import numbers
 from wbmpc.model.robot import RobotModel

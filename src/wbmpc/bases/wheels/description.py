@@ -8,7 +8,7 @@ from pydantic import Field
 
 from wbmpc.bases.base import Section
 from wbmpc.bases.omnidirectional.description import STEEPEST
-from wbmpc.bases.planar.description import Place, PlanarBaseDescription
+from wbmpc.bases.planar_motion.description import Place, PlanarBaseDescription
 
 
 class WheelDescription(Section):

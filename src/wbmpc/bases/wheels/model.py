@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.planar.model import PlanarBase, standing_on
-from wbmpc.bases.planar.wheels import FixedWheels
+from wbmpc.bases.planar_motion.model import PlanarBase, standing_on
+from wbmpc.bases.planar_motion.wheels import FixedWheels
 from wbmpc.bases.wheels.description import WheelsBaseDescription
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import constant

@@ -7,7 +7,7 @@ import numpy as np
 
 from wbmpc.bases.differential.plant import add_casters, add_tire
 from wbmpc.bases.omnidirectional.plant import add_rollers
-from wbmpc.bases.planar.plant import PlanarPlant
+from wbmpc.bases.planar_motion.plant import PlanarPlant
 from wbmpc.bases.wheels.description import WheelsBaseDescription
 from wbmpc.simulation.wheeled import WHEEL_GAIN
 from wbmpc.simulation.world import add_drive

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from wbmpc.bases.base import Proposal
-from wbmpc.bases.planar.plugin import PlanarBaseType
-from wbmpc.bases.planar.proposal import RADIUS, RIM_ACCELERATION, RIM_SPEED
+from wbmpc.bases.planar_motion.plugin import PlanarBaseType
+from wbmpc.bases.planar_motion.proposal import RADIUS, RIM_ACCELERATION, RIM_SPEED
 from wbmpc.bases.wheels.description import WheelsBaseDescription
 from wbmpc.bases.wheels.model import WheelsBase
 from wbmpc.model.robot import RobotModel

@@ -19,7 +19,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress, Timing
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.door_control import DoorController, Push
+from wbmpc.studies.minniti2019.door_control import FAR, DoorController, Push
 from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, worst_estimates
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, TIP_MASS, TIP_RADIUS, Door, DoorPlant
@@ -139,6 +139,8 @@ def make_controller(
     for twist in ("twist", "push_twist"):
         mpc.reference[twist] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
+    if "panel" in mpc.ocp.terms:
+        mpc.reference["panel"] = Reference.constant(np.full(1, FAR))
     for pose in ("end_effector", "turn"):
         mpc.reference[pose] = Reference.poses([0.0], end_effector, quaternion)
     estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None

@@ -57,6 +57,11 @@ MOVING = 0.03
 UNMOVED = 0.1
 #: Above this rate [rad/s] the motion shows its impedance.
 SLIDING = 0.06
+#: While it pushes, the body is before the panel anyway: a distance [m] that leaves its limit without effect.
+FAR = 5.0
+#: How much of the resistance that was felt is taken for a closer's, which brings the door back, and not for dry friction.
+#: A door is taken to come back no faster than at the last [rad/s], however it was estimated.
+CLOSER_SHARE, MAX_CLOSING = 0.5, 0.5
 #: Points of the references over the horizon.
 POINTS = 27
 
@@ -142,10 +147,10 @@ class DoorController(BallController):
     def _pushed(self) -> Array:
         return self.force[:2]
 
-    def _watch(self, t: float, arm: Array, h: float) -> None:
+    def _monitor_encoders(self, t: float, arm: Array, h: float) -> None:
         """While the end effector touches, a slow panel may hold a joint still, by forces that are measured late and with noise: the model
         cannot say then that an arm's encoder stands."""
-        super()._watch(t, arm, h)
+        super()._monitor_encoders(t, arm, h)
         if self.contact.touching:
             self._accelerates = None
 
@@ -204,7 +209,7 @@ class DoorController(BallController):
             angle = self.geometry.angle(end_effector)
             self.door = np.array([angle, self.geometry.rate(end_effector, velocity, angle)])
         else:
-            self.door = np.array([self.door[0], 0.0])
+            self.door = np.array([max(self.door[0] - self._closing() * self.period, 0.0), 0.0])
         limit = MOVING / 3.0 if self.moving else MOVING
         self.moving = bool(touching and abs(self.door[1]) > limit)
         self._identify(end_effector)
@@ -212,6 +217,13 @@ class DoorController(BallController):
             self.phase, self.relaxed = "relax", t
         if self.phase != "release" and self._ends(t):
             self.phase, self.released, self._let_go = "release", t, end_effector.copy()
+
+    def _closing(self) -> float:
+        """How fast [rad/s] a door that was let go is taken to come back: nobody feels it any more."""
+        if self.phase != "release":
+            return 0.0
+        _, damping, resistance = self.impedance
+        return float(min(CLOSER_SHARE * resistance / damping, MAX_CLOSING))
 
     def _place_door(self, end_effector: Array) -> None:
         """The door's place after another place of an end effector (3) [m] that touches it; the closed panel is where it was touched."""
@@ -297,6 +309,8 @@ class DoorController(BallController):
         mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
         if "cone" in mpc.ocp.terms:
             mpc.reference["cone"] = Reference(times, normals)
+        if "panel" in mpc.ocp.terms:  # plans go on pushing beyond the angle at which that ends: not for their end
+            mpc.reference["panel"] = Reference.constant(np.full(1, 0.0 if self.phase in ("relax", "release") else FAR))
         if "lean" in mpc.ocp.terms:
             mpc.reference["lean"] = Reference(times, -target[:, None] * normals[:, :2])
 

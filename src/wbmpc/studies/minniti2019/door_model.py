@@ -108,6 +108,15 @@ class WithDoor:
         own = x[: self.inner.state.size]
         return self.robot.frame_pose(own, self.robot.tool).position[0:2] - w[self.parameters["place"]][0:2]
 
+    def part(self, x: ca.SX, frame: str, height: float) -> ca.SX:
+        """Where (3) [m] a point of a frame of the robot is, ``height`` [m] above the frame's origin along its z axis."""
+        pose = self.robot.frame_pose(x[: self.inner.state.size], frame)
+        return pose.position + height * pose.rotation[:, 2]
+
+    def beyond(self, x: ca.SX, w: ca.SX, point: ca.SX) -> ca.SX:
+        """How far [m] a ``point`` (3) [m] is beyond the panel's middle plane, in the direction in which it opens."""
+        return ca.dot(self._directions(x, w)[1], point[0:2] - w[self.parameters["place"]][0:2])
+
     def gap(self, x: ca.SX, w: ca.SX) -> ca.SX:
         """How far [m] the end effector is beyond the panel's surface."""
         return ca.dot(self._directions(x, w)[1], self._from_hinge(x, w)) + w[self.parameters["place"]][3]

@@ -13,9 +13,14 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 from wbmpc.studies.minniti2019.door_model import WithDoor
-from wbmpc.studies.minniti2019.door_residuals import PanelContact
+from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
+from wbmpc.studies.minniti2019.door_residuals import BodyClearance, PanelContact
 
 PUSHING = ("held", "moving")
+#: What base and elbow keep away from a panel [m], whose angle is known to 0.05 rad.
+KEPT = 0.06
+#: Of a body that comes nearer [1/m, per second].
+PANEL_SLACK = 1e3
 
 
 class PushCost(Settings):
@@ -67,12 +72,15 @@ def door_problem(
         ocp.add(Constraint("door", PanelContact(dynamics, scheme.baumgarte), modes=PUSHING))
         rate = residuals.Expression(1, lambda s: s.all_x[dynamics.state["door"]][1])
         fast = sets.Box(-scheme.door_rate, scheme.door_rate)
-        hard = settings.limits == "hard"
+        hard, barrier = settings.limits == "hard", RelaxedBarrier(settings.barrier_mu, 0.02)
         ocp.add(
             Constraint(
                 "door_rate", rate, fast, at="path+terminal", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard
             )
         )
+        apart = BodyClearance(dynamics, HALF_THICKNESS, KEPT)
+        free = sets.NonNegative()
+        ocp.add(Constraint("panel", apart, free, at="path+terminal", penalty=barrier, hard=hard, slack=PANEL_SLACK))
     ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], reference=None), modes=("free",)))
     limit_arm(ocp, robot, settings, cost)
     limit_torques(ocp, robot, settings, cost, ["wheel", "arm"])

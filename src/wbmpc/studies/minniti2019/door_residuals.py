@@ -7,9 +7,12 @@ from typing import Any
 
 import casadi as ca
 
-from wbmpc.checks import finite
+from wbmpc.checks import finite, not_negative
 from wbmpc.errors import InputError
 from wbmpc.ocp.symbols import Symbols
+
+#: Spheres around the robot's parts that come near a door: frame, height in it [m], radius [m].
+PARTS = {"wheels": ("base", 0.13, 0.2), "top": ("base", 0.45, 0.11), "elbow": ("arm_forearm_link", 0.0, 0.06)}
 
 
 @dataclass(frozen=True)
@@ -37,3 +40,31 @@ class PanelContact:
         place, speed, acceleration = self.dynamics.contact_motion(s.all_x, s.all_u, s.parameters, s.mode)
         pull = ca.vertcat(self.rate**2 * place[0], 0.0, 0.0)
         return acceleration + 2.0 * self.rate * speed + pull
+
+
+@dataclass(frozen=True)
+class BodyClearance:
+    """How far [m] parts of the robot are before a door's panel, on the side from which it is pushed, minus ``margin`` [m]: base and elbow,
+    as spheres of :data:`PARTS`. The panel counts as if it went on for ever; a robot that pushes a door stays on one side of it. The
+    reference (1) [m] is added: what may be missing where the panel does not count.
+
+    ``dynamics``: a :class:`wbmpc.studies.minniti2019.door_model.WithDoor`, whose door's angle the plan knows.
+    """
+
+    dynamics: Any
+    half_thickness: float
+    margin: float
+
+    size, reference = len(PARTS), 1
+    groups = {name: slice(i, i + 1) for i, name in enumerate(PARTS)}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        not_negative("body clearance", margin=self.margin, half_thickness=self.half_thickness)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        x, w = s.all_x, s.parameters
+        frames = [self.dynamics.part(x, frame, height) for frame, height, _ in PARTS.values()]
+        kept = [radius + self.half_thickness + self.margin for _, _, radius in PARTS.values()]
+        return ca.vertcat(
+            *[s.reference[0] - self.dynamics.beyond(x, w, p) - r for p, r in zip(frames, kept, strict=True)]
+        )

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, solve_discrete_are
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.checks import not_negative, numbers, positive
@@ -67,6 +66,8 @@ class RegulatorGains:
 
     def at(self, arm: Array) -> Array:
         """The gain for arm angles [rad]."""
+        from scipy.linalg import expm, solve_discrete_are  # slow to import
+
         x, u = self.robot.base.numeric.equilibrium(arm)
         jacobian, end_effector = (np.array(v) for v in self._linear(x, u))
         size, s = x.size, self.weights

@@ -97,10 +97,15 @@ def ball_robot(settings: RezeroSettings, payload: bool = False, contact: str = "
 
     Raises :class:`InputError` for a base of another type.
     """
-    kind = load_description(settings.robot).base.type
-    if kind != "ball":
-        raise InputError(f"robot: '{settings.robot}' has a base of type '{kind}'; valid: ball")
+    check_ball(settings.robot)
     return load_robot(settings.robot, contact=contact, contact_frame=(), payload=payload)
+
+
+def check_ball(robot: str) -> None:
+    """Raise :class:`InputError` for the name or file of a robot whose base is of another type."""
+    kind = load_description(robot).base.type
+    if kind != "ball":
+        raise InputError(f"robot: '{robot}' has a base of type '{kind}'; valid: ball")
 
 
 def robot_of(settings: RezeroSettings) -> RobotModel:

@@ -13,7 +13,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import solve_continuous_are
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
@@ -72,6 +71,8 @@ class TaskSpaceController(BallController):
 
     def _lqr(self) -> Array:
         """Accelerations (5) of ball and base for their deviations (10): K of v̇ = −K (z − z₀), by LQR on the wheels."""
+        from scipy.linalg import solve_continuous_are  # slow to import
+
         n, g = self.robot.base.nq, self.gains
         a, b = (np.array(m) for m in self._model["linear"](self.home, self._rest))
         some, wheels = [*range(5), *range(n, n + 5)], len(self.robot.input.groups["wheel"])

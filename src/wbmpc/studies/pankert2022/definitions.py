@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from wbmpc.experiment import Definitions
+from wbmpc.tasks.definitions import DEFINITIONS as GENERAL
 
 _WORLD = "true, in the world"
 _OWN = "in the estimated frame: estimated base, true kinematics of the arm"
@@ -30,6 +31,14 @@ _TRACK: Definitions = {
     "odometry_drift_ratio": ("1", "final error of the odometry over the way of the base; wheels and gyro"),
     "odometry_drift_ratio_wheels": ("1", f"final error of the odometry over the way of the base; {_DRIFT}"),
     "odometry_drift_ratio_release": ("1", "final error over the way of the base; odometry that the authors released"),
+    **_SLIP,
+}
+_FAST: Definitions = {
+    **GENERAL,
+    "time_to_goal": ("s", f"time from the order until the end effector stays within 1 cm of its goal; {_WORLD}"),
+    "tilt_max": ("rad", "largest angle of the axis of the base to the vertical; true"),
+    "time_unloaded": ("s", "time in which any wheel carries less than 1 N; true"),
+    "path_error_max": ("m", f"largest distance of the end effector from its path, at any time; {_WORLD}"),
     **_SLIP,
 }
 _FIXED: Definitions = {
@@ -131,6 +140,7 @@ DEFINITIONS: dict[str, Definitions] = {
     "swerve-track": _TRACK,
     "swerve-fixed": _FIXED,
     "swerve-calibrate": _CALIBRATE,
+    "swerve-fast": _FAST,
     "swerve-stability": _STABILITY,
     "swerve-brakes": _BRAKES,
     "swerve-plaster": _PLASTER,

@@ -144,9 +144,11 @@ def drive(
     seed: int,
     log: Log,
     progress: Progress | None = None,
+    *,
+    odometry: bool = True,
 ) -> tuple[SwerveController, SwervePlant, str]:
     """The reference drive, recorded in ``log``: the controller with its odometry, the simulated robot, and why it ended early (empty: it
-    did not)."""
+    did not). Without ``odometry`` only what a calibration reads is recorded: the drive does not depend on the rest."""
     plant = SwervePlant(
         robot.description, robot.state.split(robot.home), settings.plant, seed,
         localization=settings.lidar.source(seed),
@@ -163,17 +165,18 @@ def drive(
         for phase in phases:
             for k in range(round(phase.length / period)):
                 m = plant.measure()
-                controller.measure(m)
-                # open legs give way: nothing is planned for them
-                controller.watch(plant.time, brake, np.zeros(brake.size))
+                if odometry:
+                    controller.measure(m)
+                    # open legs give way: nothing is planned for them
+                    controller.watch(plant.time, brake, np.zeros(brake.size))
                 wheels.add(plant.time, m, brake)
-                if len(log.channels) and round(plant.time / period) % 4 == 0:
+                if odometry and len(log.channels) and round(plant.time / period) % 4 == 0:
                     log.add("base", plant.time, plant.truth().pose)
                     log.add("base_odometry", plant.time, controller.estimator.odometry.pose)
                     log.add("base_wheels", plant.time, controller.estimator.wheels_alone.pose)
                 brake = phase.brake
-                steer, wheel = _rolling(geometry, phase, k * period, controller.estimator.leg if swings else legs, legs)
-                turning = np.clip(STEER_GAIN * (steer - controller.estimator.steer), -STEER_SPEED, STEER_SPEED)
+                steer, wheel = _rolling(geometry, phase, k * period, m.leg if swings else legs, legs)
+                turning = np.clip(STEER_GAIN * (steer - m.steer), -STEER_SPEED, STEER_SPEED)
                 command = SwerveCommand(wheel * controller.wheel_scale, turning, arm, brake)
                 tick(plant.time, command)
                 plant.step(command, steps)
@@ -198,7 +201,7 @@ def track_arm(robot: RobotModel, settings: Perturbation, poses: int, seed: int, 
 def _driven(robot: RobotModel, settings: SwerveCalibrateSettings, seed: int) -> WheelCalibration:
     """The calibration from a reference drive; :class:`RunAborted` for a drive that did not come to its end."""
     log = Log()
-    *_, reason = drive(robot, settings, seed, log)
+    *_, reason = drive(robot, settings, seed, log, odometry=False)
     if reason:
         raise RunAborted(f"the reference drive for the calibration: {reason}")
     return calibrate(robot.base.geometry, record_of(log))

@@ -201,7 +201,7 @@ class WheelFlipGuess(SteeringGuess):
             self.turns = ()
         return stuck
 
-    def _go_on(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> bool:
+    def _continue_plan(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> bool:
         """Whether anything was written: turns into the plan where wheels come to the end of their range."""
         if t < self._next_check - 1e-9:
             return False

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.planar.description import PlanarBaseDescription
+from wbmpc.bases.planar_motion.description import PlanarBaseDescription
 from wbmpc.errors import InputError
 from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription

@@ -9,14 +9,14 @@ from typing import Any, cast
 import numpy as np
 
 from wbmpc import lie
-from wbmpc.bases.planar.controller import PlanarController
-from wbmpc.bases.planar.messages import PlanarCommand, PlanarMeasurement
-from wbmpc.bases.planar.ros_settings import PlanarRosSettings
-from wbmpc.default_problem import DefaultCost, default_problem, stay_at_home
+from wbmpc.bases.planar_motion.controller import PlanarController
+from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.planar_motion.ros_settings import PlanarRosSettings
+from wbmpc.default_problem import DefaultCost, default_problem, keep_clear, stay_at_home
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges, Weights
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges, Weights, obstacles_of
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
@@ -131,7 +131,10 @@ class PlanarRosAdapter:
         self.planner = Planner(robot, settings.speeds, settings.goals)
         self.pending = PendingChanges()
         problem = self.problem(settings.cost)
-        self.mpc = MPC(problem, settings.mpc.solver(), settings.mpc.rate, guess=self.pending)
+        self.obstacles = obstacles_of(settings)
+        problem = keep_clear(problem, robot, self.obstacles)
+        solver, rate = settings.mpc.solver(), settings.mpc.rate
+        self.mpc = MPC(problem, solver, rate, guess=self.pending, obstacles=self.obstacles)
         stay_at_home(robot, self.mpc)
         self.pending.bind(self.mpc)
         self._led = self._weights_of_base(problem)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.bases.planar.messages import PlanarCommand
+from wbmpc.bases.planar_motion.messages import PlanarCommand
 from wbmpc.ros2.convert import upright
 from wbmpc.ros2.plants import Reading, RosPlant
 from wbmpc.ros2.settings import drive_groups

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
-from wbmpc.bases.planar.wheels import FixedWheels, section
+from wbmpc.bases.planar_motion.wheels import FixedWheels, section
 from wbmpc.errors import InputError
 from wbmpc.model.joints import Limits, joint_home, joint_limits
 from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about

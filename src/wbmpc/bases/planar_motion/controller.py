@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
-from wbmpc.bases.planar.messages import PlanarCommand, PlanarMeasurement
-from wbmpc.bases.planar.odometry import PlanarOdometry
+from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue

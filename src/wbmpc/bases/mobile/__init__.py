@@ -1,1 +1,0 @@
-"""A base that takes speeds, whatever is under it: skid steering, tracks, the driver of somebody else."""

@@ -1,0 +1,105 @@
+"""What the plug-ins of base types on fixed wheels have in common."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+
+from wbmpc.bases.base import Base, BaseType, System
+from wbmpc.bases.planar_motion.model import PlanarBase
+from wbmpc.bases.planar_motion.wheels import FixedWheels, check_wheels, read_wheels, wheel_radius
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.tree import Tree, read_tree
+from wbmpc.robots import RobotDescription
+from wbmpc.robots.findings import Finding
+
+if TYPE_CHECKING:
+    from wbmpc.bases.planar_motion.controller import PlanarController
+    from wbmpc.mpc.mpc import MPC
+    from wbmpc.obstacles.world import Obstacles
+    from wbmpc.ros2.plants import RosPlant
+    from wbmpc.ros2.settings import RosSettings
+    from wbmpc.settings import StabilitySettings
+    from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.world import Edit
+
+#: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modeled to take [s].
+CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
+#: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
+ILL = 20.0
+
+
+class PlanarBaseType(BaseType):
+    """Checks and system; a base type adds ``Description``, ``model`` and ``plant``."""
+
+    def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
+        """Joints that are wheels."""
+        check_wheels(description, model)
+
+    def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
+        """How well the wheels' rates determine each motion of the base."""
+        assert isinstance(base, PlanarBase)
+        condition = base.condition()
+        if condition <= ILL:
+            return []
+        text = f"errors of wheel rates grow {condition:.3g}-fold in the worst motion of the base"
+        return [
+            Finding("warning", "wheels", "key 'base.wheels'", text, "check positions, axes and rollers of the wheels")
+        ]
+
+    def read(self, description: RobotDescription, spec: mujoco.MjSpec) -> tuple[Tree, FixedWheels]:
+        """The file's tree and its wheels."""
+        tree = read_tree(spec, description.base.body)
+        return tree, read_wheels(description, tree, wheel_radius(description, spec.compile()))
+
+    def mpc(
+        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
+        progress: bool = False, **changes: Any,
+    ) -> MPC:  # fmt: skip
+        """Weights that follow from the robot's size and limits."""
+        from wbmpc.default_problem import default_mpc, default_settings
+
+        return default_mpc(
+            robot, default_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
+        )
+
+    def system(
+        self,
+        robot: RobotModel,
+        seed: int,
+        perturbation: Perturbation | None = None,
+        mpc: MPC | None = None,
+        edit: Edit | None = None,
+    ) -> System:
+        """A perturbed plant at home with its controller and MPC, whose goal is home."""
+        from wbmpc.simulation.lockstep import Timing
+
+        plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
+        timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
+        controller = self.controller()(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
+        return System(plant, controller, mpc, timing)
+
+    def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
+        """Weights that scale with the robot, and the gyro."""
+        from wbmpc.bases.planar_motion.ros_settings import PlanarRosSettings
+
+        return PlanarRosSettings
+
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+        """The adapter that reads joint states and publishes speeds."""
+        from wbmpc.bases.planar_motion.ros import PlanarRosAdapter
+
+        return PlanarRosAdapter(robot, settings, period, self.controller())
+
+    def controller(self) -> type[PlanarController]:
+        """What drives this base type."""
+        from wbmpc.bases.planar_motion.controller import PlanarController
+
+        return PlanarController
+
+    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
+        """Follows speeds."""
+        from wbmpc.bases.planar_motion.ros_plant import PlanarRosPlant
+
+        return PlanarRosPlant(robot, self.plant(robot, perturbation, seed))

@@ -1,0 +1,126 @@
+"""Poses of frames from /tf and /tf_static, for messages that are in a frame of their own."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wbmpc import lie
+from wbmpc.errors import InputError, unknown_name
+from wbmpc.logs import RateLimit
+from wbmpc.ros2.bus import SMALL, Node, Qos
+from wbmpc.ros2.convert import error_message, seconds
+from wbmpc.ros2.obstacle_messages import read_transform
+
+_LOG = logging.getLogger("wbmpc")
+Array = np.ndarray
+Pose = tuple[Array, Array]
+KIND = "tf2_msgs/msg/TFMessage"
+#: Frames that are known at most, and how many are between a frame and the root of its tree.
+MAX_FRAMES, MAX_DEPTH = 1000, 50
+#: Transforms of a frame that are kept, and for how long [s] the last one holds.
+KEPT, LASTS = 200, 2.0
+#: Of /tf many messages may come at once; those of /tf_static are sent again to who comes later.
+MOVING, FIXED = Qos(reliable=False, depth=100), Qos(latched=True, depth=100)
+
+
+@dataclass
+class _Frame:
+    """``seen``: stamp [s], pose in the parent; ``at``: when the last one came [s]; of a fixed one infinite."""
+
+    parent: str
+    seen: deque[tuple[float, Pose]]
+    at: float
+
+    def pose(self, stamp: float) -> Pose:
+        """The one whose stamp is nearest."""
+        stamps = [s for s, _ in self.seen]
+        k = bisect_left(stamps, stamp)
+        near = [i for i in (k - 1, k) if 0 <= i < len(stamps)]
+        return self.seen[min(near, key=lambda i: abs(stamps[i] - stamp))][1]
+
+
+class Transforms:
+    """Where frames are in ``world``. ``base`` moves in it as :meth:`note_base` says, whatever is on /tf; ``now()`` [s]: by which
+    transforms grow old."""
+
+    def __init__(self, node: Node, world: str, base: str, now: Callable[[], float]) -> None:
+        self._world, self._base, self._now = world, base, now
+        self._frames: dict[str, _Frame] = {}
+        self._lock, self._limit = threading.Lock(), RateLimit()
+        node.subscribe("/tf", KIND, lambda m: self.take(m, False), MOVING, largest=SMALL)
+        node.subscribe("/tf_static", KIND, lambda m: self.take(m, True), FIXED, largest=SMALL)
+
+    def take(self, message: Any, fixed: bool) -> None:
+        """A tf2_msgs/TFMessage; transforms that cannot be meant are left out."""
+        for one in message.transforms:
+            try:
+                parent, child, *pose = read_transform(one)
+                if child != self._base:
+                    self._put(parent, child, seconds(one.header.stamp), (pose[0], pose[1]), fixed)
+            except InputError as error:
+                self._limit.log(_LOG, logging.ERROR, "tf", f"/tf: {error_message(error)}")
+
+    def note_base(self, stamp: float, position: Array, orientation: Array) -> None:
+        """The base's pose in the world at ``stamp`` [s]."""
+        self._put(self._world, self._base, stamp, (position, orientation), False)
+
+    def _put(self, parent: str, child: str, stamp: float, pose: Pose, fixed: bool) -> None:
+        with self._lock:
+            if child not in self._frames and len(self._frames) >= MAX_FRAMES:
+                raise InputError(f"there are more than {MAX_FRAMES} frames")
+            frame = self._frames.get(child)
+            if fixed or frame is None or frame.parent != parent or stamp < frame.seen[-1][0]:  # or time went back
+                frame = self._frames[child] = _Frame(parent, deque(maxlen=KEPT), 0.0)
+            frame.seen.append((stamp, pose))
+            frame.at = np.inf if fixed else self._now()
+
+    def pose(self, name: str, stamp: float) -> Pose:
+        """Position (3) [m] and orientation (4) of a frame in the world at ``stamp`` [s]. Raises :class:`InputError` where nothing leads
+        there, or what leads there is old."""
+        if name == self._world:
+            return np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        with self._lock:
+            down, up = self._chain(name, stamp), self._chain(self._world, stamp)
+            common = next((f for f in down if f in up), None)
+            if common is None:
+                raise unknown_name("frame", name, sorted({self._world, *self._frames})[:20])
+            return _compose(_inverse(up[common]), down[common])
+
+    def carried(self, name: str) -> bool:
+        """Whether a frame moves with the base."""
+        with self._lock:
+            for _ in range(MAX_DEPTH):
+                if name == self._base or name not in self._frames:
+                    break
+                name = self._frames[name].parent
+        return name == self._base
+
+    def _chain(self, name: str, stamp: float) -> dict[str, Pose]:
+        """Pose of a frame in itself and in all frames above it."""
+        found: dict[str, Pose] = {name: (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))}
+        at = name
+        while (frame := self._frames.get(at)) is not None and frame.parent not in found and len(found) < MAX_DEPTH:
+            if self._now() - frame.at > LASTS:
+                raise InputError(f"the transform from '{frame.parent}' to '{at}' has not come for {LASTS:g} s")
+            found[frame.parent] = _compose(frame.pose(stamp), found[at])
+            at = frame.parent
+        return found
+
+
+def _compose(first: Pose, second: Pose) -> Pose:
+    """``second`` in axes of ``first``."""
+    position = first[0] + lie.quaternion_to_rotation(first[1]) @ second[0]
+    return position, np.asarray(lie.quaternion_multiply(first[1], second[1]))
+
+
+def _inverse(pose: Pose) -> Pose:
+    q = np.asarray(lie.quaternion_conjugate(pose[1]))
+    return -lie.quaternion_to_rotation(q) @ pose[0], q

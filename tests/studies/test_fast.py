@@ -1,0 +1,73 @@
+"""The parts of `swerve-fast`. Truth: hand-made series of loads and positions; the names of the models that plans are made with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc.configuration import configure
+from wbmpc.errors import InputError
+from wbmpc.registry import load
+from wbmpc.studies.pankert2022.fast import SwerveFastSettings, WheelWatch, build, path_error, time_to_goal
+from wbmpc.tasks.settings import TaskMpcSettings, TaskSettings
+from wbmpc.types import Truth
+
+
+def test_the_time_to_the_goal_ends_where_the_end_effector_stays() -> None:
+    times = 0.1 * np.arange(20)
+    positions = np.zeros((20, 3))
+    positions[:, 1] = np.clip(times, 0.0, 1.0)
+    positions[14, 2] = 0.011  # it leaves once more
+    goal = np.array([0.0, 1.0, 0.0])
+    assert time_to_goal(times, positions, goal, 0.5) == pytest.approx(1.0)
+    positions[-1, 0] = 0.02
+    assert np.isnan(time_to_goal(times, positions, goal, 0.5))
+
+
+def test_the_way_is_straight_and_ends_at_the_goal() -> None:
+    start, goal = np.array([1.0, 0.0, 0.5]), np.array([1.0, 2.0, 0.5])
+    assert path_error(np.array([[1.0, 0.3, 0.5], [1.0, 1.9, 0.5]]), start, goal) == pytest.approx(0.0, abs=1e-12)
+    assert path_error(np.array([[1.03, 1.0, 0.54]]), start, goal) == pytest.approx(0.05)
+    assert path_error(np.array([[1.0, 2.2, 0.5], [1.1, 0.5, 0.5]]), start, goal) == pytest.approx(0.2)
+
+
+def truth(load: float, slip: float, tilt: float) -> Truth:
+    at, turn = np.zeros(3), np.eye(3)
+    return Truth(
+        0.0, at, at, turn, at, turn, tilt, at, {}, slip=np.array([0.0, slip]), wheel_force=np.array([300.0, load])
+    )
+
+
+def test_wheels_are_watched_from_the_order_on() -> None:
+    watch = WheelWatch(1.0)
+    for k in range(40):  # until 1 s whatever; then in the air from 2.0 to 2.5 s
+        early, off = k < 10, 20 <= k < 25
+        watch.see(0.1 * k, truth(0.0 if early or off else 200.0, 0.3 if early else 0.01 * (k == 30), 0.001 * k))
+    found = watch.metrics()
+    assert found["time_unloaded"].value == pytest.approx(0.5, abs=0.03)
+    assert found["wheel_slip_max"].value == pytest.approx(0.01)
+    assert found["tilt_max"].value == pytest.approx(0.039)
+
+
+@pytest.mark.parametrize(
+    ("model", "keep", "kept"),
+    [
+        (None, "nothing", "nothing"),
+        (None, "support_margin", "support_margin"),
+        ("dynamic", "nothing", "wheel_loads"),
+        ("dynamic", "support_margin", "support_margin"),
+        ("kinematic", "wheel_loads", "nothing"),
+    ],
+)
+def test_the_model_says_what_plans_keep(model: str | None, keep: str, kept: str) -> None:
+    settings = TaskSettings.model_validate({"mpc": {"model": model}, "stability": {"keep": keep}})
+    assert settings.upright.keep == kept
+
+
+def test_the_experiment_has_both_models() -> None:
+    found = load("swerve-fast")
+    assert configure(found.config_type, [], "swerve-fast").upright.payload == 10.0
+    assert configure(found.config_type, ["mpc.model=kinematic"], "swerve-fast").upright.keep == "nothing"
+    assert SwerveFastSettings().mpc == TaskMpcSettings(model="dynamic", horizon=2.0)
+    with pytest.raises(InputError, match="kinematic robots do not tip"):
+        build(SwerveFastSettings(physics="kinematic"), 0)
