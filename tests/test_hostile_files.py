@@ -489,3 +489,14 @@ def test_the_doctor_names_joints_that_are_where_they_cannot_be(key: str, joint: 
     found = examine_robot(str(changed(tmp_path, name, f"{key}.{joint}", 9.0))).findings
     found = [f for f in found if f.severity == "error"]
     assert [(f.where, f.text.partition(" is ")[0]) for f in found] == [(f"key '{key}.{joint}'", "9")]
+
+
+@pytest.mark.parametrize("key", ["model", "packages"])
+def test_a_home_directory_that_is_missing_is_an_error_with_its_key(tmp_path: Path, key: str) -> None:
+    path = tmp_path / "robot.yaml"
+    own = {"model": "~no-such-user-at-all/a.urdf", "packages": "a.urdf\npackages: {own: ~no-such-user-at-all/own}"}
+    path.write_text(
+        f"name: own\nbase: {{type: fixed, body: base}}\narm: {{joints: [one], tool: hand}}\nhome: {{}}\nmodel: {own[key]}\n"
+    )
+    with pytest.raises(InputError, match=f"robot.yaml: {key}: '~no-such-user-at-all"):
+        load_description(path)

@@ -15,6 +15,14 @@ from wbmpc.errors import InputError
 _PART = 2**20
 
 
+def expanded(path: Path) -> Path:
+    """A path whose leading ``~`` or ``~user`` is a home directory. Raises :class:`InputError` naming the path where there is none."""
+    try:
+        return path.expanduser()
+    except RuntimeError as error:
+        raise InputError(f"{str(path)!r}: there is no home directory that '~' stands for") from error
+
+
 @contextmanager
 def open_file(path: Path) -> Iterator[BinaryIO]:
     """A regular file to read from, which does not wait. Raises :class:`InputError` naming the file, also for errors while it is

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 
 from effort import thorough
 from toys import LinearQuadratic
+from wbmpc.errors import InputError
 from wbmpc.kernel import build_kernel, cache
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Quadratic, RelaxedBarrier, SmoothL1, Transcription, sets
 from wbmpc.solver import SQP, Solver
@@ -161,8 +163,22 @@ def test_directory_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Non
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("WBMPC_CACHE_DIR", "~/elsewhere")
     assert cache.cache_directory() == tmp_path / "elsewhere"
+    monkeypatch.setenv("WBMPC_CACHE_DIR", "~no-such-user-at-all/cache")
+    with pytest.raises(InputError, match="no-such-user-at-all"):
+        cache.cache_directory()
     monkeypatch.delenv("WBMPC_CACHE_DIR")
     assert cache.cache_directory() == Path.home() / ".cache" / "wbmpc"
+
+
+def test_a_user_without_a_home_has_a_cache_among_temporary_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("WBMPC_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", homeless)
+    assert cache.cache_directory() == Path(tempfile.gettempdir()) / f"wbmpc-{os.geteuid()}"
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ def test_legs_with_little_left_to_go_arrive() -> None:
     """Wheels point ahead, legs are 0.05 rad from X: with drives that do exactly what is planned. A plan to the angles themselves
     leaves two legs 0.017 rad away for good."""
     adapter = SwerveRosAdapter(ROBOT, SwerveRosSettings(), 1.0 / 400.0)
-    node: Any = SimpleNamespace(subscribe=lambda *given, **also: None, serve=lambda *given: None)
+    node: Any = SimpleNamespace(subscribe=lambda *given, **also: None, serve=lambda *given, **also: None)
     legs = Legs(node, ROBOT, adapter.settings, lambda: "", lambda: None)
     x, goal, part = ROBOT.home.copy(), leg_angles(ROBOT, "X"), ROBOT.state["leg"]
     x[part] = goal - 0.05 * np.sign(goal)

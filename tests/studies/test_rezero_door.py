@@ -142,7 +142,9 @@ def test_without_the_row_the_force_is_missed() -> None:
 @pytest.mark.parametrize("touching", [True, False])
 def test_a_hand_that_touches_has_no_joints_that_should_have_moved(monkeypatch, touching: bool) -> None:  # type: ignore[no-untyped-def]
     """Seed 202 at 8 N: a slow door held the elbow within a few counts, its encoder was called stalled and the motors were off."""
-    monkeypatch.setattr(control.BallController, "_watch", lambda self, *_: setattr(self, "_accelerates", np.ones(3)))
+    monkeypatch.setattr(
+        control.BallController, "_monitor_encoders", lambda self, *_: setattr(self, "_accelerates", np.ones(3))
+    )
     controller = control.DoorController.__new__(control.DoorController)
     controller.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
     controller._monitor_encoders(0.0, np.zeros(3), 0.0025)

@@ -41,7 +41,8 @@ if TYPE_CHECKING:
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.simulation.lockstep import Timing
     from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit, SimulatedRobot
+    from wbmpc.simulation.simulated_robot import SimulatedRobot
+    from wbmpc.simulation.world import Edit
 
 Array = NDArray[np.float64]
 

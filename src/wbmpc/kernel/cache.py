@@ -13,12 +13,14 @@ import logging
 import os
 import secrets
 import stat
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 from wbmpc.errors import KernelError
+from wbmpc.input_file import expanded
 
 _LOG = logging.getLogger("wbmpc")
 _ROOMS = (".", "kernel", "ocp", "model")
@@ -31,12 +33,18 @@ class UntrustedCache(KernelError):
 
 
 def cache_directory() -> Path:
-    """Where compiled code is kept: $WBMPC_CACHE_DIR, else $XDG_CACHE_HOME/wbmpc, else ~/.cache/wbmpc."""
+    """Where compiled code is kept: $WBMPC_CACHE_DIR, else $XDG_CACHE_HOME/wbmpc, else ~/.cache/wbmpc; for a user without a home
+    directory, a folder of temporary files. Raises :class:`wbmpc.errors.InputError` for a ``~`` that stands for no directory."""
     directory = os.environ.get("WBMPC_CACHE_DIR")
     if directory:
-        return Path(directory).expanduser()
+        return expanded(Path(directory))
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "wbmpc"
+    if base:
+        return Path(base) / "wbmpc"
+    try:
+        return Path.home() / ".cache" / "wbmpc"
+    except RuntimeError:
+        return Path(tempfile.gettempdir()) / f"wbmpc-{os.geteuid()}"
 
 
 @cache

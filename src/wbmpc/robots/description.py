@@ -25,6 +25,7 @@ from pydantic_core import PydanticCustomError
 from wbmpc.bases import available_base_types, base_type
 from wbmpc.bases.base import BaseDescription, Section
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.input_file import expanded
 from wbmpc.robots.actuation import Drive
 from wbmpc.robots.checks import check_joints, check_tool, compiled
 from wbmpc.robots.collision import CollisionDescription, check_frames
@@ -230,8 +231,10 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         description = RobotDescription(**data)
     except ValidationError as error:
         raise InputError(f"{path}: {_first_fault(error, data)}") from error
-    packages = {name: path.parent / folder.expanduser() for name, folder in description.packages.items()}
-    model = path.parent / description.model.expanduser()
+    packages = {
+        name: path.parent / _expanded(folder, path, "packages") for name, folder in description.packages.items()
+    }
+    model = path.parent / _expanded(description.model, path, "model")
     description = description.model_copy(update={"model": model, "packages": packages, "source": str(path)})
     spec = load_spec(description)
     _check_names(description, spec)
@@ -268,6 +271,13 @@ def _examine(description: RobotDescription, mechanism: Mechanism) -> None:
             raise InputError(f"{description.model}: {finding.message}")
         if finding.severity == "warning":
             _LOG.warning("%s: %s", description.model, finding.message)
+
+
+def _expanded(path: Path, file: Path, key: str) -> Path:
+    try:
+        return expanded(path)
+    except InputError as error:
+        raise InputError(f"{file}: {key}: {error}") from error
 
 
 def _first_fault(error: ValidationError, data: dict[str, Any]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -19,7 +18,6 @@ from wbmpc.robots.mujoco_warnings import log_warnings
 from wbmpc.simulation.contacts import GROUND, Contacts, enable
 from wbmpc.simulation.frame_step import from_base
 from wbmpc.simulation.speed_torque import SpeedTorque
-from wbmpc.types import Plant
 
 Array = NDArray[np.float64]
 #: Called before every physics step with (model, data): doors, terrain that moves, pushes of any kind.
@@ -340,29 +338,6 @@ class World:
         """True joint speeds [rad/s] by name."""
         speeds = self.data.qvel.tolist()
         return {name: speeds[v] for name, (_, v) in self._joints.items()}
-
-
-class SimulatedRobot(Plant[Any, Any], Protocol):
-    """A plant that can be shown: its robot's ``description``, MuJoCo's ``model`` and ``data``, and ``world.frames(height)`` (see
-    :class:`World`)."""
-
-    @property
-    def description(self) -> RobotDescription: ...
-
-    @property
-    def model(self) -> mujoco.MjModel: ...
-
-    @property
-    def data(self) -> mujoco.MjData: ...
-
-    @property
-    def world(self) -> Any: ...
-
-    def push(self, force: Array) -> None:
-        """Push the base with a force (3) [N] until changed."""
-
-    def arrange(self, state: Array) -> None:
-        """Put the bodies where a state (nx) has them."""
 
 
 class WorldAccess:
