@@ -205,7 +205,7 @@ class DoorController(BallController):
             self.fit.first = end_effector.copy()
         if touching and self.phase == "push":
             self._place_door(end_effector)
-        if touching:
+        if touching and self.geometry.touches(end_effector):
             angle = self.geometry.angle(end_effector)
             self.door = np.array([angle, self.geometry.rate(end_effector, velocity, angle)])
         else:
@@ -301,7 +301,8 @@ class DoorController(BallController):
         normals = np.array([self.geometry.directions(a)[1] for a in angles])
         touch = self.touched if np.isfinite(self.touched) else (schedule.events or (np.inf,))[0]
         target = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
-        target *= np.clip(1.0 - (times - self.relaxed) / RELAX, 0.0, 1.0) if self.phase == "relax" else 1.0
+        open_at = self._opens(times, angles)
+        target *= np.clip(1.0 - (times - open_at) / RELAX, 0.0, 1.0)
         if self.phase == "approach":
             target = np.minimum(target, self._anticipated(until))
         mpc.set_schedule(schedule)
@@ -309,10 +310,18 @@ class DoorController(BallController):
         mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
         if "cone" in mpc.ocp.terms:
             mpc.reference["cone"] = Reference(times, normals)
-        if "panel" in mpc.ocp.terms:  # plans go on pushing beyond the angle at which that ends: not for their end
-            mpc.reference["panel"] = Reference.constant(np.full(1, 0.0 if self.phase in ("relax", "release") else FAR))
+        if "panel" in mpc.ocp.terms:
+            mpc.reference["panel"] = Reference(times, np.where(times < open_at, FAR, 0.0)[:, None])
         if "lean" in mpc.ocp.terms:
             mpc.reference["lean"] = Reference(times, -target[:, None] * normals[:, :2])
+
+    def _opens(self, times: Array, angles: Array) -> float:
+        """When [s] the door is open, by its angles [rad] at times [s] of the last plan: infinite if not within them."""
+        if self.phase == "release":
+            return self.released
+        if self.phase == "push" and angles[-1] >= self.push.open:
+            return float(times[np.argmax(angles >= self.push.open)])
+        return float(self.relaxed)
 
     def _anticipated(self, now: float) -> float:
         """For which force [N] the plan leans before the touch, the less the longer that is overdue."""

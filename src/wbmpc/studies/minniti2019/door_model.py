@@ -52,6 +52,10 @@ class DoorGeometry:
         """How far [m] the end effector (3) is beyond the surface of the panel; negative before it touches."""
         return float(self.directions(angle)[1][:2] @ (np.asarray(end_effector)[:2] - self.hinge)) + self.offset
 
+    def touches(self, end_effector: ArrayLike) -> bool:
+        """Whether an end effector (3) [m] that touches something can touch the panel: it is not at the hinge."""
+        return bool(np.hypot(*(np.asarray(end_effector)[:2] - self.hinge)) > self.offset)
+
     def angle(self, end_effector: ArrayLike) -> float:
         """The angle [rad] of a panel that the end effector (3) [m] touches."""
         out = np.asarray(end_effector)[:2] - self.hinge
