@@ -27,6 +27,7 @@ ROWS = (
     ("swerve-ur10", "swerve-fixed-ur10", "swerve-mabi", "rezero", "differential-ur10"),
     ("fetch", "mecanum-ur10", "ridgeback-ur5", "panda-omni", "tidybot"),
     ("ffw-sg2", "pr2", "vega", "panda", "ur5"),
+    ("pentapod-ur10", "telescope-ur10"),
 )
 TILE = 300
 
@@ -64,7 +65,7 @@ def rezero() -> None:
 
 def robots() -> None:
     """Every built-in robot at home."""
-    sheet = Image.new("RGB", (TILE * len(ROWS[0]), TILE * len(ROWS)))
+    sheet = Image.new("RGB", (TILE * len(ROWS[0]), TILE * len(ROWS)), "white")
     for row, names in enumerate(ROWS):
         for column, name in enumerate(names):
             sheet.paste(at_home(name), (TILE * column, TILE * row))

@@ -54,7 +54,7 @@ def test_geometry_is_that_of_the_ring(base: str, tmp_path: Path) -> None:
     modules, hinged = BASES[base]
     robot = load_robot(write_base(tmp_path, modules, hinged))
     g = robot.base.geometry
-    assert (g.modules, g.has_hinge, "leg" in robot.state) == (modules, hinged, hinged)
+    assert (g.modules, g.legs_move, "leg" in robot.state) == (modules, hinged, hinged)
     angles = 0.4 + 2.0 * np.pi * np.arange(modules) / modules
     reach = 0.35 + 0.03 * (np.arange(modules) % 2) + 0.3
     places = reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from toys import robot
 from wbmpc.bases.swerve.brake_control import FLOATING, BrakeControl, floating, reject_floating_way
 from wbmpc.errors import InputError
-from wbmpc.model.wheels import wheel_velocities
+from wbmpc.model.wheels import ModuleGeometry, wheel_velocities
 from wbmpc.stability import leg_angles
 from wbmpc.studies.pankert2022.mission import Mission, Reconfiguration
 
@@ -16,12 +18,12 @@ SWERVE = robot("swerve-ur10")
 G, OPEN = SWERVE.base.geometry, np.ones(4)
 
 
-def least_seen(leg: np.ndarray, motion: np.ndarray) -> float:
-    """Largest wheel speed [m/s] that is left of a motion when every leg swings as it can to cancel it."""
-    none = wheel_velocities(G, leg, motion, np.zeros(4))
-    one = wheel_velocities(G, leg, np.zeros(3), np.ones(4))
+def least_seen(leg: np.ndarray, motion: np.ndarray, geometry: ModuleGeometry = G) -> float:
+    """Largest wheel speed [m/s] that is left of a motion when every leg moves as it can to cancel it."""
+    none = wheel_velocities(geometry, leg, motion, np.zeros(4))
+    one = wheel_velocities(geometry, leg, np.zeros(3), np.ones(4))
     swing = -np.sum(none * one, axis=1) / np.sum(one * one, axis=1)
-    return float(np.hypot(*wheel_velocities(G, leg, motion, swing).T).max())
+    return float(np.hypot(*wheel_velocities(geometry, leg, motion, swing).T).max())
 
 
 def test_h_floats_sideways_and_x_and_a_do_not() -> None:
@@ -40,6 +42,18 @@ def test_legs_that_meet_in_a_point_float_about_it() -> None:
     held, motion = floating(G, legs, OPEN)
     assert held < 1e-12 and abs(motion[2]) > 0.99 * np.linalg.norm(motion)
     assert least_seen(legs, motion) < 1e-12
+
+
+def test_legs_that_slide_hold_the_base_across_themselves() -> None:
+    """Legs along the diagonals hold it against everything; all parallel they would not along themselves."""
+    g = robot("telescope-ur10").base.geometry
+    legs = np.full(4, 0.1)
+    held, motion = floating(g, legs, OPEN)
+    assert held > FLOATING and least_seen(legs, motion, g) > 0.01
+    parallel = replace(g, leg_heading=np.zeros(4))
+    held, motion = floating(parallel, legs, OPEN)
+    assert held < 1e-12 and abs(motion[0]) > 0.99 * np.linalg.norm(motion)
+    assert least_seen(legs, motion, parallel) < 1e-12
 
 
 def test_one_closed_brake_holds() -> None:

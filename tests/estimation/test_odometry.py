@@ -19,6 +19,7 @@ from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 ROBOT = load_robot("swerve-ur10")
 GEOMETRY = ROBOT.base.geometry
 FIXED = load_robot("swerve-fixed-ur10").base.geometry
+TELESCOPE = load_robot("telescope-ur10").base.geometry
 CLOSED = np.array([0.5, -0.4, -0.6, 0.7])
 
 
@@ -38,8 +39,10 @@ def swing_rates(t: float) -> np.ndarray:
 def axle_velocities(geometry, leg, rate, v) -> np.ndarray:
     """Velocities of the steer axes in the base, by complex numbers."""
     hinge = geometry.hinge[:, 0] + 1j * geometry.hinge[:, 1]
-    arm = geometry.leg_length * np.exp(1j * (geometry.leg_heading + leg))
-    return v[0] + 1j * v[1] + 1j * v[2] * (hinge + arm) + 1j * rate * arm
+    slides, leg = geometry.slides, leg * geometry.legs_move
+    along = np.exp(1j * (geometry.leg_heading + np.where(slides, 0.0, leg)))
+    arm = (geometry.leg_length + np.where(slides, leg, 0.0)) * along
+    return v[0] + 1j * v[1] + 1j * v[2] * (hinge + arm) + rate * np.where(slides, along, 1j * arm)
 
 
 def roll_out(geometry, duration: float, period: float, leg, rate):
@@ -48,7 +51,7 @@ def roll_out(geometry, duration: float, period: float, leg, rate):
 
     def speed(t, leg_angle):
         velocity = axle_velocities(geometry, leg_angle, rate(t), twist(t))
-        heading = np.angle(velocity) - geometry.wheel_heading - leg_angle * geometry.has_hinge
+        heading = np.angle(velocity) - geometry.wheel_heading - leg_angle * geometry.legs_move * (1.0 - geometry.slides)
         return np.abs(velocity) / geometry.wheel_radius, heading
 
     def rates(t, z):
@@ -63,6 +66,7 @@ def roll_out(geometry, duration: float, period: float, leg, rate):
 
 MOTIONS = {
     "legs swing": (GEOMETRY, swinging, swing_rates),
+    "legs slide": (TELESCOPE, lambda t: 0.1 + 0.2 * swinging(t), lambda t: 0.2 * swing_rates(t)),
     "brakes closed": (GEOMETRY, lambda t: CLOSED, lambda t: np.zeros(4)),
     "fixed legs": (FIXED, lambda t: np.zeros(4), lambda t: np.zeros(4)),
 }
@@ -196,7 +200,7 @@ def test_what_open_legs_show_is_no_slip(closed: tuple[int, ...]) -> None:
     moved = fit_twist(GEOMETRY, odometry.radius, previous, odometry.checked(leg, np.full(4, 0.3), np.full(4, 0.1)))
     axes = GEOMETRY.steer_axes(leg)
     arms = axes - GEOMETRY.hinge
-    rows = moved.shown_by_legs(arms, is_open)
+    rows = moved.shown_by_legs(GEOMETRY.leg_motions(leg, axes), is_open)
     motions = [[[1.0, 0.0] for _ in axes], [[0.0, 1.0] for _ in axes], [[-y, x] for x, y in axes]]
     motions = np.array(motions).reshape(3, 8)
     swings = np.array([np.eye(4)[i][:, None] * [-arms[i, 1], arms[i, 0]] for i in np.flatnonzero(is_open)]).reshape(

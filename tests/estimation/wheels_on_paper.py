@@ -25,8 +25,8 @@ def fit_twist(
     return Increment.of(fitted)
 
 
-def ring(modules: int, hinged: bool = True, radius: float = 0.1) -> ModuleGeometry:
-    """Modules on a circle of 0.5 m, legs of 0.3 m that point outwards."""
+def ring(modules: int, hinged: bool = True, radius: float = 0.1, slides: bool = False) -> ModuleGeometry:
+    """Modules on a circle of 0.5 m, legs of 0.3 m that point outwards, on hinges or, where they slide, getting longer."""
     angle = 2.0 * np.pi * np.arange(modules) / modules + 0.3
     return ModuleGeometry(
         hinge=0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1),
@@ -34,7 +34,8 @@ def ring(modules: int, hinged: bool = True, radius: float = 0.1) -> ModuleGeomet
         leg_heading=angle,
         wheel_heading=angle,
         wheel_radius=radius,
-        has_hinge=hinged,
+        legs_move=hinged,
+        slides=np.full(modules, float(slides)),
     )
 
 
@@ -75,7 +76,7 @@ class Drawn:
     def legs(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Angles and rates: at rest, unless the legs have hinges."""
         phase = 0.4 * t + np.arange(self.geometry.modules)
-        return 0.2 * np.sin(phase) * self.geometry.has_hinge, 0.08 * np.cos(phase) * self.geometry.has_hinge
+        return 0.2 * np.sin(phase) * self.geometry.legs_move, 0.08 * np.cos(phase) * self.geometry.legs_move
 
     def __iter__(self):  # type: ignore[no-untyped-def]
         """Yields (time, leg, steer, wheel, gyro); ``poses`` has the truth of each message."""

@@ -177,7 +177,7 @@ def test_rolling_inverse_kinematics_satisfies_the_rows_on_the_near_branch(seed: 
         robot, rolling = ROBOTS[variant], ROLLING[variant]
         leg, steer = rng.uniform(-1.5, 1.5, 4), rng.uniform(-3, 3, 4)
         twist, rate = rng.uniform(-1, 1, 3), rng.uniform(-0.3, 0.3, 4)
-        if not robot.base.geometry.has_hinge:
+        if not robot.base.geometry.legs_move:
             leg, rate = np.zeros(4), np.zeros(4)
         target, speed = rolling_inverse_kinematics(robot.base.geometry, leg, steer, twist, rate)
         assert np.all(np.abs(target - steer) <= np.pi / 2 + 1e-12)
@@ -208,6 +208,39 @@ def test_wheel_velocities_equal_rigid_motion() -> None:
     np.testing.assert_allclose(geometry.steer_axes(leg), axes(0), atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["telescope-ur10", "pentapod-ur10"])
+def test_legs_of_any_kind_move_as_in_mujoco(name: str) -> None:
+    """Truth: MuJoCo's positions of the wheels' bodies, by central differences along a motion of base and legs."""
+    robot = load_robot(name)
+    g, rng, h = robot.base.geometry, np.random.default_rng(4), 1e-6
+    n, part = g.modules, robot.state["leg"]
+    leg = rng.uniform(robot.limits.state_lower[part], robot.limits.state_upper[part])
+    rate, twist = rng.uniform(-0.3, 0.3, n), rng.uniform(-1.0, 1.0, 3)
+    model = load_spec(robot.description).compile()
+    data = mujoco.MjData(model)
+
+    def axes(t: float) -> np.ndarray:
+        for joint, value in zip(robot.state.groups["leg"], leg + rate * t, strict=True):
+            data.qpos[model.joint(joint).qposadr[0]] = value
+        mujoco.mj_kinematics(model, data)
+        body = data.body(robot.description.base.body)
+        places = np.array([data.body(model.jnt_bodyid[model.joint(w).id]).xpos for w in robot.state.groups["wheel"]])
+        s = ((places - body.xpos) @ body.xmat.reshape(3, 3))[:, :2]
+        return s @ Rotation.from_euler("z", twist[2] * t).as_matrix()[:2, :2].T + twist[:2] * t
+
+    np.testing.assert_allclose(g.steer_axes(leg), axes(0.0), atol=1e-12)
+    velocity = wheel_velocities(g, leg, twist, rate)
+    np.testing.assert_allclose(velocity, (axes(h) - axes(-h)) / (2 * h), atol=1e-9)
+    target, speed = rolling_inverse_kinematics(g, leg, rng.uniform(-1, 1, n), twist, rate)
+    x, u = (
+        robot.state.vector({"steer": target, "leg": leg}),
+        robot.input.vector({"base": twist, "wheel": speed, "leg": rate}),
+    )
+    state, inputs, mode = (ca.SX.sym(s, k) for s, k in (("x", x.size), ("u", u.size), ("m", n)))
+    rows = ca.Function("rows", [state, inputs, mode], [robot.base.rolling(state, inputs, mode)])
+    np.testing.assert_allclose(np.array(rows(x, u, np.ones(n))).ravel(), 0.0, atol=1e-12)
+
+
 def test_still_wheels_keep_their_steering() -> None:
     geometry = ROBOTS[VARIANTS[0]].base.geometry
     steer = np.array([0.1, -2.0, 3.0, 0.7])
@@ -221,10 +254,10 @@ def test_geometry_equals_the_published_numbers(variant) -> None:
     """Pankert et al. 2022 and its release; the fixed robot stands in X, and its legs' angles are in its headings."""
     geometry = ROBOTS[variant].base.geometry
     assert geometry.wheel_radius == 0.10
-    assert geometry.has_hinge == (variant[0] == "swerve-ur10")
+    assert geometry.legs_move == (variant[0] == "swerve-ur10")
     leg = np.array([1, -1, -1, 1]) * np.pi / 4
     hinge = np.array([[0.4031, 0.353], [0.4031, -0.353], [-0.4031, 0.353], [-0.4031, -0.353]])
-    heading = np.array([0, 0, np.pi, np.pi]) + (0 if geometry.has_hinge else leg)
+    heading = np.array([0, 0, np.pi, np.pi]) + (0 if geometry.legs_move else leg)
 
     def unit(a: np.ndarray) -> np.ndarray:
         return np.stack([np.cos(a), np.sin(a)], 1)
@@ -233,7 +266,7 @@ def test_geometry_equals_the_published_numbers(variant) -> None:
     np.testing.assert_allclose(geometry.leg_length, 0.4181, atol=1e-12)
     np.testing.assert_allclose(unit(geometry.leg_heading), unit(heading), atol=1e-12)
     np.testing.assert_allclose(unit(geometry.wheel_heading), unit(heading), atol=1e-12)
-    own = leg if geometry.has_hinge else np.zeros(4)
+    own = leg if geometry.legs_move else np.zeros(4)
     p = geometry.steer_axes(own)[[0, 1, 3, 2]]
     area = 0.5 * abs(np.sum(p[:, 0] * np.roll(p[:, 1], -1) - p[:, 1] * np.roll(p[:, 0], -1)))
     assert abs(area - 1.81) < 0.01  # Table I, configuration X

@@ -74,7 +74,7 @@ def _same_base(one: ModuleGeometry, other: ModuleGeometry) -> bool:
     """Whether the modules of two robots hang at the same places in the same way; their radii are what a calibration finds."""
     import numpy as np
 
-    if one.modules != other.modules or one.has_hinge != other.has_hinge:
+    if one.modules != other.modules or one.legs_move != other.legs_move:
         return False
     places = lambda g: np.concatenate([g.hinge, g.steer_axes(np.zeros(g.modules))], axis=1)
     turned = np.abs(np.angle(np.exp(1j * (one.wheel_heading - other.wheel_heading))))

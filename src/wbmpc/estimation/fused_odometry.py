@@ -291,7 +291,7 @@ class FusedOdometry:
 
     def _opened(self, brake: ArrayLike | None) -> Mask:
         """Hinges (n) that turn freely."""
-        if brake is None or not self.geometry.has_hinge:
+        if brake is None or not self.geometry.legs_move:
             return self._closed
         return np.asarray(numbers("odometry", "brake", brake, self._n) > 0.5)
 
@@ -308,7 +308,7 @@ class FusedOdometry:
         independent of the noise of the twist, which is taken in apart from it."""
         n, arrays, moved = self._n, self._memory.arrays, Increment.of(self._memory.wheels)
         leg = 0.5 * (arrays["before"][:n] + arrays["now"][:n])
-        rows = moved.shown_by_legs(self.geometry.steer_axes(leg) - self.geometry.hinge, is_open)
+        rows = moved.shown_by_legs(self.geometry.leg_motions(leg, self.geometry.steer_axes(leg)), is_open)
         along = np.stack([np.cos(moved.heading), np.sin(moved.heading)], axis=1) * moved.rolled[:, None]
         each = rows.reshape(len(rows), n, 2)
         by_zero = each[:, :, 0] * along[:, 1] - each[:, :, 1] * along[:, 0]

@@ -121,7 +121,7 @@ def wheel_noise(
 
 @step
 def measure(
-    hinge: Floats, length: Floats, leg_heading: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
+    hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
     weights: Floats, before: Floats, now: Floats, twist: Floats, residual: Floats, rolled: Floats, heading: Floats,
     slope: Floats, axes: Floats, moved: Floats, noise: Floats, slip: Floats, slip_mean: Floats, off: Floats,
     rolled_off: Floats, way: Floats, smoothed: Floats, mean: Floats, interval: Floats, by_wheels: Floats,
@@ -132,7 +132,7 @@ def measure(
     for j in range(2 * n):
         correction[j] = mean[WHEELS + j]
     fit(
-        hinge=hinge, length=length, leg_heading=leg_heading, wheel_heading=wheel_heading, n=n, radius=radius,
+        hinge=hinge, length=length, leg_heading=leg_heading, slides=slides, wheel_heading=wheel_heading, n=n, radius=radius,
         correction=correction, weights=weights, before=before, now=now, twist=twist, residual=residual, rolled=rolled,
         heading=heading, slope=slope, axes=axes, moved=moved,
     )  # fmt: skip

@@ -40,7 +40,7 @@ def move(pose: Floats, dx: float, dy: float, dyaw: float) -> tuple[float, float]
 
 @compiled
 def displacements(
-    hinge: Floats, length: Floats, leg_heading: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
+    hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
     before: Floats, now: Floats, rolled: Floats, heading: Floats, axes: Floats, moved: Floats,
 ) -> None:  # fmt: skip
     """Each wheel's path (``rolled``, ``heading``), its axis in the middle of the interval and its displacement ``moved`` (n, 2)
@@ -48,15 +48,17 @@ def displacements(
     for i in range(n):
         leg0, leg1, zero = before[i], now[i], correction[i]
         steer0, steer1 = before[n + i] - zero, now[n + i] - zero
-        turn = (leg1 - leg0) + (steer1 - steer0)
-        heading[i] = wheel_heading[i] + 0.5 * (leg0 + leg1 + steer0 + steer1)
+        turn0, turn1 = (1.0 - slides[i]) * leg0, (1.0 - slides[i]) * leg1
+        turn = (turn1 - turn0) + (steer1 - steer0)
+        heading[i] = wheel_heading[i] + 0.5 * (turn0 + turn1 + steer0 + steer1)
         way = radius[i] * (1.0 + correction[n + i]) * (now[2 * n + i] - before[2 * n + i]) * sinc(0.5 * turn)
-        x0 = hinge[2 * i] + length[i] * np.cos(leg_heading[i] + leg0)
-        y0 = hinge[2 * i + 1] + length[i] * np.sin(leg_heading[i] + leg0)
+        length0, length1 = length[i] + slides[i] * leg0, length[i] + slides[i] * leg1
+        x0 = hinge[2 * i] + length0 * np.cos(leg_heading[i] + turn0)
+        y0 = hinge[2 * i + 1] + length0 * np.sin(leg_heading[i] + turn0)
         x1, y1 = x0, y0
         if leg0 != leg1:
-            x1 = hinge[2 * i] + length[i] * np.cos(leg_heading[i] + leg1)
-            y1 = hinge[2 * i + 1] + length[i] * np.sin(leg_heading[i] + leg1)
+            x1 = hinge[2 * i] + length1 * np.cos(leg_heading[i] + turn1)
+            y1 = hinge[2 * i + 1] + length1 * np.sin(leg_heading[i] + turn1)
         rolled[i] = way
         moved[2 * i], moved[2 * i + 1] = x0 - x1 + way * np.cos(heading[i]), y0 - y1 + way * np.sin(heading[i])
         axes[2 * i], axes[2 * i + 1] = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
@@ -64,14 +66,14 @@ def displacements(
 
 @step
 def fit(
-    hinge: Floats, length: Floats, leg_heading: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
+    hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
     weights: Floats, before: Floats, now: Floats, twist: Floats, residual: Floats, rolled: Floats, heading: Floats,
     slope: Floats, axes: Floats, moved: Floats,
 ) -> None:  # fmt: skip
     """The ``twist`` (3) from true angles (legs, steering, wheels, n each) ``before`` and ``now``, and its ``slope`` (3, n, 2) by the
     wheels' displacements."""
     displacements(
-        hinge=hinge, length=length, leg_heading=leg_heading, wheel_heading=wheel_heading, n=n, radius=radius,
+        hinge=hinge, length=length, leg_heading=leg_heading, slides=slides, wheel_heading=wheel_heading, n=n, radius=radius,
         correction=correction, before=before, now=now, rolled=rolled, heading=heading, axes=axes, moved=moved,
     )  # fmt: skip
     total, mx, my = 0.0, 0.0, 0.0
@@ -103,13 +105,13 @@ def fit(
 
 @step
 def dead_reckon(
-    hinge: Floats, length: Floats, leg_heading: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
+    hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
     weights: Floats, before: Floats, now: Floats, twist: Floats, residual: Floats, rolled: Floats, heading: Floats,
     slope: Floats, axes: Floats, moved: Floats, pose: Floats,
 ) -> None:  # fmt: skip
     """As :func:`fit`; ``pose`` (3) moves by the twist."""
     fit(
-        hinge=hinge, length=length, leg_heading=leg_heading, wheel_heading=wheel_heading, n=n, radius=radius,
+        hinge=hinge, length=length, leg_heading=leg_heading, slides=slides, wheel_heading=wheel_heading, n=n, radius=radius,
         correction=correction, weights=weights, before=before, now=now, twist=twist, residual=residual, rolled=rolled,
         heading=heading, slope=slope, axes=axes, moved=moved,
     )  # fmt: skip
@@ -138,6 +140,7 @@ class WheelFit:
             "hinge": np.array(geometry.hinge, float).ravel(),
             "length": np.array(geometry.leg_length, float),
             "leg_heading": np.array(geometry.leg_heading, float),
+            "slides": np.array(geometry.slides, float),
             "wheel_heading": np.array(geometry.wheel_heading, float),
             "radius": np.array(np.broadcast_to(radius, n), float),
             "weights": np.ones(n),

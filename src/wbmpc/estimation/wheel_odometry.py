@@ -50,24 +50,24 @@ class Increment:
         residual, slope = m["residual"].reshape(n, 2), m["slope"].reshape(3, n, 2)
         return cls(m["twist"].copy(), residual.copy(), m["rolled"].copy(), m["heading"].copy(), slope.copy())
 
-    def shown_by_legs(self, arms: Array, is_open: Mask) -> Array:
-        """Components (k, 2n) of the residual, orthonormal, that cannot be slip while some hinges are open; ``arms`` (n, 2) [m]
-        from hinge to steer axis, ``is_open`` (n) bool.
+    def shown_by_legs(self, motions: Array, is_open: Mask) -> Array:
+        """Components (k, 2n) of the residual, orthonormal, that cannot be slip while some legs are open; ``motions`` (n, 2): of the steer
+        axes at a rate of 1 of the legs' joints, ``is_open`` (n) bool.
 
-        The wheels push each other with forces that balance and, at an open hinge, lie along the leg: slip is in their span.
+        The wheels push each other with forces that balance and do no work on a leg that is open: slip is in their span.
         What is left is the span of P T (P: without what twists give, T: what leg rates give). Directions in which a leg must swing
         far for a small contradiction, as all four do in X when they turn the base, are left out.
         """
-        n = len(arms)
+        n = len(motions)
         swings = np.zeros((n, n, 2))
-        swings[np.arange(n), np.arange(n)] = arms @ _QUARTER_TURN
+        swings[np.arange(n), np.arange(n)] = motions
         swings = swings[is_open]
         # fit (3, n, 2) is the left inverse of the twists' displacements; its rows span the same space as those
         twists = np.linalg.qr(self.fit.reshape(3, -1).T)[0]
         off = swings.reshape(len(swings), -1)
         off = off - (off @ twists) @ twists.T
         _, values, rows = np.linalg.svd(off, full_matrices=False)
-        return np.asarray(rows[values > WEAK * np.hypot(*arms.T).max()])
+        return np.asarray(rows[values > WEAK * np.hypot(*motions.T).max()])
 
     def by_radius(self) -> Array:
         """Derivative (3, n) of the twist by the wheels' radii, relative."""
@@ -165,5 +165,5 @@ class WheelOdometry:
         steered = numbers("odometry", "steer", steer, n) - self._steer_offset
         rolled = numbers("odometry", "wheel", wheel, n).copy()
         # fixed legs have no angle; their heading is part of the geometry
-        angle = numbers("odometry", "leg", leg, n) - self._leg_offset if self.geometry.has_hinge else np.zeros(n)
+        angle = numbers("odometry", "leg", leg, n) - self._leg_offset if self.geometry.legs_move else np.zeros(n)
         return angle, steered, rolled

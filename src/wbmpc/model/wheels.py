@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 class ModuleGeometry:
     """Numbers of n steered wheels (modules), in the body frame.
 
-    ``hinge`` (n, 2) [m]; ``leg_length`` (n,) from hinge to steer axis [m]; ``leg_heading`` (n,) of the leg and
-    ``wheel_heading`` (n,) of the wheel at zero joint angles [rad]. Fixed legs have their angle in the headings; joint
-    angles and rates of legs have no effect on them.
+    ``hinge`` (n, 2) [m], or where a leg that slides begins; ``leg_length`` (n,) from there to the steer axis [m]; ``leg_heading`` (n,)
+    of the leg and ``wheel_heading`` (n,) of the wheel, all at zero joint positions [rad]; ``slides`` (n,): 1 for a leg whose joint makes
+    it longer [m], 0 for one that turns about its hinge [rad]. Where no ``legs_move``, joint positions and rates of legs have no effect.
     """
 
     hinge: Array
@@ -27,34 +27,48 @@ class ModuleGeometry:
     leg_heading: Array
     wheel_heading: Array
     wheel_radius: float
-    has_hinge: bool
+    legs_move: bool
+    slides: Array
 
     @property
     def modules(self) -> int:
         """Number of modules n."""
         return len(self.hinge)
 
+    def leg_positions(self, leg: ArrayLike) -> Array:
+        """Positions (n,) [rad, or m of those that slide] or rates of the legs' joints as far as they can move: zero for fixed legs."""
+        positions = np.asarray(leg, float) * self.legs_move
+        return positions if positions.shape == (self.modules,) else np.broadcast_to(positions, self.modules)
+
     def leg_angles(self, leg: ArrayLike) -> Array:
-        """Leg angles (n,) or rates as far as the legs can turn: zero for fixed legs."""
-        angles = np.asarray(leg, float) * self.has_hinge
-        return angles if angles.shape == (self.modules,) else np.broadcast_to(angles, self.modules)
+        """By how much (n,) [rad] joint positions ``leg`` (n,) turn the legs, or rates of them."""
+        return self.leg_positions(leg) * (1.0 - self.slides)
 
     def steer_axes(self, leg: ArrayLike) -> Array:
-        """Positions (n, 2) [m] of the steer axes for leg angles (n,)."""
+        """Positions (n, 2) [m] of the steer axes for positions of the legs' joints (n,)."""
         a = self.leg_heading + self.leg_angles(leg)
         axes = np.empty((len(a), 2))
         axes[:, 0], axes[:, 1] = np.cos(a), np.sin(a)
-        axes *= self.leg_length[:, None]
+        axes *= (self.leg_length + self.leg_positions(leg) * self.slides)[:, None]
         axes += self.hinge
         return axes
+
+    def leg_motions(self, leg: ArrayLike, axes: Array) -> Array:
+        """Velocities (n, 2) [m/s] of the steer ``axes`` (n, 2) [m] in the body frame for a rate of 1 of each leg's joint."""
+        a = self.leg_heading + self.leg_angles(leg)
+        swing, turns = axes - self.hinge, 1.0 - self.slides
+        motions = np.empty(axes.shape)
+        motions[:, 0] = self.slides * np.cos(a) - turns * swing[:, 1]
+        motions[:, 1] = self.slides * np.sin(a) + turns * swing[:, 0]
+        return motions
 
 
 def wheel_velocities(geometry: ModuleGeometry, leg: ArrayLike, twist: ArrayLike, leg_rate: ArrayLike = 0.0) -> Array:
     """Velocities (n, 2) [m/s] of the steer axes in the body frame for a twist (vx, vy, ω) and leg rates (n,)."""
     s, (vx, vy, w) = geometry.steer_axes(leg), np.asarray(twist, float).tolist()
-    swing = (s - geometry.hinge) * geometry.leg_angles(leg_rate)[:, None]
+    own = geometry.leg_motions(leg, s) * geometry.leg_positions(leg_rate)[:, None]
     velocities = np.empty(s.shape)
-    velocities[:, 0], velocities[:, 1] = vx - w * s[:, 1] - swing[:, 1], vy + w * s[:, 0] + swing[:, 0]
+    velocities[:, 0], velocities[:, 1] = vx - w * s[:, 1] + own[:, 0], vy + w * s[:, 0] + own[:, 1]
     return velocities
 
 

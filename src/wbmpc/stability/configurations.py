@@ -39,7 +39,7 @@ def leg_angles(robot: RobotModel, configuration: str | Sequence[float]) -> NDArr
 def _hinged(robot: RobotModel) -> ModuleGeometry:
     """The legs of a robot, if they can turn."""
     geometry = standing(robot).modules
-    if geometry is None or not geometry.has_hinge:
+    if geometry is None or not geometry.legs_move:
         raise InputError(f"{robot.description.name}: its legs are fixed, it has no configurations")
     return geometry
 

@@ -32,13 +32,18 @@ def floating(geometry: ModuleGeometry, leg: ArrayLike, brake: ArrayLike) -> tupl
 
     ``leg`` (n) [rad], ``brake`` (n, 1 = open). A wheel at the end of a leg that swings holds the base only along that leg: from
     Pankert et al. 2022, equations 4 and 5, a motion v + ω ẑ × h with d · (v + ω ẑ × h) = 0 for every open leg (hinge h,
-    direction d) is one that leg rates cancel, and no wheel sees it. So it is with all legs parallel (H: sideways).
+    direction d) is one that leg rates cancel, and no wheel sees it. So it is with all legs parallel (H: sideways). A leg that slides
+    holds the base across itself.
     """
     angle = geometry.leg_heading + geometry.leg_angles(leg)
     rows = []
-    places = zip(geometry.hinge, geometry.steer_axes(leg), angle, np.asarray(brake, float), strict=True)
-    for hinge, axis, a, is_open in places:
-        at, held = (hinge, [(np.cos(a), np.sin(a))]) if is_open > 0.5 else (axis, [(1.0, 0.0), (0.0, 1.0)])
+    places = zip(
+        geometry.hinge, geometry.steer_axes(leg), angle, geometry.slides, np.asarray(brake, float), strict=True
+    )
+    for hinge, axis, a, slides, is_open in places:
+        at, held = axis, [(1.0, 0.0), (0.0, 1.0)]
+        if is_open > 0.5:
+            at, held = (axis, [(-np.sin(a), np.cos(a))]) if slides else (hinge, [(np.cos(a), np.sin(a))])
         rows += [[x, y, (at[0] * y - at[1] * x) / _LEVER] for x, y in held]
     _, values, motions = np.linalg.svd(np.array(rows))
     motion = motions[-1] / [1.0, 1.0, _LEVER]

@@ -1,6 +1,7 @@
-"""Magnetic brakes on the hinges of the legs: dry friction that rises and falls in time, and faults.
+"""Magnetic brakes on the joints of the legs: dry friction that rises and falls in time, and faults.
 
-Each brake holds its torque (200 N m, Pankert et al., RA-L 2022, section II-C) and slips beyond it. Between open and closed
+Each brake holds its torque (200 N m, Pankert et al., RA-L 2022, section II-C) and slips beyond it; that of a slide holds as much force
+as there is at the end of a leg of 0.4 m then. Between open and closed
 the torque changes linearly over ``delay``, an assumption: the data sheet's times were not available.
 """
 
@@ -15,8 +16,8 @@ from wbmpc.errors import InputError, unknown_name
 
 Array = NDArray[np.float64]
 State = Literal["open", "opening", "closing", "closed"]
-#: Torque [N m] that a brake holds.
-BRAKE_TORQUE = 200.0
+#: Torque [N m] that the brake of a hinge holds, force [N] that that of a slide does.
+BRAKE_TORQUE, BRAKE_FORCE = 200.0, 500.0
 _STUCK = {"open": 0.0, "closed": 1.0}
 
 
@@ -24,8 +25,8 @@ class Brakes:
     """n brakes, closed at the start. ``delay`` [s] from open to closed and back; ``engaged`` (n): 0 open to 1 closed; ``held`` (n) [N m]:
     what they can hold now; ``rests``: whether all are what they shall be."""
 
-    def __init__(self, n: int, delay: float = 0.0, torque: float = BRAKE_TORQUE) -> None:
-        self.delay, self.torque = delay, torque
+    def __init__(self, n: int, delay: float = 0.0, torque: ArrayLike = BRAKE_TORQUE) -> None:
+        self.delay, self.torque = delay, np.asarray(torque, float)
         self.engaged: Array = np.ones(n)
         self._target: Array = np.ones(n)
         self._stuck: dict[int, float] = {}

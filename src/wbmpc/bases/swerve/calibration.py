@@ -174,7 +174,7 @@ def replay(
 
 def _reject_other_legs(geometry: ModuleGeometry, record: WheelRecord) -> None:
     """Raise :class:`InputError` for legs that are not those of this base."""
-    if geometry.has_hinge:
+    if geometry.legs_move:
         if record.leg.shape[1] == 0:
             raise InputError(
                 "log: the robot's legs have hinges, and there is no channel 'leg' with their angles; valid: such a channel, or a "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wbmpc.bases.base import BaseDescription, Radius, Section
 
@@ -15,11 +15,24 @@ _SPEEDS = (
 
 
 class ModuleDescription(Section):
-    """One swerve module: names of its joints; ``hinge`` is left out when the legs are fixed (all of a base, or none)."""
+    """One swerve module: names of its joints. A leg turns about a ``hinge`` or gets longer by a ``slide``; both are left out when the legs
+    are fixed (all of a base, or none)."""
 
     hinge: str | None = None
+    slide: str | None = None
     steer: str
     wheel: str
+
+    @model_validator(mode="after")
+    def _check_leg(self) -> ModuleDescription:
+        if self.hinge and self.slide:
+            raise ValueError(f"a leg has a hinge or a slide, got '{self.hinge}' and '{self.slide}'")
+        return self
+
+    @property
+    def leg(self) -> str | None:
+        """The joint of its leg."""
+        return self.hinge or self.slide
 
 
 class SwerveBaseDescription(BaseDescription):
@@ -36,14 +49,14 @@ class SwerveBaseDescription(BaseDescription):
     modules: tuple[ModuleDescription, ...] = Field(min_length=2)
 
     def joint_groups(self) -> dict[str, list[str]]:
-        """Hinges (none with fixed legs), steering and wheel joints, each by module."""
-        hinges = [m.hinge for m in self.modules if m.hinge]
-        legs = {"leg": hinges} if hinges else {}
+        """Joints of the legs (none with fixed legs), steering and wheel joints, each by module."""
+        moved = [m.leg for m in self.modules if m.leg]
+        legs = {"leg": moved} if moved else {}
         return {**legs, "steer": [m.steer for m in self.modules], "wheel": [m.wheel for m in self.modules]}
 
     def joints(self) -> list[str]:
         """The joints module by module."""
-        return [n for m in self.modules for n in (m.hinge, m.steer, m.wheel) if n]
+        return [n for m in self.modules for n in (m.leg, m.steer, m.wheel) if n]
 
     def radii(self) -> list[Radius]:
         """Of every wheel."""

@@ -51,8 +51,10 @@ class LegFolding:
         asked = robot.home[self._leg]
         straight = np.round((geometry.leg_heading + asked) / np.pi) * np.pi - geometry.leg_heading
         limits = robot.limits
+        lower, upper = limits.state_lower[self._leg], limits.state_upper[self._leg]
         folded = straight + np.sign(straight - asked) * INWARD
-        self._narrow = np.clip(folded, limits.state_lower[self._leg], limits.state_upper[self._leg])
+        # a leg that slides is narrowest where it is shortest
+        self._narrow = np.where(geometry.slides > 0.0, lower, np.clip(folded, lower, upper))
         #: legs at one end of the body fold alike
         self._pair = geometry.hinge[:, 0] > 0.0
         self._rate = LEG_SHARE * float(limits.input_upper[robot.input["leg"]].min())

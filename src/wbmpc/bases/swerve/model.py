@@ -1,7 +1,8 @@
-"""Swerve bases: steered and driven wheels, on fixed legs or on passive hinges with brakes.
+"""Swerve bases: steered and driven wheels, on fixed legs, or on passive hinges or slides with brakes.
 
 Source: Pankert et al., RA-L 2022 (arXiv 2206.15298), equations 1 to 5 and 9 to 12. Wheel i: hinge at h_i, leg angle φ_i,
-steer axis s_i = h_i + L d(φ_i); its velocity in the body frame is v + ω ẑ × s_i + λ_i φ̇_i ẑ × (s_i − h_i).
+steer axis s_i = h_i + L d(φ_i); its velocity in the body frame is v + ω ẑ × s_i + λ_i φ̇_i ẑ × (s_i − h_i). A leg that slides has
+s_i = h_i + (L + q_i) d, and λ_i q̇_i d in place of the last term.
 """
 
 from __future__ import annotations
@@ -47,14 +48,16 @@ def read_geometry(description: RobotDescription, tree: Tree) -> tuple[ModuleGeom
     base = description.base
     assert isinstance(base, SwerveBaseDescription)
     poses = tree.zero_poses()
-    hinged = [m.hinge is not None for m in base.modules]
-    if any(hinged) != all(hinged):
-        raise InputError(f"{description.source}: key 'base.modules': either all modules or none have a 'hinge'")
+    moved = [m.leg is not None for m in base.modules]
+    if any(moved) != all(moved):
+        raise InputError(
+            f"{description.source}: key 'base.modules': either all modules or none have a 'hinge' or 'slide'"
+        )
     hinge, length, leg, wheel, height = [], [], [], [], []
     for module in base.modules:
         steer, rolling = tree.joint(module.steer), tree.joint(module.wheel)
         # The parent of a steer joint is the leg, on its hinge or fixed; without a leg the steer axis is on the body.
-        mount = tree.joint(module.hinge) if module.hinge else tree.links[steer].parent
+        mount = tree.joint(module.leg) if module.leg else tree.links[steer].parent
         start = poses[steer][0] if tree.links[mount].parent < 0 else poses[mount][0]
         along = (poses[steer][0] - start)[:2]
         axle = poses[rolling][1] @ tree.links[rolling].axis
@@ -67,6 +70,11 @@ def read_geometry(description: RobotDescription, tree: Tree) -> tuple[ModuleGeom
                 f"{description.source}: the steering axis '{module.steer}' must be away from the hinge '{module.hinge}': no wheel "
                 f"swings a leg of {1e3 * length[-1]:.3g} mm; a module without a leg has no 'hinge'"
             )
+        if module.slide:
+            along = (poses[mount][1] @ tree.links[mount].axis)[:2]
+            length[-1] = float(along @ (poses[steer][0] - start)[:2])
+            start = poses[steer][0] - np.array([*(length[-1] * along), 0.0])
+            hinge[-1] = start[:2]
         leg.append(float(np.arctan2(along[1], along[0])))
         wheel.append(float(np.arctan2(-axle[0], axle[1])))  # rolling direction = axle × up
         height.append(base.wheel_radius - float(poses[rolling][0][2]))
@@ -77,7 +85,8 @@ def read_geometry(description: RobotDescription, tree: Tree) -> tuple[ModuleGeom
         leg_heading=np.array(leg),
         wheel_heading=np.array(wheel),
         wheel_radius=base.wheel_radius,
-        has_hinge=all(hinged),
+        legs_move=all(moved),
+        slides=np.array([float(m.slide is not None) for m in base.modules]),
     )
     return geometry, float(np.mean(height))
 
@@ -89,8 +98,17 @@ def _check_module(
     for name in (module.hinge, module.steer, module.wheel):
         if name and tree.links[tree.joint(name)].kind != "revolute":
             raise InputError(
-                f"{description.model}: joint '{name}' slides; it is in base.modules of {description.source}, where all joints turn"
+                f"{description.model}: joint '{name}' slides; it is in base.modules of {description.source}, where all joints but "
+                "those of the key 'slide' turn"
             )
+    if module.slide:
+        link = tree.links[tree.joint(module.slide)]
+        if link.kind != "prismatic":
+            raise InputError(
+                f"{description.model}: joint '{module.slide}' turns; {description.source} names it as a 'slide' of base.modules"
+            )
+        if abs((poses[tree.joint(module.slide)][1] @ link.axis)[2]) > 1e-6:
+            raise InputError(f"{description.source}: joint '{module.slide}' must slide horizontally")
     for name in (module.hinge, module.steer):
         if name and (poses[tree.joint(name)][1] @ tree.links[tree.joint(name)].axis)[2] < 1.0 - 1e-6:
             raise InputError(f"{description.source}: joint '{name}' must turn about the body's +z axis")
@@ -137,7 +155,7 @@ class ModuleFootprint:
         """Feet (n, 2) [m] in the axes of the body at a state (nx)."""
         base = self._base
         start = len(base.state["base"])
-        leg = x[start : start + self.size] if base.geometry.has_hinge else np.zeros(self.size)
+        leg = x[start : start + self.size] if base.geometry.legs_move else np.zeros(self.size)
         return base.geometry.steer_axes(leg)
 
     def expressions(self, x: ca.SX) -> list[ca.SX]:
@@ -145,9 +163,19 @@ class ModuleFootprint:
         g, parts = self._base.geometry, self._base.slices(x, True)
         feet = []
         for i in range(g.modules):
-            angle = float(g.leg_heading[i]) + (parts["leg"][i] if g.has_hinge else 0.0)
-            feet.append(constant(g.hinge[i]) + float(g.leg_length[i]) * ca.vertcat(ca.cos(angle), ca.sin(angle)))
+            feet.append(steer_axis(g, i, parts["leg"][i] if g.legs_move else ca.SX(0.0))[0])
         return feet
+
+
+def steer_axis(g: ModuleGeometry, i: int, leg: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Of module i with its leg's joint at ``leg`` [rad or m]: the steer axis (2) [m], its velocity (2) at a rate of 1 of that joint, the
+    angle by which the leg has turned [rad]."""
+    slides = bool(g.slides[i])
+    angle, length = (0.0, leg) if slides else (leg, 0.0)
+    heading = float(g.leg_heading[i]) + angle
+    along = ca.vertcat(ca.cos(heading), ca.sin(heading))
+    arm = (float(g.leg_length[i]) + length) * along
+    return constant(g.hinge[i]) + arm, along if slides else ca.vertcat(-arm[1], arm[0]), angle
 
 
 def _warn_of_short_steering(description: RobotDescription, names: Sequence[str], limits: Limits, part: slice) -> None:
@@ -172,7 +200,7 @@ class SwerveBase:
         self.base = description.base
         self.tree = tree
         self.geometry, self.body_height = read_geometry(description, tree)
-        hinges = [m.hinge for m in self.base.modules if m.hinge]
+        hinges = [m.leg for m in self.base.modules if m.leg]
         joints = {**self.base.joint_groups(), "arm": list(description.arm.joints)}
         self.quaternion = self.base.orientation == "quaternion"
         pose = ["x", "y", "z", "qw", "qx", "qy", "qz"] if self.quaternion else ["x", "y", "yaw"]
@@ -224,7 +252,7 @@ class SwerveBase:
         The body moves by the twist of its wheels and the parameter ``drift`` (body axes): what slip on a slope adds.
         """
         rates, u = u[3:], ca.vertcat(u[:3] + w[:3], u[3:])
-        if self.geometry.has_hinge:
+        if self.geometry.legs_move:
             n = self.geometry.modules
             rates = ca.vertcat(m[0:n] * u[3 : 3 + n], u[3 + n :])
         if self.quaternion:
@@ -252,14 +280,12 @@ class SwerveBase:
         g, state, inputs = self.geometry, self.slices(x, True), self.slices(u, False)
         rolling, side = [], []
         for i in range(g.modules):
-            leg = state["leg"][i] if g.has_hinge else 0.0
-            rate = m[i] * inputs["leg"][i] if g.has_hinge else 0.0
-            angle = float(g.leg_heading[i]) + leg
-            arm = float(g.leg_length[i]) * ca.vertcat(ca.cos(angle), ca.sin(angle))
-            s = constant(g.hinge[i]) + arm
-            vx = u[0] - u[2] * s[1] - rate * arm[1]
-            vy = u[1] + u[2] * s[0] + rate * arm[0]
-            heading = float(g.wheel_heading[i]) + leg + state["steer"][i]
+            leg = state["leg"][i] if g.legs_move else ca.SX(0.0)
+            rate = m[i] * inputs["leg"][i] if g.legs_move else 0.0
+            s, moved, angle = steer_axis(g, i, leg)
+            vx = u[0] - u[2] * s[1] + rate * moved[0]
+            vy = u[1] + u[2] * s[0] + rate * moved[1]
+            heading = float(g.wheel_heading[i]) + angle + state["steer"][i]
             c, d = ca.cos(heading), ca.sin(heading)
             rolling.append(c * vx + d * vy - g.wheel_radius * inputs["wheel"][i])
             side.append(-d * vx + c * vy)

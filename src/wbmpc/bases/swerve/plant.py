@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
-from wbmpc.bases.swerve.brakes import Brakes
+from wbmpc.bases.swerve.brakes import BRAKE_FORCE, BRAKE_TORQUE, Brakes
 from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.perturbation import check_perturbation
@@ -39,6 +39,8 @@ WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0
 WHEEL_SPEED, STEER_SPEED = 11.52, 5.76
 #: Half width [m] of a wheel.
 WHEEL_HALF_WIDTH = 0.02
+#: Damping [N s/m] of a leg that slides: it is pushed in by 30 N at 0.3 m/s (assumed).
+SLIDE_DAMPING = 100.0
 #: Constraint settings of the brakes: soft ones would let a closed brake creep.
 _BRAKE_SOLREF, _BRAKE_SOLIMP = [0.002, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0]
 
@@ -86,7 +88,7 @@ class SwervePlant(WheeledPlant):
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
-            "leg": [m.hinge for m in modules if m.hinge],
+            "leg": [m.leg for m in modules if m.leg],
             "steer": [m.steer for m in modules],
             "wheel": [m.wheel for m in modules],
             "arm": arm,
@@ -99,15 +101,16 @@ class SwervePlant(WheeledPlant):
         self.world = World(spec, description, [n for g in self._names.values() for n in g], self._rated())
         self.model, self.data = self.world.model, self.world.data
         self.index()
-        self.brakes = Brakes(len(self._names["leg"]), self.perturbation.brake_delay)
+        holds = [BRAKE_FORCE if m.slide else BRAKE_TORQUE for m in modules if m.leg]
+        self.brakes = Brakes(len(holds), self.perturbation.brake_delay, np.array(holds))
         self._held: Array | None = None  # what brakes hold, as the model has it
         self.start_sensors(self._zero_errors())
         self._place(self._groups(state), lift, settle)
 
     def _reject_brake_fault(self) -> None:
-        p, legs = self.perturbation, [m.hinge for m in self.base.modules if m.hinge]
+        p, legs = self.perturbation, [m.leg for m in self.base.modules if m.leg]
         if p.brake_fault != "none" and p.brake_fault_leg >= len(legs):
-            valid = ", ".join(f"{i} ({n})" for i, n in enumerate(legs)) or "a robot with hinged legs"
+            valid = ", ".join(f"{i} ({n})" for i, n in enumerate(legs)) or "a robot with legs that move"
             raise InputError(
                 f"plant.brake_fault_leg: {self.description.name} has no leg {p.brake_fault_leg} with a brake; valid: {valid}"
             )
@@ -125,8 +128,8 @@ class SwervePlant(WheeledPlant):
             self._normal_force_sensor(spec, f"contact_{module.wheel}")
             for joint in (module.steer, module.wheel):
                 spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, self.perturbation.dry_friction
-            if module.hinge:
-                spec.joint(module.hinge).damping = [1.0, 0, 0]
+            if module.leg:
+                spec.joint(module.leg).damping = [SLIDE_DAMPING if module.slide else 1.0, 0, 0]
             self._servo(spec, module.wheel, WHEEL_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
             self._servo(spec, module.steer, WHEEL_GAIN, STEER_TORQUE, draw.steer_lag[i])
         self.finish(spec, edit)

@@ -10,7 +10,7 @@ from wbmpc.kernel.ir import Floats
 
 @step
 def detect_contradiction(
-    n: int, hinge: Floats, length: Floats, leg_heading: Floats, leg: Floats, residual: Floats, twist: Floats,
+    n: int, hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, leg: Floats, residual: Floats, twist: Floats,
     contradiction: Floats, velocity: Floats, odd: Floats, over: float, threshold: float, h: float, turn: float,
     gyro: bool,
 ) -> bool:  # fmt: skip
@@ -28,8 +28,8 @@ def detect_contradiction(
         contradiction[y] += share * (residual[y] / h - contradiction[y])
         square += contradiction[x] * contradiction[x] + contradiction[y] * contradiction[y]
         if gyro:
-            heading = leg_heading[i] + leg[i]
-            axis_x, axis_y = hinge[x] + length[i] * np.cos(heading), hinge[y] + length[i] * np.sin(heading)
+            heading, reach = leg_heading[i] + (1.0 - slides[i]) * leg[i], length[i] + slides[i] * leg[i]
+            axis_x, axis_y = hinge[x] + reach * np.cos(heading), hinge[y] + reach * np.sin(heading)
             more = twist[2] - turn
             velocity[x] += share * ((residual[x] + twist[0] - more * axis_y) / h - velocity[x])
             velocity[y] += share * ((residual[y] + twist[1] + more * axis_x) / h - velocity[y])

@@ -34,7 +34,7 @@ class SlippingWheels:
         self._contradiction, self._velocity = np.zeros(2 * n), np.zeros(2 * n)
         arrays = {
             "hinge": np.array(geometry.hinge, float).ravel(), "length": np.array(geometry.leg_length, float),
-            "leg_heading": np.array(geometry.leg_heading, float), "leg": self._leg, "odd": self.odd,
+            "leg_heading": np.array(geometry.leg_heading, float), "slides": np.array(geometry.slides, float), "leg": self._leg, "odd": self.odd,
             "contradiction": self._contradiction, "velocity": self._velocity, **wheels.arrays,
         }  # fmt: skip
         self._detect_contradiction = bind(detect_contradiction, arrays, backend, n=n, over=OVER, threshold=CONTRADICTS)

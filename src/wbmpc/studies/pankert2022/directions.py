@@ -35,7 +35,7 @@ def reject_directions(
     moves = zip(legs, twists, leg_rates, strict=True)
     velocity = np.array([wheel_velocities(g, leg, twist, rate) for leg, twist, rate in moves])
     heading = np.arctan2(velocity[..., 1], velocity[..., 0])
-    angle = heading - g.wheel_heading - legs * g.has_hinge
+    angle = heading - g.wheel_heading - legs * g.legs_move * (1.0 - g.slides)
     missed = beyond_range(angle, low, high) * (np.hypot(velocity[..., 0], velocity[..., 1]) > ROLLS)
     if missed.max() <= OFF:
         return

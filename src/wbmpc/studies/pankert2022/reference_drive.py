@@ -121,7 +121,7 @@ def _opened(geometry: ModuleGeometry, leg: np.ndarray, stroke: int) -> np.ndarra
     do, and show no more. All closed where there are no brakes, or where the open legs would not hold the base."""
     brake = np.ones(geometry.modules)
     brake[stroke % geometry.modules] = 0.0
-    holds = geometry.has_hinge and floating(geometry, leg, brake)[0] >= FLOATING
+    holds = geometry.legs_move and floating(geometry, leg, brake)[0] >= FLOATING
     return brake * float(holds)
 
 
