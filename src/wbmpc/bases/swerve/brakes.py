@@ -26,11 +26,12 @@ class Brakes:
     what they can hold now; ``rests``: whether all are what they shall be."""
 
     def __init__(self, n: int, delay: float = 0.0, torque: ArrayLike = BRAKE_TORQUE) -> None:
-        self.delay, self.torque = delay, np.asarray(torque, float)
+        self.delay = delay
+        self.torque: Array = np.asarray(torque, float)
         self.engaged: Array = np.ones(n)
         self._target: Array = np.ones(n)
         self._stuck: dict[int, float] = {}
-        self.held: Array = torque * self.engaged
+        self.held: Array = self.torque * self.engaged
         self.rests = False
 
     def command(self, brake: ArrayLike) -> None:

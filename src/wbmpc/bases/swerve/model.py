@@ -171,7 +171,8 @@ def steer_axis(g: ModuleGeometry, i: int, leg: ca.SX) -> tuple[ca.SX, ca.SX, ca.
     """Of module i with its leg's joint at ``leg`` [rad or m]: the steer axis (2) [m], its velocity (2) at a rate of 1 of that joint, the
     angle by which the leg has turned [rad]."""
     slides = bool(g.slides[i])
-    angle, length = (0.0, leg) if slides else (leg, 0.0)
+    nothing = ca.SX(0.0)
+    angle, length = (nothing, leg) if slides else (leg, nothing)
     heading = float(g.leg_heading[i]) + angle
     along = ca.vertcat(ca.cos(heading), ca.sin(heading))
     arm = (float(g.leg_length[i]) + length) * along
