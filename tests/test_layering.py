@@ -136,7 +136,8 @@ def test_only_tests_of_the_solver_know_its_memory() -> None:
     memory = {"wbmpc.solver.workspace", "wbmpc.solver.memory_layout"}
     tests = Path(__file__).parent
     for path in sorted(p for p in tests.rglob("*.py") if p.parent.name not in ("kernel", "solver")):
-        names = imported(ast.parse(path.read_text()), "")
+        text = path.read_text()
+        names = imported(ast.parse(text), "") if re.search("workspace|memory_layout", text) else set()
         assert not {n for n in names if n in memory or n.rpartition(".")[0] in memory}, path.relative_to(tests)
 
 
