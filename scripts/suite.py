@@ -39,8 +39,10 @@ def suite(workers: int, arguments: Sequence[str], cache: Path, run: Run = pytest
     """Exit status of the whole; ``cache`` is an empty directory, in which pytest remembers what failed; of ``ignored`` files those
     tests run alone that need the wall clock."""
     remember = ["-o", f"cache_dir={cache}"]
+    # each process would rewrite all assertions to explain those that fail: variables do, and what fails is run once more
+    terse = ["--assert", "plain", "--showlocals"]
     # "worksteal" leaves the tests of a module with one process, so that what they share is made once
-    beside = ["-n", "auto", "--maxprocesses", str(workers), "--dist", "worksteal", "-m", "not wallclock"]
+    beside = [*terse, "-n", "auto", "--maxprocesses", str(workers), "--dist", "worksteal", "-m", "not wallclock"]
     beside += [f"--ignore={path}" for path in ignored]
     status = [run([*remember, *beside, *arguments])]
     # other tests would take the time of these

@@ -84,8 +84,9 @@ def imported(tree: ast.AST, package: str) -> set[str]:
 @cache
 def imports_of(path: Path) -> frozenset[str]:
     """Full dotted names of everything that a module imports when it runs."""
-    package = ".".join(("wbmpc", *path.relative_to(SOURCE).parts[:-1]))
-    return frozenset(imported(without_type_checking(ast.parse(path.read_text())), package))
+    package, text = ".".join(("wbmpc", *path.relative_to(SOURCE).parts[:-1])), path.read_text()
+    tree = ast.parse(text)
+    return frozenset(imported(without_type_checking(tree) if "TYPE_CHECKING" in text else tree, package))
 
 
 def without_type_checking(tree: ast.Module) -> ast.Module:
@@ -111,16 +112,17 @@ def test_every_module_has_a_room() -> None:
     assert {room(p) for p in MODULES} <= set(ROOMS)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
-def test_imports_point_upwards(path: Path) -> None:
-    own = ROOMS.index(room(path))
-    used = rooms_used(path)
-    # a public name of the package (``from wbmpc import load_robot``) would hide which room it comes from
-    assert used <= set(ROOMS), f"{path.name}: import {used - set(ROOMS)} from its own module"
-    wrong = {name for name in used if ROOMS.index(name) > own}
-    assert not wrong, (
-        f"{path.relative_to(SOURCE)} is in room '{ROOMS[own]}' and imports from later rooms: {sorted(wrong)}"
-    )
+def test_imports_point_upwards() -> None:
+    wrong = []
+    for path in MODULES:
+        own, used = ROOMS.index(room(path)), rooms_used(path)
+        # a public name of the package (``from wbmpc import load_robot``) would hide which room it comes from
+        late = sorted(name for name in used if name not in ROOMS or ROOMS.index(name) > own)
+        if late:
+            wrong.append(
+                f"{path.relative_to(SOURCE)} is in room '{ROOMS[own]}' and imports from none or later ones: {late}"
+            )
+    assert not wrong, "\n".join(wrong)
 
 
 @pytest.mark.parametrize("package", ONLY_IN)
@@ -134,7 +136,8 @@ def test_only_tests_of_the_solver_know_its_memory() -> None:
     memory = {"wbmpc.solver.workspace", "wbmpc.solver.memory_layout"}
     tests = Path(__file__).parent
     for path in sorted(p for p in tests.rglob("*.py") if p.parent.name not in ("kernel", "solver")):
-        names = imported(ast.parse(path.read_text()), "")
+        text = path.read_text()
+        names = imported(ast.parse(text), "") if re.search("workspace|memory_layout", text) else set()
         assert not {n for n in names if n in memory or n.rpartition(".")[0] in memory}, path.relative_to(tests)
 
 

@@ -46,6 +46,9 @@ class Standin:
         self._clock = self.node.publisher("/clock", "rosgraph_msgs/msg/Clock", Qos(depth=1))
         self.change: Change = lambda message: message
         self.answers = 5.0  # how long a command is waited for [s]
+        self.heard: Callable[[], bool] = lambda: (
+            True
+        )  # whether a state that was sent has come in; is waited for as long
         for group in self.commands:
             take = lambda message, g=group: self._take(g, message)
             self.node.subscribe(f"/{group}_controller/commands", "std_msgs/msg/Float64MultiArray", take)
@@ -67,7 +70,8 @@ class Standin:
             self._joints.publish(changed)
         self._clock.publish({"clock": stamp(self.time)})
         end = time.monotonic() + self.answers
-        while wait and any(self.counts[g] == previous[g] for g in previous) and time.monotonic() < end:
+        due = lambda: wait and any(self.counts[g] == previous[g] for g in previous)
+        while (due() or not self.heard()) and time.monotonic() < end:
             time.sleep(1e-4)
         for group, rates in self.commands.items():
             self.joints[group] = self.joints[group] + self.period * rates
