@@ -68,6 +68,25 @@ def test_legs_fold_as_far_as_their_wheels_need(robot: wb.RobotModel) -> None:
         assert (truth(x, places(0.0)) >= wanted - 1e-6) == enough
 
 
+@pytest.mark.parametrize("name", ["pentapod-ur10", "telescope-ur10"])
+def test_legs_of_any_kind_fold(name: str) -> None:
+    """Five legs that turn, four that slide: at home they are wider than the corridor, folded they keep what is asked for."""
+    robot = wb.load_robot(name)
+    made, mpc = folding(robot)
+    times = np.array([2.0, 11.0])
+    states = path(robot, times)
+    shares, _ = made.needed(mpc.obstacles.snapshot(0.0), times, states)
+    assert not shares[0].any() and shares[1].any()
+    truth = TrueDistance(robot, [(mujoco.mjtGeom.mjGEOM_BOX, HALF)] * 2)
+    truth.own = [
+        g for g in truth.own if truth.model.body(truth.model.geom_bodyid[g]).name.startswith(("leg", "steer", "wheel"))
+    ]
+    wanted, leg, x = robot.description.collision.margin + GAP, robot.state["leg"], states[1].copy()
+    assert truth(x, places(0.0)) < wanted
+    x[leg] += shares[1] * (made._narrow - x[leg])
+    assert truth(x, places(0.0)) >= wanted - 1e-6
+
+
 def test_the_base_moves_aside_where_its_body_needs_it(robot: wb.RobotModel) -> None:
     """The body is 0.8 m wide: in the middle of a wall's gap of 1 m, 0.1 m are left; 0.08 m off only 0.02 m."""
     made, mpc = folding(robot, 0.08)
