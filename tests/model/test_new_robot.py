@@ -14,6 +14,7 @@ import pytest
 
 from wbmpc.cli import main
 from wbmpc.model.robot import load_robot
+from wbmpc.robots import load_description
 from wbmpc.robots.doctor import examine_robot
 from wbmpc.robots.mechanism import read_mechanism
 from wbmpc.robots.model_file import read_model
@@ -137,6 +138,15 @@ def test_a_model_becomes_a_robot(wheels: str, base: str, count: int, tmp_path: P
         assert abs(robot.pose(robot.home)[0][2] - 0.8) < 0.35  # the working height, among 2 000 postures
     result = examine_robot(str(path))
     assert result.count("error") == 0 and result.count("warning") == 0, result.findings
+
+
+@pytest.mark.parametrize("name", ["pentapod-ur10", "telescope-ur10"])
+def test_legs_that_turn_or_slide_are_found(name: str, tmp_path: Path) -> None:
+    """Truth: the built-in robot file of the same model."""
+    known = load_description(name)
+    path = tmp_path / "own.yaml"
+    assert main(["new", str(known.model), "--yes", "--out", str(path)]) == 0
+    assert load_description(path).base.modules == known.base.modules
 
 
 @pytest.mark.parametrize("powered", [False, True])

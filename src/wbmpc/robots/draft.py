@@ -103,7 +103,7 @@ class Draft:
 def make_draft(mechanism: Mechanism) -> Draft:
     """The best proposals. Raises :class:`InputError` for a model without an arm."""
     subject = Subject(mechanism)
-    arms = find_arms(mechanism, {n for w in subject.wheels for n in (w.joint, w.steer, w.hinge, *w.held) if n})
+    arms = find_arms(mechanism, {n for w in subject.wheels for n in (w.joint, w.steer, w.leg, *w.held) if n})
     if not arms:
         raise InputError(
             f"{mechanism.file.path}: no joint looks like an arm's; an end effector is moved by one joint at least"

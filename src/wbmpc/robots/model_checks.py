@@ -236,7 +236,7 @@ def check_tools(subject: Subject) -> Iterator[Finding]:
     """An arm whose end no frame is named for."""
     if subject.description is not None:
         return
-    others = {n for w in subject.wheels for n in (w.joint, w.steer, w.hinge, *w.held) if n}
+    others = {n for w in subject.wheels for n in (w.joint, w.steer, w.leg, *w.held) if n}
     arms = find_arms(subject.mechanism, others)
     if not arms:
         yield Finding(

@@ -22,9 +22,9 @@ CASTER = re.compile(r"cast[eo]r|passive|idler", re.IGNORECASE)
 @dataclass(frozen=True)
 class Wheel:
     """``center`` (3) [m] and ``axle`` (3) in the world of the file, at zero; ``radius`` [m] as the shapes show it, or else the height of
-    the center above the file's world (``assumed``); ``steer``, ``hinge``: vertical axes above it, the second one that of a leg;
-    ``offset`` [m]: from the steering axis; ``passive``: a caster's; ``held``: its rollers and its suspension; ``driven``: False for a
-    tire without a drive."""
+    the center above the file's world (``assumed``); ``steer``: a vertical axis above it; ``leg``: a hinge with a vertical axis, or a
+    horizontal slide, above that; ``offset`` [m]: from the steering axis; ``passive``: a caster's; ``held``: its rollers and its
+    suspension; ``driven``: False for a tire without a drive."""
 
     joint: str
     center: Array
@@ -32,7 +32,7 @@ class Wheel:
     radius: float | None
     assumed: bool
     steer: str | None
-    hinge: str | None
+    leg: str | None
     offset: float
     passive: bool
     held: tuple[str, ...]
@@ -87,12 +87,15 @@ def _wheel(mechanism: Mechanism, joint: Joint) -> Wheel | None:
     if joint.kind != "hinge" or not (turns and joint.horizontal) or 0 < len(below) < _ROLLERS:
         return None
     above = [mechanism.joints[n] for n in joint.above if n in mechanism.joints]
-    if not all(a.vertical or _suspends(a) for a in above):
-        return None
     hinges = [a for a in above if a.kind == "hinge" and a.vertical]
-    if len(hinges) > 2 or any(len(mechanism.below(n)) < len(mechanism.below(joint.name)) for n in below):
+    # a leg is above a steering axis
+    slides = [a for a in above if a.kind == "slide" and a.horizontal and not _suspends(a) and hinges]
+    if not all(a.vertical or a in slides or _suspends(a) for a in above):
         return None
-    return _record(mechanism, joint, hinges, [a.name for a in above if a not in hinges], below)
+    legs = [*slides, *hinges[:-1]]
+    if len(legs) > 1 or any(len(mechanism.below(n)) < len(mechanism.below(joint.name)) for n in below):
+        return None
+    return _record(mechanism, joint, hinges, legs, [a.name for a in above if a not in (*hinges, *slides)], below)
 
 
 def _suspends(joint: Joint) -> bool:
@@ -102,7 +105,12 @@ def _suspends(joint: Joint) -> bool:
 
 
 def _record(
-    mechanism: Mechanism, joint: Joint, hinges: list[Joint], suspension: list[str], rollers: list[str]
+    mechanism: Mechanism,
+    joint: Joint,
+    hinges: list[Joint],
+    legs: list[Joint],
+    suspension: list[str],
+    rollers: list[str],
 ) -> Wheel:
     center = mechanism.data.xpos[mechanism.model.body(joint.body).id].copy()
     drawn = radius_of(mechanism.file, mechanism.model, joint.name)
@@ -114,6 +122,6 @@ def _record(
     driven = joint.drive.driven or (steer is not None and steer.drive.driven)
     return Wheel(
         joint.name, center, joint.axis, radius, drawn is None, steer.name if steer else None,
-        hinges[0].name if len(hinges) > 1 else None, offset,
+        legs[0].name if legs else None, offset,
         passive=bool(CASTER.search(names)) and not driven, held=(*suspension, *rollers),
     )  # fmt: skip
