@@ -10,6 +10,7 @@ from wbmpc import lie
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
 from wbmpc.bases.ball.joint_tracker import JointTracker
+from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.estimation.fused_odometry import FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.model.robot import load_robot
@@ -170,3 +171,20 @@ def test_joints_after_a_gap_are_where_they_are_read() -> None:
     for _ in range(100):
         tracker.update(PERIOD, after)
     assert not tracker.jumped.any() and np.abs(tracker.rate).max() < 0.01
+
+
+def test_a_gap_alone_does_not_make_an_encoder_stand_still() -> None:
+    """A joint of 2 rad/s whose reading is the same after 0.09 s: simulated time went on without physics, or something held it. Only
+    three such readings in a row, 0.02 s by the rule of the class, are an encoder that stands."""
+    speed, none = np.full(1, 2.0), np.zeros(1)
+    monitor = EncoderMonitor(3, ["elbow"])
+    read = lambda t, h, angle: monitor.update(t, h, np.array([angle]), speed, none, (), none)
+    for k in range(20):
+        assert not read(PERIOD * k, PERIOD, 2.0 * PERIOD * k)
+    at, t = 2.0 * PERIOD * 19, PERIOD * 19
+    assert not read(t + 0.09, 0.09, at) and not read(t + 0.18, 0.09, at) and not monitor.lost
+    assert [str(f) for f in read(t + 0.27, 0.09, at)] and monitor.lost == "the encoder of elbow stands still"
+    monitor = EncoderMonitor(3, ["elbow"])
+    assert not read(0.0, PERIOD, 0.0)
+    stands = [read(PERIOD * k, PERIOD, 0.0) for k in range(1, 9)]
+    assert [bool(f) for f in stands] == [False] * 7 + [True]  # 0.02 s of messages that all came

@@ -66,33 +66,54 @@ def test_a_cart_pole_never_gets_more_than_its_limit_whatever_feedback_asks_for(p
     assert cut > 50 and plain.limits.count == cut
 
 
-@pytest.mark.parametrize(
-    "reference",
-    [
-        wb.Reference.constant([1.5]),
-        wb.Reference(np.array([0.0, 5.0]), np.array([[-2.0], [8.0]])),
-        wb.Reference(np.array([0.0, 0.2, 0.4]), np.array([[-1.0], [1.0], [0.5]]), "hold"),
-    ],
-    ids=["constant", "ramp", "hold"],
-)
-def test_the_box_moves_with_its_reference(plain: wb.MPC, reference: wb.Reference) -> None:
+REFERENCES = {
+    "constant": wb.Reference.constant([1.5]),
+    "ramp": wb.Reference(np.array([0.0, 5.0]), np.array([[-2.0], [8.0]])),
+    "bends": wb.Reference(np.array([0.013, 0.171, 0.183, 0.6]), np.array([[-2.0], [4.0], [1.0], [1.0]])),
+    "jumps": wb.Reference(
+        np.array([0.0, 0.2, 0.2, 0.25, 0.25, 1.0]), np.array([[0.0], [1.0], [-3.0], [0.0], [4.0], [2.0]])
+    ),
+    "hold": wb.Reference(np.array([0.0, 0.2, 0.21, 0.4]), np.array([[-1.0], [1.0], [3.0], [0.5]]), "hold"),
+}
+
+
+@pytest.mark.parametrize("reference", REFERENCES.values(), ids=REFERENCES)
+def test_the_box_moves_with_its_reference_at_every_time(plain: wb.MPC, reference: wb.Reference) -> None:
+    """Also between the nodes of the plan, and just before and after what bends or jumps there; and no tighter than what the
+    reference does in the interval."""
     plain.reference["limit"] = reference
     seen = set()
     for policy in policies(plain):
-        for k, t in (
-            (k, t + share * h)
-            for k, (t, h) in enumerate(zip(policy.times, np.diff(policy.times)))
-            for share in (0.0, 0.6)
-        ):
-            # a held reference may change within an interval: then its value at the interval's beginning counts, as in the plan
-            middle = reference.at(policy.times[k] if reference.kind == "hold" else t)[0]
-            for push in PUSHED:
-                x = policy.state(t) + push
-                given = policy(t, x)[0]
-                assert given == pytest.approx(np.clip(policy.law(t, x)[0], middle - FORCE, middle + FORCE), abs=1e-9)
-                seen.add(round(abs(given - middle), 6))
-            assert abs(policy(t)[0] - middle) <= FORCE + 1e-9
+        for begin, end in zip(policy.times, policy.times[1:]):
+            knots = [s for s in reference.times if begin < s <= end + 1e-9]
+            at = [
+                begin,
+                end - 1e-6,
+                *np.linspace(begin, end, 5)[1:-1],
+                *(s + e for s in knots for e in (-1e-6, 1e-6) if begin < s + e < end),
+            ]
+            middles = [reference.at(t)[0] for t in at]
+            for t, middle in zip(at, middles):
+                assert abs(policy(t)[0] - middle) <= FORCE + 1e-9
+                for push in PUSHED:
+                    x = policy.state(t) + push
+                    given, asked = policy(t, x)[0], policy.law(t, x)[0]
+                    assert abs(given - middle) <= FORCE + 1e-9
+                    if not knots:
+                        assert given == pytest.approx(np.clip(asked, middle - FORCE, middle + FORCE), abs=1e-9)
+                    elif given != pytest.approx(asked, abs=1e-9):
+                        assert max(middles) - FORCE - np.ptp(middles) <= given <= min(middles) + FORCE + np.ptp(middles)
+                    seen.add(round(abs(given - middle), 6))
     assert FORCE in seen
+
+
+def test_a_jump_beyond_the_width_of_the_box_keeps_the_upper_bounds(plain: wb.MPC) -> None:
+    """14 N where the box is 10 N wide: no input is in both, and never more than the smaller upper bound is given in that interval."""
+    plain.reference["limit"] = wb.Reference(np.array([0.0, 0.21]), np.array([[-5.0], [9.0]]), "hold")
+    for policy in policies(plain, 1):
+        (k,) = np.flatnonzero((policy.times[:-1] < 0.21) & (policy.times[1:] > 0.21))
+        for t in np.linspace(policy.times[k], policy.times[k + 1], 9)[:-1]:
+            assert all(policy(t, policy.state(t) + push)[0] <= 1e-9 for push in PUSHED)
 
 
 def test_a_tighter_fixed_bound_and_a_mode_beside_it() -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.recording import writer
-from wbmpc.recording.reader import Recording, read_recording
+from wbmpc.recording.reader import KINDS, Recording, read_recording
 from wbmpc.recording.records import MAGIC
 from wbmpc.recording.writer import McapFile, stamp
 
@@ -158,3 +158,18 @@ def test_log_without_a_command_shows_its_help(capsys: pytest.CaptureFixture[str]
     assert main(["log"]) == 0
     said = capsys.readouterr()
     assert "Usage" in said.out and said.err == ""
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_topic_of_another_type_is_left_out(tmp_path: Path, name: str) -> None:
+    """Pages and films read these topics by name. One of another type, or of two, was a traceback of whatever its messages lack."""
+    path, topic = tmp_path / "run.mcap", name + "x" * name.endswith("/")
+    file = McapFile(path)
+    for t in (0.0, 0.5):
+        file.put("/x", "std_msgs/Float64", t, [t])
+        file.put(topic, "std_msgs/Float64MultiArray", t, {"layout": {"dim": [], "data_offset": 0}, "data": np.ones(3)})
+    file.close()
+    found = read_recording(path)
+    assert set(found.topics) == {"/x"} and found.complete
+    assert found.damage == [f"{topic} is left out: its type is std_msgs/Float64MultiArray, {KINDS[name]} is needed"]
+    assert main(["log", "plot", str(path)]) == 0

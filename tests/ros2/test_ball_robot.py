@@ -82,6 +82,27 @@ def test_it_is_held_until_a_goal_comes_and_then_balances(made: Callable[..., Any
     assert later[0, 0] > 0.9 * e.covariance[0, 0] and later[3, 3] < 1.5 * e.covariance[3, 3]
 
 
+def test_drives_that_take_the_first_commands_late(made: Callable[..., Any]) -> None:
+    """Somebody holds the robot for 0.3 s while torques are sent already: neither its encoders nor its inertial unit are to blame, and
+    no force is learned from it."""
+    s = made()
+    take, began, at_release = s.sim._take, [], []
+
+    def late(*given: Any) -> None:
+        began or began.append(s.sim.time)
+        if s.sim.time - began[0] >= 0.3:
+            at_release or at_release.append(np.abs(s.control.adapter.controller.disturbance).max())
+            take(*given)
+
+    s.sim._take = late
+    s.ready()
+    s.end_effector(dx=0.1, dz=-0.05)
+    assert s.until(lambda: at_release or s.control.adapter.faults), s.control.state
+    assert at_release == [0.0] and not s.control.adapter.faults
+    standing(s)
+    assert not s.control.adapter.faults
+
+
 @thorough
 def test_an_mpc_that_gives_no_plan_for_a_while(made: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     """A policy that is too old is kept, and given up as soon as there is a new one."""

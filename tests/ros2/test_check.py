@@ -27,6 +27,7 @@ if not MISSING:
     from wbmpc.ros2.check import check
     from wbmpc.ros2.control import ControlNode
     from wbmpc.ros2.convert import header
+    from wbmpc.ros2.sim import SimNode
 
 ROBOT = load_robot("swerve-ur10")
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "46"})
@@ -266,6 +267,20 @@ def test_the_nodes_say_as_much_as_is_wanted(
         assert main([*command, "--verbose"]) == 0
         said = capsys.readouterr()
         assert said.out == "" and "by dds; settings: {" in said.err
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_simulated_robot_that_falls_is_status_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], held: bool
+) -> None:
+    """A ball robot without torques: MuJoCo's falls within a second, one that somebody holds stands until its time is over."""
+    for name, value in private().items():
+        monkeypatch.setenv(name, value)
+    opens = SimNode._open
+    monkeypatch.setattr(SimNode, "_open", lambda sim: (opens(sim), setattr(sim.side, "held", held)))
+    sim = ["ros2", "sim", "rezero", "--backend", "dds", "--seconds", "0.1" if held else "3", "--json"]
+    assert main(sim) == (0 if held else 1)
+    assert json.loads(capsys.readouterr().out)["ended"].startswith("0.1 s are over" if held else "the robot fell at ")
 
 
 def test_another_odometry_and_brakes_of_nobody(robot: Any, looker: Any) -> None:

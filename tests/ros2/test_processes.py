@@ -148,7 +148,7 @@ def test_the_ball_robot_takes_a_step_and_outlives_its_simulator_but_not_its_cont
         previous = bus.output().count("no commands on /")
         bus.control.kill()
         bus.wait_for(lambda: bus.sim.poll() is not None, 60.0)
-        assert bus.sim.returncode == 0 and bus.output().count("no commands on /") == previous + 1
+        assert bus.sim.returncode == 1 and bus.output().count("no commands on /") == previous + 1
         assert "the robot fell at" in bus.output()
 
 

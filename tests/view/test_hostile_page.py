@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import socket
 import subprocess
 import sys
 import threading
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hostile import BAD_GOALS, CAMERA, MALFORMED, Client, check_access
+from hostile import BAD_GOALS, CAMERA, MALFORMED, Client, check_access, get
 from test_live import free_port
 
 from effort import thorough
@@ -35,8 +36,8 @@ from websockets.exceptions import ConnectionClosed  # noqa: E402 - they come wit
 
 from wbmpc.view.frames import checked  # noqa: E402
 from wbmpc.view.panel import Panel  # noqa: E402
-from wbmpc.view.scene import _aim  # noqa: E402
-from wbmpc.view.server import Throttle, open_server  # noqa: E402
+from wbmpc.view.scene import _aim, _drawable  # noqa: E402
+from wbmpc.view.server import MAX_CONNECTIONS, Throttle, open_server  # noqa: E402
 
 #: Values that a control may not have.
 WRONG: dict[str, tuple[Any, ...]] = {
@@ -185,6 +186,36 @@ def test_a_flood_of_one_page_leaves_the_server_to_others() -> None:
         assert other.hears("**Not done:**")
     finally:
         server.stop()
+
+
+def test_connections_that_say_nothing_leave_the_run_its_files() -> None:
+    """Each is an open file of the process: with 1024 of them a run could write nothing. Whoever is there already stays; once they
+    are gone, others are let in again."""
+    server, guard = open_server(Access.of("127.0.0.1"), free_port())
+    url, port = guard.access.url(server.get_port()), server.get_port()
+    silent: list[socket.socket] = []
+    try:
+        page = Client(url)
+        silent += [socket.create_connection(("127.0.0.1", port), 10.0) for _ in range(MAX_CONNECTIONS + 20)]
+        with pytest.raises(OSError):  # closed, or reset
+            get(url)
+        assert len(guard.connections) == MAX_CONNECTIONS and page.alive
+        for each in silent:
+            each.close()
+        wait_until = time.monotonic() + 20.0
+        while len(guard.connections) > 1 and time.monotonic() < wait_until:
+            time.sleep(0.01)
+        assert get(url)[0] == 200 and page.alive
+    finally:
+        for each in silent:
+            each.close()
+        server.stop()
+
+
+def test_only_what_single_precision_has_is_drawn() -> None:
+    points = np.array([[1.0, 2.0], [np.nan, 0.0], [1e300, 0.0], [0.0, np.inf], [3.0, 4.0]])
+    np.testing.assert_array_equal(_drawable(points), [[1.0, 2.0], [3.0, 4.0]])
+    assert _drawable(np.zeros((0, 2, 3))).shape == (0, 2, 3)
 
 
 def _flood(client: Client, ended: threading.Event) -> None:

@@ -23,7 +23,7 @@ from wbmpc.errors import InputError, WbmpcError
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.recording.plots import positions
 from wbmpc.recording.reader import Recording, read_recording
-from wbmpc.recording.writer import McapFile
+from wbmpc.recording.writer import McapFile, stamp
 from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.view import render
 from wbmpc.view.replay import Film, write_page
@@ -286,3 +286,20 @@ def test_a_site_has_its_clip(run: SimpleNamespace, tmp_path: Path, monkeypatch: 
     assert drawn.st_size > 500
     reproduce._clip([job], "toy", tmp_path, True)
     assert (tmp_path / "toy" / "clip.mp4").stat().st_mtime_ns == drawn.st_mtime_ns
+
+
+@pytest.mark.parametrize("value", [1e300, np.nan])
+def test_frames_that_are_nowhere_are_rejected(tmp_path: Path, value: float) -> None:
+    """A camera has nothing to look at; it was a traceback of NumPy."""
+    path = tmp_path / "run.mcap"
+    file = McapFile(path)
+    file.attach("scene.json", {"robot": "b", "bodies": [{"name": "b", "parent": "world", "moves": True}], "shapes": []})
+    transform = {
+        "header": {"stamp": stamp(0.0), "frame_id": "map"},
+        "child_frame_id": "b",
+        "transform": np.full(7, value),
+    }
+    file.put("/tf", "tf2_msgs/TFMessage", 0.0, {"transforms": [transform]})
+    file.close()
+    with pytest.raises(InputError, match="are not finite at first, or farther away than 1e\\+06 m"):
+        Film(read_recording(path))

@@ -120,7 +120,7 @@ def ros2_sim(
     fifo: Fifo = False,
     as_json: AsJson = False,
 ) -> None:
-    """Simulate the robot as a node: joint states, inertial unit, clock; takes the controllers' commands."""
+    """Simulate the robot as a node: joint states, inertial unit, clock; takes the controllers' commands. Status 1 if the robot falls."""
     verbose = not context.obj.quiet
     node, model, settings = _on_bus(context, robot, config, backend, "_sim", use_sim_time, lockstep, 5 * fifo)
     from wbmpc.ros2.sim import SimNode
@@ -138,6 +138,8 @@ def ros2_sim(
         typer.echo(f"{why}; too slow {sim.behind} times", err=True)
     if as_json:
         typer.echo(json.dumps({"ended": why, "seconds": round(sim.time, 6), "behind": sim.behind, "seed": seed}))
+    if sim.failed:
+        raise typer.Exit(ABORTED)
 
 
 @ros2.command("check")

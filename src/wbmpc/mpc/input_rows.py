@@ -28,13 +28,14 @@ class InputRows:
         self._step: Step | None = None
         self._tables: Tables | None = None  # which the step reads
 
-    def of_plan(self) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """See :meth:`wbmpc.mpc.mpc.MPC.input_rows`."""
+    def of_plan(self, t: float) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """See :meth:`wbmpc.mpc.mpc.MPC.input_rows`; ``t`` [s]: where the plan begins."""
         if not self.limits.offset.size:
             return None, None
         tables = self._solver.tables()
         if self._step is None or tables is not self._tables:
             self._step, self._tables = self._bound(tables), tables
+        np.add(self._solver.ws.grid, t, out=self._times)
         self._step()
         return self._active.copy(), self._moving.copy() if self.planes.move else None
 
@@ -44,10 +45,11 @@ class InputRows:
 
         solver, planes, p = self._solver, self.planes, self._solver.node_parameters
         n, r, width = len(p) - 1, self.limits.offset.size, planes.by_node.shape[1]
-        self._active, self._moving = np.empty((n, r)), np.empty((n, 2, r))
+        self._active, self._moving, self._times = np.empty((n, r)), np.empty((n, 2, r)), np.empty(n + 1)
         arrays = {
-            "p": p, "w": solver.constants, "integers": tables.integers, "limits": self.limits.table, "rows": self.table,
-            "switches": self.switches, "room": np.empty(max(width, 1)), "active": self._active, "moving": self._moving,
+            "p": p, "w": solver.constants, "times": self._times, "numbers": tables.numbers, "integers": tables.integers,
+            "limits": self.limits.table, "rows": self.table, "switches": self.switches, "room": np.empty(max(width, 1)),
+            "active": self._active, "moving": self._moving,
         }  # fmt: skip
         sizes = {"n": n, "size": p.shape[1], "nu": solver.problem.nu, "r": r, "moves": int(planes.move)}
         widths = {"by_node": width, "by_constant": planes.by_constant.shape[1]}

@@ -217,7 +217,7 @@ class MPC:
     def input_rows(self) -> tuple[np.ndarray | None, np.ndarray | None]:
         """Of the rows of ``limits`` in each interval of the last plan: which count, (N, r), 1 or 0, None without rows; and their
         offsets at its beginning and end, (N, 2, r), None where they do not move."""
-        return self._input_rows.of_plan()
+        return self._input_rows.of_plan(self._t or 0.0)
 
     @property
     def limit_violation(self) -> float:

@@ -90,7 +90,8 @@ class Policy:
     ``limits``: what the problem gives the inputs alone by straight hard constraints, bounds and rows of several (None: nothing).
     After a push the feedback asks for more than the plan, which knows nothing of it yet. ``active`` (N, r): which of the rows
     count in each interval's mode. ``moving`` (N, 2, r): their offsets at each interval's beginning and end, where references or
-    parameters move them (None: nowhere); in between they are linear, so that ``policy(t)`` follows them too. Other hard rows
+    parameters move them (None: nowhere); in between they are linear, and nowhere larger than a reference that bends or jumps there
+    allows. Other hard rows
     (with states, and those that ``MPC(plan_only_limits=True)`` allows) hold in the plan, i.e. for ``policy(t)``; cut feedback to
     those yourself, from :meth:`law`.
     ``clearance``: what of the plan is nearest to an obstacle, or to another part of the robot, for its margin (None: no such rows).

@@ -22,6 +22,13 @@ from wbmpc.recording.records import MAGIC, records
 _LOG = logging.getLogger(__name__)
 #: Bytes of a recording that is read as a whole, at most.
 LARGEST = 8 * 1024**3
+#: Types of the topics that plots, films and pages read by name; with a slash at the end, of all below.
+KINDS = {
+    "/robot_description": "std_msgs/String", "/mode": "std_msgs/String", "/tf": "tf2_msgs/TFMessage",
+    "/tf_static": "tf2_msgs/TFMessage", "/joint_states": "sensor_msgs/JointState", "/odom": "nav_msgs/Odometry",
+    "/hand/": "geometry_msgs/PoseStamped", "/plan": "nav_msgs/Path", "/plan/": "nav_msgs/Path",
+    "/contact/": "geometry_msgs/WrenchStamped", "/mpc/": "std_msgs/Float64",
+}  # fmt: skip
 #: Fields of a message's header and of its layout: no numbers of their own.
 _SKIPPED = ("header", "layout")
 
@@ -153,7 +160,8 @@ def _flat_field(prefix: str, kind: str, name: str, value: Any) -> Iterator[tuple
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read the recording ``path`` (a file, or a run's folder): all that is whole of one that is cut or damaged.
+    """Read the recording ``path`` (a file, or a run's folder): all that is whole of one that is cut or damaged, without topics of
+    :data:`KINDS` that have another type.
 
     Damage is noted in the recording and logged as a warning. Raises :class:`InputError` when there is no such file, it is not
     MCAP, or nothing of it can be read.
@@ -208,6 +216,12 @@ class _Assembly:
             kind = self._schemas.get(record.schema_id, "").replace("/msg/", "/")
             # other programs' topics may be of types that are not known here
             known = kind in DEFINITIONS and record.message_encoding == "cdr"
+            there = self._out.topics.get(record.topic)
+            usual = KINDS.get(record.topic[: record.topic.find("/", 1) + 1], kind if there is None else there.kind)
+            needed = KINDS.get(record.topic, usual)
+            if known and kind != needed:
+                known = False
+                self._out.damage.append(f"{record.topic} is left out: its type is {kind}, {needed} is needed")
             self._channels[record.id] = self._out.topics.setdefault(record.topic, Topic(kind)) if known else None
         elif isinstance(record, Record):
             if record.channel_id in self._channels:

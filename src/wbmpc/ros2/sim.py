@@ -151,6 +151,11 @@ class SimNode:
         """Simulated time [s]."""
         return self._stood + float(self.plant.time)
 
+    @property
+    def failed(self) -> bool:
+        """Whether the robot fell, or the simulation diverged: what ended :meth:`spin` before anybody asked it to."""
+        return self.plant.fell or self.plant.diverged
+
     def now(self) -> float:
         """Stamp [s] of what is published now."""
         return self.time + (BEGIN if self.sim_time else self._began)

@@ -242,9 +242,9 @@ def update(
         return fall_back(m, o, count, value, start, times, states, inputs, room)
     take_plan(m, o, value, start, t, times, states, inputs, gains)
     plan_rows(
-        p=m, p_at=o[P], n=o[N], size=o[NP], w=m, w_at=o[W], integers=integers, nu=o[NU], limits=limits, rows=rows,
-        switches=switches, r=r, moves=moves, by_node=by_node, by_constant=by_constant, room=room, active=active,
-        moving=moving,
+        p=m, p_at=o[P], n=o[N], size=o[NP], w=m, w_at=o[W], times=times, numbers=numbers, integers=integers,
+        nu=o[NU], limits=limits, rows=rows, switches=switches, r=r, moves=moves, by_node=by_node,
+        by_constant=by_constant, room=room, active=active, moving=moving,
     )  # fmt: skip
     count[Count.PLANNED] = 1
     return Result.OK

@@ -178,16 +178,61 @@ def evaluate(
 
 
 @compiled
+def excess(
+    p: Floats, at: int, size: int, begin: float, end: float, numbers: Floats, integers: Integers, rows: Floats, row_at: int
+) -> float:  # fmt: skip
+    """By how much a row's offset at an interval's nodes is too large somewhere in between, where references bend or jump.
+
+    Reference by reference, at the samples from ``begin`` to ``end`` [s]: there is nothing larger between samples of straight lines."""
+    total = 0.0
+    for slot in range(integers[0]):
+        s = 4 + 6 * slot
+        times, count, values, width, target = (
+            integers[s],
+            integers[s + 1],
+            integers[s + 2],
+            integers[s + 3],
+            integers[s + 5],
+        )
+        matters, linear = False, integers[s + 4] == LINEAR
+        for c in range(width):
+            matters = matters or rows[row_at + target + c] != 0.0
+        if not matters:
+            continue
+        slack = 0.0 if linear else 1e-9  # as the nodes are sampled
+        i, high, most = 0, count, 0.0
+        while i < high:  # the first sample after the beginning
+            middle = (i + high) // 2
+            if numbers[times + middle] <= begin + slack:
+                i = middle + 1
+            else:
+                high = middle
+        while i < count and numbers[times + i] <= end - slack:
+            share_passed = (numbers[times + i] - begin) / (end - begin) if linear else 0.0
+            over = 0.0
+            for c in range(width):
+                j = at + target + c
+                line = p[j] + share_passed * (p[size + j] - p[j])
+                over += rows[row_at + target + c] * (line - numbers[values + i * width + c])
+            most = max(most, over)
+            i += 1
+        total += most
+    return total
+
+
+@compiled
 def plan_rows(
-    p: Floats, p_at: int, n: int, size: int, w: Floats, w_at: int, integers: Integers, nu: int, limits: Floats, rows: Floats,
-    switches: Integers, r: int, moves: int, by_node: int, by_constant: int, room: Floats, active: Floats, moving: Floats,
+    p: Floats, p_at: int, n: int, size: int, w: Floats, w_at: int, times: Floats, numbers: Floats, integers: Integers, nu: int,
+    limits: Floats, rows: Floats, switches: Integers, r: int, moves: int, by_node: int, by_constant: int, room: Floats,
+    active: Floats, moving: Floats,
 ) -> None:  # fmt: skip
     """Of the rows of ``limits`` in each of n intervals: which count, ``active`` (n, r), and where ``moves`` their offsets at its
     beginning and end, ``moving`` (n, 2, r). ``p`` from ``p_at`` on: the nodes' parameters (n + 1, size); ``w``: those of the whole
     horizon; ``switches`` (r,): the node's parameter that turns each on, or −1; ``rows``: what p (r, by_node) and w (r, by_constant)
-    add to the offsets; ``integers``: of the references. ``room``: by_node numbers.
+    add to the offsets; ``times`` (n + 1): of the nodes; ``numbers``, ``integers``: references and modes. ``room``: by_node numbers.
 
-    What is linear in time at the nodes goes on to the next one, all else holds over an interval."""
+    What is linear in time at the nodes goes on to the next one, all else holds over an interval; both less what would be too much
+    somewhere in the interval (:func:`excess`)."""
     for k in range(n):
         for row in range(r):
             active[k * r + row] = 1.0 if switches[row] < 0 else p[p_at + k * size + switches[row]]
@@ -210,7 +255,8 @@ def plan_rows(
                 slope = rows[row * by_node + j]
                 start += slope * p[at + j]
                 end += slope * (p[at + size + j] if room[j] > 0.0 else p[at + j])
-            moving[2 * k * r + row], moving[(2 * k + 1) * r + row] = start, end
+            over = excess(p, at, size, times[k], times[k + 1], numbers, integers, rows, row * by_node)
+            moving[2 * k * r + row], moving[(2 * k + 1) * r + row] = start - over, end - over
 
 
 #: How many arguments of :func:`evaluate` are the policy's; then come ``limited``, t, x, room, u, and the result.

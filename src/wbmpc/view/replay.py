@@ -24,6 +24,8 @@ Array = np.ndarray
 RATE, PAGE_RATE = 30.0, 20.0
 #: Of a film that is one page [s]: its pictures are all in the memory of a browser.
 LONGEST_PAGE = 7200.0
+#: Frames farther away than this [m] are of no robot, and nothing draws them.
+FARTHEST = 1e6
 #: How often it is looked whether a browser has come [s].
 WAIT = 0.2
 _NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
@@ -78,6 +80,12 @@ class Film:
         self._frames = [self._transforms(m) for _, m in recording["/tf"].messages()]
         static = recording.topics.get("/tf_static")
         self._static = self._transforms(static.last()) if static else {}
+        poses = [pose for frames in (*self._frames, self._static) for _, pose in frames.values()]
+        first = [pose for frames in (self._frames[0], self._static) for _, pose in frames.values()]
+        if any(np.abs(p).max() > FARTHEST for p in poses) or not np.isfinite(first).all():
+            raise InputError(
+                f"{recording.path}: its frames (/tf) are not finite at first, or farther away than {FARTHEST:g} m"
+            )
         self._plans = {
             name: self._paths(topic) for name, topic in (("hand_plan", "/plan/hand"), ("base_plan", "/plan"))
         }

@@ -143,14 +143,15 @@ class ViewScene:
     def _path(self, name: str, points: Array, color: tuple[int, int, int]) -> None:
         if not self._changed(name, points):
             return
-        points = points[np.isfinite(points).all(axis=1)]
-        segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+        points = _drawable(points)
+        segments = np.stack([points[:-1], points[1:]], axis=1)
         self._segments(name, segments, color, self.server.scene.add_line_segments, thickness=_THICKNESS)
 
     def _arrows(self, forces: Array) -> None:
         if self._changed("forces", forces):
-            chosen = forces[np.isfinite(forces).all(axis=(1, 2))].astype(np.float32)
-            self._segments("forces", chosen, FORCE, self.server.scene.add_arrows, shaft_radius=0.012, head_radius=0.03)
+            self._segments(
+                "forces", _drawable(forces), FORCE, self.server.scene.add_arrows, shaft_radius=0.012, head_radius=0.03
+            )
 
     def _segments(self, name: str, segments: Array, color: tuple[int, int, int], add: Any, **style: float) -> None:
         if name in self._lines:
@@ -159,6 +160,13 @@ class ViewScene:
                 self._lines[name].points = segments
         elif len(segments):
             self._lines[name] = add(f"{self._root}/over/{name}", segments, color, **style)
+
+
+def _drawable(points: Array) -> Any:
+    """Those (n, …) whose numbers are finite as the browser has them, in single precision."""
+    with np.errstate(over="ignore"):
+        single = points.astype(np.float32)
+    return single[np.isfinite(single).all(axis=tuple(range(1, single.ndim)))]
 
 
 def _far(moved: Array) -> bool:

@@ -25,6 +25,8 @@ from wbmpc.view.frames import LARGEST, checked
 _PATCH = threading.Lock()
 #: Rejected messages that cost their senders no time, and how many more of them are read in a second, of all pages together.
 _FREE, _REJECTED_RATE = 200, 500.0
+#: Connections at a time, of all clients together: each is an open file, and the run that is shown needs files too.
+MAX_CONNECTIONS = 100
 #: Of every answer: no other page may frame this one (clicks would be the user's), learn its address, or keep a copy.
 _HEADERS = {
     "X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'", "Referrer-Policy": "no-referrer",
@@ -57,6 +59,7 @@ class Guard:
         self.rejected: Callable[[str], None] = lambda reason: None
         self._throttle = Throttle(_FREE, _REJECTED_RATE)
         self.server: viser.ViserServer | None = None
+        self.connections: set[Any] = set()
         self.installed = False
         # not one of the registered loggers: their filters would add up over several servers
         self.log = logging.Logger("wbmpc.view")
@@ -99,6 +102,15 @@ class Guard:
             self.rejected(str(error))
             return None
 
+    def admit(self, connection: Any, transport: Any) -> bool:
+        """Count a connection; False, and it is closed, if there are too many."""
+        if len(self.connections) >= MAX_CONNECTIONS:
+            self.log.warning("view: a connection was closed: there are %d, the most that are served", MAX_CONNECTIONS)
+            transport.abort()
+            return False
+        self.connections.add(connection)
+        return True
+
     def _input(self, uuid: str) -> Any:
         return None if self.server is None else self.server.gui._gui_input_handle_from_uuid.get(uuid)
 
@@ -110,6 +122,15 @@ class Guard:
         guard = self
 
         class Connection(websockets_server.ServerConnection):
+            def connection_made(self, transport: asyncio.BaseTransport) -> None:
+                if guard.admit(self, transport):
+                    super().connection_made(transport)
+
+            def connection_lost(self, exc: Exception | None) -> None:
+                if self in guard.connections:
+                    guard.connections.remove(self)
+                    super().connection_lost(exc)
+
             async def recv(self, decode: bool | None = None) -> Any:
                 while True:
                     message = guard.take(await super().recv(decode))

@@ -35,6 +35,8 @@ Array = np.ndarray
 HOLD_AFTER = 0.3
 #: Time that goes back by more than this [s] is of another clock: a simulator that was started anew, or a clock that was set.
 BACK = 0.02
+#: A robot that nobody holds turns a joint by the first [rad] within milliseconds, or its base at the second [rad/s].
+TURNED, TURNING = 1e-3, 0.05
 #: Postures are solved for (some 20 ms each) before and after at most so many changes of the end effector's pose; on ways with more of
 #: them in so many poses.
 CHANGES, POSTURES = 12, 5
@@ -62,6 +64,8 @@ class BusBallController(BallController):
     fix: Callable[[], Fix | None] | None = None
     answer = np.zeros(6)
     _sampled: float | None = None
+    _at_first: Array | None = None  # wheels and arm in the first message
+    _let_go = False
     _held: tuple[Policy, PolicyQueue] | None = None
 
     def measure(self, message: BallMessage) -> None:  # type: ignore[override]
@@ -80,11 +84,22 @@ class BusBallController(BallController):
         if fix is not None:
             state = self.estimator.correct(*fix)
         self.measured = self.seen = BallMeasurement(message.now, state, age)
-        self._monitor_encoders(message.time, message.arm, interval or self.period)
-        self._detect_pushes(state, interval or self.period)
-        if self.observer is not None:
-            self._learn(message.now, state, interval or self.period)
+        if self._moves(message):
+            self._monitor_encoders(message.time, message.arm, interval or self.period)
+            self._detect_pushes(state, interval or self.period)
+            if self.observer is not None:
+                self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
+
+    def _moves(self, m: BallMessage) -> bool:
+        """Whether it has moved since the first message. Drives may take the first commands late, and somebody holds the robot until
+        then: what the model makes of the torques is not what happens, and nothing is to be learned from the difference."""
+        if not self._let_go:
+            joints = np.concatenate([m.wheel, m.arm])
+            self._at_first = joints if self._at_first is None else self._at_first
+            turned = float(np.abs(joints - self._at_first).max())
+            self._let_go = turned > TURNED or float(np.abs(m.gyro).max()) > TURNING
+        return self._let_go
 
     def follow(self, message: BallMessage) -> None:
         """A message while nobody commands the drives moves the estimator only."""

@@ -78,7 +78,8 @@ class EncoderMonitor:
     the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (A load that nobody knows of makes the model
     accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)
     At its ``stops``, lower and upper (n) [rad], a joint is not judged, nor one whose
-    turn would bring the robot against itself (``contact``; None: that is not known). Wheels, the inertial unit and jumps are judged by the
+    turn would bring the robot against itself (``contact``; None: that is not known). A reading after a gap counts as a third of
+    ``min_standstill`` (:data:`IN_A_ROW`): nobody knows what the torques were meanwhile. Wheels, the inertial unit and jumps are judged by the
     estimator; what it says of wheels counts once it has said so for ``patience`` [s], of the others at once; what of it lasts as
     long as :data:`ENDS` has it ends the run. ``faults``: all that were reported, each part once.
     """
@@ -100,6 +101,7 @@ class EncoderMonitor:
         constants = {"expected": expected, "crawl": crawl, "doubt": doubt, "min_standstill": min_standstill}
         self._has_jumped = bind(has_jumped, a, backend, n=n, still=still)
         self._detect_frozen = bind(detect_frozen, a, backend, n=n, still=still, **constants)
+        self._most = min_standstill / IN_A_ROW if min_standstill > 0.0 else np.inf
         self._durations: dict[str, float] = {}
         self._contact = contact
         self._doubted_until = -np.inf
@@ -116,7 +118,7 @@ class EncoderMonitor:
         doubted, standing = self._in_doubt(t, surprised), 0
         if acceleration is not None:
             a["speed"][:], a["acceleration"][:] = speed, acceleration
-            standing = self._detect_frozen(interval, doubted)
+            standing = self._detect_frozen(min(interval, self._most), doubted)
         if not (standing or estimator_faults or self._durations):
             return []
         stalled = self._stalled(t, state) if standing else []
