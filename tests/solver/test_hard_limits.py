@@ -16,6 +16,7 @@ from toys import LinearQuadratic, Rows, ToyDynamics, hardened_pendulum, pendulum
 from wbmpc.errors import InputError, SolveFailed
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solver, Status
+from wbmpc.solver.memory_layout import SETTINGS
 
 START = np.array([0.2, 0.5, 0.3, -0.4])
 
@@ -353,6 +354,7 @@ def test_the_log_has_a_row_for_every_iteration() -> None:
     """A start anew, extra iterations after cut steps and a last one with held inputs come together: none is written beyond it."""
     real_time = SQP.real_time(interior_point=InteriorPoint("real_time", 3e-2))
     solver = hardened_pendulum(real_time, n=8, equality=False)
+    solver.numbers[SETTINGS.index("max_barrier")] = 3e-2  # a barrier parameter that rises keeps them apart
     rng = np.random.default_rng(0)
     counts = [solver.run(rng.normal(size=4) * rng.choice([0.3, 1.0, 3.0]), 0.0)[1] for _ in range(50)]
     assert max(counts) == len(solver.log)

@@ -383,13 +383,12 @@ def accept_step(
 
 @compiled
 def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float, limit: int) -> int:
-    """How many iterations there are to be after the last of ``limit``; ``cut``: its step was.
+    """How many iterations there are to be after the last of ``limit``; ``cut``: its step was. A raised μ is to fall again.
 
     Where inputs are still outside, a last one holds them within the rows."""
     state = o[STATE]
-    short = (
-        cut or max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION]) > LIMIT_TOLERANCE
-    )
+    outside = max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION]) > LIMIT_TOLERANCE
+    short = cut or outside or m[state + StateField.BARRIER] > s[Setting.BARRIER]
     if limit < int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS]) and (
         short or misses_equality(m, o, s)
     ):

@@ -358,6 +358,7 @@ class InterpretedSolver(InterpretedDirections):
         if run.limit < maximum and (
             alpha < 0.9 * run.first
             or outside
+            or self.mu > c.barrier
             or self.ws.state[StateField.UNRELAXED_VIOLATION] > 0.0
             or self._misses_equality(c)
         ):

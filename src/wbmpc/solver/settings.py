@@ -52,11 +52,11 @@ class InteriorPoint:
     """How hard inequalities are treated.
 
     ``mode``: "converge" drives μ from ``initial_barrier`` to ``barrier`` (by default the solver's tolerance times 1e-4,
-    and further down where the plan still depends on it, as with costs in tiny units); "real_time" keeps
-    it at ``barrier`` and starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one iteration
-    per solve is enough. Rows are in units of their range. ``fraction_to_boundary``: the share of the way to zero that slacks
-    and multipliers may go in one step. ``max_extra_iterations``: at most so many more iterations while the step is cut below
-    0.9 of the longest that is tried (docs/explanation/solver.md).
+    and further down where the plan still depends on it, as with costs in tiny units); "real_time" starts every solve with
+    ``barrier``, slacks t = max(h, ``min_slack``) and the multipliers kept, so that one iteration per solve is enough. Both raise μ
+    while slacks cut steps to less than a tenth. Rows are in units of their range. ``fraction_to_boundary``: the share of the way to
+    zero that slacks and multipliers may go in one step. ``max_extra_iterations``: at most so many more iterations while the step is
+    cut below 0.9 of the longest that is tried, or μ is raised (docs/explanation/inequalities.md).
     ``rollout_restart=False``: in real time, a state outside a limit that cuts steps to nearly nothing does not make the iterate a
     motion from there. For unstable systems, whose motion without feedback runs away within the horizon: a plan of a balancing robot
     began meters off, and a push of 120 N s felled it instead of 260.
@@ -96,7 +96,7 @@ class InteriorPoint:
         min_slack = self.min_slack if self.min_slack is not None else (1e-3 if real_time else 1e-2)
         return {
             "initial_barrier": mu if real_time else max(self.initial_barrier, mu),
-            "max_barrier": mu if real_time else max(self.initial_barrier, THRESHOLDS.max_barrier, mu),
+            "max_barrier": max(self.initial_barrier, THRESHOLDS.max_barrier, mu),
             "barrier": mu,
             "keep_multipliers": float(real_time),
             "min_slack": min_slack,
