@@ -228,9 +228,9 @@ def input_scale(problem: Problem, u: Array) -> Array:
 Iterate = Callable[[int, bool], tuple[float, int, Array]]
 
 
-def _pass(loop: Loop, iterate: Iterate, error: float) -> tuple[Array, Array, int]:
-    """Milliseconds and iterations of all ticks but the first, and how many missed ``error``."""
-    times, counts, missed = np.zeros(len(loop.states)), np.zeros(len(loop.states), int), 0
+def _pass(loop: Loop, iterate: Iterate, error: float) -> tuple[Array, Array, Array]:
+    """Milliseconds and iterations of all ticks but the first, and which of them came within ``error``."""
+    times, counts, met = np.zeros(len(loop.states)), np.zeros(len(loop.states), int), np.zeros(len(loop.states), bool)
     for k in range(1, len(loop.states)):
         near = False
         while not near and counts[k] < MOST:
@@ -238,8 +238,8 @@ def _pass(loop: Loop, iterate: Iterate, error: float) -> tuple[Array, Array, int
             times[k] += elapsed
             counts[k] += done
             near = bool(np.all(np.abs(u - loop.inputs[k]) <= error * loop.scale))
-        missed += not near
-    return times[1:], counts[1:], missed
+        met[k] = near
+    return times[1:], counts[1:], met[1:]
 
 
 def our_iterations(problem: Problem, loop: Loop, barrier: float) -> Iterate:
@@ -279,23 +279,29 @@ def their_iterations(shared: AcadosProblem, loop: Loop, settings: Settings) -> I
     return iterate
 
 
-def _summary(found: list[tuple[Array, Array, int]]) -> dict[str, Any]:
-    """Of passes through the same ticks: the least time of every tick counts, for others may use the machine."""
-    times, counts, missed = np.min([f[0] for f in found], axis=0), found[0][1], found[0][2]
-    out = {"median_ms": float(np.median(times)), "worst_ms": float(times.max()), "missed": missed}
+def _summary(found: list[tuple[Array, Array, Array]], of: Array | None = None) -> dict[str, Any]:
+    """Of passes through the same ticks: the least time of every tick counts, for others may use the machine.
+
+    ``of``: the ticks (K,) of median and worst; all that were met when left out. None where there is none."""
+    times, counts, met = np.min([f[0] for f in found], axis=0), found[0][1], found[0][2]
+    of, out = met if of is None else of, {"missed": int((~met).sum())}
+    if not of.any():
+        return {**out, "median_ms": None, "worst_ms": None, "iterations_median": None, "iterations_worst": None}
+    times, counts = times[of], counts[of]
+    out |= {"median_ms": float(np.median(times)), "worst_ms": float(times.max())}
     return {**out, "iterations_median": float(np.median(counts)), "iterations_worst": int(counts.max())}
 
 
 def tick_race(
     problem: Problem, shared: AcadosProblem, loop: Loop, error: float, passes: int = 3
 ) -> list[dict[str, Any]]:
-    """Median and worst tick to the same error of the first input; ours first."""
+    """Median and worst tick to the same error of the first input, of those that both meet, and how many each misses; ours first."""
     tried: list[tuple[Settings, dict[str, Any]]] = []
 
     def merit(iterate: Iterate) -> tuple[float, dict[str, Any]]:
         # plans that come too late are none: a setting that misses more is worse whatever it costs
         summary = _summary([_pass(loop, iterate, error)])
-        return summary["median_ms"] + 1e3 * summary["missed"], summary
+        return (summary["median_ms"] or 0.0) + 1e3 * summary["missed"], summary
 
     def score(settings: Settings) -> float:
         found, summary = merit(their_iterations(shared, loop, settings))
@@ -306,17 +312,20 @@ def tick_race(
 
     settings, _ = search(score, shared.program.n, ("blocks", "mode", "mu0", "tolerance", "warm"))
     fewest = min(s["missed"] for _, s in tried)
-    worst = min((t for t in tried if t[1]["missed"] == fewest), key=lambda t: t[1]["worst_ms"])[0]
-    found: dict[str, list[tuple[Array, Array, int]]] = {"ours": [], "median": [], "worst": []}
+    worst = min((t for t in tried if t[1]["missed"] == fewest), key=lambda t: t[1]["worst_ms"] or np.inf)[0]
+    found: dict[str, list[tuple[Array, Array, Array]]] = {"ours": [], "median": [], "worst": []}
     for _ in range(passes):
         found["ours"].append(_pass(loop, our_iterations(problem, loop, barrier), error))
         found["median"].append(_pass(loop, their_iterations(shared, loop, settings), error))
         if worst != settings:
             found["worst"].append(_pass(loop, their_iterations(shared, loop, worst), error))
-    theirs, other = _summary(found["median"]), _summary(found["worst"] or found["median"])
-    if other["worst_ms"] < theirs["worst_ms"]:  # the best of either count
+    found["worst"] = found["worst"] or found["median"]
+    # a tick that one of them misses has no equal error: it is counted, not timed
+    both = np.logical_and.reduce([runs[0][2] for runs in found.values()])
+    theirs, other = _summary(found["median"], both), _summary(found["worst"], both)
+    if both.any() and other["worst_ms"] < theirs["worst_ms"]:  # the best of either count
         theirs |= {"worst_ms": other["worst_ms"], "iterations_worst": other["iterations_worst"]}
-    ours = {**_summary(found["ours"]), "settings": f"barrier={barrier:g}"}
+    ours = {**_summary(found["ours"], both), "settings": f"barrier={barrier:g}"}
     return [ours, {**theirs, "settings": str(settings), "settings_worst": str(worst)}]
 
 

@@ -80,3 +80,11 @@ def test_acados_finds_our_solution_under_hard_limits(make: object) -> None:
 def test_hpipm_of_its_build_takes_our_step() -> None:
     rows = {r["solver"]: r for r in quadratic_race(suite_bench(double_integrator(10)), repeat=2, peers=("hpipm",))}
     assert rows["hpipm"]["success"] and rows["hpipm"]["build"].startswith("acados ")
+
+
+def test_ticks_that_one_misses_are_counted_and_not_timed() -> None:
+    times, counts = np.array([1.0, 9.0, 3.0, 2.0]), np.array([1, 30, 3, 2])
+    slow = (times + 1.0, counts, np.array([True, False, True, True]))
+    found = acados_race._summary([(times, *slow[1:]), slow], np.array([True, False, False, True]))
+    assert found == {"missed": 1, "median_ms": 1.5, "worst_ms": 2.0, "iterations_median": 1.5, "iterations_worst": 2}
+    assert acados_race._summary([slow], np.zeros(4, bool))["worst_ms"] is None
