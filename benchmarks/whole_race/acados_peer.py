@@ -73,7 +73,7 @@ def installation() -> Path:
 
 
 def build_description() -> dict[str, str]:
-    """Commit and flags of the build, as far as its files tell them."""
+    """Commit and flags of the build, as far as its files name them."""
     folder = installation()
     commit, flags = folder / "lib" / "git_commit_hash", folder / "build" / "CMakeCache.txt"
     out = {"commit": commit.read_text().strip() if commit.is_file() else "unknown"}

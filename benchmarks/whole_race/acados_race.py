@@ -44,7 +44,7 @@ INPUT_ERRORS = (1e-2, 1e-3)
 TICKS, PERIOD, EVERY, MOST, COLD = 100, 0.02, 20, 30, 60
 #: A problem's figures take no longer than this [s].
 SECONDS = 1800.0
-#: Noise of the state per tick.
+#: Noise per tick of the states that are pushed: noise of wheel angles would make the rows of closed brakes contradict each other.
 NOISE = 1e-4
 #: Least factors that are wanted: median and worst warm tick, cold start.
 MEDIAN, WORST, COLD_GOAL = 6.0, 4.0, 4.0
@@ -191,13 +191,13 @@ def closed_loop(scenario: Scenario, problem: Problem, ticks: int = TICKS, seed: 
     """States under converged inputs, noise and pushes; a tick without a converged plan is an error."""
     solver, rng = problem.solver, np.random.default_rng(seed)
     group, which, size = scenario.push
-    start = problem.solver.ocp.dynamics.state[group].start
+    pushed = [problem.solver.ocp.dynamics.state[group].start + i for i in which]
     solver.warm_start(*_guess(problem, solver.problem.ocp.intervals))
     solver.reset()
     x, states, inputs, samples = np.array(problem.x0, float), [], [], []
     for k in range(ticks):
         if k and k % EVERY == 0:
-            x[[start + i for i in which]] += size * rng.choice([-1.0, 1.0], len(which))
+            x[pushed] += size * rng.choice([-1.0, 1.0], len(which))
         found = solver.solve(x, k * PERIOD)
         if found.status.name != "CONVERGED":
             raise RuntimeError(f"{scenario.name}: no converged plan at tick {k}: {found.status.name}")
@@ -206,7 +206,8 @@ def closed_loop(scenario: Scenario, problem: Problem, ticks: int = TICKS, seed: 
         states.append(x.copy())
         inputs.append(found.u[0].copy())
         samples.append(sampled(solver, k * PERIOD))
-        x = solver.simulate(x, found.u[0], PERIOD) + NOISE * rng.normal(size=x.size)
+        x = solver.simulate(x, found.u[0], PERIOD)
+        x[pushed] += NOISE * rng.normal(size=len(pushed))
     u = np.array(inputs)
     return Loop(np.array(states), u, first, samples, input_scale(problem, u))
 
