@@ -1,8 +1,10 @@
-"""HPIPM and OSQP of CasADi's wheel on the quadratic problem of one step, against our Riccati kernel."""
+"""HPIPM (acados' build where it is found, else that of CasADi's wheel) and OSQP on the quadratic problem of one step, against our
+Riccati kernel."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -13,6 +15,8 @@ from wbmpc.benchmark.child import within
 from wbmpc.benchmark.ours import milliseconds
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
+from whole_race.acados_peer import Acados, AcadosProblem, NoAcados, Settings, build_description
+from whole_race.acados_race import search
 from whole_race.lq import LQProblem, Packed, eliminate, linearize, our_step, pack, substitute
 
 #: A step is right when it differs from ours by no more than this.
@@ -86,6 +90,32 @@ def _solve(name: str, lq: LQProblem, ours: np.ndarray, repeat: int) -> dict[str,
     return {**figures, "call_ms": float(times.min()), "step_ms": float(times.min()) if inside is None else inside}
 
 
+def _with_acados(problem: Problem, ours: np.ndarray, repeat: int) -> dict[str, Any]:
+    """HPIPM of acados' build with acados' condensing, the fastest right settings; its own clock, without linearization."""
+    shared, x0, u0 = AcadosProblem(Program(problem.solver)), problem.x0, problem.u0
+    n = shared.program.n
+    x, u = np.tile(x0, (n + 1, 1)), np.tile(u0, (n, 1))
+    flat = lambda x, u: np.concatenate([np.hstack([x[:-1], u]).ravel(), x[-1]])
+
+    def figures(settings: Settings, repeat: int) -> dict[str, Any]:
+        solver, times = Acados(shared, settings, real_time=True), []
+        for _ in range(repeat):
+            solver.reset()
+            solver.warm_start(x, u)
+            solver.solve(x0)
+            times.append(1e3 * solver.number("time_qp_sol"))
+        difference = float(np.abs(flat(*solver.trajectory()) - flat(x, u) - ours).max())
+        row = {"success": difference <= RIGHT, "difference": difference, "step_ms": min(times)}
+        return {**row, "iterations": solver.count("qp_iter"), "settings": str(settings)}
+
+    def score(settings: Settings) -> float:
+        row = figures(settings, 5)
+        return float(row["step_ms"]) if row["success"] else np.inf
+
+    settings, _ = search(score, n, ("blocks", "mode", "mu0", "tolerance"))
+    return {**figures(settings, repeat), "build": f"acados {build_description()['commit']}"}
+
+
 def step_problem(problem: Problem) -> tuple[LQProblem, Packed]:
     """The quadratic problem of the first iteration from the common guess, packed for the kernel.
 
@@ -98,7 +128,16 @@ def step_problem(problem: Problem) -> tuple[LQProblem, Packed]:
     return lq, pack(solver.kernel, lq, solver.problem.softness)
 
 
-def quadratic_race(problem: Problem, repeat: int = 20, seconds: float = 30.0) -> list[dict[str, Any]]:
+def _hpipm(problem: Problem, lq: LQProblem, ours: np.ndarray, repeat: int) -> dict[str, Any]:
+    try:
+        return _with_acados(problem, ours, repeat)
+    except NoAcados:
+        return {**_solve("hpipm", lq, ours, repeat), "build": "CasADi's wheel"}
+
+
+def quadratic_race(
+    problem: Problem, repeat: int = 20, seconds: float = 300.0, peers: Sequence[str] = PEERS
+) -> list[dict[str, Any]]:
     """Rows with milliseconds of one step, without linearization, and the largest difference from our step.
 
     ``step_ms`` is the solver's own time where CasADi measures it, else that of the whole call.
@@ -113,8 +152,9 @@ def quadratic_race(problem: Problem, repeat: int = 20, seconds: float = 30.0) ->
     times = milliseconds(step, 10 * repeat)
     common = {"problem": problem.name}
     rows = [{**common, "solver": "wbmpc Riccati", "success": True, "step_ms": float(times.min()), "difference": 0.0}]
-    for name in PEERS:
-        found = within(seconds, _solve, name, lq, z, repeat)
+    for name in peers:
+        arguments = (_hpipm, problem, lq, z, repeat) if name == "hpipm" else (_solve, name, lq, z, repeat)
+        found = within(seconds, *arguments)
         rows.append(
             {**common, "solver": name, **({"success": False, "error": found} if isinstance(found, str) else found)}
         )

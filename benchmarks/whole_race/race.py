@@ -7,7 +7,7 @@ from typing import Any
 
 from wbmpc.benchmark import race
 from wbmpc.benchmark.peers import PEERS
-from whole_race import closed_loop, scaling
+from whole_race import acados_race, closed_loop, scaling
 from whole_race.crocoddyl_peer import ball_robot_spec, crocoddyl_figures, lq_spec, torque_arm_spec
 from whole_race.floor import profile
 from whole_race.qp import quadratic_race
@@ -31,8 +31,8 @@ def crocoddyl_race() -> list[dict[str, Any]]:
 
 
 def run_whole_race(repeat: int = 200, progress: race.Progress | None = None) -> dict[str, Any]:
-    """Figures of ``wbmpc bench``, and crocoddyl (installed into the cache directory when it is not there), QP solvers, a C build
-    of the same functions, the floor, the scaling and the closed loop. Takes minutes."""
+    """Figures of ``wbmpc bench``, acados where ``ACADOS_INSTALL_DIR`` says it is, crocoddyl (installed into the cache directory when
+    it is not there), QP solvers, a C build of the same functions, the floor, the scaling and the closed loop. Takes minutes."""
     done = 0
 
     def note(text: str) -> None:
@@ -42,6 +42,7 @@ def run_whole_race(repeat: int = 200, progress: race.Progress | None = None) -> 
     small = None if progress is None else (lambda share, text: progress(0.4 * share, text))
     figures = race.run_benchmark(repeat, small)
     with race.one_core():
+        figures["acados"] = acados_race.acados_race(repeat, note)
         note("crocoddyl")
         figures["crocoddyl"] = crocoddyl_race()
         done = 1
@@ -58,7 +59,7 @@ def run_whole_race(repeat: int = 200, progress: race.Progress | None = None) -> 
         figures["scaling"] = scaled(repeat, note)
         done = 4
         figures["closed_loop"] = closed_loop.closed_loop_race(("wbmpc SQP", *PEERS), note)
-    figures["goals"] = race.goals(figures)
+    figures["goals"] = [*acados_race.goals(figures["acados"]), *race.goals(figures)]
     return figures
 
 

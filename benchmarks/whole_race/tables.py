@@ -8,6 +8,7 @@ from rich.table import Table
 
 from wbmpc.benchmark.table import ending, number, table_of
 from wbmpc.benchmark.table import text as small_text
+from whole_race.acados_tables import acados_tables
 from whole_race.scaling import slope
 
 
@@ -87,4 +88,4 @@ def more_tables(figures: dict[str, Any]) -> list[Table]:
 
 def text(figures: dict[str, Any], width: int = 118) -> str:
     """Tables, notes and the machine, as text."""
-    return small_text(figures, width, more_tables(figures))
+    return small_text(figures, width, more_tables(figures), acados_tables(figures))

@@ -262,7 +262,7 @@ def test_power_laws_are_found() -> None:
 
 
 def test_goals_compare_with_the_fastest_peer() -> None:
-    rows = [{"problem": "p", "solver": s, "iteration_ms": t} for s, t in (("wbmpc SQP", 1.0), ("a", 7.0), ("b", 4.0))]
+    rows = [{"problem": "p", "solver": s, "equal_ms": t} for s, t in (("wbmpc SQP", 1.0), ("a", 7.0), ("b", 4.0))]
     rows.append({"problem": "p", "solver": "c", "error": "no answer in 20 s"})  # type: ignore[dict-item]
     sizes = [{"problem": "q", "ratio": 6.0, "goal": 5.0}]
     found = race.goals({"rows": rows, "sizes": sizes, "limits": {"q": {"ratio": 1.4}}, "yardstick": [{"problem": "q"}]})

@@ -34,15 +34,15 @@ class Samples:
     h: np.ndarray
 
 
-def sampled(solver: Solver) -> Samples:
-    """What the solver's references and modes are at the nodes."""
+def sampled(solver: Solver, t0: float = 0.0) -> Samples:
+    """What the solver's references and modes are at the nodes of a horizon that starts at ``t0`` [s]."""
     from wbmpc.solver.receding import sample
 
     t, grid, tables = solver.problem, solver.trajectory().grid, solver.tables()
     width = max(t.node.size, 1)
     flat = np.zeros(grid.size * width)
     for k, time in enumerate(grid):
-        sample(tables.numbers, tables.integers, float(time), flat, k * width)
+        sample(tables.numbers, tables.integers, t0 + float(time), flat, k * width)
     return Samples(flat.reshape(grid.size, width)[:, : t.node.size], solver.constants, np.diff(grid))
 
 

@@ -43,16 +43,17 @@ def _race(rows: list[dict[str, Any]]) -> Table:
     columns = (
         "problem",
         "solver",
-        "ms / iteration",
-        "iterations",
-        "ms to convergence",
-        "residual",
         "ms to 1e-6",
+        "ms to convergence",
+        "iterations",
+        "ms / iteration",
+        "residual",
         "difference",
     )
-    keys = ("problem", "solver", "iteration_ms", "iterations")
-    last = ("residual", "equal_ms", "difference")
-    cells = [[*(r.get(k) for k in keys), ending(r), *(r.get(k) for k in last)] for r in rows]
+    last = ("iterations", "iteration_ms", "residual", "difference")
+    cells = [
+        [*(r.get(k) for k in ("problem", "solver", "equal_ms")), ending(r), *(r.get(k) for k in last)] for r in rows
+    ]
     return table_of("Same discretized problem, same Hessian, one core", columns, cells)
 
 
@@ -71,9 +72,9 @@ def _goals(rows: list[dict[str, Any]]) -> Table:
     return table_of("Goals", ("what", "value", "goal", ""), cells, 1)
 
 
-def tables(figures: dict[str, Any], more: Sequence[Table] = ()) -> list[Table]:
-    """Tables of the figures, ``more`` before that of the goals."""
-    out = [_race(figures["rows"]), _sizes(figures["sizes"])]
+def tables(figures: dict[str, Any], more: Sequence[Table] = (), first: Sequence[Table] = ()) -> list[Table]:
+    """Tables of the figures, ``first`` before them and ``more`` before that of the goals."""
+    out = [*first, _race(figures["rows"]), _sizes(figures["sizes"])]
     limits = [[name, v["unlimited_ms"], v["hard_ms"], v["ratio"]] for name, v in figures["limits"].items()]
     out.append(table_of("Hard limits", ("problem", "unlimited [ms]", "hard-limited [ms]", "ratio"), limits, 1))
     return [*out, *more, _goals(figures["goals"])]
@@ -87,10 +88,10 @@ NOTES = (
 )
 
 
-def text(figures: dict[str, Any], width: int = 118, more: Sequence[Table] = ()) -> str:
+def text(figures: dict[str, Any], width: int = 118, more: Sequence[Table] = (), first: Sequence[Table] = ()) -> str:
     """Tables, notes and the machine, as text."""
     console = Console(file=StringIO(), width=width)
-    for table in tables(figures, more):
+    for table in tables(figures, more, first):
         console.print(table)
     console.print(NOTES, highlight=False)
     compiler = figures["compiler"] or "no C compiler: the peers' functions are interpreted"
