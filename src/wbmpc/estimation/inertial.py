@@ -49,9 +49,11 @@ class InertialGate:
         """Whether a message (2, 3) is farther from the last one that counted than a robot on its wheels can get it."""
         if not self._counted:
             return False
-        (gyro, accel), (last_gyro, last_accel) = message.tolist(), self.last.tolist()
-        far = max(abs(a - b) for a, b in zip(gyro, last_gyro, strict=True))
-        return far > JUMP[0] or max(abs(a - b) for a, b in zip(accel, last_accel, strict=True)) > JUMP[1]
+        # (written out: generators over six numbers cost several times as much, at every message)
+        (a, b, c), (d, e, f) = message.tolist()
+        (x, y, z), (u, v, w) = self.last.tolist()
+        turn, push = JUMP
+        return bool(max(abs(a - x), abs(b - y), abs(c - z)) > turn or max(abs(d - u), abs(e - v), abs(f - w)) > push)
 
     def persists(self, message: Array) -> bool:
         """Whether what jumped is still there: no more needs to contradict it."""
