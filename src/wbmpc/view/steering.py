@@ -140,7 +140,7 @@ class Steering:
             self._brakes(False)
         if not np.array_equal(requests["weights"], self._seen_weights, equal_nan=True):
             self.used, self._seen_weights = True, requests["weights"].copy()
-            self._try(lambda: self._weigh(bounds.factors(requests["weights"])))
+            self._try(lambda: self._set_weights(bounds.factors(requests["weights"])))
 
     def _try(self, act: Callable[[], None]) -> None:
         """Do something, or say why not."""
@@ -271,7 +271,7 @@ class Steering:
         pairs = zip(self.costs, self._weights, strict=False)
         return {cost.name: float(factor) for cost, factor in pairs if factor != 1.0}
 
-    def _weigh(self, factors: Array) -> None:
+    def _set_weights(self, factors: Array) -> None:
         for cost, factor, old in zip(self.costs, factors, self._weights, strict=False):
             if factor == old:
                 continue
