@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from wbmpc.control.protocols import Controller
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.mpc import MPC
@@ -88,10 +89,10 @@ class BaseAdapter(Protocol):
     mpc: MPC
     obstacles: Obstacles | None
     pending: PendingChanges
-    controller: Any
+    controller: Controller
     must_keep_running: bool
     watches: str
-    brakes: Any
+    brakes: Brakes | None
     legs: Array | None
     needs_imu: bool
     parameters: Callable[[], Array] | None

@@ -24,7 +24,7 @@ def collect_statistics(controller: ControlNode) -> dict[str, Any]:
         "task": c.task,
         "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
         "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
-        **({} if c.adapter.brakes is None else {"legs held": c.adapter.controller.holds}),
+        **({} if c.adapter.brakes is None else {"legs held": getattr(c.adapter.controller, "holds", 0)}),
         "constraint violation": f"{c.adapter.mpc.solve_info['violation']:.2e}",
         "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
         "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
