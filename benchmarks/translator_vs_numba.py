@@ -23,7 +23,7 @@ import numpy as np
 
 #: By module and name: loops over numbers; the shift of a receding horizon; rows eight at a time.
 FUNCTIONS = {
-    "moved": ("wbmpc.solver.driver", ()),
+    "moved": ("wbmpc.solver.termination", ()),
     "shift": ("wbmpc.solver.receding", (1e-3,)),
     "rows_step": ("wbmpc.solver.inequalities", (0.995,)),
 }

@@ -58,8 +58,8 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.result import Series as Series
     from wbmpc.runtime.clock import WallClock as WallClock
     from wbmpc.runtime.runner import RealTimeRunner as RealTimeRunner
-    from wbmpc.runtime.runner import RobotInterface as RobotInterface
     from wbmpc.runtime.safety import RealTimeSettings as RealTimeSettings
+    from wbmpc.runtime.stop_control import RobotInterface as RobotInterface
     from wbmpc.simulation.lockstep import Timing as Timing
     from wbmpc.simulation.lockstep import Watch as Watch
     from wbmpc.simulation.lockstep import run_lockstep as run_lockstep
@@ -124,7 +124,7 @@ _MODULES = {
     "Policy": "wbmpc.mpc.policy",
     "RealTimeSettings": "wbmpc.runtime.safety",
     "WallClock": "wbmpc.runtime.clock",
-    "RobotInterface": "wbmpc.runtime.runner",
+    "RobotInterface": "wbmpc.runtime.stop_control",
     "RealTimeRunner": "wbmpc.runtime.runner",
     "InputError": "wbmpc.errors",
     "SolveFailed": "wbmpc.errors",

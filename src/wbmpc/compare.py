@@ -29,7 +29,7 @@ MAX_LINES = 6
 _PLACES = {"base": ("x", "y", "yaw"), "hand": ("x", "y", "z", "qw", "qx", "qy", "qz"), "force": ("x", "y", "z")}
 _WHEELS = ("leg", "brake", "steer", "wheel")
 #: Topics whose numbers are compared where a run left no log.
-_SIGNALS = ("/hand/", "/odom", "/command/", "/joint_states", "/mpc/")
+_SIGNALS = ("/end_effector/", "/odom", "/command/", "/joint_states", "/mpc/")
 
 
 @dataclass(frozen=True)

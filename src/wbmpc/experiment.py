@@ -82,7 +82,7 @@ class Outcome:
 
     ending: Ending = field(default_factory=Ending)
     faults: Sequence[str] = ()
-    controller: Any = None
+    controller: Controller | None = None
     mpc: MPC | None = None
 
 
@@ -141,11 +141,6 @@ class Run:
         if self.ending.fell or self.collision:
             return "fell" if self.ending.fell else "collided"
         return "stuck" if self.ending.stuck else "gave_up"
-
-    @property
-    def controller(self) -> Any:
-        """Of the last part."""
-        return list(self.outcomes.values())[-1].controller
 
 
 @dataclass(frozen=True)

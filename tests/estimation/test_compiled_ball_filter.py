@@ -90,8 +90,9 @@ def test_slopes_are_the_derivatives_of_the_residuals() -> None:
     a = memory.arrays
     a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, gyro, accel
     bind(linearize, a, n=3, radius=float(g.radius))(H, 0.4, 0.0, 0.0)
-    a["z"][:] = a["y"]
-    y = memory.new_state()
+    memory.arrays["x"][:] = a["y"]
+    y = memory.state
+    memory.state = x
     r = residuals(g, s, x, y, wheel, gyro, accel)
     np.testing.assert_allclose(a["r"], r, atol=1e-14)
     np.testing.assert_allclose(r[[*range(9), 16, 17, 18]], 0.0, atol=1e-14)

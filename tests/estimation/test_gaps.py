@@ -156,7 +156,7 @@ def test_a_gap_of_the_ball_filter_is_what_the_wheels_did_over_it(seconds: float)
         np.testing.assert_allclose(spread, 0.2 * way + 0.05 * seconds, rtol=0.05)
         robot.go(1.0, velocity, 0.5)
         assert np.all(np.abs(robot.wrong()) < [0.02 * way + 5e-3, 0.02 * way + 5e-3, 1e-2]), robot.wrong()
-        assert np.abs(robot.filter.ball_velocity[:2] - velocity).max() < 0.01
+        assert np.abs(robot.filter.state.velocity[:2] - velocity).max() < 0.01
 
 
 def test_joints_after_a_gap_are_where_they_are_read() -> None:

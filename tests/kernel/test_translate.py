@@ -381,7 +381,7 @@ def test_the_driver_is_compiled_once_and_reloaded(tmp_path, monkeypatch: pytest.
 def test_the_driver_is_whole_whichever_function_comes_first() -> None:
     """In a fresh process that has imported one module of it only."""
     program = (
-        "from wbmpc.solver.inequalities import log_of_product\n"
+        "from wbmpc.solver.inequality_algebra import log_of_product\n"
         "from wbmpc.solver.compilation import LIBRARY\n"
         "assert LIBRARY.address('receding_receding_solve.entry') > 0"
     )

@@ -18,8 +18,8 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.solver import SQP, Solver, Trajectory
 from wbmpc.solver.controller import STUCK
-from wbmpc.solver.driver import DIVERGED, INPUT_INFEASIBLE
 from wbmpc.solver.solution import COLUMNS
+from wbmpc.solver.termination import DIVERGED, INPUT_INFEASIBLE
 from wbmpc.types import Observation
 
 REAL_TIME = SQP(iterations=1, compute_kkt=False, min_step=0.2, accept_min_step=True)

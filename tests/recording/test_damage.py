@@ -33,7 +33,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file.attach("scene", {"bodies": list(range(40))})
     for k, pose in enumerate(POSES):
         header = {"stamp": stamp(0.01 * k), "frame_id": "odom"}
-        file.put("/hand/pose", "geometry_msgs/PoseStamped", 0.01 * k, {"header": header, "pose": pose})
+        file.put("/end_effector/pose", "geometry_msgs/PoseStamped", 0.01 * k, {"header": header, "pose": pose})
         joints = {"header": header, "name": ["a", "b"], "position": pose[:2], "velocity": [], "effort": []}
         file.put("/joint_states", "sensor_msgs/JointState", 0.01 * k, joints)
         file.put("/mode", "std_msgs/String", 0.01 * k, {"data": f"mode {k}"})
@@ -111,7 +111,7 @@ def test_only_the_damaged_chunk_is_lost(whole: Path, tmp_path: Path, caplog: pyt
     found, all_of_it = read_recording(path), read_recording(whole)
     assert found.complete and len(found.damage) == 2  # the chunk's own checksum, and the whole file's
     assert set(found.topics) == set(all_of_it.topics)
-    assert len(found["/hand/pose"].data) < len(all_of_it["/hand/pose"].data)
+    assert len(found["/end_effector/pose"].data) < len(all_of_it["/end_effector/pose"].data)
     for name, topic in found.topics.items():
         lost = len(all_of_it[name].data) - len(topic.data)
         assert lost < 20 and topic.data == all_of_it[name].data[lost:]

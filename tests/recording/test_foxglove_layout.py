@@ -31,7 +31,7 @@ def run(tmp_path: Path) -> Path:
     )
     file.put("/tf", "tf2_msgs/TFMessage", 0.0, {"transforms": [link]})
     file.put("/joint_states", "sensor_msgs/JointState", 0.0, joints)
-    for topic in ("/hand/pose_odom", "/hand/reference"):
+    for topic in ("/end_effector/pose_odom", "/end_effector/reference"):
         file.put(topic, "geometry_msgs/PoseStamped", 0.0, {"header": header(0.0, "odom"), "pose": pose})
     file.put("/mpc/solve_time", "std_msgs/Float64", 0.0, [0.001])
     file.close()

@@ -28,8 +28,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     file.metadata("run", {"experiment": "toy", "seed": 7, "started": "then"})
     for t, pose, speed in zip(TIMES, POSES, SPEEDS, strict=True):
         header = {"stamp": stamp(t), "frame_id": "odom"}
-        file.put("/hand/pose_odom", "geometry_msgs/PoseStamped", t, {"header": header, "pose": pose})
-        file.put("/hand/reference", "geometry_msgs/PoseStamped", t, {"header": header, "pose": 0.0 * pose})
+        file.put("/end_effector/pose_odom", "geometry_msgs/PoseStamped", t, {"header": header, "pose": pose})
+        file.put("/end_effector/reference", "geometry_msgs/PoseStamped", t, {"header": header, "pose": 0.0 * pose})
         joints = {"header": header, "name": ["a", "b"], "position": [], "velocity": speed, "effort": []}
         file.put("/joint_states", "sensor_msgs/JointState", t, joints)
         file.put("/mpc/solve_time", "std_msgs/Float64", t, [1e-3 * t])
@@ -146,7 +146,12 @@ def test_hand_error(run: Path) -> None:
 BAD = {
     ("log", "info", "nowhere"): "nowhere: there is no such recording",
     ("log", "export", ".", "--to", "xls"): "unknown format 'xls'; valid: csv, npz, parquet",
-    ("log", "export", ".", "/hand/pose"): "unknown topic '/hand/pose' (did you mean '/hand/pose_odom'?)",
+    (
+        "log",
+        "export",
+        ".",
+        "/end_effector/pose",
+    ): "unknown topic '/end_effector/pose' (did you mean '/end_effector/pose_odom'?)",
     ("log", "plot", ".", "/mode"): "topic '/mode' holds no numbers to plot",
 }
 

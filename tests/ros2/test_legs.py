@@ -19,6 +19,7 @@ from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.bus import DEFAULT
 from wbmpc.ros2.network import Network
+from wbmpc.ros2.statistics import rejections
 from wbmpc.stability import leg_angles
 from wbmpc.types import Observation
 
@@ -119,7 +120,7 @@ def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
     assert legs.angles[0] == 0.771 and legs.angles[1] == 0.4
     assert legs.aims[0] == legs.angles[0]
     says = "leg_LF stopped at 0.771 rad on its way to 0.785 rad: no nearer for 4 s, brakes closed"
-    assert robot.control.rejected()["legs stopped short"] == says
+    assert rejections(robot.control)["legs stopped short"] == says
     robot.said.clear()
     reported = lambda: [
         v.value for m in robot.said for s in m.status for v in s.values if v.key == "legs stopped short"

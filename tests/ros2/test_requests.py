@@ -13,6 +13,7 @@ from needs import MISSING, needs_dds
 
 from effort import some
 from wbmpc.ros2.opening import open_node
+from wbmpc.ros2.statistics import rejections
 
 pytestmark = needs_dds
 if not MISSING:
@@ -207,7 +208,7 @@ def test_a_speed_beyond_the_limits_is_scaled_and_that_is_said(
     assert sum(r.getMessage() == says for r in caplog.records) == 1
     np.testing.assert_allclose(np.abs(p.standin.commands["wheel"]), 3.0, rtol=0.1)  # 0.3 m/s on wheels of 0.1 m
     speeds.send(0.1, x=0.2)
-    assert p.control.request_queue.limited == "" and p.control.rejected() == {}
+    assert p.control.request_queue.limited == "" and rejections(p.control) == {}
 
 
 def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_rejected(pair: Callable[..., Any]) -> None:

@@ -16,7 +16,7 @@ from wbmpc.studies.pankert2022.plaster_wall import Lines, SwervePlasterSettings
 
 def test_the_way_is_that_of_the_paper_and_gentle() -> None:
     lines = Lines(10, 0.7, 1.0)
-    assert 10 * lines.pass_length == pytest.approx(10 * (5 * 3.5 + 4 * np.pi * 0.075), rel=1e-3)  # about 180 m
+    assert 10 * lines._curve[0][-1] == pytest.approx(10 * (5 * 3.5 + 4 * np.pi * 0.075), rel=1e-3)  # about 180 m
     t = np.arange(0.0, lines.start + 2 * lines.pass_time + 1.0, 0.01)
     p = lines.point(t)
     v = np.gradient(p, 0.01, axis=0)

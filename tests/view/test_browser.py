@@ -130,8 +130,8 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     finally:
         process.kill()
     recording = read_recording(tmp_path)
-    _, goal_path = positions(recording, "/hand/reference")  # type: ignore[misc]
-    _, hand_path = positions(recording, "/hand/pose")  # type: ignore[misc]
+    _, goal_path = positions(recording, "/end_effector/reference")  # type: ignore[misc]
+    _, hand_path = positions(recording, "/end_effector/pose")  # type: ignore[misc]
     # pushed: the end effector left its place before the goal was touched
     touched = int(np.argmax(np.linalg.norm(goal_path - goal_path[0], axis=1) > 1e-6))
     assert touched > 0
@@ -181,7 +181,7 @@ def _last(folder: Path, topic: str, column: str) -> float:
 def _paths(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """What is recorded so far: the end effector's reference (n, 3) and the end effector (n, 3)."""
     recording = read_recording(folder)
-    found = [positions(recording, topic) for topic in ("/hand/reference", "/hand/pose")]
+    found = [positions(recording, topic) for topic in ("/end_effector/reference", "/end_effector/pose")]
     goal, end_effector = (np.zeros((0, 3)) if f is None else f[1] for f in found)
     rows = min(len(goal), len(end_effector))
     return goal[:rows], end_effector[:rows]
@@ -207,7 +207,7 @@ def _partly(folder: Path):  # type: ignore[no-untyped-def]
     """The recording of a run that is still going on."""
     deadline = time.monotonic() + 180.0
     while time.monotonic() < deadline:
-        if (folder / "run.mcap").exists() and "/hand/pose" in (found := read_recording(folder)).topics:
+        if (folder / "run.mcap").exists() and "/end_effector/pose" in (found := read_recording(folder)).topics:
             return found
         time.sleep(0.2)
     raise AssertionError("nothing was recorded")

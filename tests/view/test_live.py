@@ -253,7 +253,9 @@ def test_a_run_begins_anew_from_its_start_on_reset(tmp_path: Path, capsys: pytes
     assert main([*arguments, str(tmp_path / "alone")]) == 0
     printed = capsys.readouterr().out  # a view of a test before may end now, and says so
     assert json.loads(printed[printed.index("{") :])["metrics"] == result["metrics"]
-    np.testing.assert_array_equal(*(read_recording(tmp_path / n)["/hand/pose"].data for n in ("seen-2", "alone")))
+    np.testing.assert_array_equal(
+        *(read_recording(tmp_path / n)["/end_effector/pose"].data for n in ("seen-2", "alone"))
+    )
 
 
 def test_a_steered_run_says_so(tmp_path: Path) -> None:

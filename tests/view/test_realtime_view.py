@@ -79,7 +79,7 @@ def test_contacts_are_drawn_where_the_estimate_is() -> None:
         later = dict(zip(NUMBERS, picture(message)["numbers"], strict=True))
     assert later["factor"] == pytest.approx(0.8)
     assert numbers["margin"] == 0.1 and numbers["error"] < 1e-9
-    np.testing.assert_allclose(shown["hand_plan"][0], robot.pose(robot.home)[0], atol=1e-9)
+    np.testing.assert_allclose(shown["end_effector_plan"][0], robot.pose(robot.home)[0], atol=1e-9)
 
 
 @pytest.mark.wallclock

@@ -79,7 +79,7 @@ def test_goals_and_plans_are_shown_in_the_world(run: SimpleNamespace) -> None:
     turn = lie.quaternion_to_rotation(lie.quaternion_about((0, 0, 1), -wrong[2]))
     expected = turn @ (run.goal[:3] - [0.3, -0.1, 0.0]) + drift
     np.testing.assert_allclose(s["goal"][:3], expected, atol=2e-3)
-    assert np.isfinite(s["hand_plan"]).all() and np.isfinite(s["base_plan"]).all()
+    assert np.isfinite(s["end_effector_plan"]).all() and np.isfinite(s["base_plan"]).all()
     assert np.linalg.norm(s["base_plan"][0, :2]) < 0.05  # it starts at the true base
 
 
@@ -90,7 +90,7 @@ def test_numbers_and_forces(run: SimpleNamespace) -> None:
     assert len(forces) == 4 and weight == pytest.approx(run.truth.plant.weight, rel=0.05)
     numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
     taken = s["trail"][np.isfinite(s["trail"]).all(axis=1)]
-    times, poses = positions(run.film.recording, "/hand/pose")  # type: ignore[misc]
+    times, poses = positions(run.film.recording, "/end_effector/pose")  # type: ignore[misc]
     assert len(taken) == np.sum(times <= 0.1) and np.array_equal(taken[-1], poses[len(taken) - 1])
     assert numbers["t"] == 0.1 and 0.0 < numbers["solve"] < 1.0 and numbers["deadline"] == 0.02
 

@@ -119,7 +119,7 @@ int {p}_create({p} *controller, size_t size);
 
 
 def _enumerations(done: Export, mpc: MPC) -> str:
-    from wbmpc.solver.driver import EQUALITY_INFEASIBLE
+    from wbmpc.solver.termination import EQUALITY_INFEASIBLE
 
     upper, image, d = done.prefix.upper(), done.image, mpc.ocp.dynamics
     parts = {

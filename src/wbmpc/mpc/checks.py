@@ -8,9 +8,10 @@ import numpy as np
 
 from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.ocp import OptimalControlProblem
+from wbmpc.ocp import ModeSchedule, OptimalControlProblem
 from wbmpc.ocp.problem import check_problem
-from wbmpc.solver import SQP
+from wbmpc.solver import SQP, Solver
+from wbmpc.solver.events import one_jump
 from wbmpc.solver.settings import check_settings_type
 
 
@@ -36,3 +37,23 @@ def check_vector(where: str, names: Sequence[str], value: np.ndarray) -> None:
         raise InputError(f"{where}: {len(names)} numbers are needed, got shape {vector.shape}")
     if not np.isfinite(vector).all():
         raise NotFinite(f"{where}: '{names[int(np.argmax(~np.isfinite(vector)))]}' is not finite")
+
+
+def check_events_fit(solver: Solver, schedule: ModeSchedule, since: float) -> None:
+    """Raise :class:`InputError` if plans from ``since`` [s] on cannot follow the events of a schedule."""
+    ocp = solver.ocp
+    nodes = ocp.intervals - 1
+    events = np.array([t for t in schedule.events if t > since])
+    if not ocp.align_events:
+        close = np.flatnonzero(np.diff(events) < np.diff(ocp.grid).max() - 2e-9)
+        if solver.problem.jumps and close.size:
+            raise InputError(one_jump(*events[close[0] : close[0] + 2]))
+        return
+    first, last = events[: max(events.size - nodes, 0)], events[nodes:]
+    crowded = np.flatnonzero(last - first < ocp.horizon - 2e-6)
+    if crowded.size:
+        i = crowded[0]
+        raise InputError(
+            f"mode schedule: {nodes + 1} events from {first[i]:g} to {last[i]:g} s are within one horizon, but it has"
+            f" {nodes} inner nodes: more intervals are needed"
+        )

@@ -11,7 +11,7 @@ from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
 from wbmpc.clearance.rows import Clearance
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.mpc.checks import check_settings, check_vector
+from wbmpc.mpc.checks import check_events_fit, check_settings, check_vector
 from wbmpc.mpc.clearance import ClearanceRows
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.input_rows import InputRows
@@ -24,7 +24,6 @@ from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.problem import SystemDynamics
 from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status
-from wbmpc.solver.events import one_jump
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.types import Observation
 
@@ -151,26 +150,8 @@ class MPC:
         horizon to come has more of them than inner nodes; or if it does not, the state jumps at events, and two to come are
         closer together than the longest interval: plans would apply one jump for both.
         """
-        self._check_room(schedule)
+        check_events_fit(self.solver, schedule, -np.inf if self._t is None else self._t)
         self.solver.set_schedule(schedule)
-
-    def _check_room(self, schedule: ModeSchedule) -> None:
-        ocp = self.solver.ocp
-        nodes, since = ocp.intervals - 1, -np.inf if self._t is None else self._t
-        events = np.array([t for t in schedule.events if t > since])
-        if not ocp.align_events:
-            close = np.flatnonzero(np.diff(events) < np.diff(ocp.grid).max() - 2e-9)
-            if self.solver.problem.jumps and close.size:
-                raise InputError(one_jump(*events[close[0] : close[0] + 2]))
-            return
-        first, last = events[: max(events.size - nodes, 0)], events[nodes:]
-        crowded = np.flatnonzero(last - first < ocp.horizon - 2e-6)
-        if crowded.size:
-            i = crowded[0]
-            raise InputError(
-                f"mode schedule: {nodes + 1} events from {first[i]:g} to {last[i]:g} s are within one horizon, but it has"
-                f" {nodes} inner nodes: more intervals are needed"
-            )
 
     def reset(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Forget the last plan; start from ``x`` (nx) and ``u`` (nu) held, or from trajectories (N + 1, nx), (N, nu).

@@ -188,12 +188,12 @@ class Recorder:
         }  # fmt: skip
         self._fill("/joint_states", "sensor_msgs/JointState", None, joints, make)
         self._odometry_message(moment.estimated)
-        self._pose("/hand/pose", MAP, moment.end_effector)
+        self._pose("/end_effector/pose", MAP, moment.end_effector)
         in_odom = lie.pose_compose(moment.estimated, lie.pose_between(moment.base, moment.end_effector))
-        self._pose("/hand/pose_odom", ODOM, in_odom)
+        self._pose("/end_effector/pose_odom", ODOM, in_odom)
         goal = self._observer.end_effector_goal(self._last - self._start)
         if goal is not None:
-            self._pose("/hand/reference", ODOM, goal)
+            self._pose("/end_effector/reference", ODOM, goal)
 
     def _odometry_message(self, pose: Array) -> None:
         """The twist is that of the two last estimates, in the base's axes."""
@@ -271,7 +271,7 @@ class Recorder:
         if mode != self._mode:
             self._mode = mode
             self._put("/mode", "std_msgs/String", {"data": mode}, latched=True)
-        for topic, path in zip(("/plan", "/plan/hand"), self._observer.plan(plans), strict=True):
+        for topic, path in zip(("/plan", "/plan/end_effector"), self._observer.plan(plans), strict=True):
             if len(path):
                 self._fill(topic, "nav_msgs/Path", len(path), ros_pose(path), partial(self._path_message, path))
 

@@ -6,13 +6,12 @@ import logging
 import re
 from os.path import isfile
 from pathlib import Path
-from typing import Annotated, Any, Self, get_args
+from typing import Annotated, Any, Self
 
 import mujoco
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
     Field,
     SerializeAsAny,
@@ -30,6 +29,7 @@ from wbmpc.robots.actuation import Drive
 from wbmpc.robots.checks import check_joints, check_tool, compiled
 from wbmpc.robots.collision import CollisionDescription, check_frames
 from wbmpc.robots.couplings import Coupled, check_couplings, couple, limits_of_leaders
+from wbmpc.robots.description_faults import first_fault, keys, reject_truths
 from wbmpc.robots.fixed_joints import fix_joint
 from wbmpc.robots.inertia import mend_inertias
 from wbmpc.robots.mechanism import Mechanism, read_mechanism
@@ -223,14 +223,14 @@ def load_description(name_or_path: str | Path, **base: Any) -> RobotDescription:
         raise InputError(f"{path}: a mapping of keys is needed")
     strange = [key for key in data if not isinstance(key, str)]
     if strange:
-        raise unknown_name("key", str(strange[0]), _keys(RobotDescription, ""), where=str(path))
-    _reject_truths(data, path, data)
+        raise unknown_name("key", str(strange[0]), keys(RobotDescription, ""), where=str(path))
+    reject_truths(data, path, data, RobotDescription)
     if isinstance(data.get("base"), dict):
         data["base"] = {**data["base"], **base}
     try:
         description = RobotDescription(**data)
     except ValidationError as error:
-        raise InputError(f"{path}: {_first_fault(error, data)}") from error
+        raise InputError(f"{path}: {first_fault(error, data, RobotDescription)}") from error
     packages = {
         name: path.parent / _expanded(folder, path, "packages") for name, folder in description.packages.items()
     }
@@ -278,73 +278,6 @@ def _expanded(path: Path, file: Path, key: str) -> Path:
         return expanded(path)
     except InputError as error:
         raise InputError(f"{file}: {key}: {error}") from error
-
-
-def _first_fault(error: ValidationError, data: dict[str, Any]) -> str:
-    """The first fault of a validation in plain words, without web links, and how many more there are.
-
-    A key that is not known comes before one that is missing: it is usually that key, mistyped.
-    """
-    faults = error.errors(include_url=False)
-    fault = min(faults, key=lambda f: f["type"] != "extra_forbidden")
-    path = [str(k) for k in fault["loc"]] or ["?"]
-    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    key = ".".join(path)
-    if fault["type"] == "extra_forbidden":
-        model = _section(fault["loc"][:-1], data)
-        reason = getattr(model, "not_applicable", {}).get(path[-1])
-        if reason:
-            return f"key '{key}': {reason}{more}"
-        return str(unknown_name("key", key, _keys(model, ".".join(path[:-1])))) + more
-    if not fault["loc"]:  # of keys together: the message names them
-        return fault["msg"].removeprefix("Value error, ") + more
-    if fault["type"] == "base_type":
-        return f"key '{key}.type': {fault['msg']}{more}"
-    got = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
-    text = fault["msg"].removeprefix("Value error, ")
-    return f"key '{key}': {text[0].lower()}{text[1:]}{got}{more}"
-
-
-def _reject_truths(value: Any, where: Path, data: dict[str, Any], location: tuple[int | str, ...] = ()) -> None:
-    """Raise :class:`InputError` for true or false (YAML: yes, on, no, off) where a file needs a number or a name: Python takes them
-    for 1 and 0."""
-    if isinstance(value, bool):
-        try:
-            field = _section(location[:-1], data).model_fields.get(str(location[-1]))
-        except (KeyError, TypeError, InputError):  # beside keys that are not known either
-            field = None
-        if field is None or field.annotation is not bool:
-            key = ".".join(str(k) for k in location)
-            raise InputError(f"{where}: key '{key}': a number or text is needed, not true or false")
-    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for name, inner in inside:
-        _reject_truths(inner, where, data, (*location, name))
-
-
-def _section(location: tuple[int | str, ...], data: dict[str, Any]) -> type[BaseModel]:
-    """The model of the mapping at a location of a robot file."""
-    model: type[BaseModel] = RobotDescription
-    for key in location:
-        if not isinstance(key, str):
-            continue
-        if model is RobotDescription and key == "base":
-            model = base_type(str(data["base"]["type"])).Description  # before its own check: YAML's ``yes`` is none
-        else:
-            model = _model_of(model.model_fields[key].annotation) or model
-    return model
-
-
-def _model_of(annotation: Any) -> type[BaseModel] | None:
-    """The model that a field holds, itself or in a tuple; None for plain values."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((m for m in map(_model_of, get_args(annotation)) if m is not None), None)
-
-
-def _keys(model: type[BaseModel], prefix: str) -> list[str]:
-    """The valid keys of a section, with its dotted prefix."""
-    names = [n for n in model.model_fields if n != "source"]
-    return [f"{prefix}.{n}" if prefix else n for n in names]
 
 
 def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:

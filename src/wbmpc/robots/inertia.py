@@ -36,7 +36,7 @@ def mend_inertias(spec: mujoco.MjSpec, balance: bool) -> list[Finding]:
             _replace(body, float(body.mass) if body.mass > LIGHTEST else LIGHTEST)
             found.append(Finding("warning", "inertia", f"link '{body.name}'", f"{fault}; a sphere's is taken", _FIX))
     spec.compiler.balanceinertia = spec.compiler.balanceinertia or balance
-    return found + [_weigh(body) for body in spec.bodies[1:] if body.joints and not _has_mass(body)]
+    return found + [_give_mass(body) for body in spec.bodies[1:] if body.joints and not _has_mass(body)]
 
 
 def _forget_nothing(body: mujoco.MjsBody) -> None:
@@ -92,7 +92,7 @@ def _has_mass(body: mujoco.MjsBody) -> bool:
     return own or any(not child.joints and _has_mass(child) for child in body.bodies)
 
 
-def _weigh(body: mujoco.MjsBody) -> Finding:
+def _give_mass(body: mujoco.MjsBody) -> Finding:
     _replace(body, LIGHTEST)
     body.ipos, body.iquat = np.zeros(3), [1.0, 0.0, 0.0, 0.0]
     return Finding(

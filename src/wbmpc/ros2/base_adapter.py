@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from wbmpc.control.protocols import Controller
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.mpc import MPC
@@ -80,6 +81,8 @@ class BaseAdapter(Protocol):
     the legs from the bus, None without hinges: ``ready()`` says why none can be taken, ``now()`` how brakes and legs are.
     ``obstacles``: what the MPC keeps clear of (:func:`obstacles_of` the settings); None: of nothing.
     ``references`` of a task that begins at x may take long, and are made in another thread.
+
+    An adapter derives from it: what has a body here is that of a base without legs, brakes and localization.
     """
 
     robot: RobotModel
@@ -88,22 +91,28 @@ class BaseAdapter(Protocol):
     mpc: MPC
     obstacles: Obstacles | None
     pending: PendingChanges
-    controller: Any
-    must_keep_running: bool
+    controller: Controller
     watches: str
-    brakes: Any
-    legs: Array | None
-    needs_imu: bool
-    parameters: Callable[[], Array] | None
-    fix: Callable[[], Fix | None] | None
+    must_keep_running: bool = False
+    needs_imu: bool = False
+    brakes: Brakes | None = None
+    legs: Array | None = None
+    parameters: Callable[[], Array] | None = None
+    fix: Callable[[], Fix | None] | None = None
 
     @property
-    def faults(self) -> list[str]: ...
-    def inspect(self) -> None: ...
+    def faults(self) -> list[str]:
+        return []
+
+    def inspect(self) -> None:
+        return None
+
     def problem(self, cost: Any) -> OptimalControlProblem: ...
     def leg_commands(
         self, node: Node, ready: Callable[[], str], now: Callable[[], tuple[Array, Array] | None]
-    ) -> LegCommands | None: ...
+    ) -> LegCommands | None:
+        return None
+
     def rest(self) -> Groups: ...
     def groups(self, command: Any) -> Groups: ...
     def measurement(
@@ -113,11 +122,29 @@ class BaseAdapter(Protocol):
     def snapshot(self) -> tuple[float, Array] | None: ...
     def begin(self, x: Array) -> None: ...
     def references(self, task: Task, x: Array) -> dict[str, Reference]: ...
-    def follow(self, references: dict[str, Reference]) -> None: ...
-    def swing(self, legs: Array) -> None: ...
-    def push(self, wrench: Array) -> None: ...
-    def relocate(self) -> None: ...
     def estimate(self) -> Estimate | None: ...
+    def follow(self, references: dict[str, Reference]) -> None:
+        self.pending.set(references)
+
+    def swing(self, legs: Array) -> None:
+        return None
+
+    def push(self, wrench: Array) -> None:  # drives that follow speeds cannot exert one
+        return None
+
+    def relocate(self) -> None:
+        return None
+
+
+#: Variance of what a planar odometry says nothing about.
+_UNKNOWN = 1e6
+
+
+def spatial_covariance(planar: Array) -> Array:
+    """A covariance (3, 3) of x, y and yaw in six dimensions."""
+    out = np.diag([0.0, 0.0, _UNKNOWN, _UNKNOWN, _UNKNOWN, 0.0])
+    out[np.ix_([0, 1, 5], [0, 1, 5])] = planar
+    return out
 
 
 def obstacles_of(settings: RosSettings) -> Obstacles | None:

@@ -279,9 +279,8 @@ class ControlNode:
             self.adapter.push(wrench)
         runner = self.runner
         policy = runner.plans.current if runner is not None and self.running else None
-        if policy is None:
-            return
-        self.trajectories.send(policy, self.clock.now(), self.now)
+        if policy is not None:
+            self.trajectories.send(policy, self.clock.now(), self.now)
 
     def set_task(self, task: Task, references: References) -> None:
         self.adapter.follow(references)
@@ -289,24 +288,17 @@ class ControlNode:
 
     def start(self, x: np.ndarray, task: Task, references: References) -> None:
         self._end_runner()
-        settings, adapter = self.settings, self.adapter
+        settings, adapter, watchdog = self.settings, self.adapter, self.settings.safety.watchdog
         adapter.begin(x)
         self.external_pose.reset()
         self.obstacles.begin()
         self.set_task(task, references)
         adapter.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         self._follow_sensors()  # what the sensors said meanwhile
-        watchdog = settings.safety.watchdog
         times = RealTimeSettings(
-            settings.rates.control,
-            max_policy_age=settings.safety.policy,
-            max_observation_age=watchdog,
-            watchdog=watchdog,
-            records=_RECORDS,
-            keep=adapter.must_keep_running,
-            priority=control_priority(),
-            offset=MPC_OFFSET * self.period,
-        )
+            settings.rates.control, max_policy_age=settings.safety.policy, max_observation_age=watchdog, watchdog=watchdog,
+            records=_RECORDS, keep=adapter.must_keep_running, priority=control_priority(), offset=MPC_OFFSET * self.period,
+        )  # fmt: skip
         self.runner = RealTimeRunner(
             self.robot_io, adapter.controller, adapter.mpc, times, self.clock, parameters=adapter.parameters
         )
@@ -345,27 +337,26 @@ class ControlNode:
         """Why there is no time any more; empty if there is."""
         if not isinstance(self.clock, BusClock):
             return ""
-        published = lambda: bool(self.node.publishers("/clock"))
-        return self.clock.lost(self.settings.silence(self.clock.speed), published)
+        silence = self.settings.silence(self.clock.speed)
+        return self.clock.lost(silence, lambda: bool(self.node.publishers("/clock")))
 
     def _check_clock(self) -> None:
         clock = self.clock
         if not isinstance(clock, BusClock):
             return
         lost = self._clock_lost()
-        if lost and self.running:
-            self._stop_runner(lost)
+        anew = (
+            "the time on /clock went back: the simulator was started anew" if clock.went_back else clock.source.replaced
+        )
+        if self.running and (lost or anew):
+            self._stop_runner(lost or anew)
         elif lost and self.runner is not None:
             self.robot_io.stop()  # the runner's loop waits for a time that does not come
-        elif clock.went_back and self.running:
-            self._stop_runner("the time on /clock went back: the simulator was started anew")
-        elif clock.source.replaced and self.running:
-            self._stop_runner(clock.source.replaced)
 
     def _check_graph(self) -> None:
         """Somebody else on our command topics: two controllers on one drive are worse than none."""
-        topics = [c.topic for c in self.settings.command_topics(self.robot).values()]
-        others = [topic for topic in topics if any(not e.own for e in self.node.publishers(topic))]
+        commands = self.settings.command_topics(self.robot).values()
+        others = [c.topic for c in commands if any(not e.own for e in self.node.publishers(c.topic))]
         self._other_commander = f"another node publishes on {others[0]}" if others else ""
 
     @property
@@ -399,9 +390,8 @@ class ControlNode:
 
     def _hold_trajectories(self) -> None:
         """Who follows trajectories stays where the robot is: a stop, once."""
-        seen = self.adapter.snapshot()
         self.trajectories.restart()
-        if seen is not None:
+        if (seen := self.adapter.snapshot()) is not None:
             self.trajectories.hold(seen[1], self.now)
 
     def _stop_runner(self, message: str) -> None:
@@ -409,16 +399,3 @@ class ControlNode:
         assert self.runner is not None
         self.runner.halt(message)
         self.robot_io.stop()
-
-    def rejected(self) -> dict[str, str]:
-        """What was rejected, and why: goals, commands for the legs, poses; until one is taken again. And speeds that are limited."""
-        leg_commands = self.legs.rejected if self.legs is not None else ""
-        reasons = {
-            "rejected": self.request_queue.rejected,
-            "rejected command for the legs": leg_commands,
-            "rejected pose": self.source.fault,
-            "rejected obstacles": self.obstacles.fault,
-        }
-        reasons["legs stopped short"] = self.legs.short if self.legs is not None else ""
-        reasons["limited speed"] = self.request_queue.limited
-        return {key: why for key, why in reasons.items() if why}

@@ -25,7 +25,6 @@ from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
-from cyclonedds.util import duration
 
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.logs import RateLimit
@@ -33,6 +32,7 @@ from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
+from wbmpc.ros2.dds_qos import POLICIES, dds_qos, ros_qos, ros_type
 from wbmpc.ros2.dds_source import DdsWriter, FilteredTopic
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred
@@ -49,8 +49,6 @@ _HEADER_SIZE = 16
 #: A node announces its endpoints when it has made them; in this time [s] that has come.
 _ANNOUNCED = 1.0
 Take = Callable[[DataReader], None]
-#: Numbers of the policies in DDS's notices of a mismatch (DDS 1.4, section 2.2.3; DDS-XTypes 1.3, section 7.6.3).
-_POLICIES = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability", 23: "data representation", 24: "type"}
 #: The package reads the QoS of endpoints through buffers that all threads of the process share.
 _GRAPH_LOCK = threading.Lock()
 #: Nodes that nobody has closed. A reader that Python collects lives on in DDS, which then calls a listener that is gone: the
@@ -272,7 +270,7 @@ class DdsNode:
             samples = [s for s in known.values() if s.topic_name == target]
         for s in samples:
             own = s.participant_key == self._key
-            kind, qos, node = _ros_type(s.type_name), _ros_qos(s.qos), s.participant_key.bytes
+            kind, qos, node = ros_type(s.type_name), ros_qos(s.qos), s.participant_key.bytes
             found.append(Endpoint(full_name(topic), kind, qos, own, s.key.bytes, node))
         return found
 
@@ -358,21 +356,10 @@ class DdsNode:
         return topic
 
     def _qos(self, qos: Qos, kind: str, mark: str = "") -> DdsQos:
-        reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
-        return DdsQos(
-            reliable if qos.reliable else Policy.Reliability.BestEffort,
-            Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,
-            Policy.History.KeepLast(qos.depth),
-            # how many of a latched topic's messages late joiners get; one, unless it is said
-            Policy.DurabilityService(0, Policy.History.KeepLast(qos.depth), -1, -1, -1),
-            Policy.DataRepresentation(use_cdrv0_representation=True),
-            # a write of this node would wait for a callback of its own; services have one anyway, see `write`
-            Policy.IgnoreLocal.Nothing if mark else Policy.IgnoreLocal.Participant,
-            Policy.Userdata(f"{mark}typehash={self.types.hash(kind)};".encode()),
-        )
+        return dds_qos(qos, f"{mark}typehash={self.types.hash(kind)};", local=bool(mark))
 
     def _mismatch(self, ours: OwnEndpoint, policy: int) -> None:
-        self._mismatches.notice(ours, _POLICIES.get(policy, f"policy {policy}"))
+        self._mismatches.notice(ours, POLICIES.get(policy, f"policy {policy}"))
 
 
 class _Watch(Listener):  # type: ignore[misc]
@@ -393,17 +380,6 @@ def _taken(reader: DataReader) -> list[tuple[bytes, int]]:
         taken = reader.take(N=64)
         return [(s.data, s.sample_info.publication_handle) for s in taken if getattr(s, "data", None)]
     return []
-
-
-def _ros_type(name: str) -> str:
-    parts = name.split("::")
-    return "/".join([*parts[:-2], parts[-1].removesuffix("_")]) if "dds_" in parts else name
-
-
-def _ros_qos(qos: DdsQos) -> Qos:
-    reliability, durability, history = (qos[p] for p in (Policy.Reliability, Policy.Durability, Policy.History))
-    latched = durability not in (None, Policy.Durability.Volatile)
-    return Qos(reliability != Policy.Reliability.BestEffort, latched, int(getattr(history, "depth", 0)))
 
 
 def _identity() -> str:

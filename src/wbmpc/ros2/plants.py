@@ -13,6 +13,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import seconds
 from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.simulated_robot import SimulatedRobot
 from wbmpc.types import Truth
 
 Array = np.ndarray
@@ -56,7 +57,7 @@ class RosPlant(ABC):
 
     imu_at = np.zeros(3)
 
-    def __init__(self, robot: RobotModel, plant: Any) -> None:
+    def __init__(self, robot: RobotModel, plant: SimulatedRobot) -> None:
         self.robot, self.plant = robot, plant
         self.held, self.lift = robot.base.balances, -robot.base.ground
         self.led: dict[str, ActiveTrajectory] = {}

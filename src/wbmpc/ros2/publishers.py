@@ -15,7 +15,7 @@ from wbmpc.ros2.bus import Node, Publisher, Qos
 from wbmpc.ros2.convert import header, path, pose, quaternion, status, vector
 from wbmpc.ros2.markers import Footprint
 from wbmpc.ros2.settings import RosSettings
-from wbmpc.ros2.statistics import collect_statistics
+from wbmpc.ros2.statistics import collect_statistics, rejections
 
 if TYPE_CHECKING:
     from wbmpc.ros2.control import ControlNode
@@ -57,7 +57,7 @@ class Publishers:
         """Publish what is due."""
         now = time.perf_counter()
         c = self.controller
-        messages = c.state, *c.rejected().values(), *c.adapter.faults, c.health.late, c.health.fell
+        messages = c.state, *rejections(c).values(), *c.adapter.faults, c.health.late, c.health.fell
         if messages != self._published and now - self._published_at > SOON:
             self._published, self._due["say"][0] = messages, now
         for key, do in (("odom", self._odometry), ("plan", self._plans), ("say", self._diagnostics)):
@@ -133,9 +133,9 @@ class Publishers:
         self._published_at = time.perf_counter()
         stopped = c.runner is not None and c.runner.stopped
         level = ERROR if stopped or c.degraded or c.health.fell else WELL if c.running else WARNING
-        if level == WELL and (c.rejected() or c.health.late):
+        if level == WELL and (rejections(c) or c.health.late):
             level = WARNING
-        reasons = [why for why in c.rejected().values() if why not in c.state]
+        reasons = [why for why in rejections(c).values() if why not in c.state]
         message = "; ".join(filter(None, [c.health.fell, c.state, c.health.late, *reasons]))
         entries = [
             status(level, f"{c.settings.node}: controller", message, c.robot.description.name, collect_statistics(c))

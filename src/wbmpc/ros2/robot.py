@@ -43,7 +43,7 @@ _STANDING, _WAITING = 0.01, 4000
 
 
 class BusRobot:
-    """See :class:`wbmpc.runtime.runner.RobotInterface`. What is wrong with a message stops the robot once it is :meth:`arm`-ed; a robot
+    """See :class:`wbmpc.runtime.stop_control.RobotInterface`. What is wrong with a message stops the robot once it is :meth:`arm`-ed; a robot
     that would fall (``adapter.must_keep_running``) goes on without that message, and ``fault`` says so until the next good one.
 
     With simulated time a measurement is as old as its stamp. By the wall's clock it is as old as its arrival, if its stamp has

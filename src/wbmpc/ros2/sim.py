@@ -37,7 +37,7 @@ BEGIN = 1.0
 #: Physics that is later than this [s] lets the time go, and counts it.
 LATE = 0.05
 IMU = "imu"
-TRUTH_ODOM, TRUTH_END_EFFECTOR, CONTACT = "/ground_truth/odom", "/ground_truth/hand", "/contact"
+TRUTH_ODOM, TRUTH_END_EFFECTOR, CONTACT = "/ground_truth/odom", "/ground_truth/end_effector", "/contact"
 
 
 class SimNode:

@@ -1,4 +1,4 @@
-"""What the controller's node counts, for its diagnostics."""
+"""What the controller's node counts and rejects, for its diagnostics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def collect_statistics(controller: ControlNode) -> dict[str, Any]:
     c = controller
     values: dict[str, Any] = {"backend": c.node.backend, "age of the joint states [ms]": _ms(c.robot_io.age())}
     values["watchdog"] = f"{'armed' if c.running else 'not armed'}, {_ms(c.settings.safety.watchdog)} ms"
-    values.update(c.rejected())
+    values.update(rejections(c))
     if c.runner is None:
         return values
     r = c.runner.report()
@@ -24,7 +24,7 @@ def collect_statistics(controller: ControlNode) -> dict[str, Any]:
         "task": c.task,
         "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
         "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
-        **({} if c.adapter.brakes is None else {"legs held": c.adapter.controller.holds}),
+        **({} if c.adapter.brakes is None else {"legs held": getattr(c.adapter.controller, "holds", 0)}),
         "constraint violation": f"{c.adapter.mpc.solve_info['violation']:.2e}",
         "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
         "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
@@ -33,6 +33,21 @@ def collect_statistics(controller: ControlNode) -> dict[str, Any]:
         "command after its tick's time: 99 % [ms]": _ms(r.sent.p99),
         **{f"late commands: {part}": count for part, count in r.late_commands.items()},
     }  # fmt: skip
+
+
+def rejections(controller: ControlNode) -> dict[str, str]:
+    """What was rejected, and why: goals, commands for the legs, poses; until one is taken again. And speeds that are limited."""
+    c = controller
+    leg_commands = c.legs.rejected if c.legs is not None else ""
+    reasons = {
+        "rejected": c.request_queue.rejected,
+        "rejected command for the legs": leg_commands,
+        "rejected pose": c.source.fault,
+        "rejected obstacles": c.obstacles.fault,
+    }
+    reasons["legs stopped short"] = c.legs.short if c.legs is not None else ""
+    reasons["limited speed"] = c.request_queue.limited
+    return {key: why for key, why in reasons.items() if why}
 
 
 def _ms(seconds: float) -> str:

@@ -15,7 +15,7 @@ import sys
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from wbmpc.runtime.safety import (
 )
 from wbmpc.runtime.shared_memory import Board, Mailbox, Sizes, TimedPolicy
 from wbmpc.runtime.statistics import Punctuality, Report
+from wbmpc.runtime.stop_control import RobotInterface, StopControl
 from wbmpc.runtime.worker import NUMBERS, RECORDS, WORKER_COMMANDS, Worker
 
 _LOG = logging.getLogger("wbmpc")
@@ -44,23 +45,7 @@ _LOG = logging.getLogger("wbmpc")
 _TICK_ENDS, _LOOP_ENDS = 0.5, 5.0
 
 
-class RobotInterface(Protocol):
-    """A robot. None of the calls may block for long; ``stop`` may come from another thread while ``read`` hangs.
-
-    ``read`` returns a measurement with its ``time`` [s] on the runner's clock: numbers, arrays or a dataclass of them.
-    """
-
-    def read(self) -> Any:
-        """The newest measurement. What it raises stops the robot."""
-
-    def write(self, command: Any) -> None:
-        """Send the controller's ``command`` to the drives."""
-
-    def stop(self) -> None:
-        """Bring the robot to rest; may be called again, and from another thread."""
-
-
-class RealTimeRunner:
+class RealTimeRunner(StopControl):
     """``robot`` and ``controller`` run in the control thread; ``mpc`` in a thread, or in a process if it is a function that makes
     one (importable, for it runs there; then ``sizes`` are needed, ``Sizes.of(ocp)``).
 
@@ -89,8 +74,8 @@ class RealTimeRunner:
         setup: Callable[[], None] | None = None,
         watch: Callable[[float, float, PolicyQueue], None] | None = None,
     ) -> None:
-        self.robot, self.controller, self.mpc, self.parameters, self.watch = robot, controller, mpc, parameters, watch
-        self.settings, self.clock = settings or RealTimeSettings(), clock or WallClock()
+        super().__init__(robot, settings or RealTimeSettings(), clock or WallClock())
+        self.controller, self.mpc, self.parameters, self.watch = controller, mpc, parameters, watch
         self.remote, self.setup = not hasattr(mpc, "solver"), setup
         if self.remote and (sizes is None or isinstance(self.clock, VirtualClock)):
             raise InputError("runner: an MPC in another process needs 'sizes' and the wall clock")
@@ -103,12 +88,8 @@ class RealTimeRunner:
         self.punctuality = Punctuality()
         self.plans, self.latency, self._check_command = PolicyQueue(), Latency(self.settings), CommandCheck()
         self.ticker = Ticker(self.settings.period)
-        self.state, self.error = "not started", None  # type: str, BaseException | None
         self._no_parameters = np.zeros(size.parameters)
-        self._stopped, self._ended = threading.Event(), threading.Event()
-        self._stop_error: BaseException | None = None
-        self._halt_lock = threading.Lock()
-        self._answered, self._until, self._beat = 0, 0.0, 0.0
+        self._answered, self._until = 0, 0.0
         #: why the last policy is kept beyond its time; empty when it is not
         self.kept = ""
         self._current: TimedPolicy | None = None
@@ -378,46 +359,6 @@ class RealTimeRunner:
         """How many solves failed, and why the last one that did."""
         why = self.board.text
         return f"{int(self.board['failures'])} solves failed{', the last one: ' if why else ''}{why}"
-
-    # ------------------------------------------------------------------ stop
-    def halt(self, reason: str, error: BaseException | None = None) -> None:
-        """Stop the robot for good; the first reason stays. May be called from any thread."""
-        with self._halt_lock:
-            if self._stopped.is_set():
-                return
-            self.state = f"stopped at {self.clock.now():.3f} s: {reason}"
-            self.error = error or self.error
-            self._stopped.set()
-        _LOG.error("%s", self.state, exc_info=self.error)
-
-    def _raised(self, error: BaseException) -> None:
-        self.halt(f"the controller raised {type(error).__name__}: {error}", error)
-
-    def _stop_robot(self) -> None:
-        try:
-            self.robot.stop()
-        except (Exception, SystemExit) as error:
-            if self._stop_error is not None:
-                return
-            self._stop_error = error
-            message = f"the robot's stop() raised {type(error).__name__}: {error}"
-            if self._stopped.is_set():
-                self.state += f"; {message}"
-                _LOG.error("%s", message, exc_info=error)
-            else:
-                self.halt(message, error)
-
-    def _watch(self) -> None:
-        """Stop the robot from here while a tick hangs."""
-        limit, last, worst, beat = self.settings.watchdog, self.clock.now(), 0.0, self._beat
-        while not self._ended.wait(0.2 * limit):
-            now = self.clock.now()
-            worst = max(worst, now - last) if self._beat == beat else now - last
-            silent, beat, last = now - self._beat, self._beat, now
-            if silent > limit:
-                why = ": the machine is too busy, the watchdog was held up too" if worst > 0.5 * limit else ""
-                self.halt(f"a tick of the controller has not ended for {silent:.3f} s, the limit is {limit:g} s{why}")
-                self._stop_robot()
 
     # ------------------------------------------------------------------ figures
     def report(self) -> Report:

@@ -133,7 +133,7 @@ class Contacts:
         data = self.data
         if time - self._looked >= INTERVAL - 1e-9:
             self._looked = time
-            self._look()
+            self._measure_clearance()
         self.grounded = False
         if not data.ncon:
             return
@@ -151,7 +151,7 @@ class Contacts:
             self.touches.append(Touch(time, names[0], names[1]))
         self._last[first, second] = time
 
-    def _look(self) -> None:
+    def _measure_clearance(self) -> None:
         for k in self._found[: self._near(self.clearance)].tolist():
             first, second = self._pairs[k].tolist()
             # what is farther than the smallest clearance so far need not be known

@@ -9,12 +9,12 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 from wbmpc.checks import not_negative, real_number, whole
-from wbmpc.control.protocols import Controller
+from wbmpc.control.protocols import Controller, RobotController
 from wbmpc.errors import (
     DisturbanceTooLarge,
     EndedByUser,
@@ -28,6 +28,7 @@ from wbmpc.errors import (
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.simulation.contacts import Contacts
+from wbmpc.simulation.simulated_robot import SimulatedRobot
 from wbmpc.types import Plant
 
 _LOG = logging.getLogger("wbmpc")
@@ -94,9 +95,9 @@ class Running:
     ``interrupted`` says whether Ctrl-C was pressed (or the process was asked to end); ``name`` distinguishes loops of one run.
     """
 
-    plant: Any
-    controller: Any
-    mpc: Any
+    plant: SimulatedRobot
+    controller: RobotController | None
+    mpc: MPC | None
     timing: Timing
     duration: float
     interrupted: Callable[[], bool] = lambda: False
@@ -169,9 +170,18 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
+def _running(plant: Plant[Any, Any], controller: Controller | None, *rest: Any) -> Running:
+    """Loops take any plant and controller; what is watched has what can be shown as well."""
+    return Running(cast("SimulatedRobot", plant), cast("RobotController | None", controller), *rest)
+
+
 @contextmanager
 def watched(
-    plant: Plant[Any, Any], period: float, duration: float, progress: Progress | None, controller: Any = None
+    plant: Plant[Any, Any],
+    period: float,
+    duration: float,
+    progress: Progress | None,
+    controller: Controller | None = None,
 ) -> Iterator[Callable[[float, Any], None]]:
     """For experiments that step a plant themselves: its watchers see this loop as they see :func:`run_lockstep`'s.
 
@@ -183,7 +193,7 @@ def watched(
     with interrupt_noted() as interrupted:
         timing = Timing(period, round(period / plant.timestep), 1, 0)
         for watcher in watchers:
-            watcher.begin(Running(plant, controller, None, timing, duration, interrupted, name))
+            watcher.begin(_running(plant, controller, None, timing, duration, interrupted, name))
 
         def tick(t: float, command: Any) -> None:
             if interrupted():
@@ -228,7 +238,7 @@ def run_lockstep(
     # what is not finite is found by its value; NumPy's warnings would only repeat it
     with interrupt_noted() as interrupted, np.errstate(over="ignore", invalid="ignore"):
         for watcher in watchers:
-            watcher.begin(Running(plant, controller, mpc, timing, duration, interrupted, name))
+            watcher.begin(_running(plant, controller, mpc, timing, duration, interrupted, name))
         for i in range(ticks):
             t = i * timing.period
             if interrupted():

@@ -13,7 +13,6 @@ import numpy as np
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
 from wbmpc.solver import compilation, feedback
-from wbmpc.solver.driver import DIVERGED, EQUALITY_INFEASIBLE, INPUT_INFEASIBLE, NOT_FINITE
 from wbmpc.solver.feedback import CUT, evaluate, hold, interval, plan_rows, planned_state
 from wbmpc.solver.memory_layout import (
     GRID,
@@ -32,6 +31,7 @@ from wbmpc.solver.memory_layout import (
     X,
 )
 from wbmpc.solver.receding import count_until, forget, receding_solve
+from wbmpc.solver.termination import DIVERGED, EQUALITY_INFEASIBLE, INPUT_INFEASIBLE, NOT_FINITE
 
 LIBRARY = Library(
     "controller",

@@ -135,7 +135,7 @@ def _relaxed(term: Constraint, found: Violation) -> float:
 
 def _no_minimum(solver: Solver) -> str:
     """What to say where the exact Hessian is not convex at the end; the Gauss-Newton one is always convex."""
-    from wbmpc.solver.driver import is_minimum
+    from wbmpc.solver.termination import is_minimum
 
     if not solver.hessian.exact or is_minimum(solver.ws.memory, solver.ws.table):
         return ""

@@ -67,7 +67,8 @@ class HessianSwitch:
 
     def run(self, x0: np.ndarray, t0: float) -> tuple[int, int]:
         """As :meth:`Solver.run`; where Gauss-Newton stalls, the exact Hessian is compiled and the solve goes on with it."""
-        from wbmpc.solver.driver import STALLED, iterate
+        from wbmpc.solver.driver import iterate
+        from wbmpc.solver.termination import STALLED
 
         solver = self._solver
         status, count = solver.run(x0, t0)

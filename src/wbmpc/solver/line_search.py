@@ -6,7 +6,6 @@ import numpy as np
 
 from wbmpc.solver.barriers import barrier_value
 from wbmpc.solver.compilation import LANES, Floats, Integers, compiled
-from wbmpc.solver.inequalities import end_values, rows_merit
 from wbmpc.solver.inequality_table import reset_violations
 from wbmpc.solver.memory_layout import (
     DU,
@@ -36,6 +35,7 @@ from wbmpc.solver.memory_layout import (
     U,
     X,
 )
+from wbmpc.solver.node_inequalities import end_values, rows_merit
 from wbmpc.solver.nonlinear_input_constraints import follow, hold_node
 from wbmpc.solver.riccati import backward
 from wbmpc.solver.simd_batch import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane

@@ -15,7 +15,6 @@ import numpy as np
 
 from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.exact import clear_second, costate_node, stage_with
-from wbmpc.solver.inequalities import collect_values
 from wbmpc.solver.inequality_table import bounds_inputs, entry, node_rows, record_input_violations, row_penalty
 from wbmpc.solver.memory_layout import (
     AB,
@@ -59,6 +58,7 @@ from wbmpc.solver.memory_layout import (
     U,
     X,
 )
+from wbmpc.solver.node_inequalities import collect_values
 from wbmpc.solver.simd_batch import load_block, stage_lanes, take_rows_of_lane, unpack
 from wbmpc.solver.stages import row_index
 

@@ -16,9 +16,7 @@ from wbmpc.errors import InputError
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.transcription import MIN_SOFTNESS
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, SETTINGS, StateField
-from wbmpc.solver.reference_direction import InterpretedDirections
-from wbmpc.solver.reference_inequalities import RowState
-from wbmpc.solver.reference_nonlinear_inputs import aims, hold_inputs
+from wbmpc.solver.reference_line_search import InterpretedLineSearch
 from wbmpc.solver.settings import THRESHOLDS
 
 
@@ -52,63 +50,8 @@ class _Progress:
     size: float = 1.0
 
 
-class InterpretedSolver(InterpretedDirections):
+class InterpretedSolver(InterpretedLineSearch):
     """Runs what ``receding_solve`` runs, on the same fields x, u, p, w, k, grid of its ``ws``."""
-
-    def _trial(self, s: dict[str, Any], alpha: float, x0: np.ndarray, single: bool) -> tuple[np.ndarray, np.ndarray]:
-        """States and inputs a step further; with ``single`` the policy is rolled out."""
-        ws = self.ws
-        ws.state[StateField.TRIAL_POINTS] += 1.0
-        ws.state[[StateField.INPUT_VIOLATION, StateField.MIXED_VIOLATION]] = 0.0
-        if not single and not self.hold:
-            return ws.x + alpha * s["dx"], ws.u + alpha * s["du"]
-        x, u = np.zeros_like(ws.x), np.zeros_like(ws.u)
-        x[0] = x0 if single else ws.x[0] + alpha * s["dx"][0]
-        for k in range(len(u)):
-            u[k] = ws.u[k] + alpha * self.feed[k] + ws.k[k] @ (x[k] - ws.x[k])
-            if self.hold:
-                self._hold(k, x[k], u[k], alpha)
-            if single:
-                x[k + 1] = self.step(x[k], u[k], k)[0]
-            else:
-                change = s["ab"][k] @ np.concatenate([x[k] - ws.x[k], u[k] - ws.u[k]])
-                x[k + 1] = ws.x[k + 1] + change + alpha * s["gaps"][k]
-        return x, u
-
-    def _hold(self, k: int, x: np.ndarray, u: np.ndarray, alpha: float) -> None:
-        """Node k's trial inputs within the true rows, in place."""
-        rows = self.own[k]
-        functions = self.derivatives["rows_jacobian"]
-        held = rows.bounds_inputs & (~rows.soft | (self.hold > 1))
-        h = hold_inputs(rows, held, self.mu, x, u, lambda x, u: functions(x, u, self._p(k), self.ws.w))
-        self._report_outside(k, rows, h)
-        if alpha > 0.0:
-            carried = np.where(rows.soft, rows.s + alpha * rows.ds, 0.0)
-            general = held & (np.arange(h.size) >= rows.boxes)
-            rows.dt = np.where(general, (np.maximum(h + carried, aims(rows, self.mu)) - rows.t) / alpha, rows.dt)
-
-    def _report_outside(self, k: int, rows: RowState, h: np.ndarray) -> None:
-        """Remember by how much node k's inputs are outside, where its rows are h."""
-        state, by = self.ws.state, np.where(rows.bounds_inputs, -h, 0.0)
-        if by.max(initial=0.0) > max(state[StateField.INPUT_VIOLATION], state[StateField.MIXED_VIOLATION]):
-            state[StateField.INPUT_VIOLATION_ROW] = k * self.ws.rows_h.shape[1] + int(np.argmax(by))
-        state[StateField.INPUT_VIOLATION] = max(state[StateField.INPUT_VIOLATION], by[~rows.soft].max(initial=0.0))
-        state[StateField.MIXED_VIOLATION] = max(state[StateField.MIXED_VIOLATION], by[rows.soft].max(initial=0.0))
-
-    def _report_passed(self, k: int, rows: RowState, h: np.ndarray) -> None:
-        """Remember by how much node k's state is outside, where its rows are h."""
-        from wbmpc.solver.inequality_table import GIVES_WAY
-
-        state, by = self.ws.state, np.where(rows.hard & rows.counts & ~rows.bounds_inputs, -h, 0.0)
-        by[by <= LIMIT_TOLERANCE] = 0.0
-        if by.max(initial=0.0) > state[StateField.STATE_VIOLATION]:
-            state[[StateField.STATE_VIOLATION, StateField.STATE_VIOLATION_ROW]] = (
-                by.max(),
-                k * self.ws.rows_h.shape[1] + int(np.argmax(by)),
-            )
-        state[StateField.UNRELAXED_VIOLATION] = max(
-            state[StateField.UNRELAXED_VIOLATION], by[rows.l < GIVES_WAY * rows.penalty].max(initial=0.0)
-        )
 
     def run(
         self, tables: Any, t0: float, delta: float, x0: np.ndarray, settings: Any, log: np.ndarray,
@@ -187,7 +130,7 @@ class InterpretedSolver(InterpretedDirections):
         self, x0: np.ndarray, c: Any, log: np.ndarray, check: Callable[[], None]
     ) -> tuple[int, int]:
         """(status, iterations); the settings ``c`` by name."""
-        from wbmpc.solver.driver import ITERATION_LIMIT, NOT_FINITE
+        from wbmpc.solver.termination import ITERATION_LIMIT, NOT_FINITE
 
         again = (
             self.has_rows
@@ -224,7 +167,7 @@ class InterpretedSolver(InterpretedDirections):
     ) -> int | None:
         """What comes after a direction; a status if it is the end."""
         from wbmpc.solver.barrier_update import SHORT, next_mu
-        from wbmpc.solver.driver import CONVERGED, DIVERGED, LINE_SEARCH_FAILED, NOT_FINITE
+        from wbmpc.solver.termination import CONVERGED, DIVERGED, LINE_SEARCH_FAILED, NOT_FINITE
 
         size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
         product, residual = (max(v) for v in zip(*(r.residuals() for r in self.own), strict=True))
@@ -381,7 +324,7 @@ class InterpretedSolver(InterpretedDirections):
             self._report_passed(k, rows, h)
 
     def _status_at_the_limit(self, c: Any, status: int) -> int:
-        from wbmpc.solver.driver import EQUALITY_INFEASIBLE, INPUT_INFEASIBLE
+        from wbmpc.solver.termination import EQUALITY_INFEASIBLE, INPUT_INFEASIBLE
 
         if self.ws.state[StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE:
             return INPUT_INFEASIBLE
@@ -406,55 +349,6 @@ class InterpretedSolver(InterpretedDirections):
     def _equalities(self) -> float:
         """1-norm of the rows of the recursion at the iterate."""
         return float(np.abs(self._equality_values(self.ws.x, self.ws.u)).sum())
-
-    def _longest_step(self, du: np.ndarray, first: bool) -> float:
-        """As longest_step of the compiled solver."""
-        from wbmpc.solver.line_search import next_longest
-
-        state, last, self.last_du = self.ws.state, self.last_du, du
-        size = float(np.sum(last * last))
-        if state[StateField.MAX_STEP] == 0.0:
-            state[StateField.MAX_STEP] = 1.0
-        elif first:
-            state[StateField.MAX_STEP] = min(1.1 * state[StateField.MAX_STEP], 1.0)
-        elif size > 0.0:
-            state[StateField.MAX_STEP] = next_longest.python(
-                state[StateField.MAX_STEP], state[StateField.LAST_STEP], float(np.sum(du * last)) / size
-            )
-        return float(state[StateField.MAX_STEP])
-
-    def _row_cost(self, x: np.ndarray, u: np.ndarray, alpha: float = 0.0) -> float:
-        """What the rows add to the cost at a point."""
-        h, last = np.append(np.diff(self.ws.grid), 1.0), len(u) - 1
-        values = [self._rows(k, x[k], u[min(k, last)]) for k in range(len(x))]
-        return float(sum(w * r.merit(v, alpha, self.mu)[0] for w, r, v in zip(h, self.own, values, strict=True)))
-
-    def _search(
-        self, s: dict[str, Any], x0: np.ndarray, c: Any, base: tuple[float, float, float, float], penalty: float, first: float,
-        reach: float,
-    ) -> float:  # fmt: skip
-        """The accepted step length, 0 for none; the iterate has moved."""
-        from wbmpc.solver.line_search import accept
-
-        single, ratio = bool(c.single_shooting), first
-        while ratio >= c.min_step or c.accept_min_step:
-            alpha = (ratio if ratio >= c.min_step else first) * reach
-            x, u = self._trial(s, alpha, x0, single)
-            merit = self._merit(x, u, x0, alpha)
-            forced = ratio < c.min_step
-            good = np.isfinite(merit).all() if forced else accept.python(merit[0], merit[1], *base, penalty, alpha)
-            if good:
-                paid, apart, of_soft = self._soft_equality_terms(x, u, alpha)
-                cost = merit[0] - self._row_cost(x, u, alpha) - paid
-                self.ws.state[[StateField.COST, StateField.VIOLATION]] = cost, merit[1] + of_soft - apart
-                self.ws.x[:], self.ws.u[:] = x, u
-                for row in self.ws.x:
-                    self._normalize(row)
-                return float(alpha)
-            if forced:
-                break
-            ratio *= 0.5
-        return 0.0
 
     def _shift(self, delta: float) -> None:
         ws = self.ws

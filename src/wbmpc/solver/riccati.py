@@ -16,7 +16,6 @@ from wbmpc.solver.barriers import (
 )
 from wbmpc.solver.compilation import LANES, Floats, Integers, call7, compiled
 from wbmpc.solver.exact import costate_end, exact_end, exact_node
-from wbmpc.solver.inequalities import add_rows_product, linearize_rows
 from wbmpc.solver.memory_layout import (
     AB,
     BASE,
@@ -71,6 +70,7 @@ from wbmpc.solver.memory_layout import (
     U,
     X,
 )
+from wbmpc.solver.node_inequalities import add_rows_product, linearize_rows
 from wbmpc.solver.nonlinear_input_constraints import add_curvature
 from wbmpc.solver.simd_batch import (
     equality_size,

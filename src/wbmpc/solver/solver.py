@@ -27,10 +27,10 @@ from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive, Interruptible
 from wbmpc.solver.hessian import HessianSwitch, exact_from_start
-from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, SETTINGS, StateField
-from wbmpc.solver.settings import SLQ, SQP, Effort, check_settings_type
+from wbmpc.solver.memory_layout import SETTINGS, StateField
+from wbmpc.solver.results import SolverResults
+from wbmpc.solver.settings import SLQ, SQP, check_settings_type
 from wbmpc.solver.solution import COLUMNS, Solution, Status
-from wbmpc.solver.trajectory import Trajectory
 from wbmpc.solver.violations import violation_message
 from wbmpc.solver.warm_start import trajectories
 from wbmpc.solver.workspace import LOG
@@ -53,12 +53,6 @@ _STATUS = (
 )
 
 
-def _read_only(part: np.ndarray) -> np.ndarray:
-    view = part.view()
-    view.flags.writeable = False
-    return view
-
-
 @cache
 def _warn(why: str) -> None:
     """Once for each problem's reason."""
@@ -66,7 +60,7 @@ def _warn(why: str) -> None:
 
 
 @dataclass
-class Solver:
+class Solver(SolverResults):
     """A problem ``ocp`` bound to a solver with ``settings``: owns the kernel, the memory and the warm start.
 
     ``use_cache``: take compiled code from the cache of this machine, and put it there.
@@ -230,44 +224,11 @@ class Solver:
 
                 forget(self.ws.memory, self.ws.table)
 
-    # ------------------------------------------------------------------ what the last solve left
-    def trajectory(self, start: float = 0.0, copy: bool = True) -> Trajectory:
-        """The present states and inputs; ``start`` [s]: when their horizon starts. Not copied: read-only, and overwritten by
-        the next solve."""
-        parts = (self.ws.grid, self.ws.x, self.ws.u)
-        return Trajectory(start, *(part.copy() if copy else _read_only(part) for part in parts))
-
     def node_times(self, t0: float) -> np.ndarray:
         """Times (N + 1) [s] of the nodes of a solve that starts at ``t0`` [s], from its start: events move them (``align_events``)."""
         from wbmpc.solver.receding import node_times
 
         return node_times(self.ocp.grid, self.ocp.align_events, self.tables(), t0)
-
-    @property
-    def gain(self) -> np.ndarray:
-        """Feedback of the present trajectory, (N, nu, nx), read-only: u = u_k + K_k (x − x_k)."""
-        return _read_only(self.ws.k[:, :, : self.problem.nx])
-
-    @property
-    def node_parameters(self) -> np.ndarray:
-        """References, mode values and switches of every node as the last solve sampled them, (N + 1, np), read-only; which is
-        which: ``problem.node.slices``."""
-        return _read_only(self.ws.p)
-
-    @property
-    def constants(self) -> np.ndarray:
-        """The model's parameters and all weights, read-only; which is which: ``problem.constant.slices``."""
-        return _read_only(self.ws.w[: self.problem.constant.size])
-
-    @property
-    def parameters(self) -> np.ndarray:
-        """The model's parameters, read-only."""
-        return _read_only(self.ws.w[self.problem.constant.slices["parameters"]])
-
-    def non_finite_part(self) -> str:
-        """Which part of the present plan has numbers that are not finite; empty if none."""
-        parts = {"planned state": self.ws.x, "planned input": self.ws.u, "feedback gain": self.ws.k}
-        return next((name for name, values in parts.items() if not np.isfinite(values).all()), "")
 
     def tables(self) -> Tables:
         """References and modes as the compiled code reads them."""
@@ -433,23 +394,3 @@ class Solver:
         Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (nonlinear rows).
         """
         return violation_message(self, status)
-
-    @property
-    def effort(self) -> Effort:
-        """What the last solve has cost; at most :attr:`SQP.max_effort`."""
-        state = self.ws.state
-        return Effort(int(state[StateField.DIRECTIONS]), int(state[StateField.TRIAL_POINTS]))
-
-    @property
-    def limit_violation(self) -> float:
-        """By how much the last plan's states, from node 1 on, are outside hard limits, as a share of the range; in real time only,
-        and 0 up to the tolerance. Rows of states with inputs count from node 0 on."""
-        worst = float(max(self.ws.state[StateField.STATE_VIOLATION], self.ws.state[StateField.MIXED_VIOLATION]))
-        return worst if worst > LIMIT_TOLERANCE else 0.0
-
-    @property
-    def initial_state_mismatch(self) -> float:
-        """By how much the last plan starts elsewhere than in the measured state, as plans of cut steps do: the largest |x_0 − x|
-        beside 1 + |x|; 0 up to the tolerance."""
-        worst = float((np.abs(self.ws.x[0] - self.x0) / (1.0 + np.abs(self.x0))).max())
-        return worst if worst > LIMIT_TOLERANCE else 0.0

@@ -87,10 +87,10 @@ class Study:
             reject_others(self.out, found, store.outcomes())
             remember(self.out, self.definition.title, found)
             with store.finishing():
-                self._go_on(there, store, store.done(), progress)
+                self._run_missing(there, store, store.done(), progress)
         return self.report()
 
-    def _go_on(self, there: Pool, store: Store, done: set[str], progress: Progress | None) -> None:
+    def _run_missing(self, there: Pool, store: Store, done: set[str], progress: Progress | None) -> None:
         """Do the runs that are not ``done`` in a pool, and keep their rows."""
         going: dict[str, Run] = {}
         clock = Clock(self.runs(), done, store.outcomes())

@@ -203,7 +203,7 @@ class View(LiveView):
         base, end_effector = self._observer.plan(plans)
         paths = {
             "reference": (way, REFERENCE),
-            "hand_plan": (end_effector[:, :3], PLAN),
+            "end_effector_plan": (end_effector[:, :3], PLAN),
             "base_plan": (base[:, :3], PLAN),
         }
         return {name: self._in_map(filled(points, (count, 3))) for name, (points, count) in paths.items()}

@@ -131,9 +131,9 @@ class Panel:
         with self.server.gui.add_folder("Weights (powers of ten)", expand_by_default=False):
             for i, name in enumerate(self.controls.weights):
                 slider = self.server.gui.add_slider(name, -2.0, 2.0, 0.1, 0.0)
-                slider.on_update(partial(self._weigh, i))
+                slider.on_update(partial(self._set_weight, i))
 
-    def _weigh(self, i: int, event: Any) -> None:
+    def _set_weight(self, i: int, event: Any) -> None:
         weights = self._values["weights"].copy()
         weights[i] = 10.0**event.target.value
         self._send(weights=weights)

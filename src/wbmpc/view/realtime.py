@@ -191,7 +191,7 @@ class Picture:
         end_effector = np.concatenate([position + self._lift, orientation])
         states, index = plan["plan"][np.isfinite(plan["plan"]).all(axis=1)], self._reader.scene.index
         base_plan, end_effector_plan = predicted(self.robot, self.robot.state, states, self._lift)
-        ways = {"hand_plan": end_effector_plan, "base_plan": base_plan}
+        ways = {"end_effector_plan": end_effector_plan, "base_plan": base_plan}
         others: dict[str, Any] = {
             "t": self._moment["t"], "late": self._moment["late"], "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},

@@ -87,13 +87,16 @@ class Film:
                 f"{recording.path}: its frames (/tf) are not finite at first, or farther away than {FARTHEST:g} m"
             )
         self._plans = {
-            name: self._paths(topic) for name, topic in (("hand_plan", "/plan/hand"), ("base_plan", "/plan"))
+            name: self._paths(topic)
+            for name, topic in (("end_effector_plan", "/plan/end_effector"), ("base_plan", "/plan"))
         }
         self._forces = {n[9:]: recording.table(n) for n in recording.topics if n.startswith("/contact/")}
-        self._goals = recording.table("/hand/reference") if "/hand/reference" in recording.topics else None
-        way = positions(recording, "/hand/reference")
+        self._goals = (
+            recording.table("/end_effector/reference") if "/end_effector/reference" in recording.topics else None
+        )
+        way = positions(recording, "/end_effector/reference")
         self._way = np.zeros((0, 3)) if way is None else way[1]
-        self._trail = positions(recording, "/hand/pose")
+        self._trail = positions(recording, "/end_effector/pose")
         self.numbers = self._numbers()
         period = recording.topics.get("/mpc/period")
         #: Of a solve [s]; nan without an MPC.

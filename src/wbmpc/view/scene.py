@@ -124,7 +124,7 @@ class ViewScene:
                 return
             self._path("reference", s["reference"], REFERENCE)
             self._path("trail", s["trail"], TRAIL)
-            self._path("hand_plan", s["hand_plan"], END_EFFECTOR)
+            self._path("end_effector_plan", s["end_effector_plan"], END_EFFECTOR)
             self._path("base_plan", s["base_plan"], BASE)
             for name, color, above in (("support", SUPPORT, 0.0), ("triangle", TRIANGLE, 0.004)):
                 corners = s[name][np.isfinite(s[name]).all(axis=1)] + [0.0, 0.0, above]

@@ -47,7 +47,7 @@ def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
         "poses": (len(scene.bodies), 7),
         "reference": (REFERENCE, 3),
         "trail": (TRAIL, 3),
-        "hand_plan": (PLAN, 3),
+        "end_effector_plan": (PLAN, 3),
         "base_plan": (PLAN, 3),
         **{name: GROUND[name] for name in ("forces", "support", "triangle", "pressure")},
         "goal": (7,),

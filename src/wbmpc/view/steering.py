@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, cast
 
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.control.protocols import RobotController
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.mpc import MPC
@@ -62,6 +64,12 @@ class Controls:
     obstacle: bool = False
 
 
+class _Steered(RobotController, Protocol):
+    """A controller of legs also takes ``brakes(t)`` (4, 1 = open)."""
+
+    brakes: Callable[[float], Array]
+
+
 class Steering:
     """Applies orders to one run, in the run's own thread. Poses come in ``map``; ``drift`` (7) places ``odom`` in it.
 
@@ -78,6 +86,16 @@ class Steering:
         #: Whether anything was done.
         self.used = False
         self.costs, self.has_legs = self.costs_of(self.mpc), self.legs_of(self.mpc)
+
+    @property
+    def _controller(self) -> _Steered:
+        assert self.running.controller is not None, "orders go to runs with a controller"
+        return cast(_Steered, self.running.controller)
+
+    @property
+    def _planner(self) -> MPC:
+        assert self.mpc is not None, "orders to a plan go to runs with an MPC"
+        return self.mpc
 
     @staticmethod
     def costs_of(mpc: MPC | None) -> list[Cost]:
@@ -132,15 +150,12 @@ class Steering:
             self._try(lambda: self._configure(names[index()]))
         if self._asked(requests, "brake_clicks") and self.has_legs:
             self._try(lambda: self._click(bool(bounds.choice("brakes", requests["brakes_open"], 2))))
-        if (
-            self._legs is not None
-            and np.abs(self.running.controller.state()[self._leg_part] - self._legs).max() < _THERE
-        ):
+        if self._legs is not None and np.abs(self._controller.state()[self._leg_part] - self._legs).max() < _THERE:
             self._legs = None
             self._brakes(False)
         if not np.array_equal(requests["weights"], self._seen_weights, equal_nan=True):
             self.used, self._seen_weights = True, requests["weights"].copy()
-            self._try(lambda: self._weigh(bounds.factors(requests["weights"])))
+            self._try(lambda: self._set_weights(bounds.factors(requests["weights"])))
 
     def _try(self, act: Callable[[], None]) -> None:
         """Do something, or say why not."""
@@ -176,7 +191,7 @@ class Steering:
 
     def _here(self) -> Array:
         """Where the base is estimated to be (x, y, 0) [m]; a base that does not move is at the origin."""
-        controller = self.running.controller
+        controller = self._controller
         if self.mpc is None or "base" not in self.mpc.dynamics.state:
             return np.zeros(3)
         place = controller.state()[self.mpc.dynamics.state["base"]][:2]
@@ -193,7 +208,7 @@ class Steering:
             return
         goal = np.concatenate([goal[:3] - self._lift, goal[3:]])
         self.mpc.reference["end_effector"] = Reference(np.zeros(1), goal[None], "pose_hold")
-        robot = self.running.controller.robot
+        robot = self._controller.robot
         if self.base_of(self.mpc):
             yaw = self._target(t)[2]
             beside = robot.pose(robot.home)[0][:2] - robot.home[robot.state["base"]][:2]
@@ -204,50 +219,50 @@ class Steering:
 
     def _target(self, t: float) -> Array:
         """The reference (nx) of the state at time t [s]: one that moves has left its start."""
-        value: Array = self.mpc.reference["state"].at(t)
+        value: Array = self._planner.reference["state"].at(t)
         return value
 
     def _base_goal(self, t: float, pose: Array) -> None:
         """The base's goal (x, y, yaw) from now on, at rest. Where there is none, nothing."""
-        if self.mpc is None or not self.base_of(self.mpc):
+        if not self.base_of(self.mpc):
             return
         target = self._target(t)
-        target[self.mpc.dynamics.state["base"]] = pose
+        target[self._planner.dynamics.state["base"]] = pose
         self._hold(target)
 
     def _hold(self, target: Array) -> None:
-        self.mpc.reference["state"] = Reference.constant(target)
-        if "input" in self.mpc.reference:
-            self.mpc.reference["input"] = Reference.constant(np.zeros(self.mpc.dynamics.input.size))
+        self._planner.reference["state"] = Reference.constant(target)
+        if "input" in self._planner.reference:
+            self._planner.reference["input"] = Reference.constant(np.zeros(self._planner.dynamics.input.size))
 
     # ------------------------------------------------------------------ legs
     @property
     def _leg_part(self) -> slice:
-        part: slice = self.mpc.dynamics.state["leg"]
+        part: slice = self._planner.dynamics.state["leg"]
         return part
 
     def _configure(self, name: str) -> None:
         """Legs to a configuration by name; :class:`InputError` if the robot's hinges do not reach it."""
-        self._move_legs(leg_angles(self.running.controller.robot, name))
+        self._move_legs(leg_angles(self._controller.robot, name))
 
     def _move_legs(self, angles: Array) -> None:
         """Legs to ``angles`` (4) [rad] from now on; a base that is on its way goes on along its path."""
-        reference = self.mpc.reference["state"]
+        reference = self._planner.reference["state"]
         values = reference.values.copy()
         values[:, self._leg_part] = angles
-        self.mpc.reference["state"] = Reference(reference.times, values, reference.kind)
-        layout = self.mpc.dynamics.input
-        if "input" in self.mpc.reference and "leg" in layout:
-            reference = self.mpc.reference["input"]
+        self._planner.reference["state"] = Reference(reference.times, values, reference.kind)
+        layout = self._planner.dynamics.input
+        if "input" in self._planner.reference and "leg" in layout:
+            reference = self._planner.reference["input"]
             values = reference.values.copy()
             values[:, layout["leg"]] = 0.0
-            self.mpc.reference["input"] = Reference(reference.times, values, reference.kind)
+            self._planner.reference["input"] = Reference(reference.times, values, reference.kind)
         self._legs = angles
         self._brakes(True)
 
     def _click(self, is_open: bool) -> None:
         """Brakes opened or closed by hand; where they would hold the base against nothing (H), :class:`InputError`."""
-        controller = self.running.controller
+        controller = self._controller
         check = getattr(controller.robot.base, "check_brakes", None)
         if is_open and check is not None:
             check(controller.state()[self._leg_part], np.ones(4))
@@ -256,13 +271,13 @@ class Steering:
 
     def brakes_open(self, t: float) -> float:
         """Whether all brakes of the legs are commanded to be open at time t [s] (1 or 0); nan without legs."""
-        return float(np.all(self.running.controller.brakes(t) > 0.5)) if self.has_legs else np.nan
+        return float(np.all(self._controller.brakes(t) > 0.5)) if self.has_legs else np.nan
 
     def _brakes(self, is_open: bool) -> None:
         values = np.full(4, float(is_open))
         name = "legs free" if is_open else "legs braked"
-        self.mpc.set_schedule(ModeSchedule((Mode(name, {"brake": tuple(values)}),)))
-        self.running.controller.brakes = lambda t: values
+        self._planner.set_schedule(ModeSchedule((Mode(name, {"brake": tuple(values)}),)))
+        self._controller.brakes = lambda t: values
 
     # ------------------------------------------------------------------ weights
     @property
@@ -271,7 +286,7 @@ class Steering:
         pairs = zip(self.costs, self._weights, strict=False)
         return {cost.name: float(factor) for cost, factor in pairs if factor != 1.0}
 
-    def _weigh(self, factors: Array) -> None:
+    def _set_weights(self, factors: Array) -> None:
         for cost, factor, old in zip(self.costs, factors, self._weights, strict=False):
             if factor == old:
                 continue
@@ -279,7 +294,7 @@ class Steering:
             end = weight if cost.terminal_weight is None else cost.expand(cost.terminal_weight)
             for place, value in (("path", weight), ("terminal", end)):
                 if cost.at in (place, "path+terminal"):
-                    self.mpc.solver.set_weight(cost.name, list(factor * value), place)  # type: ignore[arg-type]
+                    self._planner.solver.set_weight(cost.name, list(factor * value), place)  # type: ignore[arg-type]
         self._weights = factors.copy()
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
 from wbmpc.bases.ball.filter_memory import FilterMemory
-from wbmpc.bases.ball.filter_state import A, BallGeometry, BallNoise, BallState, P, V, cross, skew
+from wbmpc.bases.ball.filter_state import A, BallGeometry, BallNoise, BallState, P, V, skew
 from wbmpc.bases.ball.filter_step import State
 from wbmpc.bases.ball.gap import GAP, GAP_LEAN, bridged, spreads
 from wbmpc.bases.base import InertialDescription
@@ -254,11 +254,3 @@ class BallFilter:
         self.state = self.state.moved(gain @ wrong)
         keep = np.eye(len(gain)) - gain @ slope
         self.covariance = keep @ self.covariance @ keep.T + gain @ noise @ gain.T  # Joseph form
-
-    # ------------------------------------------------------------------ what is asked for
-    @property
-    def ball_velocity(self) -> Array:
-        """Velocity (3) [m/s] of the ball's center, world axes."""
-        x = self.state
-        velocity: Array = x.velocity - x.rotation @ cross(self.rate, self.geometry.mount)
-        return velocity

@@ -57,10 +57,6 @@ class FilterMemory:
         x[State.GYRO_BIAS : State.ACCEL_BIAS], x[State.ACCEL_BIAS : State.SCALE] = state.gyro_bias, state.accel_bias
         x[State.SCALE], x[State.WHEEL :] = state.scale, state.wheel
 
-    def new_state(self) -> BallState:
-        """The newer state."""
-        return _state_of(self.arrays["z"].copy())
-
 
 def _state_of(z: Array) -> BallState:
     return BallState(

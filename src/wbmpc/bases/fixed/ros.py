@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 
 from wbmpc.bases.fixed.ros_settings import FixedRosSettings
@@ -13,24 +10,18 @@ from wbmpc.default_problem import DefaultCost, default_problem, keep_clear, stay
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges, obstacles_of
+from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Groups, PendingChanges, obstacles_of
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 
 Array = np.ndarray
 
 
-class FixedRosAdapter:
+class FixedRosAdapter(BaseAdapter):
     """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. The pose of the base is that of the robot's file."""
 
-    must_keep_running = needs_imu = False
     watches = "joints"
-    parameters = None
-    brakes = None
-    legs: Array | None = None
-    fix: Callable[[], Fix | None] | None = None
-    #: nothing is watched
-    faults: tuple[str, ...] = ()
+    controller: DirectController
 
     def __init__(self, robot: RobotModel, settings: FixedRosSettings, period: float) -> None:
         self.robot, self.settings = robot, settings
@@ -43,20 +34,14 @@ class FixedRosAdapter:
         stay_at_home(robot, self.mpc)
         self.pending.bind(self.mpc)
         lag = settings.actuator_time_constant
-        self.controller: Any = DirectController(robot, self.mpc, period, lag, rate=robot.limits.input_rate)
+        self.controller = DirectController(robot, self.mpc, period, lag, rate=robot.limits.input_rate)
         none = np.zeros(0)
         self._rest = {"wheel": none, "steer": none, "arm": np.zeros(robot.input.size), "brake": none}
         robot.pose(robot.home)  # builds the function: not in a tick
 
-    def inspect(self) -> None:
-        """Nothing takes long."""
-
     def problem(self, cost: DefaultCost) -> OptimalControlProblem:
         """The controller's problem with other weights."""
         return default_problem(self.robot, self.settings.mpc, cost)
-
-    def leg_commands(self, node: Any, ready: Any, now: Any) -> None:
-        """There are no legs."""
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:
@@ -88,15 +73,6 @@ class FixedRosAdapter:
         self.controller.stop()
         self.mpc.reset(x)
 
-    def swing(self, legs: Array) -> None:
-        """There are no legs."""
-
-    def push(self, wrench: Array) -> None:
-        """Drives that follow speeds cannot exert a wrench."""
-
-    def relocate(self) -> None:
-        """The base stands where the robot's file has it."""
-
     # ------------------------------------------------------------------ tasks
     def references(self, task: Task, x: Array) -> dict[str, Reference]:
         """For the terms ``end_effector``, ``state`` and ``input``; the arm likes its home."""
@@ -106,10 +82,6 @@ class FixedRosAdapter:
             "state": Reference.constant(self.robot.home),
             "input": Reference.constant(np.zeros(self.robot.input.size)),
         }
-
-    def follow(self, references: dict[str, Reference]) -> None:
-        """Put a task into force."""
-        self.pending.set(references)
 
     # ------------------------------------------------------------------ what is reported
     def estimate(self) -> Estimate | None:

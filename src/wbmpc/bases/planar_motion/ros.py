@@ -16,7 +16,16 @@ from wbmpc.default_problem import DefaultCost, default_problem, keep_clear, stay
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges, Weights, obstacles_of
+from wbmpc.ros2.base_adapter import (
+    BaseAdapter,
+    Estimate,
+    Fix,
+    Groups,
+    PendingChanges,
+    Weights,
+    obstacles_of,
+    spatial_covariance,
+)
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
@@ -28,8 +37,6 @@ Array = np.ndarray
 GAP, REST = 0.1, 0.5
 #: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that begin anew.
 SLIP, TURN, UNSEEN = 0.01, 0.02, np.array([0.02, 0.02, 0.05])
-#: Of what a planar odometry says nothing about.
-_UNKNOWN = 1e6
 
 
 @dataclass(frozen=True)
@@ -110,15 +117,11 @@ def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
     return BusController
 
 
-class PlanarRosAdapter:
+class PlanarRosAdapter(BaseAdapter):
     """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. ``kind``: the controller of the base type."""
 
-    must_keep_running = needs_imu = False
     watches = "wheels"
-    parameters = None
-    brakes = None
-    legs: Array | None = None
-    fix: Callable[[], Fix | None] | None = None
+    controller: Any  # of the bus, and of the base type
 
     def __init__(
         self,
@@ -150,20 +153,9 @@ class PlanarRosAdapter:
         led[part : part + 3] = [float(pose[0]), float(pose[1]), float(pose[5])]
         return {False: {("state", "path"): plain}, True: {("state", "path"): led}}
 
-    @property
-    def faults(self) -> list[str]:
-        """Nothing is watched."""
-        return []
-
-    def inspect(self) -> None:
-        """Nothing takes long."""
-
     def problem(self, cost: DefaultCost) -> OptimalControlProblem:
         """The controller's problem with other weights."""
         return default_problem(self.robot, self.settings.mpc, cost)
-
-    def leg_commands(self, node: Any, ready: Any, now: Any) -> None:
-        """There are no legs."""
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:
@@ -205,12 +197,6 @@ class PlanarRosAdapter:
         self.controller.stop()
         self.mpc.reset(x)
 
-    def swing(self, legs: Array) -> None:
-        """There are no legs."""
-
-    def push(self, wrench: Array) -> None:
-        """Drives that follow speeds cannot exert a wrench."""
-
     def relocate(self) -> None:
         """The next pose of another localization counts whatever was known before."""
         self.controller.placed = False
@@ -245,12 +231,5 @@ class PlanarRosAdapter:
         v = seen[2]
         return Estimate(
             np.array([x, y, self.robot.base.body_height]), np.asarray(lie.quaternion_about((0, 0, 1), yaw)),
-            np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), _spatial(self.controller.covariance), _spatial(1e-4 * np.eye(3)),
+            np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), spatial_covariance(self.controller.covariance), spatial_covariance(1e-4 * np.eye(3)),
         )  # fmt: skip
-
-
-def _spatial(planar: Array) -> Array:
-    """A covariance (3, 3) of x, y and yaw in six dimensions."""
-    out = np.diag([0.0, 0.0, _UNKNOWN, _UNKNOWN, _UNKNOWN, 0.0])
-    out[np.ix_([0, 1, 5], [0, 1, 5])] = planar
-    return out

@@ -99,7 +99,7 @@ class LegFolding:
             self._looked = t
             there = world.snapshot(t)
             still = tuple(o for o in there.obstacles if not o.velocity.any())  # who walks by is evaded or waited for
-            self._look(t, Snapshot(still, there.frames), self._asked)
+            self._plan_folding(t, Snapshot(still, there.frames), self._asked)
         times = _times(t, self._mpc.ocp.horizon + 2.0 * self._mpc.period + STEP)
         values = np.array([self._asked.at(float(at)) for at in times])
         shares, aside = self._planned(times)
@@ -118,7 +118,7 @@ class LegFolding:
         return np.stack([np.interp(times, at, s) for s in shares.T], axis=1), np.interp(times, at, aside)
 
     # ------------------------------------------------------------------ what is ahead
-    def _look(self, t: float, snapshot: Snapshot, asked: Reference) -> None:
+    def _plan_folding(self, t: float, snapshot: Snapshot, asked: Reference) -> None:
         times = _times(t, self._mpc.ocp.horizon + BEYOND)
         states = np.array([asked.at(float(at))[: self.robot.state.size] for at in times])
         shares, aside = self.needed(snapshot, times, states)

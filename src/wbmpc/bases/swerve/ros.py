@@ -25,7 +25,7 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, PendingChanges, obstacles_of
+from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of, spatial_covariance
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
@@ -38,8 +38,6 @@ Array = np.ndarray
 BACKLOG = 1000
 #: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].
 SWING, STRAIGHT = 0.3, 0.03
-#: Of what a planar odometry says nothing about.
-_UNKNOWN = 1e6
 
 
 @dataclass(frozen=True)
@@ -156,13 +154,12 @@ class BusSwerveController(SwerveController):
         self._alone = other._alone
 
 
-class SwerveRosAdapter:
+class SwerveRosAdapter(BaseAdapter):
     """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`."""
 
-    must_keep_running = needs_imu = False
     watches = "brakes"
-    parameters = None
-    fix: Callable[[], Fix | None] | None = None
+    controller: BusSwerveController
+    brakes: BrakeControl | None
 
     def __init__(self, robot: RobotModel, settings: SwerveRosSettings, period: float) -> None:
         self.robot, self.settings, self.period = robot, settings, period
@@ -311,7 +308,7 @@ class SwerveRosAdapter:
         v = odometry.twist
         return Estimate(
             np.array([x, y, self.robot.base.body_height]), np.asarray(lie.quaternion_about((0, 0, 1), yaw)),
-            np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), _spatial(odometry.covariance), _spatial(odometry.twist_covariance),
+            np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), spatial_covariance(odometry.covariance), spatial_covariance(odometry.twist_covariance),
         )  # fmt: skip
 
 
@@ -351,10 +348,3 @@ def swing_guess(robot: RobotModel, legs: Array, x0: Array, trajectory: Trajector
         leg, steer = leg + rate * h, steer + turn * h
     x[-1, state["base"]], x[-1, state["leg"]], x[-1, state["steer"]] = x0[state["base"]], leg, steer
     return trajectory
-
-
-def _spatial(planar: Array) -> Array:
-    """A covariance (3, 3) of x, y and yaw in six dimensions."""
-    out = np.diag([0.0, 0.0, _UNKNOWN, _UNKNOWN, _UNKNOWN, 0.0])
-    out[np.ix_([0, 1, 5], [0, 1, 5])] = planar
-    return out

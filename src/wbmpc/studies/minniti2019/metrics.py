@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wbmpc.bases.ball.controller import BallController
+from wbmpc.control.protocols import Controller
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
 
@@ -46,9 +46,9 @@ def estimator_metrics(log: Log) -> dict[str, Metric]:
     }
 
 
-def fault_metrics(*controllers: BallController) -> dict[str, Metric]:
+def fault_metrics(*controllers: Controller | None) -> dict[str, Metric]:
     """How many encoders were found to stand still, and wheels to slip, by all controllers of a run."""
-    monitors = [a.monitor for a in controllers if a.monitor is not None]
+    monitors = [m for c in controllers if (m := getattr(c, "monitor", None)) is not None]
     return {"encoder_faults": Metric(float(sum(len(m.faults) for m in monitors)), "1")} if monitors else {}
 
 

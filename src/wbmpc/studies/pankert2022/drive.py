@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -177,7 +177,7 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
 
     def measured(run: Run) -> dict[str, Metric]:
         faults = [fault for name, o in run.outcomes.items() if name != "baseline" for fault in o.faults]
-        held, baseline = run.outcomes["tour"].controller.holds, run.outcomes.get("baseline")
+        held, baseline = cast(SwerveController, run.outcomes["tour"].controller).holds, run.outcomes.get("baseline")
         knocked = knocks[0].done if knocks and knocks[0] is not None else None
         return metrics(
             bench.log,

@@ -88,11 +88,6 @@ class Lines:
         return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / np.maximum(v[1:] + v[:-1], 1e-6))])
 
     @property
-    def pass_length(self) -> float:
-        """Length [m] of one pass."""
-        return float(self._curve[0][-1])
-
-    @property
     def pass_time(self) -> float:
         """Duration [s] of one pass."""
         return float(self._times[-1])

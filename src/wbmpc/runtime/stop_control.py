@@ -1,0 +1,80 @@
+"""How a robot is stopped in real time: on request, after an error, and by a watchdog while a tick hangs."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import Any, Protocol
+
+from wbmpc.runtime.clock import Clock
+from wbmpc.runtime.safety import RealTimeSettings
+
+_LOG = logging.getLogger("wbmpc")
+
+
+class RobotInterface(Protocol):
+    """A robot. None of the calls may block for long; ``stop`` may come from another thread while ``read`` hangs.
+
+    ``read`` returns a measurement with its ``time`` [s] on the runner's clock: numbers, arrays or a dataclass of them.
+    """
+
+    def read(self) -> Any:
+        """The newest measurement. What it raises stops the robot."""
+
+    def write(self, command: Any) -> None:
+        """Send the controller's ``command`` to the drives."""
+
+    def stop(self) -> None:
+        """Bring the robot to rest; may be called again, and from another thread."""
+
+
+class StopControl:
+    """Stops a ``robot`` for good. ``state`` says what it does, or why it stopped; ``error``: the exception behind that."""
+
+    def __init__(self, robot: RobotInterface, settings: RealTimeSettings, clock: Clock) -> None:
+        self.robot, self.settings, self.clock = robot, settings, clock
+        self.state, self.error = "not started", None  # type: str, BaseException | None
+        self._stopped, self._ended = threading.Event(), threading.Event()
+        self._stop_error: BaseException | None = None
+        self._halt_lock = threading.Lock()
+        #: when the last tick began [s]
+        self._beat = 0.0
+
+    def halt(self, reason: str, error: BaseException | None = None) -> None:
+        """Stop the robot for good; the first reason stays. May be called from any thread."""
+        with self._halt_lock:
+            if self._stopped.is_set():
+                return
+            self.state = f"stopped at {self.clock.now():.3f} s: {reason}"
+            self.error = error or self.error
+            self._stopped.set()
+        _LOG.error("%s", self.state, exc_info=self.error)
+
+    def _raised(self, error: BaseException) -> None:
+        self.halt(f"the controller raised {type(error).__name__}: {error}", error)
+
+    def _stop_robot(self) -> None:
+        try:
+            self.robot.stop()
+        except (Exception, SystemExit) as error:
+            if self._stop_error is not None:
+                return
+            self._stop_error = error
+            message = f"the robot's stop() raised {type(error).__name__}: {error}"
+            if self._stopped.is_set():
+                self.state += f"; {message}"
+                _LOG.error("%s", message, exc_info=error)
+            else:
+                self.halt(message, error)
+
+    def _watch(self) -> None:
+        """Stop the robot from here while a tick hangs."""
+        limit, last, worst, beat = self.settings.watchdog, self.clock.now(), 0.0, self._beat
+        while not self._ended.wait(0.2 * limit):
+            now = self.clock.now()
+            worst = max(worst, now - last) if self._beat == beat else now - last
+            silent, beat, last = now - self._beat, self._beat, now
+            if silent > limit:
+                why = ": the machine is too busy, the watchdog was held up too" if worst > 0.5 * limit else ""
+                self.halt(f"a tick of the controller has not ended for {silent:.3f} s, the limit is {limit:g} s{why}")
+                self._stop_robot()
