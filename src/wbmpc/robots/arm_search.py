@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from os.path import commonprefix
 
 import numpy as np
 
@@ -25,6 +26,8 @@ TOOLS = [
 ]  # fmt: skip
 #: Frames that are fixed to a hand and no tool.
 NO_TOOL = re.compile(r"camera|optical|imu|sensor|aruco|inertia|_ft_|collision|visual|cable|light", re.IGNORECASE)
+#: Several ends of one chain that are shorter than this share of what they have in common are fingers.
+_FINGERS = 0.2
 #: A range up to this [m] of a slide at a chain's end is a gripper's.
 _STROKE = 0.12
 
@@ -46,6 +49,7 @@ def find_arms(mechanism: Mechanism, others: Collection[str]) -> list[Arm]:
     joints = {n: j for n, j in mechanism.joints.items() if n not in others and not is_gripper(mechanism, j)}
     ends = [j for j in joints.values() if not any(n in joints for n in mechanism.below(j.name))]
     chains = [tuple(n for n in (*end.above, end.name) if n in joints) for end in ends]
+    chains = list(dict.fromkeys(_without_fingers(mechanism, c, chains) for c in chains))
     arms = [_arm(mechanism, c, chains) for c in chains if not _no_arm(mechanism, c)]
     return sorted(arms, key=lambda arm: (-min(len(arm.joints), 6), -round(arm.length, 2), arm.name))
 
@@ -56,6 +60,22 @@ def is_gripper(mechanism: Mechanism, joint: Joint) -> bool:
         return True
     short = joint.kind == "slide" and joint.range is not None and joint.range[1] - joint.range[0] <= _STROKE
     return short and not joint.vertical and not mechanism.below(joint.name) and len(joint.above) > 2
+
+
+def _without_fingers(mechanism: Mechanism, chain: tuple[str, ...], chains: list[tuple[str, ...]]) -> tuple[str, ...]:
+    """A chain up to where it parts from others, if all that hang there are short."""
+    shared = max((len(commonprefix([chain, c])) for c in chains if c != chain), default=0)
+    if not shared:
+        return chain
+    fingers = {chain, *(c for c in chains if c[:shared] == chain[:shared])}
+    longest = max(_length(mechanism, c[shared - 1 :]) for c in fingers)
+    return chain[:shared] if longest < _FINGERS * _length(mechanism, chain[:shared]) else chain
+
+
+def _length(mechanism: Mechanism, chain: Sequence[str]) -> float:
+    """Along joints [m]."""
+    at = np.array([mechanism.joints[n].position for n in chain])
+    return float(np.sum(np.linalg.norm(np.diff(at, axis=0), axis=1)))
 
 
 def _no_arm(mechanism: Mechanism, chain: tuple[str, ...]) -> bool:

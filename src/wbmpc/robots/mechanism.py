@@ -86,6 +86,11 @@ class Mechanism:
             )  # fmt: skip
         return found
 
+    @property
+    def bodies(self) -> list[str]:
+        """Names of all links."""
+        return [self.model.body(i).name for i in range(1, self.model.nbody)]
+
     def _above(self, joint: int) -> tuple[str, ...]:
         m, body = self.model, int(self.model.jnt_bodyid[joint])
         same = range(int(m.body_jntadr[body]), joint)

@@ -12,6 +12,7 @@ import numpy as np
 from wbmpc.robots.arm_search import TOOLS, find_arms, is_gripper
 from wbmpc.robots.findings import Finding, Severity
 from wbmpc.robots.mechanism import Joint, Mechanism
+from wbmpc.robots.model_file import MESHES
 from wbmpc.robots.packages import package_of
 from wbmpc.robots.wheel_search import Wheel, find_wheels
 
@@ -66,7 +67,7 @@ def check_macros(subject: Subject) -> Iterator[Finding]:
 
 
 def check_meshes(subject: Subject) -> Iterator[Finding]:
-    """Files that are not there."""
+    """Files that are not there, and those in a format that is not read."""
     missing, file = subject.mechanism.missing, subject.mechanism.file
     unknown = sorted({p for name in missing if (p := package_of(name)) and file.home(p) is None})
     if missing:
@@ -78,6 +79,10 @@ def check_meshes(subject: Subject) -> Iterator[Finding]:
         yield Finding(
             "info", "", f"{len(missing)} files", f"missing, '{missing[0]}' first; planning needs none of them", fix
         )
+    unread = [name for name in file.meshes() if name not in missing and not name.lower().endswith(MESHES)]
+    if unread:
+        text = f"of a format that is not read, '{unread[0]}' first: neither shown nor kept clear of anything"
+        yield Finding("info", "", f"{len(unread)} files", text, f"convert them to {' or '.join(MESHES[:2])}")
 
 
 # ---------------------------------------------------------------------- links

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
 
 #: Meshes that MuJoCo reads.
-_MESHES = (".stl", ".obj", ".msh")
+MESHES = (".stl", ".obj", ".msh")
 #: Ends of a joint's range [rad, degrees or m] that are none.
 _WIDEST_RANGE = 1e6
 #: Elements of a URDF that MuJoCo reads.
@@ -197,7 +197,7 @@ def _kept(element: ElementTree.Element, file: ModelFile, meshes: bool) -> bool:
     if mesh is None:
         return True
     found = file.locate(mesh.get("filename", "")) if meshes else None
-    if found is None or found.suffix.lower() not in _MESHES or found.stat().st_size > LARGEST_MESH:
+    if found is None or found.suffix.lower() not in MESHES or found.stat().st_size > LARGEST_MESH:
         return False
     mesh.set("filename", str(found.resolve()))
     return True

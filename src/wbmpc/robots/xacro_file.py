@@ -7,14 +7,19 @@ from collections.abc import Mapping
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from wbmpc.errors import InputError
 from wbmpc.robots.limited_process import CLOCK, OutOfTime, run_limited
+from wbmpc.robots.packages import PACKAGE, find_package
 
 NAMESPACES = ("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")
 NEEDED = "its macros (xacro) have to be expanded: pip install 'wbmpc[xacro]', or expand the file with ROS' own xacro"
-_MISSING = re.compile(r"Package not found: ([\w-]+)")
+_UNKNOWN = re.compile(r"Package not found: ([\w-]+)")
+#: A file of a package that is nowhere: pathlib makes one slash of two.
+_MISSING = re.compile(rf"{PACKAGE[:-1]}([\w-]+)/")
+_ARGUMENT = re.compile(r"Undefined substitution argument ([\w-]+)")
 #: How long macros may take [s].
 SECONDS = CLOCK
 #: Expanded texts that are kept: a robot is read several times.
@@ -42,17 +47,35 @@ def _expanded(
 ) -> str:
     if find_spec("xacrodoc") is None:
         raise InputError(f"{name}: {NEEDED}")
-    order = {"path": str(path), "packages": dict(packages), "arguments": dict(arguments)}
-    try:
-        answer = run_limited(order, SECONDS)
-    except OutOfTime as limit:
-        raise InputError(f"{name}: its macros are not expanded within {limit}") from None
+    homes = dict(packages)
+    while unknown := _UNKNOWN.search((answer := _answer(path, homes, arguments, name)).get("error", "")):
+        package = unknown[1]
+        if package in homes:
+            break
+        # missing ones stop nobody as long as macros read nothing in them: settings of simulators and drivers
+        homes[package] = str(find_package(package, path.parent, {}) or f"{PACKAGE}{package}")
     if "text" in answer:
         return str(answer["text"])
     text = " ".join(str(answer["error"]).split())
-    if missing := _MISSING.search(text):
+    if missing := _MISSING.search(text) or _UNKNOWN.search(text):
         raise InputError(
             f"{name}: ROS package '{missing[1]}' is not found; give its folder with 'packages: {{{missing[1]}: FOLDER}}' in the "
             f"robot's YAML, or --package {missing[1]}=FOLDER"
         )
+    if argument := _ARGUMENT.search(text):
+        raise InputError(
+            f"{name}: its macros need the argument '{argument[1]}'; give it with 'xacro_arguments: {{{argument[1]}: VALUE}}' in the "
+            f"robot's YAML, or --argument {argument[1]}:=VALUE"
+        )
     raise InputError(f"{name}: its macros cannot be expanded: {text[:300]}")
+
+
+def _answer(
+    path: Path, homes: Mapping[str, str], arguments: tuple[tuple[str, str], ...], name: str
+) -> dict[str, Any]:
+    """Of the program that expands the file, with ROS packages in ``homes``."""
+    order = {"path": str(path), "packages": dict(homes), "arguments": dict(arguments)}
+    try:
+        return run_limited(order, SECONDS)
+    except OutOfTime as limit:
+        raise InputError(f"{name}: its macros are not expanded within {limit}") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from wbmpc.bases.omnidirectional.description import OmnidirectionalBaseDescripti
 from wbmpc.bases.omnidirectional.model import omnidirectional_base
 from wbmpc.bases.planar_motion.model import PlanarBase
 from wbmpc.bases.planar_motion.plugin import PlanarBaseType
-from wbmpc.bases.planar_motion.proposal import axles, fixed_wheels, headings, propose
+from wbmpc.bases.planar_motion.proposal import axles, headings, propose
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import RobotDescription
 
@@ -36,20 +37,26 @@ class OmnidirectionalBaseType(PlanarBaseType):
     Description = OmnidirectionalBaseDescription
 
     def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
-        """Three wheels or more in different directions, or four parallel ones on two axles."""
-        fixed = fixed_wheels(wheels)
-        if len(fixed) < 3 or len(fixed) < len(wheels):
+        """Three wheels or more in different directions, or four parallel ones on two axles; steering axes of a file that stand for
+        rollers are held."""
+        steers = {w.steer for w in wheels if w.steer}
+        if len(wheels) < 3 or 0 < len(steers) < len(wheels):
             return None
+        fixed = [replace(w, steer=None, held=(*w.held, *((w.steer,) if w.steer else ()))) for w in wheels]
         along = headings(fixed)
         if np.abs(along @ along[0]).min() < ALIKE:
             return propose(
-                fixed, 0.9, f"{len(fixed)} wheels in different directions", {"rollers": "omni"}, ROLLERS("omni")
+                fixed, 0.2 if steers else 0.9, f"{len(fixed)} wheels in different directions", {"rollers": "omni"},
+                ROLLERS("omni"),
             )
         if len(fixed) < 4 or np.ptp(axles(fixed, along[0])) < APART or np.ptp(axles(fixed, fixed[0].axle[:2])) < APART:
             return None
         seen = any(w.rollers or "mecanum" in f"{mechanism.file.path.name} {w.joint}".lower() for w in fixed)
-        reason = f"{len(fixed)} parallel wheels on two axles" + ("" if seen else "; wheels that skid have no base type")
-        return propose(fixed, 0.9 if seen else 0.5, reason, {"rollers": "mecanum"}, ROLLERS("mecanum"))
+        reason = f"{len(fixed)} parallel wheels on two axles" + (
+            "; its steering axes only stand for rollers" if steers else "" if seen else "; wheels that skid: planar"
+        )
+        fit = 0.2 if steers else 0.9 if seen else 0.5
+        return propose(fixed, fit, reason, {"rollers": "mecanum"}, ROLLERS("mecanum"))
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> PlanarBase:
         """The kinematic model."""

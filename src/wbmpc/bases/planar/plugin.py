@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
     from wbmpc.simulation.world import Edit
 
     Array = NDArray[np.float64]
+
+
+#: Links of wheels and tracks.
+ROLLS = re.compile(r"wheel|cast[eo]r|(?<![a-z])tracks?(?![a-z])", re.IGNORECASE)
 
 
 class MobileBaseDescription(PlanarBaseDescription):
@@ -80,15 +85,18 @@ class MobileBaseType(PlanarBaseType):
         """Any body can be driven."""
 
     def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
-        """Wheels of which no other base type knows how they drive the base."""
-        if not wheels:
+        """Wheels of which no other base type knows how they drive the base; those that do not turn in the file."""
+        drawn = [] if wheels else [b for b in mechanism.bodies if ROLLS.search(b)]
+        if not wheels and len(drawn) < 2:
             return None
         held = tuple(n for w in wheels for n in (*((w.steer,) if w.steer else ()), w.joint, *w.held))
         question = Question("drive", "speeds that the base takes: omni, differential, skid or tracks", "skid")
         return Proposal(
             {"drive": "skid"},
-            0.3,
-            f"{len(wheels)} wheels, driven by speeds of the base",
+            0.3 if wheels else 0.95,
+            f"{len(wheels)} wheels, driven by speeds of the base"
+            if wheels
+            else f"wheels or tracks that do not turn in the file, '{drawn[0]}' first",
             (),
             held,
             questions=(question,),
