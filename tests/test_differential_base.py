@@ -148,12 +148,25 @@ def messages(
 
 
 def test_the_gyro_gives_the_turn_once_its_bias_is_known():
-    for rest, expected in ((1.0, 1.0), (0.0, 1.1)):  # without a rest the wheels' turn is all there is, 10 % wrong
+    for rest, expected in ((1.0, 1.0), (0.0, 1.1)):  # without a rest the bias and the wheels' slip look alike
         odometry = PlanarOdometry(ROBOT.base.twist, ROBOT.base.rates, np.zeros(3))
         for time, wheel, gyro in messages(0.3, 0.5, 2.0, 0.1, 0.02, rest):
             odometry.update(time, wheel, gyro)
         assert odometry.pose[2] == pytest.approx(expected, abs=0.003)
-    assert odometry.bias == 0.0
+
+
+def test_a_base_that_never_stands_still_learns_the_gyros_bias_from_its_speeds():
+    """One wheel is 0.2 % larger than the model's, as nobody knows: a bias turns with the time, radii with the distance."""
+    rng, h, wheel, odometry = np.random.default_rng(0), 0.0025, np.zeros(2), PlanarOdometry(ROBOT.base.twist, ROBOT.base.rates, np.zeros(3))
+    true = 0.0
+    for k in range(round(20.0 / h)):
+        t = k * h
+        v, w = 0.1 + 0.1 * np.sin(0.5 * t), 0.2 * np.sin(0.7 * t)
+        true += w * h
+        wheel = wheel + wheel_rates(v, w) * [1.0, 0.998] * h
+        odometry.update(t, wheel, w + 0.01 + 3e-4 / np.sqrt(h) * rng.normal())
+    assert odometry.gyro.bias == pytest.approx(0.01, abs=3e-4)
+    assert odometry.pose[2] == pytest.approx(true, abs=0.006)
 
 
 def test_a_number_that_is_not_finite_is_not_taken_in():
