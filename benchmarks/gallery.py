@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from wbmpc.cli import main as wbmpc
 from wbmpc.errors import WbmpcError
@@ -27,7 +28,7 @@ from wbmpc.experiment import run_scenario
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp.scaling import reach
 from wbmpc.tasks import goals, track
-from wbmpc.tasks.following import PathTaskSettings
+from wbmpc.tasks.following import PathTaskSettings, Task
 
 #: Robots of other people's designs in small files of the package.
 OWN = ("fetch", "ffw-sg2", "panda", "panda-omni", "pr2", "ridgeback-ur5", "tidybot", "ur5", "vega")
@@ -39,8 +40,10 @@ PACKAGED = {
 }
 #: Goals: mean error of the end effector [m], error at a goal [m], median solve time [ms] of at most so many states.
 MEAN, AT_GOAL, SOLVE_MS, STATES = 2e-4, 5e-3, 0.5, 20
-#: Length [m] of a path; of the short form. Radius of a circle over the reach of a robot whose base stands.
-LENGTH, SHORT, RADIUS = 5.0, 0.3, 0.2
+#: Length [m] of a path; of the short form. Radius of a circle over the reach of a robot whose base stands, and shares of it that are
+#: tried; poses of a circle that are looked at, distance [rad, m] to ends of ranges, least singular value of the six of a pose.
+LENGTH, SHORT, RADIUS, SMALLER = 5.0, 0.3, 0.2, (1.0, 0.75, 0.5, 0.35)
+DENSE, EDGE, SINGULAR, RANK = 60, 0.05, 0.02, 6
 HEAD = (
     "robot", "states", "mean error on paths [mm]", "worst path", "jumps reached", "at the goal [mm]", "solve, median [ms]",
     "solves without a plan", "note",
@@ -93,17 +96,40 @@ def packaged(name: str, folder: Path) -> Path:
 
 
 def paths(robot: RobotModel, length: float) -> Iterator[dict[str, Any]]:
-    """Four of a length [m]: of a robot whose base stands, circles in its reach."""
+    """Four of a length [m]: of a robot whose base stands, the largest circles that it reaches, up to :data:`RADIUS`."""
     if robot.description.base.moves:
         yield {"kind": "line", "length": length, "direction": 0.7, "climb": 0.05 * length}
         yield {"kind": "circle", "length": length}
         yield {"kind": "circle", "length": length, "turn": True, "direction": 1.5}
         yield {"kind": "sine", "length": length}
         return
-    laps = max(1.0, length / (2.0 * np.pi * RADIUS * reach(robot)))
     for vertical in (False, True):
         for direction in (0.0, np.pi / 2.0):
-            yield {"kind": "circle", "length": length, "laps": laps, "vertical": vertical, "direction": direction}
+            for share in SMALLER:
+                laps = max(1.0, length / (2.0 * np.pi * share * RADIUS * reach(robot)))
+                found = {"kind": "circle", "length": length, "laps": laps, "vertical": vertical, "direction": direction}
+                if share == SMALLER[-1] or reached(robot, found):
+                    yield found
+                    break
+
+
+def reached(robot: RobotModel, path: dict[str, Any]) -> bool:
+    """Whether a standing robot has a posture within its ranges, away from singular ones, for every pose of one lap: by SciPy's least
+    squares, each from the posture before."""
+    task = Task(PathTaskSettings.model_validate({"robot": robot.description.name, "physics": "kinematic", "path": path}))
+    lower, upper = robot.limits.state_lower + EDGE, robot.limits.state_upper - EDGE
+    x = np.clip(robot.home, lower, upper)
+    for goal in task.path.at(np.linspace(0.0, task.path.length / path["laps"], DENSE)):
+
+        def off(x: np.ndarray, goal: np.ndarray = goal) -> np.ndarray:
+            position, turned = robot.pose(x)
+            return np.concatenate([position - goal[:3], turned * np.sign(turned @ goal[3:]) - goal[3:]])
+
+        fit = least_squares(off, x, bounds=(lower, upper), xtol=1e-12, ftol=1e-12, gtol=1e-12)
+        x = fit.x
+        if np.abs(fit.fun).max() > 1e-5 or np.linalg.svd(fit.jac, compute_uv=False)[RANK - 1] < SINGULAR:
+            return False
+    return True
 
 
 def examine(name: str, robot: str, quick: bool = False, seed: int = 1) -> Row:

@@ -18,6 +18,7 @@ from wbmpc.robots.doctor import propose_bases
 from wbmpc.robots.home import Home, find_home
 from wbmpc.robots.mechanism import Joint, Mechanism
 from wbmpc.robots.model_checks import Subject
+from wbmpc.robots.steadiness import steadiness
 
 #: Height [m] above the ground at which an end effector of a mobile robot works, where it can.
 WORKING_HEIGHT = 0.8
@@ -190,9 +191,18 @@ def limits_of(draft: Draft) -> tuple[dict[str, float], list[str]]:
     return {n: round(v, 4) for n, v in speeds.items()}, assumed
 
 
-def accelerations_of(draft: Draft, speeds: Mapping[str, float]) -> dict[str, float]:
-    """By joint [rad/s² or m/s²]: the base type's, and an arm's by its speeds."""
-    return {**draft.proposal.acceleration, **{n: round(speeds[n] / START, 3) for n in draft.joints}}
+def accelerations_of(draft: Draft, speeds: Mapping[str, float], angles: Mapping[str, float]) -> dict[str, float]:
+    """By joint [rad/s² or m/s²]: the base type's, and an arm's by its speeds; of a robot on wheels no more than it stands in the posture
+    ``angles``."""
+    given, arm = dict(draft.proposal.acceleration), {n: speeds[n] / START for n in draft.joints}
+    moves = base_type(draft.base).Description.moves
+    steady = steadiness(draft.mechanism, draft.subject.driven, draft.joints, angles) if moves else None
+    if steady is not None:
+        arm = {n: min(a, steady.joints.get(n, np.inf)) for n, a in arm.items()}
+        for w in draft.subject.driven:
+            if w.radius and w.joint in given:
+                given[w.joint] = min(given[w.joint], steady.base / w.radius)
+    return {n: round(a, 3) for n, a in {**given, **arm}.items()}
 
 
 def base_speed(draft: Draft) -> float | None:
@@ -224,7 +234,7 @@ def description_of(
         "couple": couplings_of(draft),
         "fixed_joints": held,
         "home": home.angles,
-        "limits": {**limits, "velocity": speeds, "acceleration": accelerations_of(draft, speeds)},
+        "limits": {**limits, "velocity": speeds, "acceleration": accelerations_of(draft, speeds, held | home.angles)},
     }
     return {key: value for key, value in data.items() if value != {}}, home
 

@@ -130,10 +130,11 @@ class Mechanism:
         """Bodies below one that are fixed to it, itself first."""
         i = self.model.body(body).id
         weld = self.model.body_weldid[i]
-        inside = [k for k in range(i, self.model.nbody) if self.model.body_weldid[k] == weld and self._is_below(k, i)]
+        inside = [k for k in range(i, self.model.nbody) if self.model.body_weldid[k] == weld and self.is_below(k, i)]
         return [self.model.body(k).name for k in inside]
 
-    def _is_below(self, body: int, root: int) -> bool:
+    def is_below(self, body: int, root: int) -> bool:
+        """Whether one body, by its number, is moved along with another one, or is it."""
         while body > root:
             body = int(self.model.body_parentid[body])
         return body == root
