@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from wbmpc import lie
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
+from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -31,6 +32,9 @@ class PlanarController:
         not_negative("controller", lag=lag)
         self.robot, self.period, self.lag, self.use_gyro = robot, period, lag, use_gyro
         self.odometry = PlanarOdometry(robot.base.twist, robot.base.rates, pose)
+        footprint = robot.base.footprint
+        soft = use_gyro and footprint is not None and not footprint.even
+        self.tilt, self._level = (TiltFilter(), LevelArm(robot)) if soft else (None, None)
         self._moving = robot.input["base"]  # the inputs that turn wheels
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)  # what lagging drives make of the commands
@@ -44,6 +48,13 @@ class PlanarController:
         numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
         previous, self.measured = self.measured or measurement, measurement
         self.odometry.update(measurement.time, measurement.wheel, self.turning(previous, measurement))
+        self.note_lean(previous, measurement)
+
+    def note_lean(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> None:
+        """How far the base leans on its casters, where messages of the inertial unit came."""
+        if self.tilt is not None and now.accel.any():
+            moving = self.robot.base.twist @ self._rates[self.robot.input["base"]]  # encoders are too coarse for accelerations
+            self.tilt.update(now.time - previous.time, now.gyro, now.accel, moving)
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
         """Mean yaw rate [rad/s] of the gyro between two messages; None where the odometry takes the wheels' alone."""
@@ -63,11 +74,24 @@ class PlanarController:
     def base_pose(self) -> Array:
         """Estimated pose (7) of the base in the frame of the odometry: position [m] at the nominal height, quaternion."""
         x, y, yaw = self.pose
-        return np.array([x, y, self.robot.base.body_height, *lie.quaternion_about((0.0, 0.0, 1.0), yaw)])
+        height, upright = self.robot.base.body_height, lie.quaternion_about((0.0, 0.0, 1.0), yaw)
+        if self.tilt is None:
+            return np.array([x, y, height, *upright])
+        turned = self.tilt.turned
+        size = float(np.linalg.norm(turned))
+        lean = lie.quaternion_about(turned / size, size) if size > 0.0 else np.array([1.0, 0.0, 0.0, 0.0])
+        aside = lie.quaternion_to_rotation(upright) @ np.cross(turned, [0.0, 0.0, height])
+        return np.array([x + aside[0], y + aside[1], height, *lie.quaternion_multiply(upright, lean)])
 
     def state(self) -> Array:
-        """Estimated state (nx)."""
-        return self.robot.state.vector({"base": self.pose, "arm": self.arm})
+        """Estimated state (nx), of a level base: see :mod:`wbmpc.bases.planar_motion.tilt`."""
+        return self.leveled(self.robot.state.vector({"base": self.pose, "arm": self.arm}))
+
+    def leveled(self, x: Array) -> Array:
+        """A state (nx) whose arm makes up for the lean of the base."""
+        if self.tilt is None or self._level is None or not self.tilt.turned.any():
+            return x
+        return self._level(x, self.tilt.turned)
 
     # ------------------------------------------------------------------ prediction
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:

@@ -75,7 +75,8 @@ class PlanarOdometry:
     """Pose (x, y, yaw) of the body's frame, yaw not wrapped.
 
     ``twist`` (3, m) and ``rates`` (n, m): as in :class:`wbmpc.bases.planar_motion.model.PlanarBase`, the last column is the turn;
-    ``pose0`` (3). ``gyro``: its bias; until it is known, and while the base stands, the turn is the wheels'. ``residual`` (n) [rad]: what the wheels of the last update contradict each other.
+    ``pose0`` (3). ``gyro``: its bias; until it is known, and while the base stands, the
+    turn is the wheels'. ``residual`` (n) [rad]: what the wheels of the last update contradict each other.
     Raises :class:`InputError` for numbers that are not finite or of another length.
     """
 

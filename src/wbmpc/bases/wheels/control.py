@@ -84,14 +84,14 @@ class WheelsController(PlanarController):
         previous, self.measured = self.measured or measurement, measurement
         turning = self.turning(previous, measurement)
         self.odometry.turn(measurement.time, measurement.wheel, measurement.steer, turning)
+        self.note_lean(previous, measurement)
         if not self._placed:
             self.planned, self._placed = np.array(measurement.steer, float), True
 
     def state(self) -> Array:
         """Estimated base, planned steering, measured arm (nx)."""
-        return self.robot.state.vector(
-            {"base": self.pose, **({"steer": self.planned} if self.planned.size else {}), "arm": self.arm}
-        )
+        steer = {"steer": self.planned} if self.planned.size else {}
+        return self.leveled(self.robot.state.vector({"base": self.pose, **steer, "arm": self.arm}))
 
     def _move(self, x: Array, u: Array, h: float) -> None:
         state, inputs = self.robot.state, self.robot.input

@@ -1,0 +1,87 @@
+"""How far a base leans on soft casters, by its inertial unit, and what that does to its end effector.
+
+Plans are of a level base. A lean moves the end effector by centimeters over a reach of a meter and a lean of half a degree; here the
+arm's angles that a plan starts from are those with which a level base would have its end effector where it is.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wbmpc.model.robot import RobotModel
+
+Array = NDArray[np.float64]
+_GRAVITY = 9.81
+#: Doubt at the start of a lean [rad] and of a gyro's bias [rad/s]; walk of the bias [rad/s/√s] and of the lean [rad/√s]: the gyro's noise;
+#: noise of what the accelerometer shows of the vertical [rad/√Hz]: also of motion that is not known.
+LEAN, BIAS, WALK, NOISE, VERTICAL = 0.02, 0.05, 3e-5, 3e-4, 2e-3
+#: Time constant [s] of the lean that plans know of: arms that follow a base which rocks on its springs would rock it more.
+SLOW = 1.0
+#: How much [m] a radian of the end effector's direction counts; damping of the least squares [m/rad].
+LEVER, DAMPING = 0.2, 0.02
+
+
+class TiltFilter:
+    """Kalman filters for the lean about the x and y axes of the base, each with the bias of its gyro.
+
+    ``up`` (2): x and y, in axes of the base, of the unit vector that points up; 0 of a level base. Its rate is −ω × up; the accelerometer
+    shows gravity along it, and the base's own acceleration, which is subtracted as its drives make it of the commands.
+    """
+
+    def __init__(self) -> None:
+        self.up: Array = np.zeros(2)
+        self._lean = np.zeros(2)
+        self._bias = np.zeros(2)  # of ω_y and −ω_x: what turns up[0] back, and up[1]
+        self._covariance = np.diag([LEAN**2, BIAS**2])  # of both filters: their gains are the same
+        self._speed: Array | None = None
+
+    @property
+    def turned(self) -> Array:
+        """Rotation vector (3) [rad] from the level base to the leaning one, in axes of the base, without its rocking."""
+        return np.array([self._lean[1], -self._lean[0], 0.0])
+
+    def update(self, h: float, gyro: ArrayLike, accel: ArrayLike, twist: ArrayLike) -> None:
+        """After h [s] with the inertial unit's ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²] and the base's ``twist`` (vx, vy, ω) in its own axes."""
+        gyro, accel, twist = np.asarray(gyro, float), np.asarray(accel, float), np.asarray(twist, float)
+        last, self._speed = self._speed, twist[:2]
+        if h <= 0.0 or last is None:
+            return
+        own = (twist[:2] - last) / h + twist[2] * np.array([-twist[1], twist[0]])
+        rate = np.array([-gyro[1], gyro[0]]) + gyro[2] * np.array([self.up[1], -self.up[0]])
+        self.up = self.up + h * (rate + self._bias)
+        p = self._covariance
+        step = np.array([[1.0, h], [0.0, 1.0]])
+        p = step @ p @ step.T + np.diag([NOISE**2, WALK**2]) * h
+        gain = p[:, 0] / (p[0, 0] + VERTICAL**2 / h)
+        off = (accel[:2] - own) / _GRAVITY - self.up
+        self.up = self.up + gain[0] * off
+        self._bias = self._bias + gain[1] * off
+        self._covariance = p - np.outer(gain, p[0])
+        self._lean = self._lean + min(h / SLOW, 1.0) * (self.up - self._lean)
+
+
+class LevelArm:
+    """The arm of a robot as a level base would need it, for the end effector of one that leans."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        x, u = ca.SX.sym("x", robot.state.size), ca.SX.sym("u", robot.input.size)
+        linear, angular = robot.frame_velocity(x, u, robot.tool)
+        arm = robot.input["arm"]
+        rows = ca.jacobian(ca.vertcat(linear, LEVER * angular), u)[:, arm]
+        self._seen = ca.Function("arm", [x], [robot.frame_pose(x, robot.tool).position, rows])
+        self._height, self._arm = robot.base.body_height, robot.state["arm"]
+
+    def __call__(self, x: Array, turned: Array) -> Array:
+        """The state (nx) with the arm moved, least squares; ``turned`` (3) [rad]: the lean in axes of the base, about the point on the floor
+        under its frame."""
+        position, rows = (np.asarray(part) for part in self._seen(x))
+        c, s = np.cos(x[2]), np.sin(x[2])
+        lean = np.array([c * turned[0] - s * turned[1], s * turned[0] + c * turned[1], 0.0])
+        arm = position.ravel() - [x[0], x[1], 0.0]
+        wanted = np.concatenate([np.cross(lean, arm), LEVER * lean])
+        moved = rows.T @ np.linalg.solve(rows @ rows.T + DAMPING**2 * np.eye(6), wanted)
+        found: Array = x.copy()
+        found[self._arm] += moved
+        return found
