@@ -63,7 +63,8 @@ class Task:
         there = (t >= self._since + 0.9 * self._least) & (np.linalg.norm(tool - last, axis=1) <= THERE)
         arrival = float(t[np.argmax(there)]) if there.any() else np.inf
         dense = self.path.at(np.linspace(0.0, self.path.length, DENSE))[:, :3]
-        off = nearest_distance(tool[(t >= self._since) & (t <= arrival)], dense)
+        counted = (t >= self._since) & (t <= arrival)  # none in a run that ended before its task began
+        off = nearest_distance(tool[counted], dense) if counted.any() else np.array([np.inf])
         return {
             "path_time": Metric(arrival - self._since, "s"),
             "contour_error_rms_world": Metric(float(np.sqrt(np.mean(off**2))), "m"),

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from wbmpc.bases.base import Proposal
+from wbmpc.bases.base import Base, Proposal
 from wbmpc.bases.planar_motion.plugin import PlanarBaseType
 from wbmpc.bases.planar_motion.proposal import RADIUS, RIM_ACCELERATION, RIM_SPEED
 from wbmpc.bases.wheels.description import WheelsBaseDescription
 from wbmpc.bases.wheels.model import WheelsBase
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import RobotDescription
+from wbmpc.robots.findings import Finding
 
 if TYPE_CHECKING:
     from wbmpc.bases.wheels.control import WheelsController
@@ -57,6 +58,15 @@ class WheelsBaseType(PlanarBaseType):
         held = tuple(n for w in wheels for n in w.held)
         reason = f"{len(steered)} steered and {len(wheels) - len(steered)} other wheels"
         return Proposal(section, 0.7, reason, tuple(names), held, speed, acceleration)
+
+    def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
+        """Also wheels that carry nobody alone."""
+        found = super().diagnose(description, base)
+        if base.footprint is None:
+            text = "its wheels stand on one line: in the simulator the robot falls over"
+            fix = "say where casters carry it, in the axes of the body: 'base: {casters: [[x, y]]}'"
+            found.append(Finding("warning", "casters", "key 'base.casters'", text, fix))
+        return found
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> WheelsBase:
         """The kinematic model."""
