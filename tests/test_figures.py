@@ -15,7 +15,7 @@ from wbmpc.report import provenance
 
 ROOT = Path(__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-PAGE = "words\n<!-- {0} goals -->\n| head |\n| --- |\n| `swerve-old` | kept |\n<!-- end of {0} goals -->\nmore\n"
+PAGE = "words\n<!-- {0} goals -->\n### `swerve-old`\n| kept |\n<!-- end of {0} goals -->\nmore\n"
 
 
 def git(*words: str) -> str:
@@ -75,8 +75,10 @@ def test_tables_of_goals_name_the_commit(tmp_path: Path) -> None:
     script = [sys.executable, str(ROOT / "scripts" / "figures.py"), "--docs", str(tmp_path), "--readme", str(readme)]
     subprocess.run([*script, "--runs", str(tmp_path / "runs")], env=ENVIRONMENT, check=True, capture_output=True)
     rows = (tmp_path / "results" / "swerve.md").read_text().splitlines()
-    expected = "| `swerve-track` | `error` [mm] | ≤ 2 | 16.7 | 2 (3, ∞) | abc1234567 | 2 | **no** |"
-    assert expected in rows and "| `swerve-old` | kept |" in rows and rows[-1] == "more"
+    expected = "| `error` | ≤ 2 mm | 16.7 mm | 2 mm | 3 mm | ∞ | **no** |"
+    head = "2 runs, seeds 300 to 301, commit abc1234567; 1 completed, 1 fell."
+    assert rows[rows.index("### `swerve-track`") + 1] == head and expected in rows
+    assert rows[2:4] == ["### `swerve-old`", "| kept |"] and rows[-1] == "more"
     assert (tmp_path / "results" / "ball.md").read_text() == PAGE.format("ball")
     filled = [text.partition("<!--/-->")[0] for text in readme.read_text().split("-->")[1::2]]
     assert [text.removesuffix("<!--/") for text in filled] == ["abc1234567", "2.0 mm (inf)", "1 of 2"]
