@@ -96,8 +96,7 @@ def alignment(kind: Type) -> str:
 
 def record_fields(kind: object) -> tuple[str, ...]:
     """The names of the fields of a record, a ``NamedTuple`` of numbers and arrays; none where it is no record."""
-    is_record = isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
-    return tuple(getattr(kind, "_fields")) if is_record else ()
+    return getattr(kind, "_fields", ()) if isinstance(kind, type) and issubclass(kind, tuple) else ()
 
 
 class Parameter(NamedTuple):
@@ -135,9 +134,6 @@ class Signature(NamedTuple):
             kinds = [record.__annotations__[field] for field in fields] if fields else [p.annotation]
             arguments += [_annotated(function, getattr(kind, "__forward_arg__", kind)) for kind in kinds]
             names += fields or [p.name]
-        if len(set(names)) < len(names):
-            twice = sorted({name for name in names if names.count(name) > 1})
-            raise KernelError(f"{function.__name__}: several arguments have the name {', '.join(twice)}")
         symbol = f"{function.__module__.rsplit('.', 1)[-1]}_{function.__name__}"
         result = _annotated(function, signature.return_annotation)
         return cls(symbol, result, tuple(arguments), tuple(names), tuple(parameters))
@@ -145,13 +141,13 @@ class Signature(NamedTuple):
     def structured(self, flat: Sequence[Any]) -> list[Any]:
         """Flat arguments as the function's source takes them."""
         values = iter(flat)
-        return [
-            p.record(*(next(values) for _ in p.fields)) if p.record else next(values) for p in self.parameters
-        ]
+        return [p.record(*(next(values) for _ in p.fields)) if p.record else next(values) for p in self.parameters]
 
     def flat(self, structured: Sequence[Any]) -> list[Any]:
         """The arguments of machine code."""
-        return [v for p, value in zip(self.parameters, structured, strict=True) for v in (value if p.record else (value,))]
+        return [
+            v for p, value in zip(self.parameters, structured, strict=True) for v in (value if p.record else (value,))
+        ]
 
 
 class Value(NamedTuple):

@@ -27,8 +27,8 @@ class FilterMemory:
         sizes = {"x": state, "y": state, "z": state, "gyro": 3, "accel": 3}
         sizes |= {"wheel": n, "read": n, "way": n, "gone": n, "stalled": n, "spin": n, "plain": n * n, "slip": 3 * n}
         sizes |= {"rate": 3, "turn": 3, "turned": 9, "half": 9, "middle": 9, "after": 9, "shift": 3, "pushed": 3}
-        sizes |= {"p": size * size, "jx": m * size, "jy": m * size, "q": m * m, "r": m, "moved": m * size, "root": m * m}
-        sizes |= {"w": m * (size + 1), "a": size * size, "inverse": size * size, "slope": size}
+        sizes |= {"p": size * size, "jx": m * size, "jy": m * size, "q": m * m, "r": m, "moved": m * size}
+        sizes |= {"w": m * (size + 1), "a": size * size, "inverse": size * size, "slope": size, "root": m * m}
         sizes |= {"error": size, "covariance": size * size, "best_error": size, "best_covariance": size * size}
         self.arrays = {name: np.zeros(length) for name, length in sizes.items()} | {
             "mount": np.array(geometry.mount, float),

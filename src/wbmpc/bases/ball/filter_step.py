@@ -150,7 +150,8 @@ def by_skew(a: float, b: float, c: float, x: float, y: float, z: float) -> tuple
 def integrate(f: Filter, h: float) -> None:
     """The state ``y`` after ``x`` by strapdown integration and rolling: where the residuals are linearized. ``pushed`` (3): turning of
     the ball by the way ``shift``, in base axes."""
-    n, x, y, gyro, accel, mount, wheels, turn, turned = f.n, f.x, f.y, f.gyro, f.accel, f.mount, f.wheels, f.turn, f.turned
+    n, x, y, gyro, accel, mount, wheels, turn = f.n, f.x, f.y, f.gyro, f.accel, f.mount, f.wheels, f.turn
+    turned = f.turned
     half, middle, after, shift, pushed = f.half, f.middle, f.after, f.shift, f.pushed
     for i in range(3):
         turn[i] = h * (gyro[i] - x[State.GYRO_BIAS + i])
@@ -182,7 +183,8 @@ def integrate(f: Filter, h: float) -> None:
 @compiled
 def inertial_rows(f: Filter, h: float) -> None:
     """Turning, push and shift, which are zero at the guess; walks of the biases, and the scale."""
-    n, x, after, accel, mount, noise, turned, middle, jx = f.n, f.x, f.after, f.accel, f.mount, f.noise, f.turned, f.middle, f.jx
+    n, x, after, accel, mount, noise, turned = f.n, f.x, f.after, f.accel, f.mount, f.noise, f.turned
+    middle, jx = f.middle, f.jx
     jy, q = f.jy, f.q
     size, m = 16 + n, 17 + 2 * n
     ax, ay, az = (
@@ -228,7 +230,8 @@ def inertial_rows(f: Filter, h: float) -> None:
 def rolling_rows(f: Filter, h: float, torque: float) -> None:
     """Wheel increments − turn · (ball's turning − base's), zero at the guess; encoders, what they read was true a little before; and
     the floor. ``torque`` [N m]: what lasts about the vertical."""
-    n, x, y, wheels, noise, turned, middle, pushed, slip = f.n, f.x, f.y, f.wheels, f.noise, f.turned, f.middle, f.pushed, f.slip
+    n, x, y, wheels, noise, turned, middle, pushed = f.n, f.x, f.y, f.wheels, f.noise, f.turned, f.middle, f.pushed
+    slip = f.slip
     jx, jy, q, r = f.jx, f.jy, f.q, f.r
     size, m, factor = 16 + n, 17 + 2 * n, np.exp(-x[State.SCALE])
     spin = noise[Noise.SPIN] ** 2 + (noise[Noise.CREEPING] * torque) ** 2
@@ -246,7 +249,9 @@ def rolling_rows(f: Filter, h: float, torque: float) -> None:
         jx[k] = -a - (fx * turned[0] + fy * turned[1] + fz * turned[2])
         jx[k + 1] = -b - (fx * turned[3] + fy * turned[4] + fz * turned[5])
         jx[k + 2] = -c - (fx * turned[6] + fy * turned[7] + fz * turned[8])
-        jx[row + Error.SCALE] = fx * (pushed[0] - f.turn[0]) + fy * (pushed[1] - f.turn[1]) + fz * (pushed[2] - f.turn[2])
+        jx[row + Error.SCALE] = (
+            fx * (pushed[0] - f.turn[0]) + fy * (pushed[1] - f.turn[1]) + fz * (pushed[2] - f.turn[2])
+        )
         for k in range(3):
             slip[t + k] = (
                 wheels[t] * middle[3 * k] + wheels[t + 1] * middle[3 * k + 1] + wheels[t + 2] * middle[3 * k + 2]
