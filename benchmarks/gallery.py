@@ -116,7 +116,9 @@ def paths(robot: RobotModel, length: float) -> Iterator[dict[str, Any]]:
 def reached(robot: RobotModel, path: dict[str, Any]) -> bool:
     """Whether a standing robot has a posture within its ranges, away from singular ones, for every pose of one lap: by SciPy's least
     squares, each from the posture before."""
-    task = Task(PathTaskSettings.model_validate({"robot": robot.description.name, "physics": "kinematic", "path": path}))
+    task = Task(
+        PathTaskSettings.model_validate({"robot": robot.description.name, "physics": "kinematic", "path": path})
+    )
     lower, upper = robot.limits.state_lower + EDGE, robot.limits.state_upper - EDGE
     x = np.clip(robot.home, lower, upper)
     for goal in task.path.at(np.linspace(0.0, task.path.length / path["laps"], DENSE)):

@@ -157,7 +157,12 @@ def test_the_gyro_gives_the_turn_once_its_bias_is_known():
 
 def test_a_base_that_never_stands_still_learns_the_gyros_bias_from_its_speeds():
     """One wheel is 0.2 % larger than the model's, as nobody knows: a bias turns with the time, radii with the distance."""
-    rng, h, wheel, odometry = np.random.default_rng(0), 0.0025, np.zeros(2), PlanarOdometry(ROBOT.base.twist, ROBOT.base.rates, np.zeros(3))
+    rng, h, wheel, odometry = (
+        np.random.default_rng(0),
+        0.0025,
+        np.zeros(2),
+        PlanarOdometry(ROBOT.base.twist, ROBOT.base.rates, np.zeros(3)),
+    )
     true = 0.0
     for k in range(round(20.0 / h)):
         t = k * h

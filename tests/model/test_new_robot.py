@@ -255,6 +255,52 @@ def test_two_arms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new", str(path), "--yes", "--arm", "pan,pan", "--out", str(tmp_path / "b.yaml")]) == 2
 
 
+def test_a_hand_of_three_fingers_is_no_part_of_the_arm(tmp_path: Path) -> None:
+    """Their joints have no names that say so."""
+    fingers = "".join(
+        link(f"f{k}")
+        + joint(f"f{k}_j", "palm", f"f{k}", (0.02, 0.02 * k, 0), "0 1 0", 'lower="0" upper="1" velocity="1"')
+        for k in range(3)
+    )
+    joints = load_robot(new(model(tmp_path, DIFFERENTIAL + ARM + fingers))).description.arm.joints
+    assert joints == ("pan", "lift", "elbow")
+
+
+def test_wheels_that_do_not_turn_in_the_file_carry_a_base_that_takes_speeds(tmp_path: Path) -> None:
+    wheels = "".join(
+        link(f"wheel_{k}") + joint(f"axle_{k}", "hull", f"wheel_{k}", (0, 0.2 - 0.4 * k, 0.1)) for k in range(2)
+    )
+    base = load_robot(new(model(tmp_path, wheels + ARM), "--set", "base.drive=omni")).description.base
+    assert (base.type, base.drive) == ("planar", "omni")
+
+
+def test_steering_axes_of_mecanum_wheels_can_be_held(tmp_path: Path) -> None:
+    """Files for simulators have them in place of rollers."""
+    places = [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]
+    wheels = "".join(steered(f"w{k}", (*at, RADIUS)) for k, at in enumerate(places))
+    path = model(tmp_path, wheels + ARM)
+    assert load_robot(new(path)).description.base.type == "swerve"
+    d = load_robot(new(path, "--base", "omnidirectional")).description
+    assert d.base.rollers == "mecanum" and {f"w{k}_steer" for k in range(4)} <= d.fixed_joints.keys()
+
+
+def test_a_heavy_torso_is_as_slow_as_the_robot_stands(tmp_path: Path) -> None:
+    """30 kg at 1 m about a hinge; 33 kg in all on wheels 0.25 m from their middle: 15 % of the moment that tips it over."""
+    heavy = (
+        '<link name="chest"><inertial><origin xyz="0 0 1"/><mass value="30"/>'
+        + INERTIAL.split('value="1"/>')[1]
+        + "</link>"
+    )
+    torso = heavy + joint(
+        "bow", "hull", "chest", (0, 0, 0.3), "0 1 0", 'lower="-0.5" upper="0.5" velocity="2" effort="400"'
+    )
+    path = new(model(tmp_path, DIFFERENTIAL + torso))
+    limits = load_robot(path).description.limits.acceleration
+    assert limits["bow"] == pytest.approx(0.15 * 33.0 * 9.81 * 0.25 / 30.01, abs=1e-3)
+    light = load_robot(new(model(tmp_path, DIFFERENTIAL + ARM, "light.urdf"))).description.limits.acceleration
+    assert light["pan"] == pytest.approx(3.0 * 1.5)  # turns about the vertical: it tips nobody over
+
+
 def test_a_file_that_does_not_load_is_named_as_it_was_ordered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -311,6 +357,7 @@ LIGHT = ARM
 for _name in ("fore", "palm", "grasp_frame"):
     LIGHT = LIGHT.replace(link(_name), f'<link name="{_name}"/>')
 SKIN = link("head", '<visual><geometry><mesh filename="package://skin/a.stl"/></geometry></visual>')
+DRAWN = link("head", '<visual><geometry><mesh filename="a.dae"/></geometry></visual>')
 BESIDE = steered("front", (0.3, 0, RADIUS), beside=0.04) + steered("back", (-0.3, 0, RADIUS))
 LEVEL = DIFFERENTIAL + wheel("caster", (-0.3, 0, RADIUS)).replace('<limit velocity="10.0" effort="5"/>', "")
 UNEVEN = wheel("left", (0, 0.25, 0.14), radius=0.14) + wheel("right", (0, -0.25, 0.14))
@@ -331,6 +378,7 @@ EMPTY = link("tray") + WEAK.replace('"-1" upper="1"', '"0" upper="0"')
         ),
         (LIGHT, "inertia", ("link 'fore'", "moves and has no mass")),
         (ARM.replace(link("head"), SKIN), "meshes", ("info", "package://skin/a.stl", "packages: {skin: FOLDER}")),
+        (ARM.replace(link("head"), DRAWN), "meshes", ("info", "not read", "a.dae", ".stl or .obj")),
         (ARM + link("tray") + WEAK, "velocity", ("warning: joint 'weak'", "limits.velocity: {weak:")),
         (ARM + EMPTY, "range", ("joint 'weak'", "empty", "fixed_joints: {weak: 0}")),
         (ARM, "mimic", ("'finger_2_joint'", "follows 'finger_1_joint'", "{finger_1_joint: 0, finger_2_joint: 0}")),
@@ -349,6 +397,7 @@ EMPTY = link("tray") + WEAK.replace('"-1" upper="1"', '"0" upper="0"')
     ],
 )
 def test_a_trap_is_found_with_its_fix(body: str, check: str, words: tuple[str, ...], tmp_path: Path) -> None:
+    (tmp_path / "a.dae").touch()
     text = found(model(tmp_path, body), check)
     assert all(w in text for w in words), text
 

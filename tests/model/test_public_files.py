@@ -157,8 +157,23 @@ def test_macros_are_expanded(tmp_path: Path) -> None:
     pytest.importorskip("xacrodoc")
     path = robot_file(tmp_path, "a.urdf.xacro", MACROS, xacro_arguments={"top": "1.2"})
     assert load_robot(path).limits.state_upper[0] == 1.2
+    plugin = "<gazebo><parameters>$(find nowhere)/a.yaml</parameters></gazebo></robot>"
+    text = MACROS.replace("</robot>", plugin)
+    assert (
+        load_robot(robot_file(tmp_path, "d.urdf.xacro", text)).limits.state_upper[0] == 0.8
+    )  # only a simulator needs it
+    beside = tmp_path / "my_parts"
+    beside.mkdir()
+    (beside / "package.xml").write_text("<package><name>my_parts</name></package>")
+    (beside / "top.xacro").write_text('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"/>')
+    text = MACROS.replace("</robot>", '<xacro:include filename="$(find my_parts)/top.xacro"/></robot>')
+    load_robot(robot_file(tmp_path, "e.urdf.xacro", text))
+    with pytest.raises(InputError, match=r"needs? the argument 'side'; .* --argument side:=VALUE"):
+        load_robot(
+            robot_file(tmp_path, "f.urdf.xacro", MACROS.replace("</robot>", '<link name="$(arg side)"/></robot>'))
+        )
     with pytest.raises(InputError, match=r"ROS package 'nowhere' is not found; .* --package nowhere=FOLDER"):
-        load_robot(robot_file(tmp_path, "b.xacro", MACROS.replace("0.8", "$(find nowhere)")))
+        load_robot(robot_file(tmp_path, "b.xacro", text.replace("my_parts", "nowhere")))
 
 
 def test_a_joint_with_an_empty_range_cannot_be_used(tmp_path: Path) -> None:

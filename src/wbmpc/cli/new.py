@@ -192,7 +192,7 @@ def _comments(draft: Draft, home: Home) -> dict[str, str]:
         "home": f"best of random postures: end effector at x = {x:.2f}, z = {z:.2f} m{free}",
         "limits": "What is not here is as the model has it (ranges, efforts).",
         "limits.velocity": f"[rad/s, m/s] {speeds}",
-        "limits.acceleration": "[rad/s², m/s²] assumed: wheels that do not slip, an arm that is at its speed in 1/3 s, a robot that does not tip over",
+        "limits.acceleration": "[rad/s², m/s²] assumed: wheels do not slip, an arm is at its speed in 1/3 s, the robot does not tip over",
     }
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from os.path import commonprefix
 
 import numpy as np
 
@@ -49,8 +48,9 @@ def find_arms(mechanism: Mechanism, others: Collection[str]) -> list[Arm]:
     joints = {n: j for n, j in mechanism.joints.items() if n not in others and not is_gripper(mechanism, j)}
     ends = [j for j in joints.values() if not any(n in joints for n in mechanism.below(j.name))]
     chains = [tuple(n for n in (*end.above, end.name) if n in joints) for end in ends]
+    chains = [c for c in chains if not _no_arm(mechanism, c)]
     chains = list(dict.fromkeys(_without_fingers(mechanism, c, chains) for c in chains))
-    arms = [_arm(mechanism, c, chains) for c in chains if not _no_arm(mechanism, c)]
+    arms = [_arm(mechanism, c, chains) for c in chains]
     return sorted(arms, key=lambda arm: (-min(len(arm.joints), 6), -round(arm.length, 2), arm.name))
 
 
@@ -63,13 +63,18 @@ def is_gripper(mechanism: Mechanism, joint: Joint) -> bool:
 
 
 def _without_fingers(mechanism: Mechanism, chain: tuple[str, ...], chains: list[tuple[str, ...]]) -> tuple[str, ...]:
-    """A chain up to where it parts from others, if all that hang there are short."""
-    shared = max((len(commonprefix([chain, c])) for c in chains if c != chain), default=0)
+    """A chain up to where it parts from others, if all that hang there are short along their own joints."""
+    shared = max((_shared(chain, c) for c in chains if c != chain), default=0)
     if not shared:
         return chain
     fingers = {chain, *(c for c in chains if c[:shared] == chain[:shared])}
-    longest = max(_length(mechanism, c[shared - 1 :]) for c in fingers)
+    longest = max(_length(mechanism, c[shared:]) for c in fingers)
     return chain[:shared] if longest < _FINGERS * _length(mechanism, chain[:shared]) else chain
+
+
+def _shared(chain: tuple[str, ...], other: tuple[str, ...]) -> int:
+    """How many joints two chains have in common from their beginning."""
+    return next((k for k, (a, b) in enumerate(zip(chain, other, strict=False)) if a != b), min(len(chain), len(other)))
 
 
 def _length(mechanism: Mechanism, chain: Sequence[str]) -> float:

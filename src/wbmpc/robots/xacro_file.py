@@ -70,9 +70,7 @@ def _expanded(
     raise InputError(f"{name}: its macros cannot be expanded: {text[:300]}")
 
 
-def _answer(
-    path: Path, homes: Mapping[str, str], arguments: tuple[tuple[str, str], ...], name: str
-) -> dict[str, Any]:
+def _answer(path: Path, homes: Mapping[str, str], arguments: tuple[tuple[str, str], ...], name: str) -> dict[str, Any]:
     """Of the program that expands the file, with ROS packages in ``homes``."""
     order = {"path": str(path), "packages": dict(homes), "arguments": dict(arguments)}
     try:

@@ -53,7 +53,9 @@ class PlanarController:
     def note_lean(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> None:
         """How far the base leans on its casters, where messages of the inertial unit came."""
         if self.tilt is not None and now.accel.any():
-            moving = self.robot.base.twist @ self._rates[self.robot.input["base"]]  # encoders are too coarse for accelerations
+            moving = (
+                self.robot.base.twist @ self._rates[self.robot.input["base"]]
+            )  # encoders are too coarse for accelerations
             self.tilt.update(now.time - previous.time, now.gyro, now.accel, moving)
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:

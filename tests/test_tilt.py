@@ -1,0 +1,77 @@
+"""Bases that lean on soft casters. Truth: kinematics of a rotation, gravity and rates of a body that turns as it is told, MuJoCo's
+simulated robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wbmpc import lie
+from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
+from wbmpc.model.robot import load_robot
+
+GRAVITY = 9.81
+
+
+def rotation(lean: np.ndarray) -> np.ndarray:
+    size = float(np.linalg.norm(lean))
+    return np.asarray(lie.quaternion_to_rotation(lie.quaternion_about(lean / size, size)))
+
+
+def test_the_lean_and_the_gyros_biases_are_found_while_the_base_drives() -> None:
+    """A base that leans by 8 and -5 mrad turns at 0.3 rad/s about the vertical and goes faster and slower."""
+    rng, h, tilt, lean = np.random.default_rng(0), 0.0025, TiltFilter(), np.array([0.008, -0.005, 0.0])
+    up = rotation(lean).T @ [0.0, 0.0, 1.0]
+    bias = np.array([0.008, -0.006, 0.0])
+    for k in range(round(30.0 / h)):
+        v = 0.2 * np.sin(0.5 * k * h)
+        own = np.array([0.1 * np.cos(0.5 * k * h), 0.3 * v, 0.0])
+        gyro = 0.3 * up + bias + 2e-4 / np.sqrt(h) * rng.normal(size=3)
+        accel = GRAVITY * up + own + 1e-3 / np.sqrt(h) * rng.normal(size=3)
+        tilt.update(h, gyro, accel, [v, 0.0, 0.3])
+    np.testing.assert_allclose(tilt.turned, lean, atol=5e-4)
+
+
+def test_a_lean_that_goes_on_turning_is_followed_by_the_gyro() -> None:
+    """10 mrad within 0.2 s, while the base is pushed at 0.1 m/s² that no wheel shows."""
+    tilt, h = TiltFilter(), 0.0025
+    for _ in range(round(40.0 / h)):
+        tilt.update(h, np.zeros(3), [0.0, 0.0, GRAVITY], np.zeros(3))
+    for _ in range(round(0.2 / h)):
+        tilt.update(h, [0.0, 0.05, 0.0], [0.1, 0.0, GRAVITY], np.zeros(3))
+    assert tilt.up[0] == pytest.approx(-0.010, abs=2e-3)
+
+
+@pytest.mark.parametrize("name", ["fetch", "differential-ur10"])
+def test_a_level_base_with_that_arm_has_its_end_effector_where_a_leaning_one_has_it(name: str) -> None:
+    robot, lean = load_robot(name), np.array([0.004, -0.006, 0.0])
+    x = robot.home.copy()
+    x[:3] = [1.0, -0.5, 0.8]
+    about_z = rotation(np.array([0.0, 0.0, 0.8]))
+    position = robot.pose(x)[0]
+    floor = np.array([1.0, -0.5, 0.0])
+    leaning = floor + about_z @ rotation(lean) @ about_z.T @ (position - floor)
+    np.testing.assert_allclose(robot.pose(LevelArm(robot)(x, lean))[0], leaning, atol=2.5e-4)
+    assert np.linalg.norm(leaning - position) > 3e-3
+
+
+def test_a_simulated_robot_on_soft_casters_knows_its_lean_and_one_on_rigid_wheels_needs_none() -> None:
+    from wbmpc.bases import base_type
+    from wbmpc.simulation.perturbation import Perturbation
+
+    robot = load_robot("fetch")
+    kind = base_type("differential")
+    plant = kind.plant(robot, Perturbation(accel_bias=0.0), 3)
+    controller = kind.controller()(robot, plant.truth().pose, 0.0025, lag=0.02)
+    for _ in range(round(4.0 / 0.0025)):
+        controller.measure(plant.measure())
+        plant.step(controller.stop(), round(0.0025 / plant.timestep))
+    truth, base = plant.truth(), controller.base_pose()
+    assert truth.tilt > 1e-3
+    seen = base[:3] + lie.quaternion_to_rotation(base[3:]) @ truth.tool_in_base
+    level = (
+        np.array([*truth.pose[:2], 0.0]) + rotation(np.array([0.0, 0.0, truth.pose[2] or 1e-12])) @ truth.tool_in_base
+    )
+    assert np.linalg.norm((seen - truth.tool)[:2]) < 0.5 * np.linalg.norm((level - truth.tool)[:2])
+    rigid = load_robot("mecanum-ur10")
+    assert base_type("omnidirectional").controller()(rigid, np.zeros(3), 0.0025).tilt is None
