@@ -34,7 +34,8 @@ class PlanarController:
         self.odometry = PlanarOdometry(robot.base.twist, robot.base.rates, pose)
         footprint = robot.base.footprint
         soft = use_gyro and footprint is not None and not footprint.even
-        self.tilt, self._level = (TiltFilter(), LevelArm(robot)) if soft else (None, None)
+        self.tilt: TiltFilter | None = TiltFilter() if soft else None
+        self._level: LevelArm | None = LevelArm(robot) if soft else None
         self._moving = robot.input["base"]  # the inputs that turn wheels
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)  # what lagging drives make of the commands
