@@ -1,4 +1,4 @@
-"""Bases that lean on soft casters. Truth: kinematics of a rotation, gravity and rates of a body that turns as it is told, MuJoCo's
+"""Bases that lean on soft casters. Truth: kinematics of a rotation, gravity and rates of a body that turns, MuJoCo's
 simulated robot."""
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ def test_a_lean_that_goes_on_turning_is_followed_by_the_gyro() -> None:
 
 
 @pytest.mark.parametrize("name", ["fetch", "differential-ur10"])
-def test_a_level_base_with_that_arm_has_its_end_effector_where_a_leaning_one_has_it(name: str) -> None:
+def test_a_level_base_with_that_arm_has_its_end_effector_where_a_tilted_one_has_it(name: str) -> None:
     robot, lean = load_robot(name), np.array([0.004, -0.006, 0.0])
     x = robot.home.copy()
     x[:3] = [1.0, -0.5, 0.8]
     about_z = rotation(np.array([0.0, 0.0, 0.8]))
     position = robot.pose(x)[0]
     floor = np.array([1.0, -0.5, 0.0])
-    leaning = floor + about_z @ rotation(lean) @ about_z.T @ (position - floor)
-    np.testing.assert_allclose(robot.pose(LevelArm(robot)(x, lean))[0], leaning, atol=2.5e-4)
-    assert np.linalg.norm(leaning - position) > 3e-3
+    tilted = floor + about_z @ rotation(lean) @ about_z.T @ (position - floor)
+    np.testing.assert_allclose(robot.pose(LevelArm(robot)(x, lean))[0], tilted, atol=2.5e-4)
+    assert np.linalg.norm(tilted - position) > 3e-3
 
 
 def test_a_simulated_robot_on_soft_casters_knows_its_lean_and_one_on_rigid_wheels_needs_none() -> None:

@@ -31,35 +31,50 @@ class TiltFilter:
     """
 
     def __init__(self) -> None:
-        self.up: Array = np.zeros(2)
-        self._lean = np.zeros(2)
-        self._bias = np.zeros(2)  # of ω_y and −ω_x: what turns up[0] back, and up[1]
-        self._covariance = np.diag([LEAN**2, BIAS**2])  # of both filters: their gains are the same
-        self._speed: Array | None = None
+        self._up, self._lean = (
+            [0.0, 0.0],
+            [0.0, 0.0],
+        )  # numbers of Python: an array of two costs more than what is done with it
+        self._bias = [0.0, 0.0]  # of ω_y and −ω_x: what turns up[0] back, and up[1]
+        self._variances = LEAN**2, 0.0, BIAS**2  # of lean, of both, of bias: the same of both filters
+        self._speed: tuple[float, float] | None = None
+
+    @property
+    def up(self) -> Array:
+        """See the class."""
+        return np.array(self._up)
 
     @property
     def turned(self) -> Array:
-        """Rotation vector (3) [rad] from the level base to the leaning one, in axes of the base, without its rocking."""
+        """Rotation vector (3) [rad] from the level base to the tilted one, in axes of the base, without its rocking."""
         return np.array([self._lean[1], -self._lean[0], 0.0])
 
     def update(self, h: float, gyro: ArrayLike, accel: ArrayLike, twist: ArrayLike) -> None:
-        """After h [s] with the inertial unit's ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²] and the base's ``twist`` (vx, vy, ω) in its own axes."""
-        gyro, accel, twist = np.asarray(gyro, float), np.asarray(accel, float), np.asarray(twist, float)
-        last, self._speed = self._speed, twist[:2]
+        """After h [s] with the inertial unit's ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²] and the base's ``twist`` (vx, vy, ω) in its own
+        axes."""
+        (turn_x, turn_y, turn_z), (accel_x, accel_y, _) = np.asarray(gyro).tolist(), np.asarray(accel).tolist()
+        vx, vy, turning = np.asarray(twist).tolist()
+        last, self._speed = self._speed, (vx, vy)
         if h <= 0.0 or last is None:
             return
-        own = (twist[:2] - last) / h + twist[2] * np.array([-twist[1], twist[0]])
-        rate = np.array([-gyro[1], gyro[0]]) + gyro[2] * np.array([self.up[1], -self.up[0]])
-        self.up = self.up + h * (rate + self._bias)
-        p = self._covariance
-        step = np.array([[1.0, h], [0.0, 1.0]])
-        p = step @ p @ step.T + np.diag([NOISE**2, WALK**2]) * h
-        gain = p[:, 0] / (p[0, 0] + VERTICAL**2 / h)
-        off = (accel[:2] - own) / _GRAVITY - self.up
-        self.up = self.up + gain[0] * off
-        self._bias = self._bias + gain[1] * off
-        self._covariance = p - np.outer(gain, p[0])
-        self._lean = self._lean + min(h / SLOW, 1.0) * (self.up - self._lean)
+        gain, bias_gain = self._gains(h)
+        own = (vx - last[0]) / h - turning * vy, (vy - last[1]) / h + turning * vx
+        (x, y), slow = self._up, min(h / SLOW, 1.0)
+        rates = turn_z * y - turn_y, turn_x - turn_z * x
+        for k, (rate, shown) in enumerate(zip(rates, (accel_x - own[0], accel_y - own[1]), strict=True)):
+            up = self._up[k] + h * (rate + self._bias[k])
+            off = shown / _GRAVITY - up
+            self._up[k], self._bias[k] = up + gain * off, self._bias[k] + bias_gain * off
+            self._lean[k] += slow * (self._up[k] - self._lean[k])
+
+    def _gains(self, h: float) -> tuple[float, float]:
+        """Of lean and bias, after their variances have grown for h [s] and shrunk by what comes now."""
+        lean, both, bias = self._variances
+        lean, both = lean + h * (2.0 * both + h * bias + NOISE**2), both + h * bias
+        bias += h * WALK**2
+        whole = lean + VERTICAL**2 / h
+        self._variances = lean - lean * lean / whole, both - lean * both / whole, bias - both * both / whole
+        return lean / whole, both / whole
 
 
 class LevelArm:
