@@ -184,9 +184,7 @@ class ControlNode:
             trouble = self._hold_reason or (self.robot_io.fault if self.adapter.must_keep_running else "")
             if self.running and trouble:
                 return f"{self.runner.state}: {'holds its position: ' if self._hold_reason else ''}{trouble}"
-            if self.running and self.active_task is not None:
-                return f"{self.runner.state}: {self.active_task.description}"
-            return self.runner.state
+            return f"{self.runner.state}: {self.task}" if self.running and self.task else self.runner.state
         return self.waiting_reason() or "waiting for a goal"
 
     def waiting_reason(self) -> str:
