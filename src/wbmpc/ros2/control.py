@@ -38,7 +38,7 @@ from wbmpc.runtime.safety import RealTimeSettings, SafeStop
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
-#: How often [s] goals are taken up, and the graph is looked at.
+#: How often [s] goals are taken up, and the graph is checked.
 POLL_PERIOD, GRAPH_POLL_PERIOD = 0.02, 0.5
 #: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
 MPC_OFFSET, QUIET_PHASES = 0.5, (0.4, 0.75)

@@ -47,7 +47,7 @@ class BrakeFault:
 
 
 class BrakeMonitor:
-    """Watches n legs at a fixed period; ``time`` [s] of the last look.
+    """Watches n legs at a fixed period; ``time`` [s] of the last update.
 
     ``moved`` [rad]: motion of a closed leg that is a fault, less ``creep`` [rad/s]: what moves no faster is none. ``expected``
     [rad]: planned motion of an open leg during which it has stayed within ``still`` [rad] (a few counts of its encoder) for
@@ -105,7 +105,7 @@ class BrakeMonitor:
         self._monitor = bind(monitor_brakes, a, backend, n=n, patience=self.patience, creep=self.creep, **constants)
 
     def restart_clock(self) -> None:
-        """Times start anew: the next look is a first one, at brakes that are believed again. What was reported stays reported."""
+        """Times start anew: the next update is a first one, of brakes that count as sound again. What was reported stays reported."""
         for values in (
             self._since,
             self._anchor,
