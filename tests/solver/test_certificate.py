@@ -151,7 +151,7 @@ def test_an_unstable_model_that_leaves_the_numbers_names_its_state() -> None:
 
 def test_inputs_without_any_term_are_named() -> None:
     found = solve(cart(costs=False), ILQR())
-    assert found.status is Status.NOT_FINITE and "no term looks at input 'u.0'" in found.detail
+    assert found.status is Status.NOT_FINITE and "no term depends on input 'u.0'" in found.detail
 
 
 def test_a_first_solve_of_an_mpc_that_fails_says_why() -> None:

@@ -79,7 +79,7 @@ def test_the_twin_names_an_input_without_curvature() -> None:
     del ocp.terms["input"]
     ocp.terms["curve"] = Cost("curve", Rows(1, lambda s: s.x[0] * np.nan), 1.0)
     found = Solver(ocp).solve(START)
-    assert found.status is Status.NOT_FINITE and "term 'curve' at node 0; no term looks at input 'u.0'" in str(found)
+    assert found.status is Status.NOT_FINITE and "term 'curve' at node 0; no term depends on input 'u.0'" in str(found)
 
 
 def test_table_in_a_constraint_holds() -> None:

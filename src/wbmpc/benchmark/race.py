@@ -65,7 +65,7 @@ def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> li
 
 
 def _fastest(rows: list[dict[str, Any]], key: str) -> dict[str, Any] | None:
-    """The fastest peer: it has a time, and a right answer where that was looked at."""
+    """The fastest peer: it has a time, and a right answer where that was checked."""
     peers = [r for r in rows if not r["solver"].startswith("wbmpc") and r.get(key)]
     return min(peers, key=lambda r: r[key], default=None)
 

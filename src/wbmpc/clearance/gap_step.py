@@ -68,7 +68,9 @@ def gap(
     reach, square, count = limit + radius, np.inf, 0
     for _ in range(MOST):
         vv = work[Work.V] ** 2 + work[Work.V + 1] ** 2 + work[Work.V + 2] ** 2
-        ahead = add_point(solids, a, b, place, pa, axes, ra, others, pb, turns, rb, work, count)
+        ahead = add_point(
+            solids, a, b, place=place, pa=pa, axes=axes, ra=ra, others=others, pb=pb, turns=turns, rb=rb, work=work, count=count
+        )  # fmt: skip
         if ahead > 0.0 and (reach <= 0.0 or ahead * ahead >= vv * reach * reach):
             return limit
         if count > 0 and vv - ahead <= ENOUGH * vv:

@@ -33,7 +33,10 @@ def measure(
     place_solids(n, shapes, frames, frame_of, local, turn, position, rotation, place, axes)
     for i in range(n * rows):
         gaps.distance[i] = reach
-    _compared, touch = nearest_own(n, shapes, rows, pairs, solids, gaps, row_of, one, two, place, axes, touching, work)
+    _compared, touch = nearest_own(
+        n=n, shapes=shapes, rows=rows, pairs=pairs, solids=solids, gaps=gaps, row_of=row_of, one=one, two=two, place=place,
+        axes=axes, touching=touching, work=work,
+    )  # fmt: skip
     return touch
 
 

@@ -98,7 +98,9 @@ def nearest(
                 if bound(solids, b, s, others, pb, turns, rb, place, pa, limit) >= limit:
                     continue
                 compared += 1
-                d = gap(solids, s, b, place, pa, axes, ra, others, pb, turns, rb, limit, work)
+                d = gap(
+                    solids, s, b, place=place, pa=pa, axes=axes, ra=ra, others=others, pb=pb, turns=turns, rb=rb, limit=limit, work=work
+                )  # fmt: skip
                 if d == -np.inf:
                     touching[touch] = (k * shapes + s) * others_count + o
                     touch += 1
@@ -128,7 +130,10 @@ def nearest_own(
             if bound(solids, b, a, place, 3 * pb, axes, 9 * pb, place, 3 * pa, limit) >= limit:
                 continue
             compared += 1
-            d = gap(solids, a, b, place, 3 * pa, axes, 9 * pa, place, 3 * pb, axes, 9 * pb, limit, work)
+            d = gap(
+                solids, a, b, place=place, pa=3 * pa, axes=axes, ra=9 * pa, others=place, pb=3 * pb, turns=axes, rb=9 * pb, limit=limit,
+                work=work,
+            )  # fmt: skip
             if d == -np.inf:
                 touching[touch] = k * pairs + j
                 touch += 1

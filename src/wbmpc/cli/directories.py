@@ -83,7 +83,7 @@ def writable_directory(option: str, path: Path) -> None:
 
 
 def new_directory(option: str, chosen: Path | None, default: Path, force: bool) -> Path:
-    """A directory for files that :func:`reject_existing` then looks at; a chosen one is not there yet."""
+    """A directory for files that :func:`reject_existing` then checks; a chosen one is not there yet."""
     if chosen is not None and chosen.exists() and not chosen.is_dir():
         raise InputError(f"{option}: '{chosen}' is a file; give a directory")
     return chosen or (default if force else _free(default))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from wbmpc.control.compilation import step
@@ -12,28 +14,42 @@ from wbmpc.kernel.ir import Floats
 LEARNED_IN, MAXIMUM, TURNS, SLOW = 1.0, 0.1, 0.05, 0.02
 
 
+class Friction(NamedTuple):
+    """Drives (n) with a lag, and their dry friction."""
+
+    n: int
+    droop: Floats  # (n) [rad/s], what friction takes
+    command: Floats  # (n) [rad/s]
+    rate: Floats  # (n) [rad/s], what drives make of it at the end of a period
+    mean: Floats  # (n) [rad/s], and on the average of it
+    turned: Floats  # (n) [rad], measured
+    target: Floats  # (n) [rad/s]
+    maximum: Floats  # (n) [rad/s], of the command
+    change: Floats  # (n) [rad/s], of the command in a period, at most
+    blend: float  # share of the way to a command that drives go in a period
+    late: float  # blend · lag / period
+
+
 @step
-def learn(n: int, droop: Floats, mean: Floats, turned: Floats, h: float) -> None:
-    """``droop`` (n) [rad/s] from joints that ``turned`` (n) [rad] in h [s] while ``mean`` (n) [rad/s] was to be expected."""
+def learn(f: Friction, h: float) -> None:
+    """``droop`` from joints that ``turned`` in h [s] while ``mean`` was to be expected."""
+    mean, droop = f.mean, f.droop
     share = 1.0 - np.exp(-h / LEARNED_IN)
-    for i in range(n):
+    for i in range(f.n):
         if abs(mean[i]) > TURNS:
-            lacks = mean[i] - turned[i] / h
+            lacks = mean[i] - f.turned[i] / h
             if mean[i] < 0.0:
                 lacks = -lacks
             droop[i] = min(max(droop[i] + share * (lacks - droop[i]), 0.0), MAXIMUM)
 
 
 @step
-def drive(
-    n: int, droop: Floats, command: Floats, rate: Floats, mean: Floats, target: Floats, maximum: Floats, change: Floats,
-    blend: float, late: float,
-) -> None:  # fmt: skip
-    """The ``command`` (n) [rad/s] for a ``target`` (n), within ± ``maximum`` and by ``change`` at most beside the one before; ``rate`` and
-    ``mean``: what drives make of it, at the end of the period and on the average of it."""
-    for i in range(n):
-        given = target[i] + droop[i] * min(max(target[i] / SLOW, -1.0), 1.0)
+def drive(f: Friction) -> None:
+    """The ``command`` for a ``target``, and what drives make of it."""
+    command, rate, target, maximum, change = f.command, f.rate, f.target, f.maximum, f.change
+    for i in range(f.n):
+        given = target[i] + f.droop[i] * min(max(target[i] / SLOW, -1.0), 1.0)
         given = min(max(given, -maximum[i]), maximum[i])
         given = min(max(given, command[i] - change[i]), command[i] + change[i])
         behind = rate[i] - given
-        command[i], mean[i], rate[i] = given, given + behind * late, given + behind * (1.0 - blend)
+        command[i], f.mean[i], rate[i] = given, given + behind * f.late, given + behind * (1.0 - f.blend)

@@ -12,13 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.checks import not_negative, positive
-from wbmpc.control.drive_step import drive, learn
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.control.drive_step import Friction, drive, learn
+from wbmpc.kernel.step import Backend, bind, zeros
 
 Array = NDArray[np.float64]
-
-#: Arrays of one number for each drive, by their names in :mod:`wbmpc.control.drive_step`.
-_ARRAYS = ("droop", "command", "rate", "mean", "turned", "target", "maximum", "change")
 
 
 class DryFriction:
@@ -31,10 +28,11 @@ class DryFriction:
     def __init__(self, count: int, period: float, lag: float, backend: Backend = "compiled") -> None:
         positive("dry friction", period=period)
         not_negative("dry friction", lag=lag)
-        a = self._arrays = {name: np.zeros(count) for name in _ARRAYS}
-        blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
-        self._learn = bind(learn, a, backend, n=count)
-        self._drive = bind(drive, a, backend, n=count, blend=float(blend), late=float(blend * lag / period))
+        a = self._arrays = zeros(Friction, count)
+        blend = float(1.0 - np.exp(-period / lag)) if lag > 0.0 else 1.0
+        self._learn, self._drive = (
+            bind(step, a, backend, n=count, blend=blend, late=blend * lag / period) for step in (learn, drive)
+        )
 
     @property
     def droop(self) -> Array:

@@ -111,7 +111,7 @@ def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
 
 
 def _features(target: Target, width: int) -> tuple[str, ...] | None:
-    """What a processor of the x86 family is looked at for; None for others, and where this machine cannot write such code."""
+    """What a processor of the x86 family is searched for; None for others, and where this machine cannot write such code."""
     if not target.triple.startswith("x86_64") or platform.machine() not in ("x86_64", "AMD64"):
         return None
     if width == 2:

@@ -123,7 +123,7 @@ class OffsetObserver:
     def _functions(self) -> tuple[ca.Function, ca.Function]:
         """(z, u, m, h, w) to the next z = [x; d] and its Jacobian (midpoint rule); (z, u, m, w) to ∂ẋ/∂z.
 
-        w: all parameters, of which those in d's place are not looked at.
+        w: all parameters, of which those in d's place do not count.
         """
         d = self.dynamics
         z, u = ca.SX.sym("z", self.mean.size), ca.SX.sym("u", d.input.size)

@@ -77,7 +77,7 @@ def _distrust(path: Path, found: os.stat_result) -> str:
 def _distrust_above(folder: Path) -> str:
     """Why others may put something else in the place of a directory: one above it is neither root's nor the user's, or may be
     written by others, who may then rename all that is in it. With the sticky bit, as /tmp has it, they may not."""
-    # from the root on: what was looked at holds the next one in its place
+    # from the root on: what was checked holds the next one in its place
     for above in reversed(_real(folder).parents):
         try:
             found = above.lstat()

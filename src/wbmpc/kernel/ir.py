@@ -126,7 +126,9 @@ class Signature(NamedTuple):
     def of(cls, function: Callable[..., Any]) -> Signature:
         """The signature of a function of translated Python from its annotations (as text: ``from __future__ import annotations``)."""
         signature = inspect.signature(function)
-        parameters, arguments, names = [], [], []
+        parameters: list[Parameter] = []
+        arguments: list[Type] = []
+        names: list[str] = []
         for p in signature.parameters.values():
             record = function.__globals__.get(p.annotation) if isinstance(p.annotation, str) else p.annotation
             fields = record_fields(record)

@@ -123,6 +123,12 @@ def bind(function: Callable[..., Any], arrays: Memory, backend: Backend = "compi
     return Step(function, {name: arrays[name] for name in names if name in arrays}, backend, **constants)
 
 
+def zeros(record: Callable[..., Any], n: int) -> dict[str, NDArray[np.float64]]:
+    """Arrays (n) by name for all fields of a record that are :class:`~wbmpc.kernel.ir.Floats`."""
+    kinds = record.__annotations__.items()
+    return {name: np.zeros(n) for name, kind in kinds if getattr(kind, "__forward_arg__", kind) == "Floats"}
+
+
 def _address(symbol: str, name: str, array: Any, dtype: type) -> int:
     if not isinstance(array, np.ndarray) or array.dtype != dtype or not array.flags.c_contiguous:
         raise KernelError(f"{symbol}: '{name}' needs a contiguous array of {dtype.__name__}")

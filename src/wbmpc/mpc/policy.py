@@ -69,7 +69,7 @@ def _is_finite(t: float) -> bool:
 
 
 def _groups(inside: np.ndarray) -> np.ndarray:
-    """For every row, (r, nu), the inputs of its group: those that it, or rows it shares inputs with, look at (``inside``)."""
+    """For every row, (r, nu), the inputs of its group: those that it, or rows it shares inputs with, depend on (``inside``)."""
     reached = inside
     while True:
         wider = (reached @ inside.T) @ inside

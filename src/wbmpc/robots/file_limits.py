@@ -1,4 +1,4 @@
-"""What a robot's XML may be at most, looked at before MuJoCo grows anything of it.
+"""What a robot's XML may be at most, checked before MuJoCo grows anything of it.
 
 A few lines can ask for millions of bodies (``replicate``, models attached to models, XML entities) or for an image of a
 terabyte; the simulator's parser would build them all.

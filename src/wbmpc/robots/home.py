@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wbmpc.robots.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-#: Postures that are tried, of which so many of the best are looked at for collisions.
+#: Postures that are tried, of which so many of the best are checked for collisions.
 TRIED, LOOKED_AT = 2000, 40
 #: Share of each range, at both ends, that a home keeps away from; half range [rad] of a joint that turns on and on.
 MARGIN, TURNS = 0.15, np.pi

@@ -22,7 +22,7 @@ _LIMITS = """range ctrlrange forcerange actfrcrange actrange lengthrange lower u
 _NAMES, _BOUNDS = frozenset(_TEXTS.split()), frozenset(_LIMITS.split())
 _NAN = re.compile(r"(?<!\S)[+-]?nan(\(\S*\))?(?!\S)", re.IGNORECASE)
 _INFINITE = re.compile(r"(?<!\S)[+-]?inf(inity)?(?!\S)", re.IGNORECASE)
-#: So many words of an attribute are looked at one by one, where not all of them are numbers.
+#: So many words of an attribute are checked one by one, where not all of them are numbers.
 _FEW = 1000
 
 

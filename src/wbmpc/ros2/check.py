@@ -1,4 +1,4 @@
-"""A look at a robot's bus before anything moves: what is missing, mistyped, too slow, or has the wrong quality of service."""
+"""A check of a robot's bus before anything moves: what is missing, mistyped, too slow, or has the wrong quality of service."""
 
 from __future__ import annotations
 

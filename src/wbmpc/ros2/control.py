@@ -38,7 +38,7 @@ from wbmpc.runtime.safety import RealTimeSettings, SafeStop
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
-#: How often [s] goals are taken up, and the graph is looked at.
+#: How often [s] goals are taken up, and the graph is checked.
 POLL_PERIOD, GRAPH_POLL_PERIOD = 0.02, 0.5
 #: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
 MPC_OFFSET, QUIET_PHASES = 0.5, (0.4, 0.75)
@@ -184,9 +184,7 @@ class ControlNode:
             trouble = self._hold_reason or (self.robot_io.fault if self.adapter.must_keep_running else "")
             if self.running and trouble:
                 return f"{self.runner.state}: {'holds its position: ' if self._hold_reason else ''}{trouble}"
-            if self.running and self.active_task is not None:
-                return f"{self.runner.state}: {self.active_task.description}"
-            return self.runner.state
+            return f"{self.runner.state}: {self.task}" if self.running and self.task else self.runner.state
         return self.waiting_reason() or "waiting for a goal"
 
     def waiting_reason(self) -> str:

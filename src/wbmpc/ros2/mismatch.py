@@ -59,7 +59,7 @@ class Mismatches:
         self._report(f"{ours.topic}: a {who} {asks} ({policy}); no message will come through", ours, policy)
 
     def close(self) -> None:
-        """Nothing is looked at any more."""
+        """Nothing is checked any more."""
         with self._looking:
             self._closed = True
 

@@ -41,7 +41,7 @@ except ModuleNotFoundError:  # rclpy does not need it
     get_service = get_message
 
 _LOG = logging.getLogger("wbmpc")
-#: How often [s] the publishers of a topic are looked at whose number does not change.
+#: How often [s] the publishers of a topic are checked whose number does not change.
 _LOOK = 0.5
 
 

@@ -230,7 +230,7 @@ class TimedPolicy(Policy):
 
 
 class Board:
-    """Named numbers and records of samples that one side writes and the other may look at any time.
+    """Named numbers and records of samples that one side writes and the other may read at any time.
 
     A number is one word, so it is never torn. ``names`` of single numbers; ``records``: rings of the last ``capacity`` samples.
     ``memory`` as for :class:`Mailbox`.

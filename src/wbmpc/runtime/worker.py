@@ -180,7 +180,7 @@ _POLL_PERIOD = 0.25
 def end_with_parent() -> None:
     """End this process when the one that started it has gone, however that ended, also by SIGKILL.
 
-    A thread waits for the pipe that the parent holds open, and looks at the parent's number as well, since a process that
+    A thread waits for the pipe that the parent holds open, and checks the parent's number as well, since a process that
     the parent has forked may hold that pipe too. (Linux's parent-death signal comes when the parent's *thread* ends.)
     """
     parent = multiprocessing.parent_process()

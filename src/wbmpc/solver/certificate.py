@@ -223,7 +223,7 @@ def _state_jacobian(problem: Transcription, ws: Any, k: int) -> np.ndarray:
 
 
 def unweighted_inputs(problem: Transcription) -> list[str]:
-    """Inputs that no term of the path looks at: nothing but the motion says what they should be."""
+    """Inputs that no term of the path depends on: nothing but the motion says what they should be."""
     seen = np.zeros(problem.nu, bool)
     for value in problem.term_values("path").values():
         seen |= np.array([ca.depends_on(value, problem.u[i]) for i in range(problem.nu)])

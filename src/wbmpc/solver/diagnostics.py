@@ -58,7 +58,7 @@ def diagnose(solver: Solver, solution: Solution) -> Solution:
 def _not_finite(solver: Solver) -> str:
     found = certificate.not_finite(solver.problem, solver.ws)
     free = certificate.unweighted_inputs(solver.problem)
-    return f"{found or 'the step'}; no term looks at input '{free[0]}'" if free else found
+    return f"{found or 'the step'}; no term depends on input '{free[0]}'" if free else found
 
 
 def _must_hold(problem: Transcription, term: Any) -> bool:
@@ -77,7 +77,7 @@ def _gives_way(problem: Transcription, term: Any) -> bool:
 
 
 def _can_contradict(problem: Transcription) -> bool:
-    """Whether anything that must be met looks at states. Where nothing does, a motion of the model closes all gaps."""
+    """Whether anything that must be met depends on states. Where nothing does, a motion of the model closes all gaps."""
     terms = [t for t in problem.ocp.terms.values() if isinstance(t, Constraint) and _must_hold(problem, t)]
     return any(problem.with_state(t).any() and not _gives_way(problem, t) for t in terms)
 
@@ -217,7 +217,7 @@ def _diverged(solver: Solver) -> str:
         )
     free = certificate.unweighted_inputs(problem)
     if free:
-        parts["no term looks at"] = f"input '{free[0]}'"
+        parts["no term depends on"] = f"input '{free[0]}'"
     causes = ", ".join(f"{name}: {text}" for name, text in parts.items() if text)
     start = np.abs(solver.x0).max()
     return f"the start has a state of {start:.3g}, {causes}" if start > THRESHOLDS.divergence else causes

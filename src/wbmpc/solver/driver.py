@@ -235,7 +235,7 @@ def line_search_gives_up(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
     m[state + StateField.SHIFT] = max(10.0 * m[state + StateField.SHIFT], 1e-4)
     if m[state + StateField.SHIFT] <= s[Setting.MAX_REGULARIZATION]:
         return False
-    if s[Setting.KEEP_MULTIPLIERS] > 0.0 and row_count(o) > 0:  # the trial point that is looked at is to be the iterate
+    if s[Setting.KEEP_MULTIPLIERS] > 0.0 and row_count(o) > 0:  # the trial point that is evaluated is to be the iterate
         trial(m, o, x0, 0.0, False)
     return True
 

@@ -391,6 +391,6 @@ class Solver(SolverResults):
     def violation_message(self, status: Status) -> str:
         """The equality of the first input, or the hard row, that the last plan violates most; empty where none is violated.
 
-        Equalities and states are looked at in real time, rows of inputs there and where inputs are held within them (nonlinear rows).
+        Equalities and states are checked in real time, rows of inputs there and where inputs are held within them (nonlinear rows).
         """
         return violation_message(self, status)

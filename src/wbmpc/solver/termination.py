@@ -44,7 +44,7 @@ CONTINUE, RETRY = -1, -2
 def moved(m: Floats, o: Integers) -> float:
     """The largest part of the step beside 1 + |x| or 1 + |u|.
 
-    Where nothing but a logarithm looks at a variable its gradient fades towards infinity, and every step doubles it.
+    Where only a logarithm depends on a variable its gradient fades towards infinity, and every step doubles it.
     """
     n, nx, nu, lx = o[N], o[NX], o[NU], o[LX]
     largest = 0.0

@@ -12,7 +12,7 @@ from wbmpc.simulation.scene import Scene, Shape
 Array = np.ndarray
 #: From a robot of 1.4 m [m]: from its front left.
 _PLACE = np.array([1.9, 2.3, 1.5])
-#: What is farther away from the base [m] is not looked at.
+#: What is farther away from the base [m] is not considered.
 _AROUND = 1.2
 
 

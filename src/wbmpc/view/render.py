@@ -81,7 +81,7 @@ def _write_png(path: Path, pictures: list[np.ndarray]) -> None:
 
 
 def _write_mp4(path: Path, pictures: list[np.ndarray]) -> None:
-    """The library does not look at how its program ended: pictures are counted in what it left."""
+    """The library does not check how its program ended: pictures are counted in what it left."""
     import imageio.v3 as imageio
     from imageio_ffmpeg import count_frames_and_secs
 

@@ -70,7 +70,7 @@ class FallPredictor:
         component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * end_effector
         self._component = Numeric(ca.Function("component", [x, mass, end_effector], [ca.densify(component)]))
         self._size = robot.state.size
-        #: the plan that was looked at last
+        #: the plan that was checked last
         self.seen: Policy | None = None
 
     def update_plan(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> list[Fall]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from wbmpc.bases.ball.compilation import step
 from wbmpc.kernel.ir import Floats
 
@@ -15,37 +17,54 @@ FLUNG = 0.03
 SURPRISE, LATE = 1e-3, 2e-3
 
 
+class Joints(NamedTuple):
+    """Joints (n), their encoders, and what is known of them."""
+
+    n: int
+    angle: Floats  # (n) [rad]
+    rate: Floats  # (n) [rad/s]
+    aa: Floats  # (n), covariances of angle and rate
+    ar: Floats
+    rr: Floats
+    given: Floats  # (n) [rad], the encoders' readings
+    reading: Floats  # (n) [rad], the last that counted
+    raw: Floats  # (n) [rad], the last
+    moved: Floats  # (n) [rad], its distance from the one before
+    uncounted: Floats  # (n) [s], since a reading counted
+    jumped: Floats  # (n), 1 where the last reading does not count
+    surprised: Floats  # (n), 1 where it was far from the expected one
+    speed: Floats  # (n) [rad/s], limits
+    encoder: float  # deviation of a reading [rad]
+    age: float  # mean age of readings [s]
+    jitter: float  # deviation of the age [s]
+    acceleration: float  # density of unknown accelerations [rad/s²/√Hz]
+
+
 @step
-def track(
-    n: int, angle: Floats, rate: Floats, reading: Floats, raw: Floats, moved: Floats, uncounted: Floats, aa: Floats,
-    ar: Floats, rr: Floats, jumped: Floats, surprised: Floats, speed: Floats, given: Floats, encoder: float, age: float,
-    jitter: float, acceleration: float, h: float, first: bool,
-) -> None:  # fmt: skip
-    """``given`` (n) [rad] are read ``h`` [s] after the message before; ``first``: there was none. ``aa``, ``ar``, ``rr``: covariances
-    of angle and rate; ``raw``: the last reading, ``moved`` its distance from the one before, ``uncounted`` [s] since a reading
-    counted."""
-    density = acceleration**2
-    for i in range(n):
-        a = aa[i] + 2.0 * h * ar[i] + h * h * rr[i] + density * h * h * h / 3.0
-        b, c = ar[i] + h * rr[i] + density * h * h / 2.0, rr[i] + density * h
-        expected, new = angle[i] + h * rate[i], given[i]
-        variance = a + encoder**2 + (jitter * rate[i]) ** 2
-        wrong = new + age * rate[i] - expected
-        surprised[i] = 1.0 if abs(wrong) > SURPRISE + LATE * abs(rate[i]) else 0.0
+def track(j: Joints, h: float, first: bool) -> None:
+    """The readings ``given`` come ``h`` [s] after the message before; ``first``: there was none."""
+    density = j.acceleration**2
+    for i in range(j.n):
+        a = j.aa[i] + 2.0 * h * j.ar[i] + h * h * j.rr[i] + density * h * h * h / 3.0
+        b, c = j.ar[i] + h * j.rr[i] + density * h * h / 2.0, j.rr[i] + density * h
+        expected, new = j.angle[i] + h * j.rate[i], j.given[i]
+        variance = a + j.encoder**2 + (j.jitter * j.rate[i]) ** 2
+        wrong = new + j.age * j.rate[i] - expected
+        j.surprised[i] = 1.0 if abs(wrong) > SURPRISE + LATE * abs(j.rate[i]) else 0.0
         if first:  # the start is not known as well as what follows
-            reading[i], raw[i] = new, new
+            j.reading[i], j.raw[i] = new, new
         # far from the motion that there was as well, and not on its way: an arm that is flung goes on
-        off = min(abs(new - reading[i]), abs(wrong))
-        had_jumped, before = jumped[i] > 0.0, moved[i]
-        uncounted[i] = uncounted[i] + h if had_jumped else h
-        now = new - raw[i]
-        moved[i], raw[i] = now, new
+        off = min(abs(new - j.reading[i]), abs(wrong))
+        had_jumped, before = j.jumped[i] > 0.0, j.moved[i]
+        j.uncounted[i] = j.uncounted[i] + h if had_jumped else h
+        now = new - j.raw[i]
+        j.moved[i], j.raw[i] = now, new
         going = min(abs(before), abs(now)) > FLUNG and before * now > 0.0
         stays = had_jumped and abs(now) < off
-        jumps = (stays or off > (uncounted[i] + LATE) * SPEED_FACTOR * speed[i] + SPEED_REST) and not going
-        jumped[i] = 1.0 if jumps else 0.0
+        jumps = (stays or off > (j.uncounted[i] + LATE) * SPEED_FACTOR * j.speed[i] + SPEED_REST) and not going
+        j.jumped[i] = 1.0 if jumps else 0.0
         gain, gain_rate = 0.0, 0.0
         if not jumps:
-            reading[i], gain, gain_rate = new, a / variance, b / variance
-        angle[i], rate[i] = expected + gain * wrong, rate[i] + gain_rate * wrong
-        aa[i], ar[i], rr[i] = (1.0 - gain) * a, (1.0 - gain) * b, c - gain_rate * b
+            j.reading[i], gain, gain_rate = new, a / variance, b / variance
+        j.angle[i], j.rate[i] = expected + gain * wrong, j.rate[i] + gain_rate * wrong
+        j.aa[i], j.ar[i], j.rr[i] = (1.0 - gain) * a, (1.0 - gain) * b, c - gain_rate * b

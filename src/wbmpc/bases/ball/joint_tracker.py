@@ -6,16 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.ball.gap import GAP
-from wbmpc.bases.ball.joint_step import track
+from wbmpc.bases.ball.joint_step import Joints, track
 from wbmpc.checks import not_negative, numbers, positive, positive_time, scales
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import Backend, bind, zeros
 
 Array = NDArray[np.float64]
 #: An arm with a joint that is faster than this times its speed limit is flung, and turns the base with it: the inertial unit
 #: is right then, however far from the message before. (Seen: 34 rad/s where the limit is 4, and 2 rad/s of yaw in 2.5 ms.)
 FASTER = 2.0
-#: Arrays of one number for each joint.
-_ARRAYS = ("angle", "rate", "reading", "raw", "moved", "uncounted", "aa", "ar", "rr", "jumped", "surprised", "given")
 
 
 class JointTracker:
@@ -37,7 +35,7 @@ class JointTracker:
         positive(who, acceleration=acceleration)
         start = numbers(who, "angles", angles, np.size(angles))
         n = self.size = start.size
-        a = self.arrays = {name: np.zeros(n) for name in _ARRAYS}
+        a = self.arrays = zeros(Joints, n)
         a["speed"] = np.array(np.broadcast_to(scales(who, "speed", speed), n), float)
         a["angle"][:], a["raw"][:], a["aa"][:], a["rr"][:] = start, start, 1e-2, 1e-2
         self._first = True

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from wbmpc.bases.ball.compilation import compiled, step
 from wbmpc.kernel.ir import Floats
 
@@ -12,34 +14,53 @@ def deadband(value: float, doubt: float) -> float:
     return max(value - doubt, 0.0) - max(-value - doubt, 0.0)
 
 
+class Encoders(NamedTuple):
+    """Joints (n), their encoders, and what a monitor remembers of them."""
+
+    n: int
+    arm: Floats  # (n) [rad], readings
+    surprised: Floats  # (n), 1 for readings that are far from the expected ones
+    speed: Floats  # (n) [rad/s], of the joints by their tracker
+    acceleration: Floats  # (n) [rad/s²], by the model
+    anchor: Floats  # (n) [rad], where an encoder stands
+    believed: Floats  # (n) [rad/s], by how much the joint must be faster than at the anchor
+    gone: Floats  # (n) [rad], how far it must have moved
+    then: Floats  # (n) [rad/s²], acceleration at the anchor
+    stood: Floats  # (n) [s]
+    low: Floats  # (n) [rad], readings beyond which a joint rests at a stop
+    high: Floats
+    standing: Floats  # (n), 1 for encoders that should have moved
+    still: float  # [rad], motion that is none
+    expected: float  # [rad], motion that must be seen
+    crawl: float  # [rad/s], speed that is none
+    doubt: float  # [rad/s²], of the accelerations
+    min_standstill: float  # [s]
+
+
 @step
-def has_jumped(n: int, arm: Floats, surprised: Floats, anchor: Floats, still: float) -> bool:
+def has_jumped(e: Encoders) -> bool:
     """Whether a reading came as a surprise and moved. (One that did not move is what is looked for.)"""
     found = False
-    for i in range(n):
-        if surprised[i] > 0.0 and abs(arm[i] - anchor[i]) > still:
+    for i in range(e.n):
+        if e.surprised[i] > 0.0 and abs(e.arm[i] - e.anchor[i]) > e.still:
             found = True
     return found
 
 
 @step
-def detect_frozen(
-    n: int, arm: Floats, speed: Floats, acceleration: Floats, anchor: Floats, believed: Floats, gone: Floats, then: Floats,
-    stood: Floats, low: Floats, high: Floats, standing: Floats, still: float, expected: float, crawl: float, doubt: float,
-    min_standstill: float, h: float, doubted: bool,
-) -> int:  # fmt: skip
+def detect_frozen(e: Encoders, h: float, doubted: bool) -> int:
     """How many encoders, marked in ``standing`` (n), have not moved though they should have; counted anew while that is ``doubted``."""
     count = 0
-    for i in range(n):
-        stands = abs(arm[i] - anchor[i]) <= still and arm[i] >= low[i] and arm[i] <= high[i]
+    for i in range(e.n):
+        stands = abs(e.arm[i] - e.anchor[i]) <= e.still and e.arm[i] >= e.low[i] and e.arm[i] <= e.high[i]
         if stands and not doubted:
-            believed[i] += h * deadband(acceleration[i] - then[i], doubt)
-            gone[i] += h * believed[i]
-            stood[i] += h
+            e.believed[i] += h * deadband(e.acceleration[i] - e.then[i], e.doubt)
+            e.gone[i] += h * e.believed[i]
+            e.stood[i] += h
         else:  # at the first reading too
-            anchor[i], believed[i], then[i] = arm[i], deadband(speed[i], crawl), acceleration[i]
-            gone[i], stood[i] = 0.0, 0.0
-        standing[i] = 1.0 if abs(gone[i]) > expected and stood[i] >= min_standstill - 1e-9 else 0.0
-        if standing[i] > 0.0:
+            e.anchor[i], e.believed[i], e.then[i] = e.arm[i], deadband(e.speed[i], e.crawl), e.acceleration[i]
+            e.gone[i], e.stood[i] = 0.0, 0.0
+        e.standing[i] = 1.0 if abs(e.gone[i]) > e.expected and e.stood[i] >= e.min_standstill - 1e-9 else 0.0
+        if e.standing[i] > 0.0:
             count += 1
     return count

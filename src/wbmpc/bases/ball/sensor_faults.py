@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.ball.monitor_step import detect_frozen, has_jumped
+from wbmpc.bases.ball.monitor_step import Encoders, detect_frozen, has_jumped
 from wbmpc.bases.ball.self_contact import SelfContact
 from wbmpc.checks import not_negative, positive
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import Backend, bind, zeros
 
 Array = NDArray[np.float64]
 #: With fewer wheel encoders than this the ball's place is not known any more: the inertial unit alone drifts.
@@ -34,10 +34,6 @@ ENDS = {
 }  # fmt: skip
 #: So many messages in a row it takes at least, however seldom they come.
 IN_A_ROW = 3
-#: Arrays of one number for each joint, by their names in :mod:`wbmpc.bases.ball.monitor_step`.
-_ARRAYS = (
-    "arm", "speed", "acceleration", "surprised", "anchor", "believed", "gone", "then", "stood", "low", "high", "standing",
-)  # fmt: skip
 #: The messages of what is found, by part and kind. What contradicts rolling beyond one wheel or a spin about the vertical may be
 #: the ball, or an inertial unit that is off (its zero, its scale): the messages are the same.
 MESSAGES = {
@@ -96,11 +92,17 @@ class EncoderMonitor:
         self.faults: list[EncoderFault] = []
         n = len(self.joints)
         low, high = stops or (np.full(n, -np.inf), np.full(n, np.inf))
-        a = self._arrays = {name: np.zeros(n) for name in _ARRAYS}
+        a = self._arrays = zeros(Encoders, n)
         a["low"][:], a["high"][:], a["anchor"][:] = low + NEAR, high - NEAR, np.nan
-        constants = {"expected": expected, "crawl": crawl, "doubt": doubt, "min_standstill": min_standstill}
-        self._has_jumped = bind(has_jumped, a, backend, n=n, still=still)
-        self._detect_frozen = bind(detect_frozen, a, backend, n=n, still=still, **constants)
+        constants = {
+            "still": still,
+            "expected": expected,
+            "crawl": crawl,
+            "doubt": doubt,
+            "min_standstill": min_standstill,
+        }
+        self._has_jumped = bind(has_jumped, a, backend, n=n, **constants)
+        self._detect_frozen = bind(detect_frozen, a, backend, n=n, **constants)
         self._most = min_standstill / IN_A_ROW if min_standstill > 0.0 else np.inf
         self._durations: dict[str, float] = {}
         self._contact = contact

@@ -14,20 +14,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.bases.swerve.brake_step import monitor_brakes
+from wbmpc.bases.swerve.brake_step import Brakes, monitor_brakes
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import Backend, bind, zeros
 
 Array = NDArray[np.float64]
 
 
 #: Planned rates [rad/s] at which ``expected`` counts in full; largest share of a leg's limit that does not count.
 FAST, CRAWL_SHARE = 0.4, 0.7
-#: Arrays of one number for each leg.
-_ARRAYS = (
-    "angle", "brake", "rate", "opened", "since", "anchor", "gone", "planned", "resting", "reported", "settled",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,7 +47,7 @@ class BrakeFault:
 
 
 class BrakeMonitor:
-    """Watches n legs at a fixed period; ``time`` [s] of the last look.
+    """Watches n legs at a fixed period; ``time`` [s] of the last update.
 
     ``moved`` [rad]: motion of a closed leg that is a fault, less ``creep`` [rad/s]: what moves no faster is none. ``expected``
     [rad]: planned motion of an open leg during which it has stayed within ``still`` [rad] (a few counts of its encoder) for
@@ -98,9 +94,9 @@ class BrakeMonitor:
         self.restart_clock()
 
     def _bind(self, backend: Backend) -> None:
-        """Arrays by their names in :mod:`wbmpc.bases.swerve.brake_step`, and that step."""
+        """Arrays by their names in :class:`wbmpc.bases.swerve.brake_step.Brakes`, and that step."""
         n = len(self.names)
-        a = self._arrays = {name: np.zeros(n) for name in _ARRAYS}
+        a = self._arrays = zeros(Brakes, n)
         a |= {"crawl": np.array(self.crawl, float), "expected": np.array(self.expected, float)}
         self._open, self._since, self._anchor, self._gone = a["opened"], a["since"], a["anchor"], a["gone"]
         self._planned, self._resting, self._reported = a["planned"], a["resting"], a["reported"]
@@ -109,7 +105,7 @@ class BrakeMonitor:
         self._monitor = bind(monitor_brakes, a, backend, n=n, patience=self.patience, creep=self.creep, **constants)
 
     def restart_clock(self) -> None:
-        """Times start anew: the next look is a first one, at brakes that are believed again. What was reported stays reported."""
+        """Times start anew: the next update is a first one, of brakes that count as sound again. What was reported stays reported."""
         for values in (
             self._since,
             self._anchor,

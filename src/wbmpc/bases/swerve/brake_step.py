@@ -1,6 +1,8 @@
-"""A look at the brakes of hinged legs, compiled: see :class:`wbmpc.bases.swerve.brake_monitor.BrakeMonitor`."""
+"""Brakes of hinged legs, checked at one moment, compiled: see :class:`wbmpc.bases.swerve.brake_monitor.BrakeMonitor`."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,42 +10,62 @@ from wbmpc.bases.swerve.compilation import step
 from wbmpc.kernel.ir import Floats
 
 
+class Brakes(NamedTuple):
+    """Legs (n), their brakes, and what a monitor remembers of them."""
+
+    n: int
+    angle: Floats  # (n) [rad], measured
+    brake: Floats  # (n), 1 = open
+    rate: Floats  # (n) [rad/s], planned
+    opened: Floats  # (n), the brakes at the last call
+    since: Floats  # (n) [s], when that changed
+    anchor: Floats  # (n) [rad], where motion is counted from
+    gone: Floats  # (n) [rad], motion since
+    planned: Floats  # (n) [rad], motion that was planned since, fading
+    resting: Floats  # (n) [s], since the anchor
+    reported: Floats  # (n), 1 for legs with a fault
+    settled: Floats  # (n), 1 for brakes that have had time to answer
+    crawl: Floats  # (n) [rad/s], planned rates that do not count
+    expected: Floats  # (n) [rad], planned motion after which a loose leg must have moved
+    moved: float  # [rad], motion of a leg that is held
+    still: float  # [rad], motion that is none
+    window: float  # [s], time constant of planned motion
+    settle: float  # [s], that a brake takes
+    patience: float  # [s], before a loose leg that stands is judged
+    creep: float  # [rad/s], of legs that are held
+
+
 @step
-def monitor_brakes(
-    n: int, angle: Floats, brake: Floats, rate: Floats, opened: Floats, since: Floats, anchor: Floats, gone: Floats,
-    planned: Floats, resting: Floats, reported: Floats, settled: Floats, crawl: Floats, expected: Floats, moved: float,
-    still: float, window: float, settle: float, patience: float, creep: float, t: float, h: float, unsettled: float,
-) -> tuple[float, int]:  # fmt: skip
-    """Take in measured angles ``angle`` (n) [rad] at ``t`` [s], ``h`` [s] after the look before, under ``brake`` (n, 1 = open) and
-    planned rates ``rate`` (n) [rad/s]. Returns since when legs that were reported have not been held in the plan (``unsettled`` [s]),
-    and how many legs are to be judged: those reported, and those whose brake seems not to answer."""
+def monitor_brakes(b: Brakes, t: float, h: float, unsettled: float) -> tuple[float, int]:
+    """Take in what is measured at ``t`` [s], ``h`` [s] after the call before. Returns since when legs that were reported have not been
+    held in the plan (``unsettled`` [s]), and how many legs are to be judged: those reported, and those whose brake seems not to answer."""
     any_stuck = False
-    for i in range(n):
-        is_open = 1.0 if brake[i] > 0.5 else 0.0
-        if is_open != opened[i]:
-            since[i], reported[i], opened[i] = t, 0.0, is_open
-        settled[i] = 1.0 if t - since[i] >= settle - 1e-9 else 0.0
-        if reported[i] > 0.0 and is_open > 0.0:
+    for i in range(b.n):
+        is_open = 1.0 if b.brake[i] > 0.5 else 0.0
+        if is_open != b.opened[i]:
+            b.since[i], b.reported[i], b.opened[i] = t, 0.0, is_open
+        b.settled[i] = 1.0 if t - b.since[i] >= b.settle - 1e-9 else 0.0
+        if b.reported[i] > 0.0 and is_open > 0.0:
             any_stuck = True
-            if abs(rate[i]) > crawl[i]:
+            if abs(b.rate[i]) > b.crawl[i]:
                 unsettled = t
-    waits = any_stuck and t - unsettled < settle
-    forgotten, count = np.exp(-h / window), 0
-    for i in range(n):
-        apart = angle[i] - anchor[i]
-        loose = opened[i] > 0.0 or reported[i] > 0.0  # may move, as far as is known
+    waits = any_stuck and t - unsettled < b.settle
+    forgotten, count = np.exp(-h / b.window), 0
+    for i in range(b.n):
+        apart = b.angle[i] - b.anchor[i]
+        loose = b.opened[i] > 0.0 or b.reported[i] > 0.0  # may move, as far as is known
         # a leg counts from where it was when its brake had settled; a loose one from where it was last seen to move
-        afresh = settled[i] == 0.0 or (loose and (abs(apart) > still or (waits and reported[i] == 0.0)))
+        afresh = b.settled[i] == 0.0 or (loose and (abs(apart) > b.still or (waits and b.reported[i] == 0.0)))
         if afresh:
-            anchor[i], planned[i], resting[i] = angle[i], 0.0, 0.0
+            b.anchor[i], b.planned[i], b.resting[i] = b.angle[i], 0.0, 0.0
         else:
             if not loose:
-                anchor[i] += min(max(apart, -h * creep), h * creep)
-            counted = max(rate[i] - crawl[i], 0.0) - max(-rate[i] - crawl[i], 0.0)
-            planned[i], resting[i] = forgotten * planned[i] + h * counted, resting[i] + h
-        gone[i] = angle[i] - anchor[i]
-        stands = abs(planned[i]) > expected[i] and resting[i] >= patience - 1e-9
-        odd = stands if opened[i] > 0.0 else abs(gone[i]) > moved
-        if reported[i] > 0.0 or (settled[i] > 0.0 and odd):
+                b.anchor[i] += min(max(apart, -h * b.creep), h * b.creep)
+            counted = max(b.rate[i] - b.crawl[i], 0.0) - max(-b.rate[i] - b.crawl[i], 0.0)
+            b.planned[i], b.resting[i] = forgotten * b.planned[i] + h * counted, b.resting[i] + h
+        b.gone[i] = b.angle[i] - b.anchor[i]
+        stands = abs(b.planned[i]) > b.expected[i] and b.resting[i] >= b.patience - 1e-9
+        odd = stands if b.opened[i] > 0.0 else abs(b.gone[i]) > b.moved
+        if b.reported[i] > 0.0 or (b.settled[i] > 0.0 and odd):
             count += 1
     return unsettled, count

@@ -17,7 +17,7 @@ from wbmpc.model.robot import RobotModel
 
 _LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
-#: Brakes are looked at about every so often [s]: legs do not move far meanwhile, and a look takes nearly as long as the rest of
+#: Brakes are checked about every so often [s]: legs do not move far meanwhile, and a check takes nearly as long as the rest of
 #: a command.
 POLL_PERIOD = 0.01
 #: What the monitor of brakes sees: time [s], measured legs (n) [rad], brakes (n, 1 = open), planned rates (n) [rad/s].
@@ -113,12 +113,12 @@ class BrakeSupervision:
     def watch(self, t: float, leg: Array, brake: Array, rate: Array) -> None:
         """A tick at t [s] of measured legs (n) [rad]: commanded ``brake`` (n, 1 = open), planned leg rates ``rate`` (n) [rad/s].
 
-        Brakes are judged if the last look is :data:`LOOK` ago (within half a period). Times may start anew.
+        Brakes are judged if the last check is :data:`POLL_PERIOD` ago (within half a period). Times may start anew.
         """
         if self.monitor is None or not np.isfinite(rate).all():
             return  # a command that is not finite is rejected, by the name of its drives, before it goes to them
         self._watched = t, leg, brake, rate
-        if t < self._checked_at - self._period:  # the clock of a new run; by less: the look before a stop was ahead
+        if t < self._checked_at - self._period:  # the clock of a new run; by less: the check before a stop was ahead
             self.monitor.restart_clock()
             self._checked_at = -np.inf
         if t - self._checked_at >= max(POLL_PERIOD - 0.5 * self._period, 0.0):

@@ -23,7 +23,7 @@ from wbmpc.ocp import Reference
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-#: Interval of what is looked at ahead [s]; how long ahead beyond the horizon [s]; how often [s] it is looked.
+#: Interval of what is checked ahead [s]; how long ahead beyond the horizon [s]; how often [s].
 STEP, BEYOND, REFRESH = 0.2, 4.0, 0.2
 #: Shares of the way of a leg, and how far [m] the base may move aside, from straight on.
 SHARES = np.linspace(0.0, 1.0, 13)

@@ -81,7 +81,7 @@ class LegGuard:
 
     def update(self, t: float, leg: ArrayLike, rate: ArrayLike, is_open: ArrayLike) -> list[LegHold]:
         """Legs whose ``until`` is another one after measured angles ``leg`` (n) [rad] at t [s], planned rates ``rate`` (n) [rad/s]
-        since the last look; which brakes (n, 1 = open) are commanded to be open.
+        since the last update; which brakes (n, 1 = open) are commanded to be open.
 
         Raises :class:`InputError` for what is not finite or of another length. Time that goes back starts anew.
         """

@@ -34,7 +34,7 @@ from wbmpc.ros2.settings import GROUPS
 from wbmpc.solver import Trajectory
 
 Array = np.ndarray
-#: The monitor of brakes looks at so many ticks at once at most: 10 s of them.
+#: The monitor of brakes takes so many ticks at once at most: 10 s of them.
 BACKLOG = 1000
 #: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].
 SWING, STRAIGHT = 0.3, 0.03
@@ -212,7 +212,7 @@ class SwerveRosAdapter(BaseAdapter):
         return [str(fault) for fault in self.brakes.doubted(self.controller.estimator.seen[0].time)]
 
     def inspect(self) -> None:
-        """Judge the brakes by the ticks since the last look; the plan counts with what is found."""
+        """Judge the brakes by the ticks since the last update; the plan counts with what is found."""
         controller = self.controller  # another thread begins the next run with another one
         if controller.deferred is None or self.brakes is None:
             return

@@ -20,7 +20,7 @@ from wbmpc.tasks.paths import rise, risen
 
 #: Speed [m/s] below which a wheel stands; weight of a sample close to a limit against a turn by one radian.
 STANDS, TURN_SHARE = 0.01, 0.02
-#: Angle [rad] beyond the way of a wheel that never turns round at which its range is not looked at any more.
+#: Angle [rad] beyond the way of a wheel that never turns round at which its range is not checked any more.
 WINDING = 4.0 * np.pi
 
 
@@ -120,7 +120,7 @@ class Mission:
         return np.stack(columns, axis=1)
 
     def preview(self, t: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Body twists (k, 3) that the steering guess looks at."""
+        """Body twists (k, 3) that the steering guess takes."""
         return self.twist(t)
 
     def check(self, geometry: ModuleGeometry) -> None:

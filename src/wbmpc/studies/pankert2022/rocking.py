@@ -28,7 +28,7 @@ _STEP = 0.002
 
 @dataclass(frozen=True)
 class Rocking:
-    """A rocking that began at ``time`` [s], in the sense of ``sign`` (±1) about the axis that was looked at."""
+    """A rocking that began at ``time`` [s], in the sense of ``sign`` (±1) about the axis that was asked for."""
 
     time: float
     sign: int
@@ -64,7 +64,7 @@ def rockings(times: ArrayLike, rate: ArrayLike, growth: float = GROWTH, fast: fl
 def _beginning(t: Array, rate: Array, growth: float) -> float:
     """Where in ``t`` the curve that fits the rates best begins to rise: least squares over its height, then over where."""
     starts = np.arange(max(t[-1] - BEFORE, t[0]), t[-1] - WINDOW, _STEP)
-    if not starts.size:  # it rocked when it was looked at first
+    if not starts.size:  # it rocked at the first sample
         return float(t[0])
     curves = np.cosh(growth * np.clip(t - starts[:, None], 0.0, None)) - 1.0
     explained = np.clip(curves @ rate, 0.0, None) ** 2 / np.sum(curves * curves, axis=1)

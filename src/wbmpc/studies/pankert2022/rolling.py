@@ -75,7 +75,7 @@ class RollingController(SwerveController):
         self._waiting: deque[SwerveCommand] = deque(maxlen=round(self.gains.delay / period) + 1)
 
     def command(self, t: float, plans: PolicyQueue) -> SwerveCommand:
-        """What :meth:`drive` made of the measurement before the delay; plans are not looked at."""
+        """What :meth:`drive` made of the measurement before the delay; plans are not used."""
         self._waiting.append(self.drive(t))
         return self._waiting[0]
 

@@ -28,7 +28,7 @@ IDEALIZATIONS = [
 TABLE = {"H": (1.16, 0.29), "X": (1.81, 0.45), "A": (1.17, 0.76)}
 #: Half a unit of the table's last digit [m²].
 ROUNDING = 0.005
-#: How long the robot stands in each configuration for the recording [s], and how often it is looked at [Hz].
+#: How long the robot stands in each configuration for the recording [s], and how often its state is recorded [Hz].
 STANDING, RATE = 1.0, 100
 
 

@@ -24,7 +24,7 @@ Stances = tuple[Array, Array, Array]
 RAISE, REST = 0.05, 2.0
 #: A wheel that carries less than UNLOADED [N] for AWAY [s] has left the ground.
 UNLOADED, AWAY = 5.0, 1.0
-#: Interval [s] of the motions that predictions look at.
+#: Interval [s] of the motions of predictions.
 _STEP = 0.05
 
 
