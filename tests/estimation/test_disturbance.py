@@ -19,7 +19,8 @@ def step(x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
 
 
 def observed(seconds: float, force, start: float = -2.0, **settings) -> np.ndarray:  # type: ignore[no-untyped-def]
-    """Estimates (n, N) from 0 s on of an observer that was started at ``start`` [s] with nothing to learn, while ``force(t)`` acts that the observer does not know, and a command that it knows.
+    """Estimates (n, N) from 0 s on of an observer that was started at ``start`` [s] with nothing to learn, while ``force(t)`` acts that
+    the observer does not know, and a command that it knows.
 
     As in the loop, the observer's model has the present estimate as a parameter.
     """
