@@ -75,10 +75,10 @@ def observe(
         felt[i] = innovation[i] / gate[i]
         largest = max(largest, abs(felt[i]))
     detect_lasting_force(gates, felt, mean, clock, settings, largest, t, h)
-    if largest > 1.0:
-        clock[Clock.HELD_UNTIL] = t + settings[Setting.HOLD]
     new = t < clock[Clock.NEW_UNTIL]
-    steady = t < clock[Clock.LASTS_UNTIL] or new
+    if largest > 1.0 and not new:
+        clock[Clock.HELD_UNTIL] = t + settings[Setting.HOLD]
+    steady = new or t < clock[Clock.LASTS_UNTIL]
     held = t < clock[Clock.HELD_UNTIL] and not steady
     vx, vy = (after[0] - speed[0]) / h, (after[1] - speed[1]) / h
     moving = (vx * vx + vy * vy) / settings[Setting.CALM] ** 2
