@@ -189,8 +189,11 @@ def test_what_makes_the_disturbance_infinite_is_reported() -> None:
     controller.observer.step = lambda x, u, h: np.full(2 * N, np.nan)  # type: ignore[union-attr]
     state[-1] = -17.0
     why = "the estimated disturbance is not finite: arm_elbow is believed to turn at 17 rad/s, and its limit is 4 rad/s"
+    controller.measure(
+        BallMeasurement(0.0, state, 0.0)
+    )  # what the model makes of this state is compared with the next message
     with pytest.raises(NotFinite, match=why):
-        controller.measure(BallMeasurement(0.0, state, 0.0))
+        controller.measure(BallMeasurement(0.0025, state, 0.0))
 
 
 def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learned() -> None:

@@ -42,7 +42,7 @@ def test_one_update_is_that_of_the_equations() -> None:
     rng, h = np.random.default_rng(4), 0.0025
     mass, x, u = np.eye(N) + 0.1, rng.normal(size=2 * N), rng.normal(size=3)
     observer = DisturbanceObserver(model, lambda q: mass, N, gate=np.full(5, np.inf))
-    observer.update(0.0, x, u, h)
+    observer.update(-2.0, x, u, h)  # the start is over
     speed = model(x, u, h)[N:]
     x = x + 0.01 * rng.normal(size=2 * N)
     after = model(np.concatenate([x[:N], speed]), u, h)[N:]

@@ -8,6 +8,9 @@ that has gone: d̂ then learns at full gain, whatever the gate says, until ``set
 on like that. A plan that does not know of such a force, or believes in one that has gone, leans wrongly for as long. (To go on
 learning at every sign of motion makes a robot with an unknown 1 kg in its end effector swing against its own observer.)
 
+At the start nothing has been learned, and what is felt first are the robot's own masses and its load: for ``longest`` seconds d̂ learns
+:data:`~wbmpc.estimation.disturbance_step.EAGER` times as fast, whatever the gate says.
+
 Nor is the inertia of a load that is not modeled: while the robot accelerates, its force comes and goes with the motion. An observer
 that follows it, nearly as fast as the controller acts on it, makes the two swing against each other (1 kg in the end effector, a step of
 0.4 m: 45 mm beyond the goal and a swing of 1.2 Hz that has not decayed four seconds later). So d̂ learns slowly while the
@@ -24,7 +27,7 @@ import numpy as np
 
 from wbmpc.checks import finite, not_negative, numbers, positive_time, scales
 from wbmpc.errors import InputError
-from wbmpc.estimation.disturbance_step import observe
+from wbmpc.estimation.disturbance_step import Clock, observe
 from wbmpc.kernel.step import Backend, bind
 
 
@@ -67,7 +70,7 @@ class DisturbanceObserver:
             "innovation": n,
         }
         self._arrays = {name: np.zeros(length) for name, length in sizes.items()} | {
-            "gate": np.array(self.gate, float), "clock": np.array([-np.inf, -np.inf, np.inf]),
+            "gate": np.array(self.gate, float), "clock": np.array([-np.inf, -np.inf, np.inf, -np.inf]),
             "settings": np.array([self.speed_gain, self.force_gain, self.hold, self.longest, self.settled, *self.calm], float),
         }  # fmt: skip
         self._observe = bind(observe, self._arrays, self.backend, size=n, gates=gates)
@@ -100,6 +103,7 @@ class DisturbanceObserver:
         a["velocity"][:] = x[n:]
         if not self._started:
             a["speed"][:], self._started = x[n:], True
+            a["clock"][Clock.NEW_UNTIL] = t + self.longest
         self._state[:n], self._state[n:] = x[:n], a["speed"]
         a["after"][:] = self.step(self._state.copy(), u, h)[n : 2 * n]
         a["mass"][:] = self.mass(x[:n]).reshape(-1)

@@ -11,6 +11,8 @@ from wbmpc.kernel.ir import Floats
 
 #: The share of the gate from which on a steady innovation counts: no push needs to be distinguished from it, only noise.
 STEADY = 0.35
+#: How many times as fast an observer learns that has just been started.
+EAGER = 4.0
 
 
 class Clock(IntEnum):
@@ -19,7 +21,7 @@ class Clock(IntEnum):
     HELD_UNTIL = 0
     LASTS_UNTIL = 1
     SINCE = 2  # when the innovation that goes on began, infinite while none does
-    SIZE = 3
+    NEW_UNTIL = 3
 
 
 class Setting(IntEnum):
@@ -73,9 +75,10 @@ def observe(
         felt[i] = innovation[i] / gate[i]
         largest = max(largest, abs(felt[i]))
     detect_lasting_force(gates, felt, mean, clock, settings, largest, t, h)
-    if largest > 1.0:
+    new = t < clock[Clock.NEW_UNTIL]
+    if largest > 1.0 and not new:
         clock[Clock.HELD_UNTIL] = t + settings[Setting.HOLD]
-    steady = t < clock[Clock.LASTS_UNTIL]
+    steady = new or t < clock[Clock.LASTS_UNTIL]
     held = t < clock[Clock.HELD_UNTIL] and not steady
     vx, vy = (after[0] - speed[0]) / h, (after[1] - speed[1]) / h
     moving = (vx * vx + vy * vy) / settings[Setting.CALM] ** 2
@@ -83,6 +86,8 @@ def observe(
     gain, learning = settings[Setting.FORCE_GAIN] / (1.0 + moving), 1.0 / (1.0 + moving)
     if steady:
         gain, learning = settings[Setting.FORCE_GAIN], 0.0
+    if new:
+        gain *= EAGER
     if held:
         gain, learning = 0.0, 0.0
     for i in range(size):

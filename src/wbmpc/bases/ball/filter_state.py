@@ -39,8 +39,9 @@ class BallNoise:
 
     Densities and random walks of gyro and accelerometer; ``encoder`` [rad] of one reading; ``age`` [s]: mean age of the
     encoders' values in a message, ``jitter`` [s] its spread. ``creep`` [rad/√s]: turning of the ball that is not rolling,
-    about horizontal axes, and ``spin`` about the vertical. Under a torque about the vertical that lasts longer than
-    ``lasting`` [s] the ball's patch creeps steadily one way (0.011 rad/s for each N m in simulation), which would pass for
+    about horizontal axes, and ``spin`` about the vertical, where friction holds it as well: what is believed of it decides how
+    fast the wheels show the gyro's bias, and so how far the heading drifts. Under a torque about the vertical that lasts longer
+    than ``lasting`` [s] the ball's patch creeps steadily one way (0.011 rad/s for each N m in simulation), which would pass for
     a bias of the gyro: ``creeping`` [rad/√s] for each N m of it is added to ``spin``. ``floor`` [m]: height of the ball's
     center; ``path`` [m]: of the way between two messages, what a straight line of velocities does not describe. Priors:
     ``tilt`` [rad], ``start`` ([m], [rad] of yaw), ``speed`` [m/s], ``gyro_bias``, ``accel_bias``, ``scale``: relative error
@@ -57,7 +58,7 @@ class BallNoise:
     age: float = 1e-3
     jitter: float = 7e-4
     creep: float = 5e-4
-    spin: float = 3e-3
+    spin: float = 5e-4
     creeping: float = 0.03
     lasting: float = 1.0
     floor: float = 1e-3
