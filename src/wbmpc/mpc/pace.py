@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,6 +52,25 @@ class PacedReferences:
     def waits(self) -> bool:
         """Whether the references hardly go on, before their end."""
         return self.rate < WAITS and self.time < float(self._path.times[-1])
+
+    @property
+    def end(self) -> float:
+        """When [s] the end effector's reference ends, in its own time."""
+        return float(self._path.times[-1])
+
+    def pose(self, time: float) -> Array:
+        """The end effector's reference (7) at ``time`` [s] of its own."""
+        return self._path.at(time)
+
+    def detour(self, ways: Mapping[str, Reference], rejoin: float) -> None:
+        """From now on take other ways, whose times [s] count from now, to where the references are at ``rejoin`` [s] of their own time, and
+        go on from there. The rate of time is 1."""
+        for name in set(ways) & set(self._whole):
+            way, old = ways[name], self._whole[name]
+            later = old.times > rejoin
+            times = [self.time + way.times, self.time + way.times[-1] + (old.times[later] - rejoin)]
+            self._whole[name] = Reference(np.concatenate(times), np.concatenate([way.values, old.values[later]]), old.kind)
+        self._path, self.rate = self._whole["end_effector"], 1.0
 
     def missed(self, position: ArrayLike) -> float:
         """Distance [m] of a position (3) [m] from the end of the end effector's reference."""

@@ -34,6 +34,8 @@ DEFINITIONS: Definitions = {
     "reference_delay": ("s", "how long the references waited for the robot"),
     "goal_missed": ("m", "distance of the end effector from the end of its path; true"),
     "passed": ("1", "whether the end effector is within 5 cm of the end of its path at the end: 1 if it is"),
+    "alternative_searches": ("1", "how often other plans were tried because the references waited"),
+    "alternatives_taken": ("1", "how often one of them was better and was taken"),
     "map_age_max": ("s", "largest age of the local map"),
     "map_points_dropped": ("1", "points of range sensors that were no measurements or came too late"),
     "wheel_load_min": ("N", "smallest contact force of a wheel; true"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +49,13 @@ PAST = 0.4
 
 
 class Among(PathTaskSettings):
-    """``obstacles``: another scene than the experiment's own; ``patience`` [s]: how long the path of a clock may wait for the robot in all."""
+    """``obstacles``: another scene than the experiment's own; ``patience`` [s]: how long the path of a clock may wait for the robot in all;
+    ``when_stuck``: what a robot does whose plans lead no farther: "alternatives" tries others (of bases that move and do not balance), "wait"
+    does not."""
 
     path: AnyPath = Line(length=4.0)
     patience: float = Field(6.0, ge=0.0, le=600.0)
+    when_stuck: Literal["alternatives", "wait"] = "alternatives"
 
 
 #: Of somebody who crosses [m/s].
@@ -235,7 +238,7 @@ def build(scene: SceneOf, settings: Among, seed: int) -> Scenario:
     made = scene(settings, robot, seed) if settings.obstacles is None else None
     return closed_loop(
         robot, mpc, end, seed, settings, since=settings.settle_time, scene=made, metrics=metrics, paced=True,
-        perception=getattr(settings, "perception", None),
+        perception=getattr(settings, "perception", None), alternatives=settings.when_stuck == "alternatives",
     )  # fmt: skip
 
 
