@@ -1,9 +1,9 @@
-"""Other plans, tried beside an MPC's own while its robot gets nowhere: the best of them becomes the way that the references take.
+"""Other ways, tried beside an MPC's own plan while its robot gets nowhere: the best of them becomes the way that the references take.
 
-An MPC finds local optima: in front of a pillar that stands head-on it waits, though there is a way on either side. Here a second solver
-of the same problem starts from other guesses (left, right, back and on again), one solve for each update of the MPC. All are solved for
-the same goal, the place behind what is in the way; so is the MPC's own plan, which counts as waiting. What costs clearly less than that,
-and keeps clear of everything over its whole horizon, wins. Where nothing does, the robot is stuck.
+An MPC finds local optima: in front of a wall that stands head-on it waits, though there is a way on either side. Here a second MPC of
+the same problem runs ahead of time on the model, with one solve for each update of the first: once with the references as they are, if
+they did not wait (what is in the way may leave), and along other ways to behind what is in the way: left, right, back and on again. A way
+counts if the robot gets on along it and keeps clear; the one that leaves the least to go wins. Where none counts, the robot is stuck.
 """
 
 from __future__ import annotations
@@ -19,108 +19,126 @@ from wbmpc.checks import absolute_time
 from wbmpc.clearance.lattice import Footprint, turn_go_turn, unwrapped
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.clearance import BARRIER_SHARE, FIRST_BARRIER, ClearanceRows
+from wbmpc.mpc.clearance import TOLERATED
 from wbmpc.mpc.guess import predicted
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.pace import PacedReferences
-from wbmpc.mpc.route import base_part, carried_poses, carried_states, carrying_base, set_carried, timed_route
-from wbmpc.obstacles.world import Snapshot
+from wbmpc.mpc.route import base_part, carried_poses, carried_states, carrying_base, set_carried, timed_route, weigh_base
+from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import Reference
-from wbmpc.solver import Solver, Status
-from wbmpc.solver.solution import COLUMNS
+from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
-#: References that wait so long [s] start a search; where it finds nothing, the next one starts so much later [s].
-PATIENCE, AGAIN = 0.3, 1.0
-#: Solves of each guess.
-SOLVES = 10
-#: What the winner costs at most, as a share of waiting.
-GAIN = 0.8
-#: How far aside [m] a way past something is looked for, in steps [m]; how far [m] the robot backs off first.
-ASIDE, STEP, BACK = 2.5, 0.1, 0.35
+#: References that wait so long [s] start a search; where it found nothing, the next one starts so much later [s], and behind a winner, who
+#: may have to turn first, so much.
+PATIENCE, AGAIN, AFTER = 0.3, 1.0, 3.0
+#: Each way is run ahead in so many solves, so far [s] from one to the next.
+SOLVES, STEP = 15, 0.2
+#: How much nearer [m] to its end the robot is then, at least.
+MOVED = 0.2
+#: How far aside [m] a way past something is looked for, in steps [m]; how far [m] the robot backs off first, and how often at most.
+FARTHEST, ASIDE, BACK, BACKS = 2.5, 0.1, 0.35, 3
 #: How densely [s] the reference is looked at for what is in its way, and how far ahead [s] at most.
 LOOKED, AHEAD = 0.1, 60.0
-#: Speeds [m/s], [rad/s] of the part of a way that lies beyond the winner's horizon.
-SPEED, TURN_SPEED = 0.3, 0.6
-_BAD = (Status.NOT_FINITE, Status.DIVERGED, Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
+#: Speeds [m/s], [rad/s] along other ways, from rest over a ramp [s]; what a turn counts [m/rad] beside ways.
+SPEED, TURN_SPEED, RAMP, TURN = 0.3, 0.6, 0.5, 0.35
 
 
-class _Found(NamedTuple):
-    """Of a guess: what its plan costs, states (N + 1, nx), inputs (N, nu), the way of the base (n, 3) it began with."""
+class _Way(NamedTuple):
+    """Another way: base poses (n, 3) to where the references are at ``rejoin`` [s] of their time; none to stay on theirs."""
 
-    cost: float
-    x: Array
-    u: Array
-    way: Array
+    name: str
+    poses: Array
+    rejoin: float
 
 
 class Alternatives:
-    """Tries other plans for ``mpc`` of ``robot``, a robot whose base moves, when its references, kept by ``pace``, wait for it.
+    """Tries other ways for ``mpc`` of ``robot``, whose base moves and can turn in place, when its references, kept by ``pace``, wait for it.
 
     Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``stuck``: whether the last search found nothing;
-    ``searches``: how many have ended; ``taken``: names of the winners with the times [s] when they won; ``computation`` [s]: of all of
-    it. Raises :class:`InputError` for an MPC without obstacles or with progress along a path, and a base that does not move.
+    ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of all of it. While the robot
+    goes another way its base has a weight in the cost "state". Raises :class:`InputError` for an MPC without obstacles or with progress
+    along a path, and a base that does not move or balances.
     """
 
     def __init__(self, mpc: MPC, robot: RobotModel, pace: PacedReferences) -> None:
         base_part(robot)
-        if mpc.obstacles is None or mpc.path.active:
-            raise InputError("alternatives: an MPC with obstacles, and without progress along a path, is needed")
+        if mpc.obstacles is None or mpc.path.active or robot.base.balances:
+            raise InputError(
+                "alternatives: valid: an MPC with obstacles, without progress along a path, of a robot that does not balance"
+            )
         self._mpc, self._robot, self._pace = mpc, robot, pace
-        self._solver = Solver(mpc.ocp, mpc.solver.settings)
-        self._rows = ClearanceRows(mpc.ocp, self._solver, mpc.obstacles)
+        self._world = Obstacles()
+        self._ahead = MPC(mpc.ocp, mpc.solver.settings, mpc.rate, plan_only_limits=True, obstacles=self._world)
         self.stuck, self.searches, self.computation = False, 0, 0.0
         self.taken: list[tuple[float, str]] = []
         self._waits_since: float | None = None
         self._not_before = -np.inf
-        self._goal, self._rejoin = np.zeros(3), 0.0
-        self._guesses: list[tuple[str, Array]] = []
-        self._found: dict[str, _Found] = {}
-        self._solves = 0
+        self._weights = mpc.solver.ws.w.copy()
+        #: until when [s, of the references] they are on another way
+        self._until = -np.inf
+        self._ways: list[_Way] = []
+        self._found: list[tuple[float, _Way]] = []
+        self._solves, self._t, self._x = 0, 0.0, np.zeros(0)
 
     @property
     def searching(self) -> bool:
         """Whether a search is under way."""
-        return bool(self._guesses)
+        return bool(self._ways)
 
     def advance(self, t: float) -> None:
         """At ``t`` [s]: notice that the robot waits, or go on with a search by one solve."""
         t, began = absolute_time("alternatives", t), time.perf_counter()
+        if self._pace.time >= self._until > -np.inf:
+            self._mpc.solver.ws.w[:], self._until = self._weights, -np.inf
         if not self._pace.waits:
             self._waits_since, self.stuck = None, False
-            self._guesses = []
+            self._ways = []
             return
         if self._waits_since is None:
             self._waits_since = t
         if self.searching:
-            self._solve(t)
+            self._go_on(t)
         elif t >= max(self._waits_since + PATIENCE - 1e-9, self._not_before):
             self._begin(t)
         self.computation += time.perf_counter() - began
 
     # ------------------------------------------------------------------ what there is to try
     def _begin(self, t: float) -> None:
-        world = self._mpc.obstacles
-        assert world is not None
-        snapshot = world.snapshot(t)
+        assert self._mpc.obstacles is not None
+        snapshot = self._mpc.obstacles.snapshot(t)
         still = Snapshot(tuple(o for o in snapshot.obstacles if not o.velocity.any()), snapshot.frames)
-        margin = self._robot.description.collision.margin
-        footprint, start = Footprint(self._robot, still, margin, t), self._start(t)[1][base_part(self._robot)]
+        footprint = Footprint(self._robot, still, self._robot.description.collision.margin, t)
+        self._found, self._solves = [], 0
+        self._ways = [_Way("wait", np.zeros((0, 3)), self._pace.time)]
         target = self._behind(footprint)
-        self._found = {}
-        if target is None:
-            self._end(t)
+        start = self._now(t)[base_part(self._robot)]
+        back = self._off(footprint, start)
+        if target is None or back is None:
             return
-        self._rejoin, self._goal, blocked = target
-        self._guesses = [("wait", start[None])]
-        back = start - BACK * np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
+        rejoin, goal, blocked = target
         for name, side in (("left", 1.0), ("right", -1.0)):
-            past = self._past(footprint, start, blocked, side)
+            past = self._past(footprint, start, goal, blocked, side)
             if past is not None:
-                self._guesses.append((name, _way([start, back, *past, self._goal])))
-        self._guesses.append(("back", _way([start, back, self._goal])))
-        self._solves = 0
+                self._ways.append(_Way(name, _way([start, back, *past, goal]), rejoin))
+        straight = _way([start, back, goal])
+        if _clear(footprint, straight[2:]):
+            self._ways.append(_Way("back", straight, rejoin))
+
+    def _now(self, t: float) -> Array:
+        """Where the MPC's plan has the robot (nx of the problem) at ``t`` [s], or where it begins if that is later."""
+        plan = self._mpc.plan_start
+        return predicted(self._mpc.solver, t, 0.0 if plan is None else max(t - plan, 0.0))[1][0]
+
+    def _off(self, footprint: Footprint, start: Array) -> Array | None:
+        """The nearest place (3) behind the robot where it is clear when it is as at home, and can turn; None: there is none."""
+        straight = np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
+        for k in range(1, BACKS + 1):
+            place = start - k * BACK * straight
+            if footprint.clear(place[None])[0]:
+                return place
+        return None
 
     def _behind(self, footprint: Footprint) -> tuple[float, Array, Array] | None:
         """When [s, of the references] the robot, carried along, is clear again after what is in its way; where its base (3) is then; and
@@ -139,115 +157,106 @@ class Alternatives:
         k = first + int(after[0])
         return float(times[k]), places[k], places[first:k]
 
-    def _past(self, footprint: Footprint, start: Array, blocked: Array, side: float) -> Array | None:
+    def _past(self, footprint: Footprint, start: Array, goal: Array, blocked: Array, side: float) -> Array | None:
         """Two base poses (2, 3) between which the robot passes what blocks it on one side, as near as it can; None: there are none."""
-        ahead = self._goal[:2] - start[:2]
+        ahead = goal[:2] - start[:2]
         length = float(np.linalg.norm(ahead))
-        if length < STEP:
+        if length < ASIDE:
             return None
         ahead /= length
         left, heading = np.array([-ahead[1], ahead[0]]), np.arctan2(ahead[1], ahead[0])
-        along = (blocked[:, :2] - start[:2]) @ ahead
-        line = start[:2] + np.linspace(min(along.min(), 0.0), max(along.max(), length), 25)[:, None] * ahead
-        for aside in np.arange(STEP, ASIDE + 1e-9, STEP):
+        along = np.append((blocked[:, :2] - start[:2]) @ ahead, [0.0, length])
+        line = start[:2] + np.linspace(along.min(), along.max(), 40)[:, None] * ahead
+        for aside in np.arange(ASIDE, FARTHEST + 1e-9, ASIDE):
             poses = np.column_stack([line + side * aside * left, np.full(len(line), heading)])
             if footprint.clear(poses).all():
                 return poses[[0, -1]]
         return None
 
-    # ------------------------------------------------------------------ solves
-    def _start(self, t: float) -> tuple[float, Array]:
-        """How old [s] the MPC's plan is, and where it has the robot at ``t`` [s]."""
-        plan = self._mpc.plan_start
-        delta = 0.0 if plan is None else t - plan
-        return delta, predicted(self._mpc.solver, t, delta)[1][0]
-
-    def _solve(self, t: float) -> None:
-        """One solve of the first guess; behind its last one the next guess is first."""
-        name, way = self._guesses[0]
-        solver, rows = self._solver, self._rows
-        delta, x0 = self._start(t)
+    # ------------------------------------------------------------------ runs ahead
+    def _go_on(self, t: float) -> None:
+        """One solve of the first way; behind its last one the next is first."""
+        way = self._ways[0]
         if self._solves == 0:
-            self._prepare(name, way, t, delta)
-        rows.update_snapshot(t)
-        rows.refresh(t, 0.0)
-        with solver.barrier(FIRST_BARRIER * BARRIER_SHARE**self._solves):
-            status, count = solver.run(np.ascontiguousarray(x0), t, 0.0)
+            self._prepare(way, t)
+        usable = self._ahead.advance(Observation(self._t, self._x))
+        near = self._ahead.clearance
+        clear = not near.frame or near.excess > -TOLERATED * near.margin
+        if usable and clear:
+            self._x, self._t = self._simulated(), self._t + STEP
         self._solves += 1
-        bad = solver.status(status) in _BAD
-        if self._solves < SOLVES and not solver.non_finite_part():
+        if usable and clear and self._solves < SOLVES:
             return
-        plan = solver.trajectory(copy=False)
-        clear = rows.unsafe(t + plan.grid, plan.x, np.inf) is None
-        if not bad and (clear or name == "wait"):
-            cost = float(solver.log[max(count, 1) - 1][COLUMNS["cost"]])
-            self._found[name] = _Found(cost, plan.x.copy(), plan.u.copy(), way)
-        self._guesses.pop(0)
-        self._solves = 0
-        if not self._guesses:
+        if usable and clear:
+            left = self._left(way, self._x[base_part(self._robot)])
+            if left < self._left(way, self._now(t)[base_part(self._robot)]) - MOVED:
+                self._found.append((left, way))
+        self._ways, self._solves = self._ways[1:], 0
+        if not self._ways:
             self._end(t)
 
-    def _prepare(self, name: str, way: Array, t: float, delta: float) -> None:
-        """Problem and guess: goal at the place behind what is in the way, states along ``way`` within the horizon."""
-        solver, mpc = self._solver, self._mpc
-        solver.ws.w[:] = mpc.solver.ws.w
-        for term, reference in mpc.solver.references.items():
-            solver.set_reference(term, reference)
-        solver.set_schedule(mpc.solver.schedule)
-        set_carried(solver, self._robot, np.array([t]), self._goal[None])
-        grid = solver.node_times(t)
-        states = predicted(mpc.solver, t, delta)[1].copy()
-        inputs = np.zeros((len(grid) - 1, solver.problem.nu))
-        if name == "wait":
-            states[:] = states[0]
-        else:
-            times, base = timed_route(way, *self._speeds(way), ramp=0.5)
-            part = base_part(self._robot)
-            for k in range(3):
-                states[:, part.start + k] = np.interp(grid, times, base[:, k])
-        solver.warm_start(states, inputs)
-        solver.reset()
+    def _prepare(self, way: _Way, t: float) -> None:
+        """The second MPC goes on from the first one's plan, with references along a way."""
+        mpc, ahead = self._mpc, self._ahead
+        assert mpc.obstacles is not None
+        self._world.take(mpc.obstacles.snapshot(t))
+        start = t if mpc.plan_start is None else mpc.plan_start
+        self._t, self._x = max(t, start), self._now(t).copy()
+        ahead.solver.ws.w[:] = mpc.solver.ws.w
+        for term, reference in {**mpc.solver.references, **self._pace.running(t)}.items():
+            ahead.solver.set_reference(term, reference)
+        ahead.solver.set_schedule(mpc.solver.schedule)
+        if len(way.poses):
+            times, base = timed_route(way.poses, SPEED, TURN_SPEED, RAMP)
+            set_carried(ahead.solver, self._robot, t + times, base)
+        plan = mpc.solver.trajectory(copy=False)
+        ahead.resume(plan.x, plan.u, start)
 
-    def _speeds(self, way: Array) -> tuple[float, float]:
-        """With which a way fits into the horizon; the robot's limits cut the plan if they have to."""
-        step = np.abs(np.diff(way, axis=0))
-        horizon = 0.9 * self._mpc.ocp.horizon
-        length, turn = float(np.linalg.norm(step[:, :2], axis=1).sum()), float(step[:, 2].sum())
-        return 2.0 * max(length, 0.1) / horizon, 2.0 * max(turn, 0.1) / horizon
+    def _simulated(self) -> Array:
+        """Where the plan of the second MPC has the robot (nx) one step later."""
+        plan, x, at = self._ahead.solver.trajectory(copy=False), self._x, 0.0
+        for u, end in zip(plan.u, plan.grid[1:], strict=True):
+            h = min(float(end), STEP) - at
+            if h <= 1e-9:
+                break
+            x, at = self._ahead.solver.simulate(x, u, h), at + h
+        return x
+
+    def _left(self, way: _Way, pose: Array) -> float:
+        """What is left to go [m] from a base pose (3): along a way, or straight to where the references end."""
+        if not len(way.poses):
+            goal = carrying_base(self._robot, self._pace.pose(self._pace.end))
+            return float(np.linalg.norm(goal[:2] - pose[:2]))
+        steps = np.diff(_rest(way.poses, pose), axis=0)
+        end = carrying_base(self._robot, self._pace.pose(self._pace.end))
+        beyond = float(np.linalg.norm(end[:2] - way.poses[-1, :2]))
+        return float(np.linalg.norm(steps[:, :2], axis=1).sum() + TURN * np.abs(steps[:, 2]).sum()) + beyond
 
     # ------------------------------------------------------------------ the winner
     def _end(self, t: float) -> None:
         self.searches += 1
-        self._not_before, self._guesses = t + AGAIN, []
-        found = dict(self._found)
-        waits = found.pop("wait", None)
-        name = min(found, key=lambda n: found[n].cost, default="")
-        self.stuck = not name or (waits is not None and found[name].cost > GAIN * waits.cost)
+        self._not_before, self.stuck = t + AGAIN, not self._found
         if self.stuck:
             _LOG.warning("alternatives at %.3f s: nothing leads on, the robot is stuck", t)
             return
-        _LOG.info("alternatives at %.3f s: the robot goes on by '%s'", t, name)
-        self.taken.append((t, name))
-        self._take(t, found[name])
+        left, way = min(self._found, key=lambda f: f[0])
+        _LOG.info("alternatives at %.3f s: the robot goes on by '%s', %.2f m are left", t, way.name, left)
+        self.taken.append((t, way.name))
+        if len(way.poses):
+            self._take(t, way)
 
-    def _take(self, t: float, found: _Found) -> None:
-        """The MPC goes on from a plan, and its references take the plan's way, then what is left of the guess, to where they rejoin."""
-        part, robot, grid = base_part(self._robot), self._robot, self._mpc.solver.ocp.grid
-        base = found.x[:, part]
-        rest = _rest(found.way, base[-1])
-        later, beyond = timed_route(rest, SPEED, TURN_SPEED, ramp=0.5)
-        times = np.concatenate([grid, grid[-1] + later[1:]])
-        base = unwrapped(np.concatenate([base, beyond[1:]]))
-        poses = carried_poses(robot, base)
-        for k, x in enumerate(found.x):
-            poses[k, :3], poses[k, 3:] = robot.pose(x[: robot.state.size])
-        ways = {
-            "end_effector": Reference.poses(times, poses[:, :3], poses[:, 3:]),
-            "state": Reference(times, carried_states(robot, base)),
-        }
-        self._pace.detour(ways, self._rejoin)
-        self._mpc.resume(found.x, found.u, t)
-        self._waits_since = None
+    def _take(self, t: float, way: _Way) -> None:
+        """The references take a way, then go on where they rejoin; until there the base has a weight."""
+        times, base = timed_route(way.poses, SPEED, TURN_SPEED, RAMP)
+        poses = carried_poses(self._robot, base)
+        ways = {"end_effector": Reference.poses(times, poses[:, :3], poses[:, 3:])}
+        if self._until == -np.inf:
+            self._weights[:] = self._mpc.solver.ws.w
+        if weigh_base(self._mpc.solver, self._robot):
+            ways["state"] = Reference(times, carried_states(self._robot, base))
+        self._until = self._pace.time + float(times[-1])
+        self._pace.detour(ways, way.rejoin)
+        self._waits_since, self._not_before = None, t + AFTER
 
 
 def _way(poses: list[Array]) -> Array:
@@ -257,11 +266,20 @@ def _way(poses: list[Array]) -> Array:
     return unwrapped(np.concatenate(parts))
 
 
+def _clear(footprint: Footprint, way: Array) -> bool:
+    """Whether the robot is clear at poses (n, 3) of a way and between them."""
+    dense = np.concatenate([np.linspace(a, b, 20) for a, b in zip(way[:-1], way[1:], strict=True)])
+    return bool(footprint.clear(dense).all())
+
+
 def _rest(way: Array, pose: Array) -> Array:
     """What is left of a way (n, 3) from a pose (3) on."""
-    steps = np.diff(way[:, :2], axis=0)
-    square = np.maximum(np.sum(steps**2, axis=1), 1e-12)
-    share = np.clip(np.sum((pose[:2] - way[:-1, :2]) * steps, axis=1) / square, 0.0, 1.0)
-    off = np.linalg.norm(way[:-1, :2] + share[:, None] * steps - pose[:2], axis=1)
-    k = len(off) - 1 - int(np.argmin(off[::-1]))
-    return unwrapped(np.concatenate([pose[None], way[k + 1 :]]))
+    weight = np.array([1.0, 1.0, TURN])
+    steps = np.diff(way, axis=0) * weight
+    off = (pose - way[:-1]) * weight
+    off[:, 2] = TURN * np.angle(np.exp(1j * (pose[2] - way[:-1, 2])))
+    share = np.clip(np.sum(off * steps, axis=1) / np.maximum(np.sum(steps**2, axis=1), 1e-12), 0.0, 1.0)
+    distance = np.linalg.norm(share[:, None] * steps - off, axis=1)
+    k = len(distance) - 1 - int(np.argmin(distance[::-1]))
+    here = way[k] + share[k] * np.diff(way, axis=0)[k]
+    return np.concatenate([here[None], way[k + 1 :]])

@@ -124,7 +124,8 @@ class SceneWatch:
         recent = next(place for since, place in self._places if since > t - WINDOW - 1e-9)
         waited = t - self._places[0][0]
         stays = waited > WINDOW and np.linalg.norm(tool - recent) < STAYS
-        if stays or waited > HOPELESS:
+        tried = self._alternatives is not None and self._alternatives.stuck and waited > 0.0
+        if stays or tried or waited > HOPELESS:
             raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal")
 
     def _blocked_for_now(self, t: float) -> bool:
