@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 #: may have to turn first, so much.
 PATIENCE, AGAIN, AFTER = 0.3, 1.0, 3.0
 #: Each way is run ahead in so many solves, so far [s] from one to the next.
-SOLVES, STEP = 15, 0.2
+SOLVES, STEP = 10, 0.3
 #: How much nearer [m] to its end the robot is then, at least.
 MOVED = 0.2
 #: How far aside [m] a way past something is looked for, in steps [m]; how far [m] the robot backs off first, and how often at most.

@@ -164,6 +164,7 @@ class SceneWatch:
         return {
             "alternative_searches": Metric(float(alternatives.searches), "1"),
             "alternatives_taken": Metric(float(len(alternatives.taken)), "1"),
+            "alternatives_computation": Metric(alternatives.computation, "s"),
         }
 
     def plots(self) -> list[Plot]:
