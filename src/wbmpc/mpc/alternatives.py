@@ -24,6 +24,7 @@ from wbmpc.mpc.guess import predicted
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.pace import PacedReferences
 from wbmpc.mpc.route import base_part, carried_poses, carried_states, carrying_base, set_carried, timed_route, weigh_base
+from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import Reference
 from wbmpc.types import Observation
@@ -39,6 +40,8 @@ SOLVES, STEP = 10, 0.3
 MOVED = 0.2
 #: How far aside [m] a way past something is looked for, in steps [m]; how far [m] the robot backs off first, and how often at most.
 FARTHEST, ASIDE, BACK, BACKS = 2.5, 0.1, 0.35, 3
+#: Headings at which a place is looked at where the robot turns.
+HEADINGS = 12
 #: How densely [s] the reference is looked at for what is in its way, and how far ahead [s] at most.
 LOOKED, AHEAD = 0.1, 60.0
 #: Speeds [m/s], [rad/s] along other ways, from rest over a ramp [s]; what a turn counts [m/rad] beside ways.
@@ -69,6 +72,11 @@ class Alternatives:
                 "alternatives: valid: an MPC with obstacles, without progress along a path, of a robot that does not balance"
             )
         self._mpc, self._robot, self._pace = mpc, robot, pace
+        geometry = robot_geometry(robot)
+        centers = geometry.at(*geometry.kinematics(robot.home[None]))[0][0]
+        beside = np.linalg.norm(centers[:, :2] - robot.home[base_part(robot)][:2], axis=1)
+        #: within which [m] of the base's place the robot turns
+        self._radius = float((beside + geometry.radius).max())
         self._world = Obstacles()
         self._ahead = MPC(mpc.ocp, mpc.solver.settings, mpc.rate, plan_only_limits=True, obstacles=self._world)
         self.stuck, self.searches, self.computation = False, 0, 0.0
@@ -119,9 +127,9 @@ class Alternatives:
             return
         rejoin, goal, blocked = target
         for name, side in (("left", 1.0), ("right", -1.0)):
-            past = self._past(footprint, start, goal, blocked, side)
+            past = self._past(footprint, (start, back, goal), blocked, side)
             if past is not None:
-                self._ways.append(_Way(name, _way([start, back, *past, goal]), rejoin))
+                self._ways.append(_Way(name, past, rejoin))
         straight = _way([start, back, goal])
         if _clear(footprint, straight[2:]):
             self._ways.append(_Way("back", straight, rejoin))
@@ -136,41 +144,47 @@ class Alternatives:
         straight = np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
         for k in range(1, BACKS + 1):
             place = start - k * BACK * straight
-            if footprint.clear(place[None])[0]:
+            if _can_turn(footprint, place[None])[0]:
                 return place
         return None
 
     def _behind(self, footprint: Footprint) -> tuple[float, Array, Array] | None:
-        """When [s, of the references] the robot, carried along, is clear again after what is in its way; where its base (3) is then; and
-        where it is blocked (n, 3). None: up to their end it is not."""
+        """When [s, of the references] the robot, carried along, can turn again after what is in its way; where its base (3) is then; and
+        where it is blocked (n, 3). None: up to their end it cannot."""
         pace = self._pace
         times = np.arange(pace.time, min(pace.end, pace.time + AHEAD) + LOOKED, LOOKED)
         places = np.array([carrying_base(self._robot, pace.pose(float(at))) for at in times])
-        clear = footprint.clear(unwrapped(places))
+        places = unwrapped(places)
+        clear = footprint.clear(places)
         if clear.all():  # what waits there is another part of the robot, or something that moves
             k = min(int(np.searchsorted(times, pace.time + self._mpc.ocp.horizon)), len(times) - 1)
             return float(times[k]), places[k], places[:1]
         first = int(np.argmin(clear))
-        after = np.flatnonzero(clear[first:])
+        after = np.flatnonzero(_can_turn(footprint, places[first:]))
         if not after.size:
             return None
         k = first + int(after[0])
         return float(times[k]), places[k], places[first:k]
 
-    def _past(self, footprint: Footprint, start: Array, goal: Array, blocked: Array, side: float) -> Array | None:
-        """Two base poses (2, 3) between which the robot passes what blocks it on one side, as near as it can; None: there are none."""
-        ahead = goal[:2] - start[:2]
+    def _past(
+        self, footprint: Footprint, places: tuple[Array, Array, Array], blocked: Array, side: float
+    ) -> Array | None:
+        """Base poses (n, 3) from a start, off to where it is clear, on one side past what blocks it (n, 3), as near as can be, to a goal;
+        None: there are none."""
+        start, back, goal = places
+        ahead = goal[:2] - blocked[0, :2]
         length = float(np.linalg.norm(ahead))
         if length < ASIDE:
             return None
         ahead /= length
         left, heading = np.array([-ahead[1], ahead[0]]), np.arctan2(ahead[1], ahead[0])
-        along = np.append((blocked[:, :2] - start[:2]) @ ahead, [0.0, length])
-        line = start[:2] + np.linspace(along.min(), along.max(), 40)[:, None] * ahead
+        ends = np.column_stack([[blocked[0, :2] - self._radius * ahead, goal[:2]], [heading, heading]])
         for aside in np.arange(ASIDE, FARTHEST + 1e-9, ASIDE):
-            poses = np.column_stack([line + side * aside * left, np.full(len(line), heading)])
-            if footprint.clear(poses).all():
-                return poses[[0, -1]]
+            past = ends + np.array([*(side * aside * left), 0.0])
+            if _clear(footprint, past):
+                way = _way([start, back, *past, goal])
+                if _clear(footprint, way[2:]):
+                    return way
         return None
 
     # ------------------------------------------------------------------ runs ahead
@@ -270,6 +284,13 @@ def _clear(footprint: Footprint, way: Array) -> bool:
     """Whether the robot is clear at poses (n, 3) of a way and between them."""
     dense = np.concatenate([np.linspace(a, b, 20) for a, b in zip(way[:-1], way[1:], strict=True)])
     return bool(footprint.clear(dense).all())
+
+
+def _can_turn(footprint: Footprint, places: Array) -> NDArray[np.bool_]:
+    """Whether (n) the robot is clear at places (n, 3) whatever its heading is."""
+    turned = np.repeat(places, HEADINGS, axis=0)
+    turned[:, 2] += np.tile(np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS, len(places))
+    return footprint.clear(turned).reshape(-1, HEADINGS).all(axis=1)
 
 
 def _rest(way: Array, pose: Array) -> Array:

@@ -85,6 +85,7 @@ def closed_loop(
     truth: Callable[[float, Truth], None] | None = None,
     paced: bool = False,
     alternatives: bool = False,
+    done: Callable[[], bool] | None = None,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on; all that is random has the ``seed``.
 
@@ -95,8 +96,8 @@ def closed_loop(
     ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. ``truth(t, truth)``
     sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
     (:class:`wbmpc.mpc.pace.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans before
-    (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance. The references of ``mpc`` are the task; times begin
-    with the loop. Raises :class:`InputError` for bad settings.
+    (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance. ``done()``, asked at every controller
+    period: whether the task is done before its time. The references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
@@ -130,7 +131,7 @@ def closed_loop(
     def drawn(run: Run) -> list[Plot]:
         return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
-    loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
+    loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record, done)
     return Scenario.single(log, loop.run, measured, drawn, IDEALIZATIONS[settings.physics])
 
 

@@ -7,6 +7,7 @@ ends). Rooms are drawn until there is a route for the robot at home: what cannot
 from __future__ import annotations
 
 import time
+from collections import deque
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import Line
 from wbmpc.tasks.scene import GOAL
 from wbmpc.tasks.settings import TaskSettings, moving_base
+from wbmpc.types import Truth
 
 Array = NDArray[np.float64]
 #: Half the thickness [m] of walls, their height [m].
@@ -37,6 +39,8 @@ THICK, HIGH = 0.05, 1.5
 BEHIND, FREE = 1.2, 1.15
 #: A route keeps so much [m] more than the robot's margin; how often a room is drawn at most; cells [m] of the planner.
 SPARE, DRAWN, CELL = 0.05, 100, 0.15
+#: So many controller periods at the goal end a run.
+STAYS = 200
 KINDS = ("pillar", "box", "shelf", "niche")
 
 
@@ -144,6 +148,11 @@ def build(settings: RoomSettings, seed: int) -> Scenario:
         end = 1.0 + follow_route(mpc, task.robot, room.route, settings.settle_time, speed=settings.speed)
     end += settings.patience
 
+    near: deque[bool] = deque(maxlen=STAYS)
+
+    def seen(t: float, truth: Truth) -> None:
+        near.append(bool(np.linalg.norm(truth.tool - goal) <= GOAL))
+
     def metrics(log: Log) -> dict[str, Metric]:
         t, tool = log.times("end_effector"), log.array("end_effector")
         there = np.linalg.norm(tool - goal, axis=1) <= GOAL
@@ -156,7 +165,7 @@ def build(settings: RoomSettings, seed: int) -> Scenario:
 
     return closed_loop(
         task.robot, mpc, end, seed, settings, since=settings.settle_time, scene=room.scene, metrics=metrics, paced=True,
-        alternatives=settings.method == "alternatives",
+        alternatives=settings.method == "alternatives", truth=seen, done=lambda: len(near) == STAYS and all(near),
     )  # fmt: skip
 
 
