@@ -31,9 +31,9 @@ from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
-#: References that wait so long [s] start a search; where it found nothing, the next one starts so much later [s], and behind a winner, who
-#: may have to turn first, so much.
-PATIENCE, AGAIN, AFTER = 0.3, 1.0, 3.0
+#: References whose time goes on at less than this rate wait; who waits so long [s] starts a search; where it found nothing, the next one
+#: starts so much later [s], and behind a winner, who may have to turn first, so much.
+WAITS, PATIENCE, AGAIN, AFTER = 0.5, 0.3, 1.0, 3.0
 #: Each way is run ahead in so many solves, so far [s] from one to the next.
 SOLVES, STEP = 10, 0.3
 #: How much nearer [m] to its end the robot is then, at least.
@@ -59,8 +59,8 @@ class _Way(NamedTuple):
 class Alternatives:
     """Tries other ways for ``mpc`` of ``robot``, whose base moves and can turn in place, when its references, kept by ``pace``, wait for it.
 
-    Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``stuck``: whether the last search found nothing;
-    ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of all of it. While the robot
+    Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: how many searches in a row found nothing
+    while the references waited; ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of all of it. While the robot
     goes another way its base has a weight in the cost "state". Raises :class:`InputError` for an MPC without obstacles or with progress
     along a path, and a base that does not move or balances.
     """
@@ -79,7 +79,7 @@ class Alternatives:
         self._radius = float((beside + geometry.radius).max())
         self._world = Obstacles()
         self._ahead = MPC(mpc.ocp, mpc.solver.settings, mpc.rate, plan_only_limits=True, obstacles=self._world)
-        self.stuck, self.searches, self.computation = False, 0, 0.0
+        self.failed, self.searches, self.computation = 0, 0, 0.0
         self.taken: list[tuple[float, str]] = []
         self._waits_since: float | None = None
         self._not_before = -np.inf
@@ -100,8 +100,8 @@ class Alternatives:
         t, began = absolute_time("alternatives", t), time.perf_counter()
         if self._pace.time >= self._until > -np.inf:
             self._mpc.solver.ws.w[:], self._until = self._weights, -np.inf
-        if not self._pace.waits:
-            self._waits_since, self.stuck = None, False
+        if self._pace.rate >= WAITS or self._pace.time >= self._pace.end:
+            self._waits_since, self.failed = None, 0
             self._ways = []
             return
         if self._waits_since is None:
@@ -217,7 +217,8 @@ class Alternatives:
         start = t if mpc.plan_start is None else mpc.plan_start
         self._t, self._x = max(t, start), self._now(t).copy()
         ahead.solver.ws.w[:] = mpc.solver.ws.w
-        for term, reference in {**mpc.solver.references, **self._pace.running(t)}.items():
+        running = {"end_effector": self._pace.running(t)["end_effector"]}
+        for term, reference in {**mpc.solver.references, **running}.items():
             ahead.solver.set_reference(term, reference)
         ahead.solver.set_schedule(mpc.solver.schedule)
         if len(way.poses):
@@ -249,8 +250,8 @@ class Alternatives:
     # ------------------------------------------------------------------ the winner
     def _end(self, t: float) -> None:
         self.searches += 1
-        self._not_before, self.stuck = t + AGAIN, not self._found
-        if self.stuck:
+        self._not_before, self.failed = t + AGAIN, 0 if self._found else self.failed + 1
+        if self.failed:
             _LOG.warning("alternatives at %.3f s: nothing leads on, the robot is stuck", t)
             return
         left, way = min(self._found, key=lambda f: f[0])

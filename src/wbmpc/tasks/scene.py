@@ -34,6 +34,8 @@ BEHIND, SLOW, LONG = 0.05, 0.02, 1.0
 #: It ends the run if its references wait for so long [s] in which the end effector moves by less than this [m], or for so long however it
 #: moves.
 WINDOW, STAYS, HOPELESS = 1.5, 0.1, 4.0
+#: Or if so many searches for other ways in a row found none.
+FAILED = 2
 
 
 def believed(system: System) -> tuple[Array, Array, Array]:
@@ -117,15 +119,17 @@ class SceneWatch:
         """End the run of a robot whose references wait while it stays where it is."""
         if self._pace is None:
             return
-        tries = self._alternatives is not None and self._alternatives.searching
+        others = self._alternatives
+        tries = others is not None and others.searching
+        if others is not None and others.failed >= FAILED and not self._blocked_for_now(t):
+            raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal, no other way was found")
         if not self._pace.waits or self._blocked_for_now(t) or tries:
             self._places.clear()
         self._places.append((t, tool.copy()))
         recent = next(place for since, place in self._places if since > t - WINDOW - 1e-9)
         waited = t - self._places[0][0]
         stays = waited > WINDOW and np.linalg.norm(tool - recent) < STAYS
-        tried = self._alternatives is not None and self._alternatives.stuck and waited > 0.0
-        if stays or tried or waited > HOPELESS:
+        if stays or waited > HOPELESS:
             raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal")
 
     def _blocked_for_now(self, t: float) -> bool:
