@@ -27,8 +27,8 @@ def head_on(driving: Path, folder: Path, half: float, *more: str) -> RunResult:
     """A wall of half length ``half`` [m] across the way of the end effector, higher than the robot."""
     scene = folder / "scene.yaml"
     scene.write_text(f"obstacles: {{wall: {{box: {{half: [0.05, {half}, 2]}}, position: [1.4, 0.02, 0]}}}}\n")
-    keys = [f"robot={driving}", "physics=kinematic", f"obstacles={scene}", "settle_time=0.1", "mpc.rate=20"]
-    keys += ["path.length=2.6", "path.speed=0.4", "path.ramp=0.3", *more]
+    keys = [f"robot={driving}", "physics=kinematic", f"obstacles={scene}", "settle_time=0.1", "mpc.rate=20", "mpc.intervals=20"]
+    keys += ["path.length=2.2", "path.speed=0.4", "path.ramp=0.3", *more]
     experiment = load("obstacles-static")
     return experiment.run(configure(experiment.config_type, keys, "x"), 0, None)
 
@@ -36,7 +36,7 @@ def head_on(driving: Path, folder: Path, half: float, *more: str) -> RunResult:
 def test_a_robot_goes_around_a_wall_that_stops_its_mpc(driving: Path, tmp_path: Path) -> None:
     alone = head_on(driving, tmp_path, 0.6, "when_stuck=wait")
     assert alone.metrics["passed"].value == 0.0 and alone.metrics["goal_missed"].value > 1.0
-    result = head_on(driving, tmp_path, 0.6, "patience=25")
+    result = head_on(driving, tmp_path, 0.6, "patience=20")
     m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
     assert result.completed and m["passed"].value == 1.0 and m["alternatives_taken"].value >= 1.0
     assert m["obstacle_clearance_min"].value > margin - 0.01
@@ -80,8 +80,8 @@ def test_an_mpc_follows_a_route_to_its_end(driving: Path) -> None:
     goal = start + [0.6, 0.3, np.arctan2(0.3, 0.6)]
     turned = [*start[:2], goal[2]]
     end = wb.follow_route(mpc, robot, [start, turned, goal], 0.2, speed=0.4, turn_speed=1.0)
-    x, t, h = robot.home, 0.0, 0.05
-    while t < end + 2.0:
+    x, t, h = robot.home, 0.0, mpc.period
+    while t < end + 0.5:
         x = mpc.simulate(x, mpc.update(wb.Observation(t, x))(t, x), h)
         t += h
     np.testing.assert_allclose(x[robot.state["base"]][:3], goal, atol=0.02)
