@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import itertools
 
 import mujoco
 import numpy as np
@@ -59,7 +59,7 @@ def test_it_finds_the_way_out_of_a_dead_end(robot: wb.RobotModel) -> None:
     truth = TrueDistance(robot, [(BOX, half) for half, _ in boxes])
     places = [np.array(place) for _, place in boxes]
     least = np.inf
-    for a, b in zip(route[:-1], route[1:], strict=True):
+    for a, b in itertools.pairwise(route):
         count = int(max(np.linalg.norm((b - a)[:2]) / 0.02, abs(b[2] - a[2]) / 0.02)) + 2
         for pose in np.linspace(a, b, count):
             x = robot.home.copy()
@@ -71,7 +71,12 @@ def test_it_finds_the_way_out_of_a_dead_end(robot: wb.RobotModel) -> None:
 
 
 def test_where_none_leads_it_says_so(robot: wb.RobotModel) -> None:
-    around = [([0.05, 2, 1], [2.0, 0, 0]), ([0.05, 2, 1], [-2.0, 0, 0]), ([2, 0.05, 1], [0, 2.0, 0]), ([2, 0.05, 1], [0, -2.0, 0])]
+    around = [
+        ([0.05, 2, 1], [2.0, 0, 0]),
+        ([0.05, 2, 1], [-2.0, 0, 0]),
+        ([2, 0.05, 1], [0, 2.0, 0]),
+        ([2, 0.05, 1], [0, -2.0, 0]),
+    ]
     start = np.zeros(3)
     with pytest.raises(wb.NoRoute, match="no way leads"):
         wb.plan_route(robot, walls(around), start, [3.5, 0.0, 0.0], cell=0.2)

@@ -27,7 +27,14 @@ def head_on(driving: Path, folder: Path, half: float, *more: str) -> RunResult:
     """A wall of half length ``half`` [m] across the way of the end effector, higher than the robot."""
     scene = folder / "scene.yaml"
     scene.write_text(f"obstacles: {{wall: {{box: {{half: [0.05, {half}, 2]}}, position: [1.4, 0.02, 0]}}}}\n")
-    keys = [f"robot={driving}", "physics=kinematic", f"obstacles={scene}", "settle_time=0.1", "mpc.rate=20", "mpc.intervals=20"]
+    keys = [
+        f"robot={driving}",
+        "physics=kinematic",
+        f"obstacles={scene}",
+        "settle_time=0.1",
+        "mpc.rate=20",
+        "mpc.intervals=20",
+    ]
     keys += ["path.length=2.2", "path.speed=0.4", "path.ramp=0.3", *more]
     experiment = load("obstacles-static")
     return experiment.run(configure(experiment.config_type, keys, "x"), 0, None)
@@ -45,7 +52,11 @@ def test_a_robot_goes_around_a_wall_that_stops_its_mpc(driving: Path, tmp_path: 
 def test_a_robot_in_front_of_a_wall_without_end_says_that_it_is_stuck(driving: Path, tmp_path: Path) -> None:
     """All other ways were tried, and none was found."""
     result = head_on(driving, tmp_path, 30.0, "patience=25")
-    assert result.outcome == "stuck" and "no other way" in result.reason and result.metrics["alternatives_taken"].value == 0.0
+    assert (
+        result.outcome == "stuck"
+        and "no other way" in result.reason
+        and result.metrics["alternatives_taken"].value == 0.0
+    )
     assert result.metrics["goal_missed"].value > 1.0
 
 

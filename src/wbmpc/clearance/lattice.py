@@ -8,6 +8,7 @@ nearest points that clearance rows have; edges are looked at closely only when t
 
 from __future__ import annotations
 
+import itertools
 from heapq import heappop, heappush
 
 import numpy as np
@@ -208,7 +209,7 @@ def _shortened(route: Array, footprint: Footprint) -> Array:
     while k < len(route) - 1:
         for j in range(len(route) - 1, k, -1):
             piece = turn_go_turn(kept[-1], route[j])
-            dense = np.concatenate([between(a, b) for a, b in zip(piece[:-1], piece[1:], strict=True)])
+            dense = np.concatenate([between(a, b) for a, b in itertools.pairwise(piece)])
             cheaper = _length(piece) <= _length(route[k : j + 1]) + 1e-9
             if j == k + 1 or (cheaper and footprint.clear(dense).all()):
                 kept.extend(piece[1:] if j > k + 1 else [route[j]])

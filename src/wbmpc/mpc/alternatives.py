@@ -8,6 +8,7 @@ counts if the robot gets on along it and keeps clear; the one that leaves the le
 
 from __future__ import annotations
 
+import itertools
 import logging
 import time
 from typing import NamedTuple
@@ -23,7 +24,15 @@ from wbmpc.mpc.clearance import TOLERATED
 from wbmpc.mpc.guess import predicted
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.pace import PacedReferences
-from wbmpc.mpc.route import base_part, carried_poses, carried_states, carrying_base, set_carried, timed_route, weigh_base
+from wbmpc.mpc.route import (
+    base_part,
+    carried_poses,
+    carried_states,
+    carrying_base,
+    set_carried,
+    timed_route,
+    weigh_base,
+)
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import Reference
@@ -277,13 +286,13 @@ class Alternatives:
 def _way(poses: list[Array]) -> Array:
     """From pose to pose (3): a turn, straight on, a turn; from the first to the second as they lie."""
     parts = [np.array(poses[:2])]
-    parts += [turn_go_turn(a, b)[1:] for a, b in zip(poses[1:-1], poses[2:], strict=True)]
+    parts += [turn_go_turn(a, b)[1:] for a, b in itertools.pairwise(poses)]
     return unwrapped(np.concatenate(parts))
 
 
 def _clear(footprint: Footprint, way: Array) -> bool:
     """Whether the robot is clear at poses (n, 3) of a way and between them."""
-    dense = np.concatenate([np.linspace(a, b, 20) for a, b in zip(way[:-1], way[1:], strict=True)])
+    dense = np.concatenate([np.linspace(a, b, 20) for a, b in itertools.pairwise(way)])
     return bool(footprint.clear(dense).all())
 
 

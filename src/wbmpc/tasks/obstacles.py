@@ -225,8 +225,7 @@ def swung_ahead(robot: RobotModel, reference: Reference) -> Reference:
     poses[:, 0] = base[:, 0] + c * beside[:, 0] - s * beside[:, 1]
     poses[:, 1] = base[:, 1] + s * beside[:, 0] + c * beside[:, 1]
     turns = [
-        lie.quaternion_multiply(lie.quaternion_about(UP, float(a)), q)
-        for a, q in zip(angle, poses[:, 3:], strict=True)
+        lie.quaternion_multiply(lie.quaternion_about(UP, float(a)), q) for a, q in zip(angle, poses[:, 3:], strict=True)
     ]
     return Reference.poses(reference.times, poses[:, :3], np.array(turns))
 

@@ -88,10 +88,14 @@ def draw_room(settings: RoomSettings, robot: RobotModel, seed: int) -> Room:
         except NoRoute:
             continue
         return Room(scene, goal, route, time.perf_counter() - began)
-    raise InputError(f"rooms: none of {DRAWN} rooms has a route for the robot; valid: a smaller 'things', a larger 'width' or 'door'")
+    raise InputError(
+        f"rooms: none of {DRAWN} rooms has a route for the robot; valid: a smaller 'things', a larger 'width' or 'door'"
+    )
 
 
-def _walls(settings: RoomSettings, rng: np.random.Generator, low: Array, high: Array, ground: float) -> list[SceneObstacle]:
+def _walls(
+    settings: RoomSettings, rng: np.random.Generator, low: Array, high: Array, ground: float
+) -> list[SceneObstacle]:
     """Four around the room, two beside the door in the middle of the way."""
     x, center = low[0] + 0.5 * (high - low)[0], rng.uniform(low[1] + settings.door, high[1] - settings.door)
     walls = {
@@ -169,4 +173,6 @@ def build(settings: RoomSettings, seed: int) -> Scenario:
     )  # fmt: skip
 
 
-EXPERIMENT = Experiment.of("rooms", "through a random room: MPC alone, with alternatives, along a route", RoomSettings, build, DEFINITIONS)
+EXPERIMENT = Experiment.of(
+    "rooms", "through a random room: MPC alone, with alternatives, along a route", RoomSettings, build, DEFINITIONS
+)

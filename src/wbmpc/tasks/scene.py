@@ -122,7 +122,9 @@ class SceneWatch:
         others = self._alternatives
         tries = others is not None and others.searching
         if others is not None and others.failed >= FAILED and not self._blocked_for_now(t):
-            raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal, no other way was found")
+            raise RobotStuck(
+                f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal, no other way was found"
+            )
         if not self._pace.waits or self._blocked_for_now(t) or tries:
             self._places.clear()
         self._places.append((t, tool.copy()))
