@@ -57,7 +57,7 @@ class Footprint:
         states = np.tile(self._robot.home, (len(poses), 1))
         states[:, self._part] = poses
         near = self._finder.find(self._snapshot, Poses(np.full(len(poses), self._t), *self._finder.kinematics(states)))
-        return ~np.isfinite(near.distance).any(axis=(1, 2))
+        return np.asarray(~np.isfinite(near.distance).any(axis=(1, 2)))
 
 
 def between(a: Array, b: Array) -> Array:
@@ -153,10 +153,12 @@ def plan_route(
     t: float = 0.0, bounds: ArrayLike | None = None,
 ) -> Array:  # fmt: skip
     """Poses (n, 3: x, y [m], yaw [rad]) of the base from ``start`` (3) to ``goal`` (3), straight ways and turns in place between them, on
-    which all of the robot, at home but for its base, keeps ``margin`` [m] (left out: that of its file) from what stands at ``t`` [s].
+    which all of the robot, at home but for its base, keeps ``margin`` [m] (left out: that of its file) from ``obstacles`` as they are at
+    ``t`` [s].
 
     For bases that can turn in place; the way is the cheapest on a lattice with cells of ``cell`` [m], then shortened. Obstacles that
-    move count where they are at ``t``. ``bounds`` ((x, y), (x, y)) [m]: where the base may be (left out: 3 m around start and goal). :func:`wbmpc.mpc.route.follow_route` follows it. Raises :class:`~wbmpc.errors.NoRoute` where there
+    move count where they are at ``t``. ``bounds`` ((x, y), (x, y)) [m]: where the base may be (left out: 3 m around start and goal).
+    :func:`wbmpc.mpc.route.follow_route` follows it. Raises :class:`~wbmpc.errors.NoRoute` where there
     is none, and :class:`InputError` for bad arguments and a base that does not move.
     """
     if "base" not in robot.state:

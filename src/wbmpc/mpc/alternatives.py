@@ -69,7 +69,8 @@ class Alternatives:
     """Tries other ways for ``mpc`` of ``robot``, whose base moves and can turn in place, when its references, kept by ``pace``, wait for it.
 
     Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: how many searches in a row found nothing
-    while the references waited; ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of all of it. While the robot
+    while the references waited; ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of
+    all of it. While the robot
     goes another way its base has a weight in the cost "state". Raises :class:`InputError` for an MPC without obstacles or with progress
     along a path, and a base that does not move or balances.
     """
@@ -300,7 +301,7 @@ def _can_turn(footprint: Footprint, places: Array) -> NDArray[np.bool_]:
     """Whether (n) the robot is clear at places (n, 3) whatever its heading is."""
     turned = np.repeat(places, HEADINGS, axis=0)
     turned[:, 2] += np.tile(np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS, len(places))
-    return footprint.clear(turned).reshape(-1, HEADINGS).all(axis=1)
+    return np.asarray(footprint.clear(turned).reshape(-1, HEADINGS).all(axis=1))
 
 
 def _rest(way: Array, pose: Array) -> Array:

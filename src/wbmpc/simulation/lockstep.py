@@ -224,7 +224,8 @@ def run_lockstep(
     progress: Progress | None = None,
     done: Callable[[], bool] | None = None,
 ) -> Ending:
-    """Run for ``duration`` [s], or until ``done()``, which is asked at every tick. What ends a run early (a fall, numbers that are not finite, no plan, Ctrl-C) stops the
+    """Run for ``duration`` [s], or until ``done()``, which is asked at every tick. What ends a run early (a fall, numbers that are
+    not finite, no plan, Ctrl-C) stops the
     robot and is returned, not raised; so is whatever else is raised once the robot has been commanded: it would go on with its
     last command. Before, in the first period, errors (bad settings) are raised. A robot that is stopped early is simulated until it
     rests: whether it fell is what is seen then.

@@ -1,7 +1,7 @@
 """`rooms`: a robot goes from one end of a random room to the other, by its MPC alone, with alternatives, or along a planned route.
 
 Every room has a wall with a door, and things on both sides of it: pillars, boxes, shelves, and niches that open towards the start (dead
-ends). Rooms are drawn until there is a route for the robot at home: what cannot be solved tells nothing.
+ends). Rooms are drawn until there is a route for the robot at home: what cannot be solved distinguishes nothing.
 """
 
 from __future__ import annotations
