@@ -65,7 +65,7 @@ def main() -> None:
     file = given.study / "runs.parquet"
     if not file.is_file():
         raise SystemExit(f"rooms: there is no {file}; wbmpc study rooms --out {given.study}")
-    publish(given.page, "rooms", table(pyarrow.parquet.read_table(file).to_pylist()), "(?!)")
+    publish(given.page, "rooms", table(pyarrow.parquet.read_table(file).to_pylist()))
 
 
 if __name__ == "__main__":
