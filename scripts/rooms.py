@@ -48,7 +48,13 @@ def table(rows: list[Row]) -> str:
         raise SystemExit("rooms: there is no room in which every method has a run")
     seeds = sorted({int(r["seed"]) for r in rows})
     commits = ", ".join(sorted({str(r["commit"]) for r in rows}))
-    text = f"Seeds {seeds[0]} to {seeds[-1]}, commit {commits}.\n\n" + row(HEAD) + "|" + " --- |" * len(HEAD) + "\n"
+    text = (
+        f"### Success, clearance and time\nSeeds {seeds[0]} to {seeds[-1]}, commit {commits}.\n\n"
+        + row(HEAD)
+        + "|"
+        + " --- |" * len(HEAD)
+        + "\n"
+    )
     for things in [*sorted({int(r["set.things"]) for r in rows}), "all"]:
         for method in METHODS:
             mine = [r for r in rows if r["condition"] == method and things in ("all", r["set.things"])]
