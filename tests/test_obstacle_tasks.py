@@ -11,17 +11,18 @@ import numpy as np
 import pytest
 
 import wbmpc as wb
-from clearing import write_arm
+from clearing import TrueDistance, write_arm
 from planar_driving import write_robot
 from test_tasks import WHEELS, run
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.obstacles.scene import SceneObstacle
-from wbmpc.obstacles.shapes import Capsule, HalfSpace, Sphere
+from wbmpc.obstacles.shapes import Box, Capsule, HalfSpace, Sphere
 from wbmpc.ocp.symbols import Symbols
 from wbmpc.registry import load
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
-from wbmpc.tasks.obstacles import Clutter, Extent, clutter_scene
+from wbmpc.tasks.obstacles import ENTRY, Clutter, Corridor, Extent, clutter_scene, corridor_scene
+from wbmpc.tasks.rooms import RoomSettings, draw_room
 
 BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
 
@@ -246,3 +247,40 @@ def test_clutter_is_in_the_way_of_the_base_alone(name: str) -> None:
             assert k % 2 == 1 or top < e.tool[2]
             places.append(place[0])
     assert min(places) > e.high[0] + 0.5
+
+
+def test_corridors_turn_off_and_end() -> None:
+    """Truth: MuJoCo's rays from the middle of the entry, along the corridor's axes."""
+    robot = wb.load_robot("differential-ur10")
+    e, settings = Extent(robot, "corridor"), Corridor(width=0.86, long=2.0, offset=0.05, angle=0.0873, closed=True)
+    around = SimulatedObstacles(corridor_scene(settings, robot, 0), ground=e.ground)
+    spec = mujoco.MjSpec()
+    around.edit(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    c, s, hit = np.cos(0.0873), np.sin(0.0873), np.zeros(1, np.int32)
+    inside = np.array([e.high[0] + ENTRY + 0.5 * c, e.base[1] + 0.05 + 0.5 * s, 0.5])
+    for direction, distance in (((-s, c, 0.0), 0.43), ((s, -c, 0.0), 0.43), ((c, s, 0.0), 1.5)):
+        found = mujoco.mj_ray(model, data, inside, np.array(direction), None, 1, -1, hit)
+        assert found == pytest.approx(distance, abs=1e-6)
+    assert len(corridor_scene(Corridor(), robot, 0)) == 2
+
+
+def test_rooms_have_a_route_that_keeps_clear() -> None:
+    """Truth: MuJoCo's distances along the route, of the robot at home."""
+    robot = wb.load_robot("differential-ur10")
+    settings = RoomSettings(things=2, length=4.0)
+    room = draw_room(settings, robot, 3)
+    boxes = [o for o in room.scene if isinstance(o.shape, Box)]
+    truth = TrueDistance(robot, [(mujoco.mjtGeom.mjGEOM_BOX, list(o.shape.solid.size)) for o in boxes])
+    places = [np.array(o.place["position"]) for o in boxes]
+    least = np.inf
+    for a, b in zip(room.route[:-1], room.route[1:], strict=True):
+        for pose in np.linspace(a, b, int(np.abs(b - a).max() / 0.03) + 2):
+            x = robot.home.copy()
+            x[robot.state["base"]] = pose
+            least = min(least, truth(x, places))
+    assert least > robot.description.collision.margin
+    np.testing.assert_allclose(room.route[-1], room.goal, atol=1e-9)
+    assert len(room.scene) >= 6 + 2

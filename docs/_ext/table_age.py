@@ -59,6 +59,7 @@ TABLES = (
     _marked("swerve loads", "docs/results/swerve.md", SWERVE),
     _marked("ball goals", "docs/results/ball.md", BALL),
     _marked("ball loads", "docs/results/ball.md", BALL),
+    _marked("rooms", "docs/results/rooms.md", SIMULATED | {"bases/differential"}),
     _marked("translator", "docs/explanation/solver.md", frozenset({"kernel"})),
 )
 

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # what type checkers see; a test compares it with the table below
     from wbmpc.bases import base_type as base_type
+    from wbmpc.clearance.lattice import plan_route as plan_route
     from wbmpc.embedded.exporter import export as export
     from wbmpc.errors import InputError as InputError
+    from wbmpc.errors import NoRoute as NoRoute
     from wbmpc.errors import SolveFailed as SolveFailed
     from wbmpc.errors import SolverBusy as SolverBusy
     from wbmpc.errors import WbmpcError as WbmpcError
@@ -27,11 +29,13 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.model.ode import Ode as Ode
     from wbmpc.model.robot import RobotModel as RobotModel
     from wbmpc.model.robot import load_robot as load_robot
+    from wbmpc.mpc.alternatives import Alternatives as Alternatives
     from wbmpc.mpc.filters import FilterMemory as FilterMemory
     from wbmpc.mpc.mpc import MPC as MPC
     from wbmpc.mpc.pace import PacedReferences as PacedReferences
     from wbmpc.mpc.policy import Policy as Policy
     from wbmpc.mpc.policy_queue import PolicyQueue as PolicyQueue
+    from wbmpc.mpc.route import follow_route as follow_route
     from wbmpc.obstacles import Obstacles as Obstacles
     from wbmpc.obstacles import shapes as shapes
     from wbmpc.ocp import AugmentedLagrangian as AugmentedLagrangian
@@ -119,6 +123,9 @@ _MODULES = {
     "FilterMemory": "wbmpc.mpc.filters",
     "MPC": "wbmpc.mpc.mpc",
     "PacedReferences": "wbmpc.mpc.pace",
+    "Alternatives": "wbmpc.mpc.alternatives",
+    "follow_route": "wbmpc.mpc.route",
+    "plan_route": "wbmpc.clearance.lattice",
     "Observation": "wbmpc.types",
     "export": "wbmpc.embedded.exporter",
     "Policy": "wbmpc.mpc.policy",
@@ -127,6 +134,7 @@ _MODULES = {
     "RobotInterface": "wbmpc.runtime.stop_control",
     "RealTimeRunner": "wbmpc.runtime.runner",
     "InputError": "wbmpc.errors",
+    "NoRoute": "wbmpc.errors",
     "SolveFailed": "wbmpc.errors",
     "SolverBusy": "wbmpc.errors",
     "WbmpcError": "wbmpc.errors",

@@ -47,6 +47,10 @@ class RobotStuck(RunAborted):
     """The robot stands away from its goal, and its plans do not lead there."""
 
 
+class NoRoute(WbmpcError):
+    """No way was found that leads from a start to a goal."""
+
+
 class DisturbanceTooLarge(RunAborted):
     """A force that no lean can hold drives a robot that balances ever faster: the motors are switched off."""
 

@@ -91,7 +91,8 @@ class Loop:
     """A closed loop in virtual time: ``plant``, ``controller`` and ``mpc`` (None: nothing plans) for ``duration`` [s], with the periods of
     ``timing``.
 
-    ``record(t, command, plans)`` is called once per controller period, before the command acts. A controller that monitors
+    ``record(t, command, plans)`` is called once per controller period, before the command acts; ``done()`` after it: whether the loop ends
+    early, its task done. A controller that monitors
     something has ``faults``, a sequence of str.
     """
 
@@ -101,10 +102,13 @@ class Loop:
     timing: Timing
     duration: float
     record: Callable[[float, Any, PolicyQueue], None]
+    done: Callable[[], bool] | None = None
 
     def run(self, progress: Progress | None = None) -> Outcome:
         """Run it to its end, or as far as it gets."""
-        ending = run_lockstep(self.plant, self.controller, self.mpc, self.timing, self.duration, self.record, progress)
+        ending = run_lockstep(
+            self.plant, self.controller, self.mpc, self.timing, self.duration, self.record, progress, self.done
+        )
         return Outcome(ending, list(getattr(self.controller, "faults", ())), self.controller, self.mpc)
 
 

@@ -210,6 +210,11 @@ class MPC:
         return self.solver.violation_message(self.solver.status(self._outcome[0]))
 
     @property
+    def plan_start(self) -> float | None:
+        """When [s] the last plan begins; None: there is none yet."""
+        return self._t
+
+    @property
     def solve_time(self) -> float:
         """Duration [s] of the last pass of the solver."""
         return self._outcome[2]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,6 +52,32 @@ class PacedReferences:
     def waits(self) -> bool:
         """Whether the references hardly go on, before their end."""
         return self.rate < WAITS and self.time < float(self._path.times[-1])
+
+    @property
+    def end(self) -> float:
+        """When [s] the end effector's reference ends, in its own time."""
+        return float(self._path.times[-1])
+
+    def pose(self, time: float) -> Array:
+        """The end effector's reference (7) at ``time`` [s] of its own."""
+        return self._path.at(time)
+
+    def running(self, t: float) -> dict[str, Reference]:
+        """The references from ``t`` [s] on as they would be if nothing made them wait any more."""
+        return {n: Reference(r.times - self.time + t, r.values, r.kind) for n, r in self._whole.items()}
+
+    def detour(self, ways: Mapping[str, Reference], rejoin: float) -> None:
+        """From now on take other ways, whose times [s] count from now, to where the references are at ``rejoin`` [s] of their own time, and
+        go on from there. The rate of time is 1."""
+        for name, way in ways.items():
+            times, values = self.time + way.times, way.values
+            if name in self._whole:
+                old = self._whole[name]
+                later = old.times > rejoin
+                times = np.concatenate([times, times[-1] + old.times[later] - rejoin])
+                values = np.concatenate([values, old.values[later]])
+            self._whole[name] = Reference(times, values, way.kind)
+        self._path, self.rate = self._whole["end_effector"], 1.0
 
     def missed(self, position: ArrayLike) -> float:
         """Distance [m] of a position (3) [m] from the end of the end effector's reference."""

@@ -216,6 +216,12 @@ class Obstacles:
         with self._lock:
             return len(self._obstacles)
 
+    def take(self, snapshot: Snapshot) -> None:
+        """Have what a snapshot has and nothing else, for good: nothing of it expires, for who looks far ahead."""
+        with self._lock:
+            self._obstacles = {o.name: replace(o, expire=np.inf, max_age=np.inf) for o in snapshot.obstacles}
+            self._frames = dict(snapshot.frames)
+
     def snapshot(self, t: float) -> Snapshot:
         """What is there at time ``t`` [s]. Obstacles without a time are seen now; expired ones are dropped for good. Raises
         :class:`InputError` for what is no time, and :class:`~wbmpc.errors.SensorFailure` where one is older than its ``max_age``."""

@@ -222,8 +222,10 @@ def run_lockstep(
     duration: float,
     record: Callable[[float, Any, PolicyQueue], None],
     progress: Progress | None = None,
+    done: Callable[[], bool] | None = None,
 ) -> Ending:
-    """Run for ``duration`` [s]. What ends a run early (a fall, numbers that are not finite, no plan, Ctrl-C) stops the
+    """Run for ``duration`` [s], or until ``done()``, which is asked at every tick. What ends a run early (a fall, numbers that are
+    not finite, no plan, Ctrl-C) stops the
     robot and is returned, not raised; so is whatever else is raised once the robot has been commanded: it would go on with its
     last command. Before, in the first period, errors (bad settings) are raised. A robot that is stopped early is simulated until it
     rests: whether it fell is what is seen then.
@@ -245,7 +247,7 @@ def run_lockstep(
                 ending = Ending(f"interrupted at {t:.2f} s", interrupted=True)
                 break
             ending = _tick(plant, controller, mpc, timing, i, plans, record, watchers)
-            if ending.reason:
+            if ending.reason or (done is not None and done()):
                 break
             if progress is not None and i % 40 == 0:
                 progress((i + 1) / ticks, f"{t:.1f} of {duration:.1f} s")

@@ -18,6 +18,7 @@ EXPERIMENTS: dict[str, str] = {
     "obstacles-sudden": "wbmpc.tasks.obstacles:SUDDEN",
     "corridor": "wbmpc.tasks.obstacles:CORRIDOR",
     "clutter": "wbmpc.tasks.obstacles:CLUTTER",
+    "rooms": "wbmpc.tasks.rooms:EXPERIMENT",
     "pick-from-shelf": "wbmpc.tasks.pick:EXPERIMENT",
     "tip-over": "wbmpc.tasks.tip_over:EXPERIMENT",
 }

@@ -16,6 +16,7 @@ from wbmpc.errors import InputError
 from wbmpc.experiment import Loop, Run, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.alternatives import Alternatives
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.pace import PacedReferences
 from wbmpc.obstacles.scene import SceneObstacle
@@ -83,6 +84,8 @@ def closed_loop(
     perception: PerceptionSettings | None = None,
     truth: Callable[[float, Truth], None] | None = None,
     paced: bool = False,
+    alternatives: bool = False,
+    done: Callable[[], bool] | None = None,
 ) -> Scenario:
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on; all that is random has the ``seed``.
 
@@ -92,8 +95,10 @@ def closed_loop(
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
     ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. ``truth(t, truth)``
     sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
-    (:class:`wbmpc.mpc.pace.PacedReferences`), and a robot that is stuck ends the run. The references of ``mpc`` are the task; times begin
-    with the loop. Raises :class:`InputError` for bad settings.
+    (:class:`wbmpc.mpc.pace.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans before
+    (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance. ``done()``, asked at every controller
+    period: whether the task is done before its time. The references of ``mpc`` are the task; times begin with the loop.
+    Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
@@ -106,7 +111,9 @@ def closed_loop(
     every = max(1, round(RECORDED / system.timing.period))
     perceive = None if perception is None else lambda: Perception(perception, robot, system, log, seed)
     pace = PacedReferences(mpc) if paced and around and not mpc.path.active else None
-    watch = SceneWatch(around, system, log, since, robot, pace, perceive) if around else None
+    able = alternatives and "base" in robot.state and not robot.base.balances and mpc.obstacles is not None
+    others = Alternatives(mpc, robot, pace) if able and pace else None
+    watch = SceneWatch(around, system, log, since, robot, pace, perceive, others) if around else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if tick is not None:
@@ -125,7 +132,7 @@ def closed_loop(
     def drawn(run: Run) -> list[Plot]:
         return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
-    loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record)
+    loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record, done)
     return Scenario.single(log, loop.run, measured, drawn, IDEALIZATIONS[settings.physics])
 
 

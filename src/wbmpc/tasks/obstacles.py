@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ PERSON = (0.2, 1.8)
 SEEN_FROM, SEEN_FOR = 4.0, 4.0
 #: How exactly plans know people [m], [m/s]: as from a LIDAR.
 SEEN_AS = {"std": 0.015, "velocity_std": 0.02}
+UP = (0.0, 0.0, 1.0)
 #: A corridor begins so far [m] ahead of the robot; over how much of the way [m] the end effector swings ahead of the base.
 ENTRY, SWING = 1.0, 0.8
 #: How far [m] a pillar and a shelf stand in the way of the base that would go straight.
@@ -49,10 +50,13 @@ PAST = 0.4
 
 
 class Among(PathTaskSettings):
-    """``obstacles``: another scene than the experiment's own; ``patience`` [s]: how long the path of a clock may wait for the robot in all."""
+    """``obstacles``: another scene than the experiment's own; ``patience`` [s]: how long the path of a clock may wait for the robot in all;
+    ``when_stuck``: what a robot does whose plans lead no farther: "alternatives" tries others (of bases that move and do not balance), "wait"
+    does not."""
 
     path: AnyPath = Line(length=4.0)
     patience: float = Field(6.0, ge=0.0, le=600.0)
+    when_stuck: Literal["alternatives", "wait"] = "alternatives"
 
 
 #: Of somebody who crosses [m/s].
@@ -74,13 +78,15 @@ class Sudden(Among):
 
 
 class Corridor(Among):
-    """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go. The end effector
-    swings ahead of the base before it enters."""
+    """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go, and it turns off to
+    the left by ``angle`` [rad]; ``closed``: a dead end. The end effector swings ahead of the base before it enters."""
 
     path: AnyPath = Line(length=5.0, speed=0.25)
     width: float = Field(0.9, ge=0.1, le=100.0)
     long: float = Field(2.0, ge=0.1, le=100.0)
     offset: float = Field(0.05, ge=-10.0, le=10.0)
+    angle: float = Field(0.0, ge=-0.8, le=0.8)
+    closed: bool = False
 
 
 class Clutter(Among):
@@ -172,12 +178,22 @@ def sudden_scene(settings: Sudden, robot: RobotModel, seed: int) -> list[SceneOb
 
 
 def corridor_scene(settings: Corridor, robot: RobotModel, seed: int) -> list[SceneObstacle]:
-    """Two walls as high as the robot."""
+    """Two walls as high as the robot, and a third across their end if it is closed."""
     e = Extent(robot, "corridor")
-    half = np.array([0.5 * settings.long, 0.1, 0.5 * (e.high[2] - e.ground)])
-    middle = np.array([e.high[0] + ENTRY + half[0], e.base[1] + settings.offset, e.ground + half[2]])
-    aside = np.array([0.0, 0.5 * settings.width + half[1], 0.0])
-    return [SceneObstacle(n, Box(half), {"position": middle + s * aside}) for n, s in (("left", 1.0), ("right", -1.0))]
+    high = 0.5 * (e.high[2] - e.ground)
+    entry = np.array([e.high[0] + ENTRY, e.base[1] + settings.offset, e.ground + high])
+    c, s = np.cos(settings.angle), np.sin(settings.angle)
+    turn, quaternion = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), lie.quaternion_about(UP, settings.angle)
+    aside, along = 0.5 * settings.width + 0.1, 0.5 * settings.long
+    parts = {"left": ((along, aside), (along, 0.1)), "right": ((along, -aside), (along, 0.1))}
+    if settings.closed:
+        parts["end"] = ((settings.long + 0.1, 0.0), (0.1, aside + 0.1))
+    return [
+        SceneObstacle(
+            name, Box((*half, high)), {"position": entry + turn @ np.array([*place, 0.0]), "orientation": quaternion}
+        )
+        for name, (place, half) in parts.items()
+    ]
 
 
 def clutter_scene(settings: Clutter, robot: RobotModel, seed: int) -> list[SceneObstacle]:
@@ -209,8 +225,7 @@ def swung_ahead(robot: RobotModel, reference: Reference) -> Reference:
     poses[:, 0] = base[:, 0] + c * beside[:, 0] - s * beside[:, 1]
     poses[:, 1] = base[:, 1] + s * beside[:, 0] + c * beside[:, 1]
     turns = [
-        lie.quaternion_multiply(lie.quaternion_about((0.0, 0.0, 1.0), float(a)), q)
-        for a, q in zip(angle, poses[:, 3:], strict=True)
+        lie.quaternion_multiply(lie.quaternion_about(UP, float(a)), q) for a, q in zip(angle, poses[:, 3:], strict=True)
     ]
     return Reference.poses(reference.times, poses[:, :3], np.array(turns))
 
@@ -235,7 +250,7 @@ def build(scene: SceneOf, settings: Among, seed: int) -> Scenario:
     made = scene(settings, robot, seed) if settings.obstacles is None else None
     return closed_loop(
         robot, mpc, end, seed, settings, since=settings.settle_time, scene=made, metrics=metrics, paced=True,
-        perception=getattr(settings, "perception", None),
+        perception=getattr(settings, "perception", None), alternatives=settings.when_stuck == "alternatives",
     )  # fmt: skip
 
 

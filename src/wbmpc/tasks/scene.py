@@ -15,6 +15,7 @@ from wbmpc.bases.base import System
 from wbmpc.errors import RobotStuck
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.alternatives import Alternatives
 from wbmpc.mpc.pace import PacedReferences
 from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot, Series
@@ -33,6 +34,8 @@ BEHIND, SLOW, LONG = 0.05, 0.02, 1.0
 #: It ends the run if its references wait for so long [s] in which the end effector moves by less than this [m], or for so long however it
 #: moves.
 WINDOW, STAYS, HOPELESS = 1.5, 0.1, 4.0
+#: Or if so many searches for other ways in a row found none.
+FAILED = 2
 
 
 def believed(system: System) -> tuple[Array, Array, Array]:
@@ -49,14 +52,16 @@ def believed(system: System) -> tuple[Array, Array, Array]:
 class SceneWatch:
     """Moves the obstacles of a simulated world, shows them to the MPC (with ``perceive``: its sensors do), and measures how near the
     ``robot`` comes. ``pace``: what lets the references wait; with it a base that can adapts its shape, and a robot that is stuck ends its
-    run."""
+    run; ``alternatives``: what is tried before that."""
 
     def __init__(
         self, around: SimulatedObstacles, system: System, log: Log, since: float, robot: RobotModel,
         pace: PacedReferences | None = None, perceive: Callable[[], Perception] | None = None,
+        alternatives: Alternatives | None = None,
     ) -> None:  # fmt: skip
         self._around, self._system, self._log, self._since = around, system, log, since
         self._margin, self._pace = robot.description.collision.margin, pace
+        self._alternatives = alternatives
         kind = base_type(robot.description.base.type)
         self._reshaping = None if pace is None else kind.reshaping(robot, system.mpc, system.controller)
         self._every = max(1, round(MEASURED / system.timing.period))
@@ -83,6 +88,8 @@ class SceneWatch:
                 around.show(system.mpc.obstacles, t, system.plant.truth().pose, pose)
             if self._pace is not None:
                 self._pace.advance(t, tool)
+            if self._alternatives is not None:
+                self._alternatives.advance(t)
             if self._reshaping is not None:
                 self._reshaping.update(t)
         around.count_contacts(data, t)
@@ -112,7 +119,13 @@ class SceneWatch:
         """End the run of a robot whose references wait while it stays where it is."""
         if self._pace is None:
             return
-        if not self._pace.waits or self._blocked_for_now(t):
+        others = self._alternatives
+        tries = others is not None and others.searching
+        if others is not None and others.failed >= FAILED and not self._blocked_for_now(t):
+            raise RobotStuck(
+                f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal, no other way was found"
+            )
+        if not self._pace.waits or self._blocked_for_now(t) or tries:
             self._places.clear()
         self._places.append((t, tool.copy()))
         recent = next(place for since, place in self._places if since > t - WINDOW - 1e-9)
@@ -149,6 +162,15 @@ class SceneWatch:
             "braking_plans": Metric(float(self._system.mpc.statistics.braking_plans), "1"),
             **(self._perception.metrics() if self._perception else {}),
             **waited,
+            **(self._tried(self._alternatives) if self._alternatives else {}),
+        }
+
+    @staticmethod
+    def _tried(alternatives: Alternatives) -> dict[str, Metric]:
+        return {
+            "alternative_searches": Metric(float(alternatives.searches), "1"),
+            "alternatives_taken": Metric(float(len(alternatives.taken)), "1"),
+            "alternatives_computation": Metric(alternatives.computation, "s"),
         }
 
     def plots(self) -> list[Plot]:

@@ -1,0 +1,317 @@
+"""Other ways, tried beside an MPC's own plan while its robot gets nowhere: the best of them becomes the way that the references take.
+
+An MPC finds local optima: in front of a wall that stands head-on it waits, though there is a way on either side. Here a second MPC of
+the same problem runs ahead of time on the model, with one solve for each update of the first: once with the references as they are, if
+they did not wait (what is in the way may leave), and along other ways to behind what is in the way: left, right, back and on again. A way
+counts if the robot gets on along it and keeps clear; the one that leaves the least to go wins. Where none counts, the robot is stuck.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.checks import absolute_time
+from wbmpc.clearance.lattice import Footprint, turn_go_turn, unwrapped
+from wbmpc.errors import InputError
+from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.clearance import TOLERATED
+from wbmpc.mpc.guess import predicted
+from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.pace import PacedReferences
+from wbmpc.mpc.route import (
+    base_part,
+    carried_poses,
+    carried_states,
+    carrying_base,
+    set_carried,
+    timed_route,
+    weigh_base,
+)
+from wbmpc.obstacles.geometry import robot_geometry
+from wbmpc.obstacles.world import Obstacles, Snapshot
+from wbmpc.ocp import Reference
+from wbmpc.types import Observation
+
+_LOG = logging.getLogger("wbmpc")
+Array = NDArray[np.float64]
+#: References whose time goes on at less than this rate wait; who waits so long [s] starts a search; where it found nothing, the next one
+#: starts so much later [s], and behind a winner, who may have to turn first, so much.
+WAITS, PATIENCE, AGAIN, AFTER = 0.5, 0.3, 1.0, 3.0
+#: Each way is run ahead in so many solves, so far [s] from one to the next.
+SOLVES, STEP = 10, 0.3
+#: How much nearer [m] to its end the robot is then, at least.
+MOVED = 0.2
+#: How far aside [m] a way past something is looked for, in steps [m]; how far [m] the robot backs off first, and how often at most.
+FARTHEST, ASIDE, BACK, BACKS = 2.5, 0.1, 0.35, 3
+#: Headings at which a place is looked at where the robot turns.
+HEADINGS = 12
+#: How densely [s] the reference is looked at for what is in its way, and how far ahead [s] at most.
+LOOKED, AHEAD = 0.1, 60.0
+#: Speeds [m/s], [rad/s] along other ways, from rest over a ramp [s]; what a turn counts [m/rad] beside ways.
+SPEED, TURN_SPEED, RAMP, TURN = 0.3, 0.6, 0.5, 0.35
+
+
+class _Way(NamedTuple):
+    """Another way: base poses (n, 3) to where the references are at ``rejoin`` [s] of their time; none to stay on theirs."""
+
+    name: str
+    poses: Array
+    rejoin: float
+
+
+class Alternatives:
+    """Tries other ways for ``mpc`` of ``robot``, whose base moves and can turn in place, when its references, kept by ``pace``, wait for it.
+
+    Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: how many searches in a row found nothing
+    while the references waited; ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of
+    all of it. While the robot
+    goes another way its base has a weight in the cost "state". Raises :class:`InputError` for an MPC without obstacles or with progress
+    along a path, and a base that does not move or balances.
+    """
+
+    def __init__(self, mpc: MPC, robot: RobotModel, pace: PacedReferences) -> None:
+        base_part(robot)
+        if mpc.obstacles is None or mpc.path.active or robot.base.balances:
+            raise InputError(
+                "alternatives: valid: an MPC with obstacles, without progress along a path, of a robot that does not balance"
+            )
+        self._mpc, self._robot, self._pace = mpc, robot, pace
+        geometry = robot_geometry(robot)
+        centers = geometry.at(*geometry.kinematics(robot.home[None]))[0][0]
+        beside = np.linalg.norm(centers[:, :2] - robot.home[base_part(robot)][:2], axis=1)
+        #: within which [m] of the base's place the robot turns
+        self._radius = float((beside + geometry.radius).max())
+        self._world = Obstacles()
+        self._ahead = MPC(mpc.ocp, mpc.solver.settings, mpc.rate, plan_only_limits=True, obstacles=self._world)
+        self.failed, self.searches, self.computation = 0, 0, 0.0
+        self.taken: list[tuple[float, str]] = []
+        self._waits_since: float | None = None
+        self._not_before = -np.inf
+        self._weights = mpc.solver.ws.w.copy()
+        #: until when [s, of the references] they are on another way
+        self._until = -np.inf
+        self._ways: list[_Way] = []
+        self._found: list[tuple[float, _Way]] = []
+        self._solves, self._t, self._x = 0, 0.0, np.zeros(0)
+
+    @property
+    def searching(self) -> bool:
+        """Whether a search is under way."""
+        return bool(self._ways)
+
+    def advance(self, t: float) -> None:
+        """At ``t`` [s]: notice that the robot waits, or go on with a search by one solve."""
+        t, began = absolute_time("alternatives", t), time.perf_counter()
+        if self._pace.time >= self._until > -np.inf:
+            self._mpc.solver.ws.w[:], self._until = self._weights, -np.inf
+        if self._pace.rate >= WAITS or self._pace.time >= self._pace.end:
+            self._waits_since, self.failed = None, 0
+            self._ways = []
+            return
+        if self._waits_since is None:
+            self._waits_since = t
+        if self.searching:
+            self._go_on(t)
+        elif t >= max(self._waits_since + PATIENCE - 1e-9, self._not_before):
+            self._begin(t)
+        self.computation += time.perf_counter() - began
+
+    # ------------------------------------------------------------------ what there is to try
+    def _begin(self, t: float) -> None:
+        assert self._mpc.obstacles is not None
+        snapshot = self._mpc.obstacles.snapshot(t)
+        still = Snapshot(tuple(o for o in snapshot.obstacles if not o.velocity.any()), snapshot.frames)
+        footprint = Footprint(self._robot, still, self._robot.description.collision.margin, t)
+        self._found, self._solves = [], 0
+        self._ways = [_Way("wait", np.zeros((0, 3)), self._pace.time)]
+        target = self._behind(footprint)
+        start = self._now(t)[base_part(self._robot)]
+        back = self._off(footprint, start)
+        if target is None or back is None:
+            return
+        rejoin, goal, blocked = target
+        for name, side in (("left", 1.0), ("right", -1.0)):
+            past = self._past(footprint, (start, back, goal), blocked, side)
+            if past is not None:
+                self._ways.append(_Way(name, past, rejoin))
+        straight = _way([start, back, goal])
+        if _clear(footprint, straight[2:]):
+            self._ways.append(_Way("back", straight, rejoin))
+
+    def _now(self, t: float) -> Array:
+        """Where the MPC's plan has the robot (nx of the problem) at ``t`` [s], or where it begins if that is later."""
+        plan = self._mpc.plan_start
+        return predicted(self._mpc.solver, t, 0.0 if plan is None else max(t - plan, 0.0))[1][0]
+
+    def _off(self, footprint: Footprint, start: Array) -> Array | None:
+        """The nearest place (3) behind the robot where it is clear when it is as at home, and can turn; None: there is none."""
+        straight = np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
+        for k in range(1, BACKS + 1):
+            place = start - k * BACK * straight
+            if _can_turn(footprint, place[None])[0]:
+                return place
+        return None
+
+    def _behind(self, footprint: Footprint) -> tuple[float, Array, Array] | None:
+        """When [s, of the references] the robot, carried along, can turn again after what is in its way; where its base (3) is then; and
+        where it is blocked (n, 3). None: up to their end it cannot."""
+        pace = self._pace
+        times = np.arange(pace.time, min(pace.end, pace.time + AHEAD) + LOOKED, LOOKED)
+        places = np.array([carrying_base(self._robot, pace.pose(float(at))) for at in times])
+        places = unwrapped(places)
+        clear = footprint.clear(places)
+        if clear.all():  # what waits there is another part of the robot, or something that moves
+            k = min(int(np.searchsorted(times, pace.time + self._mpc.ocp.horizon)), len(times) - 1)
+            return float(times[k]), places[k], places[:1]
+        first = int(np.argmin(clear))
+        after = np.flatnonzero(_can_turn(footprint, places[first:]))
+        if not after.size:
+            return None
+        k = first + int(after[0])
+        return float(times[k]), places[k], places[first:k]
+
+    def _past(
+        self, footprint: Footprint, places: tuple[Array, Array, Array], blocked: Array, side: float
+    ) -> Array | None:
+        """Base poses (n, 3) from a start, off to where it is clear, on one side past what blocks it (n, 3), as near as can be, to a goal;
+        None: there are none."""
+        start, back, goal = places
+        ahead = goal[:2] - blocked[0, :2]
+        length = float(np.linalg.norm(ahead))
+        if length < ASIDE:
+            return None
+        ahead /= length
+        left, heading = np.array([-ahead[1], ahead[0]]), np.arctan2(ahead[1], ahead[0])
+        ends = np.column_stack([[blocked[0, :2] - self._radius * ahead, goal[:2]], [heading, heading]])
+        for aside in np.arange(ASIDE, FARTHEST + 1e-9, ASIDE):
+            past = ends + np.array([*(side * aside * left), 0.0])
+            if _clear(footprint, past):
+                way = _way([start, back, *past, goal])
+                if _clear(footprint, way[2:]):
+                    return way
+        return None
+
+    # ------------------------------------------------------------------ runs ahead
+    def _go_on(self, t: float) -> None:
+        """One solve of the first way; behind its last one the next is first."""
+        way = self._ways[0]
+        if self._solves == 0:
+            self._prepare(way, t)
+        usable = self._ahead.advance(Observation(self._t, self._x))
+        near = self._ahead.clearance
+        clear = not near.frame or near.excess > -TOLERATED * near.margin
+        if usable and clear:
+            self._x, self._t = self._simulated(), self._t + STEP
+        self._solves += 1
+        if usable and clear and self._solves < SOLVES:
+            return
+        if usable and clear:
+            left = self._left(way, self._x[base_part(self._robot)])
+            if left < self._left(way, self._now(t)[base_part(self._robot)]) - MOVED:
+                self._found.append((left, way))
+        self._ways, self._solves = self._ways[1:], 0
+        if not self._ways:
+            self._end(t)
+
+    def _prepare(self, way: _Way, t: float) -> None:
+        """The second MPC goes on from the first one's plan, with references along a way."""
+        mpc, ahead = self._mpc, self._ahead
+        assert mpc.obstacles is not None
+        self._world.take(mpc.obstacles.snapshot(t))
+        start = t if mpc.plan_start is None else mpc.plan_start
+        self._t, self._x = max(t, start), self._now(t).copy()
+        ahead.solver.ws.w[:] = mpc.solver.ws.w
+        running = {"end_effector": self._pace.running(t)["end_effector"]}
+        for term, reference in {**mpc.solver.references, **running}.items():
+            ahead.solver.set_reference(term, reference)
+        ahead.solver.set_schedule(mpc.solver.schedule)
+        if len(way.poses):
+            times, base = timed_route(way.poses, SPEED, TURN_SPEED, RAMP)
+            set_carried(ahead.solver, self._robot, t + times, base)
+        plan = mpc.solver.trajectory(copy=False)
+        ahead.resume(plan.x, plan.u, start)
+
+    def _simulated(self) -> Array:
+        """Where the plan of the second MPC has the robot (nx) one step later."""
+        plan, x, at = self._ahead.solver.trajectory(copy=False), self._x, 0.0
+        for u, end in zip(plan.u, plan.grid[1:], strict=True):
+            h = min(float(end), STEP) - at
+            if h <= 1e-9:
+                break
+            x, at = self._ahead.solver.simulate(x, u, h), at + h
+        return x
+
+    def _left(self, way: _Way, pose: Array) -> float:
+        """What is left to go [m] from a base pose (3): along a way, or straight to where the references end."""
+        if not len(way.poses):
+            goal = carrying_base(self._robot, self._pace.pose(self._pace.end))
+            return float(np.linalg.norm(goal[:2] - pose[:2]))
+        steps = np.diff(_rest(way.poses, pose), axis=0)
+        end = carrying_base(self._robot, self._pace.pose(self._pace.end))
+        beyond = float(np.linalg.norm(end[:2] - way.poses[-1, :2]))
+        return float(np.linalg.norm(steps[:, :2], axis=1).sum() + TURN * np.abs(steps[:, 2]).sum()) + beyond
+
+    # ------------------------------------------------------------------ the winner
+    def _end(self, t: float) -> None:
+        self.searches += 1
+        self._not_before, self.failed = t + AGAIN, 0 if self._found else self.failed + 1
+        if self.failed:
+            _LOG.warning("alternatives at %.3f s: nothing leads on, the robot is stuck", t)
+            return
+        left, way = min(self._found, key=lambda f: f[0])
+        _LOG.info("alternatives at %.3f s: the robot goes on by '%s', %.2f m are left", t, way.name, left)
+        self.taken.append((t, way.name))
+        if len(way.poses):
+            self._take(t, way)
+
+    def _take(self, t: float, way: _Way) -> None:
+        """The references take a way, then go on where they rejoin; until there the base has a weight."""
+        times, base = timed_route(way.poses, SPEED, TURN_SPEED, RAMP)
+        poses = carried_poses(self._robot, base)
+        ways = {"end_effector": Reference.poses(times, poses[:, :3], poses[:, 3:])}
+        if self._until == -np.inf:
+            self._weights[:] = self._mpc.solver.ws.w
+        if weigh_base(self._mpc.solver, self._robot):
+            ways["state"] = Reference(times, carried_states(self._robot, base))
+        self._until = self._pace.time + float(times[-1])
+        self._pace.detour(ways, way.rejoin)
+        self._waits_since, self._not_before = None, t + AFTER
+
+
+def _way(poses: list[Array]) -> Array:
+    """From pose to pose (3): a turn, straight on, a turn; from the first to the second as they lie."""
+    parts = [np.array(poses[:2])]
+    parts += [turn_go_turn(a, b)[1:] for a, b in itertools.pairwise(poses)]
+    return unwrapped(np.concatenate(parts))
+
+
+def _clear(footprint: Footprint, way: Array) -> bool:
+    """Whether the robot is clear at poses (n, 3) of a way and between them."""
+    dense = np.concatenate([np.linspace(a, b, 20) for a, b in itertools.pairwise(way)])
+    return bool(footprint.clear(dense).all())
+
+
+def _can_turn(footprint: Footprint, places: Array) -> NDArray[np.bool_]:
+    """Whether (n) the robot is clear at places (n, 3) whatever its heading is."""
+    turned = np.repeat(places, HEADINGS, axis=0)
+    turned[:, 2] += np.tile(np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS, len(places))
+    return np.asarray(footprint.clear(turned).reshape(-1, HEADINGS).all(axis=1))
+
+
+def _rest(way: Array, pose: Array) -> Array:
+    """What is left of a way (n, 3) from a pose (3) on."""
+    weight = np.array([1.0, 1.0, TURN])
+    steps = np.diff(way, axis=0) * weight
+    off = (pose - way[:-1]) * weight
+    off[:, 2] = TURN * np.angle(np.exp(1j * (pose[2] - way[:-1, 2])))
+    share = np.clip(np.sum(off * steps, axis=1) / np.maximum(np.sum(steps**2, axis=1), 1e-12), 0.0, 1.0)
+    distance = np.linalg.norm(share[:, None] * steps - off, axis=1)
+    k = len(distance) - 1 - int(np.argmin(distance[::-1]))
+    here = way[k] + share[k] * np.diff(way, axis=0)[k]
+    return np.concatenate([here[None], way[k + 1 :]])

@@ -1,0 +1,126 @@
+"""Other ways when an MPC is stuck, and routes that it follows. Truth: MuJoCo's distances at recorded poses, the robot's kinematics, closed
+forms of a clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import wbmpc as wb
+from planar_driving import write_robot
+from test_tasks import WHEELS
+from wbmpc.configuration import configure
+from wbmpc.default_problem import default_mpc
+from wbmpc.mpc.route import carried_poses, carried_states, carrying_base, timed_route
+from wbmpc.registry import load
+from wbmpc.result import RunResult
+
+
+@pytest.fixture(scope="module")
+def driving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_robot(tmp_path_factory.mktemp("driving"), WHEELS, {"type": "differential"})
+
+
+def head_on(driving: Path, folder: Path, half: float, *more: str) -> RunResult:
+    """A wall of half length ``half`` [m] across the way of the end effector, higher than the robot."""
+    scene = folder / "scene.yaml"
+    scene.write_text(f"obstacles: {{wall: {{box: {{half: [0.05, {half}, 2]}}, position: [1.4, 0.02, 0]}}}}\n")
+    keys = [
+        f"robot={driving}",
+        "physics=kinematic",
+        f"obstacles={scene}",
+        "settle_time=0.1",
+        "mpc.rate=20",
+        "mpc.intervals=20",
+    ]
+    keys += ["path.length=2.2", "path.speed=0.4", "path.ramp=0.3", *more]
+    experiment = load("obstacles-static")
+    return experiment.run(configure(experiment.config_type, keys, "x"), 0, None)
+
+
+def test_a_robot_goes_around_a_wall_that_stops_its_mpc(driving: Path, tmp_path: Path) -> None:
+    alone = head_on(driving, tmp_path, 0.6, "when_stuck=wait")
+    assert alone.metrics["passed"].value == 0.0 and alone.metrics["goal_missed"].value > 1.0
+    result = head_on(driving, tmp_path, 0.6, "patience=34")
+    m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
+    assert result.completed and m["passed"].value == 1.0 and m["alternatives_taken"].value >= 1.0
+    assert m["obstacle_clearance_min"].value > margin - 0.01
+
+
+def test_a_robot_in_front_of_a_wall_without_end_says_that_it_is_stuck(driving: Path, tmp_path: Path) -> None:
+    """All other ways were tried, and none was found."""
+    result = head_on(driving, tmp_path, 30.0, "patience=25")
+    assert (
+        result.outcome == "stuck"
+        and "no other way" in result.reason
+        and result.metrics["alternatives_taken"].value == 0.0
+    )
+    assert result.metrics["goal_missed"].value > 1.0
+
+
+def test_the_end_effector_is_carried_by_the_base(driving: Path) -> None:
+    """Truth: the robot's kinematics."""
+    robot = wb.load_robot(driving)
+    base = np.array([[0.4, -1.0, 0.0], [2.0, 0.3, 2.5], [-1.0, 0.7, -7.0]])
+    poses = carried_poses(robot, base)
+    for x, pose, place in zip(carried_states(robot, base), poses, base, strict=True):
+        position, quaternion = robot.pose(x)
+        np.testing.assert_allclose(pose[:3], position, atol=1e-9)
+        assert abs(pose[3:] @ quaternion) == pytest.approx(1.0, abs=1e-9)
+        found = carrying_base(robot, pose)
+        np.testing.assert_allclose(found[:2], place[:2], atol=1e-9)
+        assert np.cos(found[2] - place[2]) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_route_is_timed_by_its_speeds() -> None:
+    """3 m with 0.5 m/s, then a quarter turn with 1 rad/s, and half of the ramp at either end."""
+    times, base = timed_route(np.array([[0.0, 0, 0], [3.0, 0, 0], [3.0, 0, 0.5 * np.pi]]), 0.5, 1.0, 1.0)
+    assert times[-1] == pytest.approx(6.0 + 0.5 * np.pi + 1.0)
+    np.testing.assert_allclose(base[-1], [3.0, 0.0, 0.5 * np.pi], atol=1e-9)
+    at = lambda t: np.array([np.interp(t, times, column) for column in base.T])
+    np.testing.assert_allclose(at(3.0), [0.5 * 2.5, 0.0, 0.0], atol=1e-3)
+    np.testing.assert_allclose(at(7.0), [3.0, 0.0, 0.5], atol=1e-3)
+
+
+def test_an_mpc_follows_a_route_to_its_end(driving: Path) -> None:
+    robot = wb.load_robot(driving)
+    mpc = default_mpc(robot)
+    start = robot.home[robot.state["base"]][:3]
+    goal = start + [0.6, 0.3, np.arctan2(0.3, 0.6)]
+    turned = [*start[:2], goal[2]]
+    end = wb.follow_route(mpc, robot, [start, turned, goal], 0.2, speed=0.4, turn_speed=1.0)
+    x, t, h = robot.home, 0.0, mpc.period
+    while t < end + 0.5:
+        x = mpc.simulate(x, mpc.update(wb.Observation(t, x))(t, x), h)
+        t += h
+    np.testing.assert_allclose(x[robot.state["base"]][:3], goal, atol=0.02)
+    with pytest.raises(wb.InputError, match="rows of 3 finite numbers"):
+        wb.follow_route(mpc, robot, [start])
+
+
+def test_references_take_a_detour_and_rejoin(driving: Path) -> None:
+    """A clock that runs: the detour of 2 s, then what came 1.5 s after the start, and on."""
+    robot = wb.load_robot(driving)
+    mpc = default_mpc(robot)
+    position, turn = robot.pose(robot.home)
+    times = np.linspace(0.0, 6.0, 61)
+    mpc.reference["end_effector"] = wb.Reference.poses(times, position + np.outer(times, [0.1, 0, 0]), turn)
+    whole, pace = mpc.reference["end_effector"], wb.PacedReferences(mpc)
+    for k in range(1, 11):
+        pace.advance(0.1 * k, whole.at(0.1 * k)[:3])
+    ways = np.array([0.0, 1.0, 2.0])
+    aside = wb.Reference.poses(ways, [whole.at(1.0)[:3], position + [0.1, 0.3, 0.0], whole.at(3.0)[:3]], turn)
+    np.testing.assert_allclose(pace.running(5.0)["end_effector"].at(5.5), whole.at(1.5), atol=1e-9)
+    pace.detour({"end_effector": aside}, 3.0)
+    assert pace.end == pytest.approx(6.0)  # 1 + 2 + (6 - 3)
+    np.testing.assert_allclose(pace.pose(2.0)[:3], position + [0.1, 0.3, 0.0], atol=1e-9)
+    np.testing.assert_allclose(pace.pose(4.0)[:3], whole.at(4.0)[:3], atol=1e-9)
+
+
+def test_what_it_needs_is_named(driving: Path) -> None:
+    robot = wb.load_robot(driving)
+    mpc = default_mpc(robot)
+    with pytest.raises(wb.InputError, match="alternatives: valid: an MPC with obstacles"):
+        wb.Alternatives(mpc, robot, wb.PacedReferences(mpc))
