@@ -11,6 +11,7 @@ from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.model_steps import ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.self_contact import SelfContact
@@ -77,6 +78,7 @@ class BallController:
         self._known_acted: tuple[object, int, np.ndarray] | None = (
             None  # the same of the torques that acted at the measurement
         )
+        self._model_of: tuple[object, object, ModelSteps | None] | None = None  # of which observer and payload
         self._steps_alike = type(self)._step is BallController._step
         self.clamped = False
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
@@ -85,6 +87,17 @@ class BallController:
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
+
+    @property
+    def _model(self) -> ModelSteps | None:
+        """The model in compiled steps; None where a subclass has one of its own."""
+        if not self._steps_alike:
+            return None
+        parts = (self.observer, self.payload)
+        known = self._model_of
+        if known is None or known[0] is not parts[0] or known[1] is not parts[1]:
+            self._model_of = known = *parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
+        return known[2]
 
     def _through(self, x: np.ndarray, torques: np.ndarray) -> np.ndarray:
         """The state x after ``torques`` (k, n + m), each for a period."""
@@ -128,9 +141,12 @@ class BallController:
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
-        x, rates = self.measured.state, self.robot.state["arm_velocity"]
-        after = self._step(x, self._acted(), self.period)
-        self._accelerates = (after[rates] - x[rates]) / self.period
+        x, acted, model = self.measured.state, self._acted(), self._model
+        if model is not None:
+            self._accelerates = model.accelerations(x, acted, self.period)
+            return
+        rates = self.robot.state["arm_velocity"]
+        self._accelerates = (self._step(x, acted, self.period)[rates] - x[rates]) / self.period
 
     @property
     def limit(self) -> np.ndarray:
@@ -173,11 +189,14 @@ class BallController:
 
     def _learn(self, t: float, x: np.ndarray, h: float) -> None:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
-        observer, n = self.observer, self.robot.base.nq
+        observer, n, model = self.observer, self.robot.base.nq, self._model
         assert observer is not None
-        observer.update(t, x, self._acted(), h)
-        if self.payload is not None:
-            self.payload.observe(x[:n], observer.arrays, observer.learning, h)
+        if model is not None:
+            model.learn(t, x, self._acted(), h)
+        else:
+            observer.update(t, x, self._acted(), h)
+            if self.payload is not None:
+                self.payload.observe(x[:n], observer.arrays, observer.learning, h)
         self.disturbance = self._finite(observer.force)
         if self.lean_control is not None:
             self.lean_control.check(t, self.disturbance, x)
