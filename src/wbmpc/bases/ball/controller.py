@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from operator import mul
 
 import numpy as np
 
@@ -42,7 +43,6 @@ class BallController:
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
     ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
     against forces that it has learned (None: as if there were none).
-    ``clamped``: whether the last command was cut to the drives' limits.
     """
 
     def __init__(
@@ -54,6 +54,7 @@ class BallController:
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
         self.limits = TorqueLimits(robot, torque.size)
+        self._spin = self.limits.spin.tolist()
         self._cut = _ROUNDING * self.limits.limit
         self.sent = SentTorques(torque, period, drives)
         self.observer: DisturbanceObserver | None = None
@@ -80,7 +81,6 @@ class BallController:
         )
         self._model_of: tuple[object, object, ModelSteps | None] | None = None  # of which observer and payload
         self._steps_alike = type(self)._step is BallController._step
-        self.clamped = False
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
         self.torque = torque.copy()  # what the drives were last asked for
@@ -152,6 +152,11 @@ class BallController:
     def limit(self) -> np.ndarray:
         """Largest torques (n + m) [N m] of the drives."""
         return self.limits.limit
+
+    @property
+    def clamped(self) -> bool:
+        """Whether the last command was cut to the drives' limits."""
+        return bool((np.abs(self.torque - self.target) > self._cut).any())
 
     @property
     def faults(self) -> list[str]:
@@ -228,10 +233,11 @@ class BallController:
 
     def _room(self) -> np.ndarray:
         """What (2) [m] the limit of the lean counts beside the lean: pushes that are felt, forces that have been learned."""
-        room = np.zeros(2) if self.shoves is None else self.shoves.room
-        if self.lean_control is not None and self.measured is not None:
-            room = room + self.lean_control.center(self.disturbance, float(self.measured.state[2]))
-        return room
+        pushed = None if self.shoves is None else self.shoves.room
+        if self.lean_control is None or self.measured is None:
+            return np.zeros(2) if pushed is None else pushed
+        learned = self.lean_control.center(self.disturbance, float(self.measured.state[2]))
+        return learned if pushed is None else pushed + learned
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
@@ -248,8 +254,8 @@ class BallController:
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
-        spin = self.limits.spin
-        return float(spin @ self.sent.acted(self.sent.ticks(age))[: spin.size])
+        acted = self.sent.acted(self.sent.ticks(age)).tolist()
+        return sum(map(mul, self._spin, acted))  # (of its wheels alone: the shorter one ends it)
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""
@@ -302,6 +308,5 @@ class BallController:
     def _drive(self, torque: np.ndarray) -> BallCommand:
         """The command for possible torques, which the drives follow with their lag."""
         self.torque = torque
-        self.clamped = bool((np.abs(torque - self.target) > self._cut).any())
         self.sent.send(torque)
         return BallCommand(torque)
