@@ -62,14 +62,14 @@ def test_commands_stay_within_speed_and_step() -> None:
 
 def test_smoothing_leaves_a_fifth_of_the_jitter_and_no_delay() -> None:
     """x = 0.2 t + 0.1 sin t, seen up to 2 ms late; the drives are said to go 0.2 % faster than they do."""
-    rng, smoothing = np.random.default_rng(1), Smoothing(0.025)
+    rng, smoothing = np.random.default_rng(1), Smoothing(0.025, 0.001, 1)
     at, speed = (lambda t: 0.2 * t + 0.1 * np.sin(t)), (lambda t: 0.2 + 0.1 * np.cos(t))
     raw, smooth = [], []
     for k in range(2000):
         t = k * PERIOD
         seen = at(t - rng.uniform(0.0, 0.002))
         v = np.array([1.002 * speed(t - 0.5 * PERIOD)])
-        value = smoothing.update(np.array([seen]), v * PERIOD, v * 0.001, PERIOD if k else 0.0)
+        value = smoothing.update(np.array([seen]), v, PERIOD if k else 0.0)
         raw.append(seen - at(t))
         smooth.append(value[0] - at(t))
     assert np.std(smooth[100:]) < 0.3 * np.std(raw[100:])
