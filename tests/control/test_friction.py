@@ -74,3 +74,19 @@ def test_smoothing_leaves_a_fifth_of_the_jitter_and_no_delay() -> None:
         smooth.append(value[0] - at(t))
     assert np.std(smooth[100:]) < 0.3 * np.std(raw[100:])
     assert abs(np.mean(smooth[100:])) < 0.1 * abs(np.mean(raw[100:]))
+
+
+def test_smoothing_is_that_of_its_formula_in_both_back_ends() -> None:
+    """Truth: the recursion in NumPy; the first message, and one of the same time, only start and stay."""
+    rng, age, time, value = np.random.default_rng(2), 0.001, 0.025, None
+    both = [Smoothing(time, age, 3, backend) for backend in ("compiled", "interpreted")]
+    assert both[0].value is None
+    for k in range(20):
+        read, rates, h = rng.normal(size=3), rng.normal(size=3), 0.0 if k in (0, 5) else rng.uniform(1e-3, 4e-3)
+        now = read + age * rates
+        if value is None:
+            value = now
+        elif h > 0.0:
+            value = value + h * rates + (1.0 - np.exp(-h / time)) * (now - value - h * rates)
+        for smoothing in both:
+            np.testing.assert_allclose(smoothing.update(read, rates, h), value, rtol=1e-12)

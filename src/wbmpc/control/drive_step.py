@@ -40,7 +40,9 @@ def drive(
 
 
 @step
-def smooth(n: int, read: Floats, rates: Floats, value: Floats, started: bool, age: float, time: float, h: float) -> None:
+def smooth(
+    n: int, read: Floats, rates: Floats, value: Floats, started: bool, age: float, time: float, h: float
+) -> None:
     """``value`` (n): positions at a message, whose encoders ``read`` (n) ``age`` [s] before it on average, h [s] after the message before
     (``started``: there was one); ``rates`` (n): what drives should have moved at. Messages correct it over ``time`` [s]."""
     share = 1.0 - np.exp(-h / time)

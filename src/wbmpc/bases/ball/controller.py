@@ -79,7 +79,7 @@ class BallController:
         self._known_acted: tuple[object, int, np.ndarray] | None = (
             None  # the same of the torques that acted at the measurement
         )
-        self._model_of: tuple[object, object, ModelSteps | None] | None = None  # of which observer and payload
+        self._steps_of: tuple[object, object, ModelSteps | None] | None = None  # of which observer and payload
         self._steps_alike = type(self)._step is BallController._step
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
@@ -89,14 +89,14 @@ class BallController:
         return self.mpc.solver.simulate(x, u, h)
 
     @property
-    def _model(self) -> ModelSteps | None:
+    def _model_steps(self) -> ModelSteps | None:
         """The model in compiled steps; None where a subclass has one of its own."""
         if not self._steps_alike:
             return None
         parts = (self.observer, self.payload)
-        known = self._model_of
+        known = self._steps_of
         if known is None or known[0] is not parts[0] or known[1] is not parts[1]:
-            self._model_of = known = *parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
+            self._steps_of = known = *parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
         return known[2]
 
     def _through(self, x: np.ndarray, torques: np.ndarray) -> np.ndarray:
@@ -141,7 +141,7 @@ class BallController:
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
-        x, acted, model = self.measured.state, self._acted(), self._model
+        x, acted, model = self.measured.state, self._acted(), self._model_steps
         if model is not None:
             self._accelerates = model.accelerations(x, acted, self.period)
             return
@@ -194,7 +194,7 @@ class BallController:
 
     def _learn(self, t: float, x: np.ndarray, h: float) -> None:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
-        observer, n, model = self.observer, self.robot.base.nq, self._model
+        observer, n, model = self.observer, self.robot.base.nq, self._model_steps
         assert observer is not None
         if model is not None:
             model.learn(t, x, self._acted(), h)

@@ -47,7 +47,12 @@ class ModelSteps:
                 weighing |= payload.bound(observer.arrays)
             inertial = {"inertial": np.zeros(n * n + n), "places": np.zeros(2, np.int64)}
             self._inertia = _inertia(robot)
-            constants = {"n": n, "gates": observer.gate.size, "inertia": self._inertia.address, "weighs": payload is not None}
+            constants = {
+                "n": n,
+                "gates": observer.gate.size,
+                "inertia": self._inertia.address,
+                "weighs": payload is not None,
+            }
             self._learn = bind(learn, own | observer.arrays | weighing | inertial, backend, **constants)
 
     @classmethod
