@@ -74,13 +74,13 @@ class Evaluator:
     def __init__(self, function: CompiledFunction, capacity: int) -> None:
         self._function, self._capacity = function, capacity
         columns, rows = function.shape
-        flat = {
+        flat: dict[str, NDArray[Any]] = {
             "arguments": np.zeros(capacity * columns),
             "results": np.zeros(capacity * rows),
             "table": np.zeros(2, np.int64),
         }
-        self.arguments: NDArray[np.float64] = flat["arguments"].reshape(capacity, columns)
-        self._results: NDArray[np.float64] = flat["results"].reshape(capacity, rows)
+        self.arguments = flat["arguments"].reshape(capacity, columns)
+        self._results = flat["results"].reshape(capacity, rows)
         self._evaluate = bind(evaluate, flat, address=function.address, columns=columns, rows=rows)
 
     def __call__(self, n: int) -> NDArray[np.float64]:
