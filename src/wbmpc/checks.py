@@ -134,6 +134,8 @@ def at_most(who: str, largest: float, **values: ArrayLike) -> None:
 def finite(who: str, **values: float) -> None:
     """Raise :class:`NotFinite` for the first number that is not finite, :class:`InputError` for what is none, by its name."""
     for name, value in values.items():
+        if type(value) is float and math.isfinite(value):
+            continue
         try:
             good = math.isfinite(value)
         except OverflowError:  # a whole number beyond all floats

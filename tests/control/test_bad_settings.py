@@ -50,7 +50,7 @@ ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), n
         (lambda: RegulatorGains(BALL, WEIGHTS, 0.0), "regulator: 'period' must be positive"),
         (lambda: TaskGains(torque=NAN), "task-space gains: 'torque' must be finite"),
         (lambda: DryFriction(4, 0.0, 0.02), "dry friction: 'period' must be positive"),
-        (lambda: Smoothing(0.0), "smoothing: 'time' must be positive"),
+        (lambda: Smoothing(0.0, 0.001, 1), "smoothing: 'time' must be positive"),
     ],
 )
 def test_what_no_controller_can_be_made_of_is_rejected(make: Callable[[], Any], words: str) -> None:

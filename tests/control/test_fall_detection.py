@@ -79,7 +79,8 @@ def test_a_learned_force_moves_the_lean_from_which_falls_count() -> None:
         for p in np.arange(0.2, 0.8, 0.005)
         if forecast._component_of(tilted(p), 0.0, np.zeros(2), 0.0, 0.0) > 1.3 * 0.1256
     )
-    away = forecast._component(tilted(lean), 0.0, np.zeros(2))[0].ravel()
+    forecast._component_of(tilted(lean), 0.0, np.zeros(2), 0.0, 0.0)
+    away = forecast._one(1)[0].copy()
     for k in range(20):
         stop_for(answered.update(0.0025 * k, tilted(lean), shift=-0.06 * away / np.linalg.norm(away)))
     with pytest.raises(FallPredicted):

@@ -62,15 +62,31 @@ def test_commands_stay_within_speed_and_step() -> None:
 
 def test_smoothing_leaves_a_fifth_of_the_jitter_and_no_delay() -> None:
     """x = 0.2 t + 0.1 sin t, seen up to 2 ms late; the drives are said to go 0.2 % faster than they do."""
-    rng, smoothing = np.random.default_rng(1), Smoothing(0.025)
+    rng, smoothing = np.random.default_rng(1), Smoothing(0.025, 0.001, 1)
     at, speed = (lambda t: 0.2 * t + 0.1 * np.sin(t)), (lambda t: 0.2 + 0.1 * np.cos(t))
     raw, smooth = [], []
     for k in range(2000):
         t = k * PERIOD
         seen = at(t - rng.uniform(0.0, 0.002))
         v = np.array([1.002 * speed(t - 0.5 * PERIOD)])
-        value = smoothing.update(np.array([seen]), v * PERIOD, v * 0.001, PERIOD if k else 0.0)
+        value = smoothing.update(np.array([seen]), v, PERIOD if k else 0.0)
         raw.append(seen - at(t))
         smooth.append(value[0] - at(t))
     assert np.std(smooth[100:]) < 0.3 * np.std(raw[100:])
     assert abs(np.mean(smooth[100:])) < 0.1 * abs(np.mean(raw[100:]))
+
+
+def test_smoothing_is_that_of_its_formula_in_both_back_ends() -> None:
+    """Truth: the recursion in NumPy; the first message, and one of the same time, only start and stay."""
+    rng, age, time, value = np.random.default_rng(2), 0.001, 0.025, None
+    both = [Smoothing(time, age, 3, backend) for backend in ("compiled", "interpreted")]
+    assert both[0].value is None
+    for k in range(20):
+        read, rates, h = rng.normal(size=3), rng.normal(size=3), 0.0 if k in (0, 5) else rng.uniform(1e-3, 4e-3)
+        now = read + age * rates
+        if value is None:
+            value = now
+        elif h > 0.0:
+            value = value + h * rates + (1.0 - np.exp(-h / time)) * (now - value - h * rates)
+        for smoothing in both:
+            np.testing.assert_allclose(smoothing.update(read, rates, h), value, rtol=1e-12)

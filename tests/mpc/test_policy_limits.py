@@ -281,6 +281,9 @@ def test_the_plan_itself_is_not_cut(several: MPC) -> None:
     previous = several.limits.count
     for t in np.linspace(0.0, 1.0, 30):
         np.testing.assert_array_equal(policy(t), policy.feedforward(t))
+        x, u = policy.planned(t)
+        np.testing.assert_array_equal(x, policy.state(t))
+        np.testing.assert_array_equal(u, policy.feedforward(t))
     assert several.limits.count == previous
 
 

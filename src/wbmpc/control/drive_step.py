@@ -53,3 +53,19 @@ def drive(f: Friction) -> None:
         given = min(max(given, command[i] - change[i]), command[i] + change[i])
         behind = rate[i] - given
         command[i], f.mean[i], rate[i] = given, given + behind * f.late, given + behind * (1.0 - f.blend)
+
+
+@step
+def smooth(
+    n: int, read: Floats, rates: Floats, value: Floats, started: bool, age: float, time: float, h: float
+) -> None:
+    """``value`` (n): positions at a message, whose encoders ``read`` (n) ``age`` [s] before it on average, h [s] after the message before
+    (``started``: there was one); ``rates`` (n): what drives should have moved at. Messages correct it over ``time`` [s]."""
+    share = 1.0 - np.exp(-h / time)
+    for i in range(n):
+        now = read[i] + rates[i] * age
+        if not started:
+            value[i] = now
+        elif h > 0.0:
+            carried = value[i] + rates[i] * h
+            value[i] = carried + share * (now - carried)

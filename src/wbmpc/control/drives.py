@@ -6,13 +6,11 @@ turns slower than commanded by friction over gain), in whichever direction it tu
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.checks import not_negative, positive
-from wbmpc.control.drive_step import Friction, drive, learn
+from wbmpc.control.drive_step import Friction, drive, learn, smooth
 from wbmpc.kernel.step import Backend, bind, zeros
 
 Array = NDArray[np.float64]
@@ -33,6 +31,7 @@ class DryFriction:
         self._learn, self._drive = (
             bind(step, a, backend, n=count, blend=blend, late=blend * lag / period) for step in (learn, drive)
         )
+        self._within: tuple[Array | float | None, Array | float | None] = (None, None)
 
     @property
     def droop(self) -> Array:
@@ -53,29 +52,38 @@ class DryFriction:
         """Commands for the drives (n) [rad/s] so that they turn as ``target`` (n), within ± ``maximum`` and by no more than ``step``
         beside the command before. Slow ones get a share, or they would chatter about a standstill."""
         a = self._arrays
-        a["target"][:], a["maximum"][:], a["change"][:] = target, maximum, step
+        if maximum is not self._within[0] or step is not self._within[1]:  # the same ones at every tick
+            a["maximum"][:], a["change"][:] = maximum, step
+            self._within = maximum, step
+        a["target"][:] = target
         self._drive()
         return a["command"].copy()
 
 
 class Smoothing:
-    """Positions (n) at the moment of a message, from encoders whose values are up to some milliseconds old.
+    """Positions (n) at the moment of a message, from encoders whose values are up to some milliseconds old, ``age`` [s] on average.
 
     Values that are age × speed behind, with another age in each message, are noise of a known mean. What the drives should have
-    done carries the positions on, and messages correct them over ``time`` [s].
+    done carries the positions on, and messages correct them over ``time`` [s]. ``arrays``: ``read``, ``rates`` and ``value`` (n) by their
+    names in :func:`wbmpc.control.drive_step.smooth`; ``value`` is that of the last message once it has ``started``.
     """
 
-    def __init__(self, time: float) -> None:
+    def __init__(self, time: float, age: float, count: int, backend: Backend = "compiled") -> None:
         positive("smoothing", time=time)
-        self.time = time
-        self.value: Array | None = None
+        not_negative("smoothing", age=age)
+        self.time, self.age, self.started = time, age, False
+        self.arrays = {name: np.zeros(count) for name in ("read", "rates", "value")}
+        self._smooth = bind(smooth, self.arrays, backend, n=count, age=age, time=time)
 
-    def update(self, measured: Array, moved: Array, ahead: Array, h: float) -> Array:
-        """After h [s] in which drives should have moved by ``moved`` (n); ``ahead`` (n): mean age × speed."""
-        now = measured + ahead
-        if self.value is None or h <= 0.0:
-            self.value = now if self.value is None else self.value
-        else:
-            carried = self.value + moved
-            self.value = carried + (1.0 - math.exp(-h / self.time)) * (now - carried)
-        return self.value
+    @property
+    def value(self) -> Array | None:
+        """The positions (n), None before the first message."""
+        return self.arrays["value"].copy() if self.started else None
+
+    def update(self, measured: Array, rates: Array, h: float) -> Array:
+        """After h [s] in which drives should have moved at ``rates`` (n)."""
+        a = self.arrays
+        a["read"][:], a["rates"][:] = measured, rates
+        self._smooth(self.started, h)
+        self.started = True
+        return a["value"].copy()

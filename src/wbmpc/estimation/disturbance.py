@@ -74,7 +74,8 @@ class DisturbanceObserver:
             "settings": np.array([self.speed_gain, self.force_gain, self.hold, self.longest, self.settled, *self.calm], float),
         }  # fmt: skip
         self._observe = bind(observe, self._arrays, self.backend, size=n, gates=gates)
-        self._state, self._started = np.zeros(2 * n), False
+        self._state = np.zeros(2 * n)
+        self.started = False  # whether there has been a state
         self.learning = 1.0  # how much of a constant disturbance the last update can have learned
 
     @property
@@ -101,8 +102,8 @@ class DisturbanceObserver:
         x = numbers("disturbance observer", "state", x, 2 * n)
         u = numbers("disturbance observer", "input", u, np.size(u))
         a["velocity"][:] = x[n:]
-        if not self._started:
-            a["speed"][:], self._started = x[n:], True
+        if not self.started:
+            a["speed"][:], self.started = x[n:], True
             a["clock"][Clock.NEW_UNTIL] = t + self.longest
         self._state[:n], self._state[n:] = x[:n], a["speed"]
         a["after"][:] = self.step(self._state.copy(), u, h)[n : 2 * n]

@@ -107,6 +107,11 @@ class FusedOdometry:
         return self._memory.arrays["mean"][:3].copy()
 
     @property
+    def mean(self) -> Array:
+        """The filter's state, ``pose`` first, as an array that goes on: for steps that read it."""
+        return self._memory.arrays["mean"]
+
+    @property
     def covariance(self) -> Array:
         """(3, 3) of the pose's error, in world axes."""
         return self._state.p[:3, :3].copy()

@@ -74,6 +74,7 @@ class OdometryMemory:
         made = OdometryMemory(*self._made_of)
         for name, array in self.arrays.items():
             made.arrays[name][:] = array
+            memo[id(array)] = made.arrays[name]  # steps of others that read it read the copy's
         made.legs = self.legs
         return made
 

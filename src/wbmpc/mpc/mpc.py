@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from bisect import bisect_right
 
 import numpy as np
 
@@ -328,14 +329,15 @@ class MPC:
     def _continue_from(self, t: float, delta: float) -> None:
         """The input that is in force at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
         plan, horizon = self.solver.trajectory(copy=False), self.ocp.horizon
-        k = int(np.searchsorted(plan.grid, delta + 1e-9, side="right")) - 1
+        k = bisect_right(plan.grid, delta + 1e-9) - 1  # type: ignore[type-var]
         current = plan.u[min(k, len(plan.u) - 1)]
         since = max(delta, self.period)
         for name, inputs in self._follow_last.items():
             last = current[inputs]
             values = np.empty((2, last.size + 1))
             values[:, :-1], values[0, -1], values[1, -1] = last, since, since + horizon
-            self.solver.set_reference(name, Reference(np.array([t, t + horizon]), values))
+            make = Reference.unchecked if np.isfinite(values).all() else Reference  # which raises
+            self.solver.set_reference(name, make(np.array([t, t + horizon]), values))
 
     def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
         """Go on from a plan x (N + 1, nx), u (N, nu) whose horizon starts at ``t`` [s]: the next update shifts it."""

@@ -165,6 +165,12 @@ class Policy:
         """Planned input (nu) at time t [s]."""
         return self.u[self._interval(t)].copy()
 
+    def planned(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Planned state (nx) and input (nu) at time t [s]."""
+        k = self._interval(t)
+        a = self._share(t, k)
+        return (1.0 - a) * self.x[k] + a * self.x[k + 1], self.u[k].copy()
+
     def law(self, t: float, x: np.ndarray) -> np.ndarray:
         """Input (nu) at time t [s] that feedback asks for in the state x (nx), limits or not: for who cuts it in another way.
 

@@ -33,13 +33,19 @@ class _Index(MessageIndex):
 
 
 class QuickWriter(Writer):
-    """As the library's writer, for chunked files."""
+    """As the library's writer, for chunked files. Messages of a chunk are kept until it is full, and packed together then.
+
+    ``chunks``: how many went to the file; None: unknown.
+    """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         parts: list[Any] = [getattr(self, name, None) for name in _PARTS]
         self._chunk, self._statistics, self._finalize = parts
         self._quick, self._size = all(parts), int(options.get("chunk_size", 1024 * 1024))
+        self.chunks: int | None = 0 if self._quick else None
+        self._kept: list[tuple[int, int, int, int, bytes]] = []  # channel, sequence, log time, publish time, data
+        self._filled = 0  # bytes of the chunk, with those of the messages that are kept
 
     def add_message(
         self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0
@@ -48,29 +54,58 @@ class QuickWriter(Writer):
         if not self._quick:
             super().add_message(channel_id, log_time, data, publish_time, sequence)
             return
-        chunk, seen, size = self._chunk, self._statistics, len(data)
-        if not seen.message_count or log_time < seen.message_start_time:
-            seen.message_start_time = log_time
-        if log_time > seen.message_end_time:
-            seen.message_end_time = log_time
-        if not chunk.num_messages or log_time < chunk.message_start_time:
-            chunk.message_start_time = log_time
-        if log_time > chunk.message_end_time:
-            chunk.message_end_time = log_time
-        seen.channel_message_counts[channel_id] += 1
-        seen.message_count += 1
-        chunk.num_messages += 1
-        index = chunk.message_indices.get(channel_id)
-        if index is None:
-            index = chunk.message_indices[channel_id] = _Index(channel_id=channel_id, records=[])
-        records = chunk.record_writer
-        at = records.count
-        index.records.append((log_time, at))
-        records.write(_HEAD.pack(_OPCODE, _INSIDE + size, channel_id, sequence, log_time, publish_time) + data)
-        if at + _HEAD.size + size > self._size:
+        self._kept.append((channel_id, sequence, log_time, publish_time, data))
+        self._filled += _HEAD.size + len(data)
+        if self._filled > self._size:
+            self._pack()
             self._finalize()
+            self.chunks, self._filled = self._statistics.chunk_count, 0
 
-    @property
-    def chunks(self) -> int | None:
-        """How many chunks went to the file; None: unknown."""
-        return self._statistics.chunk_count if self._quick else None
+    def _pack(self) -> None:
+        """The messages that are kept go into the chunk."""
+        kept, chunk, seen = self._kept, self._chunk, self._statistics
+        if not kept:
+            return
+        indices, counts, parts, at = chunk.message_indices, seen.channel_message_counts, list[bytes](), chunk.count
+        for channel, sequence, logged, published, data in kept:
+            size = len(data)
+            index = indices.get(channel)
+            if index is None:
+                index = indices[channel] = _Index(channel_id=channel, records=[])
+            index.records.append((logged, at))
+            counts[channel] += 1
+            parts += (_HEAD.pack(_OPCODE, _INSIDE + size, channel, sequence, logged, published), data)
+            at += _HEAD.size + size
+        chunk.record_writer.write(b"".join(parts))
+        first, last = min(message[2] for message in kept), max(message[2] for message in kept)
+        chunk.message_start_time = min(chunk.message_start_time, first) if chunk.num_messages else first
+        seen.message_start_time = min(seen.message_start_time, first) if seen.message_count else first
+        chunk.message_end_time = max(chunk.message_end_time, last)
+        seen.message_end_time = max(seen.message_end_time, last)
+        chunk.num_messages += len(kept)
+        seen.message_count += len(kept)
+        kept.clear()
+
+    def _behind(self) -> None:
+        """What comes next into the chunk stands behind the messages that there are."""
+        if self._quick:
+            self._pack()
+
+    def register_schema(self, *arguments: Any, **options: Any) -> int:
+        """See the library's."""
+        self._behind()
+        found = super().register_schema(*arguments, **options)
+        self._filled = self._chunk.count if self._quick else 0
+        return found
+
+    def register_channel(self, *arguments: Any, **options: Any) -> int:
+        """See the library's."""
+        self._behind()
+        found = super().register_channel(*arguments, **options)
+        self._filled = self._chunk.count if self._quick else 0
+        return found
+
+    def finish(self) -> None:
+        """See the library's."""
+        self._behind()
+        super().finish()

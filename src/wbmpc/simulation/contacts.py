@@ -33,6 +33,7 @@ OBSTACLE, HANDLE = {"contype": FIXED, "conaffinity": 0}, {"contype": TOUCHED, "c
 TOOL = {"contype": TOUCHES, "conaffinity": _SCENE | BODY}
 #: What is meant to touch, by classes.
 ALLOWED = frozenset({(FLOOR, ROLLS), (TOUCHES, TOUCHED)})
+_ALLOWED_EITHER_WAY = ALLOWED | {(second, first) for first, second in ALLOWED}
 #: Hulls that come nearer than this [m] to the floor under the standing robot are drawn wheels and casters: they do not touch it.
 DRAGS = 0.002
 #: Two parts that have been apart for less than this [s] touch in the same event; the clearance is looked at every so often [s].
@@ -139,9 +140,9 @@ class Contacts:
             return
         contact, kind = data.contact, self._class
         for geoms, distance in zip(contact.geom.tolist(), contact.dist.tolist(), strict=True):
-            classes = tuple(sorted((kind[geoms[0]], kind[geoms[1]])))
-            if distance < 0.0 and classes not in ALLOWED:
-                self.grounded |= classes == (FLOOR, BODY)
+            classes = kind[geoms[0]], kind[geoms[1]]
+            if distance < 0.0 and classes not in _ALLOWED_EITHER_WAY:
+                self.grounded |= classes in ((FLOOR, BODY), (BODY, FLOOR))
                 self._count(geoms, time)
 
     def _count(self, geoms: list[int], time: float) -> None:

@@ -1,8 +1,10 @@
-"""The library of the ball robot's compiled steps."""
+"""The libraries of the ball robot's compiled steps."""
 
 from __future__ import annotations
 
+from wbmpc.estimation.compilation import LIBRARY as ESTIMATION
 from wbmpc.kernel.library import Library
+from wbmpc.solver.compilation import LIBRARY as DRIVER
 
 _STEPS = (
     "filter_step",
@@ -14,5 +16,13 @@ _STEPS = (
     "payload_step",
     "lean_step",
 )
-LIBRARY = Library("ball robot", rooms=("bases/ball", "kernel"), modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS))
+_ROOMS = ("bases/ball", "kernel")
+LIBRARY = Library("ball robot", rooms=_ROOMS, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS))
 compiled, step = LIBRARY.compiled, LIBRARY.step
+#: Steps that ask the model, which is the solver's: those of a robot that only estimates need no solver.
+MODEL = Library(
+    "ball robot with its model",
+    rooms=(*_ROOMS, "estimation", "solver"),
+    modules=("wbmpc.bases.ball.model_step",),
+    uses=(LIBRARY, ESTIMATION, DRIVER),
+)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from operator import mul
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.model_steps import ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.self_contact import SelfContact
@@ -41,7 +43,6 @@ class BallController:
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
     ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
     against forces that it has learned (None: as if there were none).
-    ``clamped``: whether the last command was cut to the drives' limits.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class BallController:
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
         self.limits = TorqueLimits(robot, torque.size)
+        self._spin = self.limits.spin.tolist()
         self._cut = _ROUNDING * self.limits.limit
         self.sent = SentTorques(torque, period, drives)
         self.observer: DisturbanceObserver | None = None
@@ -77,14 +79,25 @@ class BallController:
         self._known_acted: tuple[object, int, np.ndarray] | None = (
             None  # the same of the torques that acted at the measurement
         )
+        self._steps_of: tuple[object, object, ModelSteps | None] | None = None  # of which observer and payload
         self._steps_alike = type(self)._step is BallController._step
-        self.clamped = False
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
         self.torque = torque.copy()  # what the drives were last asked for
 
     def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         return self.mpc.solver.simulate(x, u, h)
+
+    @property
+    def _model_steps(self) -> ModelSteps | None:
+        """The model in compiled steps; None where a subclass has one of its own."""
+        if not self._steps_alike:
+            return None
+        parts = (self.observer, self.payload)
+        known = self._steps_of
+        if known is None or known[0] is not parts[0] or known[1] is not parts[1]:
+            self._steps_of = known = *parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
+        return known[2]
 
     def _through(self, x: np.ndarray, torques: np.ndarray) -> np.ndarray:
         """The state x after ``torques`` (k, n + m), each for a period."""
@@ -128,14 +141,22 @@ class BallController:
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
-        x, rates = self.measured.state, self.robot.state["arm_velocity"]
-        after = self._step(x, self._acted(), self.period)
-        self._accelerates = (after[rates] - x[rates]) / self.period
+        x, acted, model = self.measured.state, self._acted(), self._model_steps
+        if model is not None:
+            self._accelerates = model.accelerations(x, acted, self.period)
+            return
+        rates = self.robot.state["arm_velocity"]
+        self._accelerates = (self._step(x, acted, self.period)[rates] - x[rates]) / self.period
 
     @property
     def limit(self) -> np.ndarray:
         """Largest torques (n + m) [N m] of the drives."""
         return self.limits.limit
+
+    @property
+    def clamped(self) -> bool:
+        """Whether the last command was cut to the drives' limits."""
+        return bool((np.abs(self.torque - self.target) > self._cut).any())
 
     @property
     def faults(self) -> list[str]:
@@ -173,11 +194,14 @@ class BallController:
 
     def _learn(self, t: float, x: np.ndarray, h: float) -> None:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
-        observer, n = self.observer, self.robot.base.nq
+        observer, n, model = self.observer, self.robot.base.nq, self._model_steps
         assert observer is not None
-        observer.update(t, x, self._acted(), h)
-        if self.payload is not None:
-            self.payload.observe(x[:n], observer.arrays, observer.learning, h)
+        if model is not None:
+            model.learn(t, x, self._acted(), h)
+        else:
+            observer.update(t, x, self._acted(), h)
+            if self.payload is not None:
+                self.payload.observe(x[:n], observer.arrays, observer.learning, h)
         self.disturbance = self._finite(observer.force)
         if self.lean_control is not None:
             self.lean_control.check(t, self.disturbance, x)
@@ -209,10 +233,11 @@ class BallController:
 
     def _room(self) -> np.ndarray:
         """What (2) [m] the limit of the lean counts beside the lean: pushes that are felt, forces that have been learned."""
-        room = np.zeros(2) if self.shoves is None else self.shoves.room
-        if self.lean_control is not None and self.measured is not None:
-            room = room + self.lean_control.center(self.disturbance, float(self.measured.state[2]))
-        return room
+        pushed = None if self.shoves is None else self.shoves.room
+        if self.lean_control is None or self.measured is None:
+            return np.zeros(2) if pushed is None else pushed
+        learned = self.lean_control.center(self.disturbance, float(self.measured.state[2]))
+        return learned if pushed is None else pushed + learned
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
@@ -229,8 +254,8 @@ class BallController:
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
-        spin = self.limits.spin
-        return float(spin @ self.sent.acted(self.sent.ticks(age))[: spin.size])
+        acted = self.sent.acted(self.sent.ticks(age)).tolist()
+        return sum(map(mul, self._spin, acted))  # (of its wheels alone: the shorter one ends it)
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""
@@ -283,6 +308,5 @@ class BallController:
     def _drive(self, torque: np.ndarray) -> BallCommand:
         """The command for possible torques, which the drives follow with their lag."""
         self.torque = torque
-        self.clamped = bool((np.abs(torque - self.target) > self._cut).any())
         self.sent.send(torque)
         return BallCommand(torque)

@@ -73,9 +73,9 @@ class BallEstimator:
         self._time = time
         if interval > 0.0:
             self.arm.update(interval, angles)
-            if not self._balanced:
-                self._detect_balance(interval)
         state = self.state
+        if interval > 0.0 and not self._balanced and self._detect_balance(interval, state):
+            state = self.state
         self._places.append((time, state[:3].copy()))
         while self._places[0][0] < time - HISTORY:
             self._places.popleft()
@@ -102,20 +102,19 @@ class BallEstimator:
             place += state[:3] - previous
         return state
 
-    def _detect_balance(self, interval: float) -> None:
-        """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles."""
-        state, m = self.state, self.arm.size
-        if (
-            max(map(abs, state[5 + m : 7 + m].tolist())) > SLOW
-            or max(map(abs, state[10 + m :].tolist()), default=0.0) > SLOW
-        ):
+    def _detect_balance(self, interval: float, state: Array) -> bool:
+        """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles. Whether it was now."""
+        m = self.arm.size
+        speeds = state[5 + m :].tolist()  # of ball (2), base (3) and arm
+        if max(map(abs, speeds[:2])) > SLOW or max(map(abs, speeds[5:]), default=0.0) > SLOW:
             self._stood = 0.0
-            return
+            return False
         self._stood += interval
         if self._stood >= STANDS:
             pitch, roll = self._robot.base.numeric.equilibrium(self.arm.angle)[0][3:5]
             self.filter.correct_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
             self._balanced = True
+        return self._balanced
 
     @property
     def faults(self) -> tuple[str, ...]:

@@ -13,9 +13,12 @@ from numpy.typing import ArrayLike
 from wbmpc.bases.ball.balance import Balance, load_offset
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import FallPredicted, InputError
-from wbmpc.model.numeric import Numeric
+from wbmpc.kernel.function import CompiledFunction
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
+
+#: So many planned states are evaluated in one call.
+PLANNED = 16
 
 
 @dataclass(frozen=True)
@@ -68,8 +71,9 @@ class FallPredictor:
             w[robot.parameters["payload"]] = mass
         offset = load_offset(robot.base, x[:n], w)
         component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * end_effector
-        self._component = Numeric(ca.Function("component", [x, mass, end_effector], [ca.densify(component)]))
-        self._size = robot.state.size
+        given = ca.vertcat(x, mass, end_effector)
+        function = CompiledFunction(ca.Function("component", [given], [ca.densify(component)]))
+        self._evaluate, self._one, self._size = function.evaluator(PLANNED), function.evaluator(1), robot.state.size
         #: the plan that was checked last
         self.seen: Policy | None = None
 
@@ -97,7 +101,7 @@ class FallPredictor:
     ) -> list[Fall]:
         """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
-        maximum = self._component_of(x, payload, np.asarray(force, float), *np.asarray(shift, float).tolist())
+        maximum = self._component_of(x, payload, force, *np.asarray(shift, float).tolist())
         if maximum <= self.reach or not math.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
@@ -106,12 +110,20 @@ class FallPredictor:
 
     def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike) -> float:
         """Largest divergent component [m] of states (n, nx) under forces (n, 2) [N] on the end effector, and a ``shift`` (2)."""
-        x, y = np.asarray(shift, float).tolist()
-        return max(self._component_of(state, payload, one, x, y) for state, one in zip(states, force, strict=True))
+        (x, y), n, most = np.asarray(shift, float).tolist(), self._size, 0.0
+        for start in range(0, len(states), PLANNED):
+            some = slice(start, start + PLANNED)
+            count = len(states[some])
+            given = self._evaluate.arguments[:count]
+            given[:, :n], given[:, n], given[:, n + 1 :] = states[some, :n], payload, force[some]
+            most = max(most, *(math.hypot(u + x, v + y) for u, v in self._evaluate(count).tolist()))
+        return most
 
-    def _component_of(self, state: np.ndarray, payload: float, force: np.ndarray, x: float, y: float) -> float:
+    def _component_of(self, state: np.ndarray, payload: float, force: ArrayLike, x: float, y: float) -> float:
         """The divergent component [m] of a state (nx)."""
-        (u,), (v,) = self._component(state[: self._size], payload, force)[0].tolist()
+        given, n = self._one.arguments[0], self._size
+        given[:n], given[n], given[n + 1 :] = state[:n], payload, force
+        ((u, v),) = self._one(1).tolist()
         return math.hypot(u + x, v + y)
 
     def _fall(self, t: float, who: str, maximum: float) -> Fall:

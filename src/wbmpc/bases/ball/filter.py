@@ -21,7 +21,7 @@ from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.inertial import UNKNOWN, InertialGate
+from wbmpc.estimation.inertial import UNKNOWN, InertialGate, Verdict
 from wbmpc.kernel.step import Backend
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class BallFilter:
         from scipy.special import chdtri  # slow to import
 
         self._gate = float(chdtri(self.freedom, GATE))
-        self._inertial = InertialGate(unit or InertialDescription(), start.rotation.T @ GRAVITY)
+        self._inertial = InertialGate(unit or InertialDescription(), start.rotation.T @ GRAVITY, backend)
         self._still = STILL * np.sqrt(12.0) * noise.encoder
         self._first = True
         self._turning = 0.0  # the torque about the vertical that lasts [N m]
@@ -120,8 +120,7 @@ class BallFilter:
         """As :meth:`update`, for who reads the state elsewhere."""
         finite("ball filter", interval=interval, turning=turning)
         w = numbers("ball filter", "wheel", wheel, self._n)
-        message = np.array([numbers("ball filter", "gyro", gyro, 3), numbers("ball filter", "accel", accel, 3)])
-        memory = self._memory
+        gyro, accel = numbers("ball filter", "gyro", gyro, 3), numbers("ball filter", "accel", accel, 3)
         if self._first:
             self._start(w)
         if interval <= 0.0:
@@ -129,14 +128,16 @@ class BallFilter:
         if interval > GAP:
             self._bridge(interval, w)
             return
+        message = self._inertial.message
+        message[:3], message[3:] = gyro, accel
         self._turning += (1.0 - math.exp(-interval / self.noise.lasting)) * (turning - self._turning)
         try:
-            self._update(interval, w, message)
+            self._update(interval, w)
         except np.linalg.LinAlgError as error:
             raise NotFinite(
-                f"ball filter: no state follows from wheels {w}, gyro and accel {message} ({error})"
+                f"ball filter: no state follows from wheels {w}, gyro {gyro} and accel {accel} ({error})"
             ) from error
-        memory.advance(self._still, STALLED)
+        self._memory.advance(self._still, STALLED)
 
     def _start(self, wheel: Array) -> None:
         """The first message says where the wheels are."""
@@ -168,31 +169,31 @@ class BallFilter:
         self._turning, self.faults = 0.0, ()
         self._memory.arrays["read"][:], self._memory.arrays["way"][:] = wheel, 0.0
 
-    def _update(self, h: float, wheel: Array, message: Array) -> None:
-        """What a ``message`` (2, 3) of the inertial unit and the wheels say; without the message if it cannot be true.
+    def _update(self, h: float, wheel: Array) -> None:
+        """What the ``message`` of the inertial unit and the wheels say; without the message if it cannot be true.
 
         One that jumps while the wheels contradict it cannot, if the wheels agree with each other: a spike, not three wheels.
         """
         unit = self._inertial
-        if fault := unit.judge(h, message):
-            self._solve(h, wheel, unit.last, fault)
+        verdict = unit.judge(h)
+        if verdict.fault:
+            self._solve(h, wheel, unit.last, verdict)
             return
-        persists = unit.persists(message)
-        loose = self._solve(h, wheel, message)
-        if persists or (loose and unit.jumps(message)):
-            if not self._solve(h, wheel, unit.last, "jumps"):
+        loose = self._solve(h, wheel, unit.message, verdict)
+        if unit.persists(verdict) or (loose and verdict.jumps):
+            if not self._solve(h, wheel, unit.last, verdict._replace(fault="jumps")):
                 unit.reject()
                 return
-            self._solve(h, wheel, message)
-        unit.accept(message)
+            self._solve(h, wheel, unit.message, verdict)
+        unit.accept()
 
-    def _solve(self, h: float, wheel: Array, message: Array, fault: str = "") -> bool:
+    def _solve(self, h: float, wheel: Array, message: Array, verdict: Verdict) -> bool:
         """Find the newer state, and the ``faults``, under the mildest explanation of the rows: no fault, the ball spins on the floor,
-        one wheel slips, the ball slips. If none is good enough the best one counts. ``fault``: why the inertial message is another
-        one's, which says little. Returns whether wheels, or the ball, slip in it."""
-        memory, a = self._memory, self._memory.arrays
-        a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, message[0], message[1]
-        choice, self.surprise = memory.update(h, self._turning, *self._extra_variance(h, message, fault), self._gate)
+        one wheel slips, the ball slips. If none is good enough the best one counts. Where the ``verdict`` has a fault, the ``message`` (6)
+        is another one's, which says little. Returns whether wheels, or the ball, slip in it."""
+        memory, a, fault = self._memory, self._memory.arrays, verdict.fault
+        a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, message[:3], message[3:]
+        choice, self.surprise = memory.update(h, self._turning, *self._extra_variance(h, verdict), self._gate)
         if choice < 0:
             raise np.linalg.LinAlgError("the residuals are not finite")
         stalled = a["stalled"].tolist()
@@ -202,18 +203,17 @@ class BallFilter:
         self.faults = certain + self._named(choice)
         return bool(choice > 0)
 
-    def _extra_variance(self, h: float, message: Array, fault: str) -> tuple[float, float]:
+    def _extra_variance(self, h: float, verdict: Verdict) -> tuple[float, float]:
         """By how much the variances of turning [rad²] and push [m²/s²] are above those of a motion that does not change."""
-        if fault:
+        if verdict.fault:
             usual = self.noise.gyro, self.noise.accel
             rate, force = ((unknown * h) ** 2 - s**2 * h for unknown, s in zip(UNKNOWN, usual, strict=True))
             return rate, force
-        if self._inertial.jumps(message):
+        if verdict.jumps:
             return 0.0, 0.0
         # a mean says the less of a motion, the more it changes to the next; spikes are judged, not believed a little less
-        (a, b, c), (d, e, f) = (message - self._inertial.last).tolist()
         share = (self.noise.change * h) ** 2
-        return share * (a * a + b * b + c * c), share * (d * d + e * e + f * f)
+        return share * verdict.turned, share * verdict.pushed
 
     def _named(self, choice: int) -> tuple[str, ...]:
         """What slips in an explanation (:func:`wbmpc.bases.ball.filter_solve.solve_robust`)."""

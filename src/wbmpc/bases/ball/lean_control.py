@@ -53,6 +53,7 @@ class LeanControl:
         self._lean_offsets = bind(
             lean_offsets, arrays | {"whole": (self.balance.shift + self.balance.stand).ravel()}, backend
         )
+        self._asked, self._answer = tuple[float, ...](), list[float]()
         self.reach = float(self.balance.reach.min())
         self._room = max(MAXIMUM - share, 0.0) * self.reach
         self._ball_speed = slice(robot.base.nq, robot.base.nq + 2)
@@ -113,6 +114,9 @@ class LeanControl:
 
     def _offsets(self, force: Array, yaw: float) -> list[float]:
         """Shift (2), along the world's axes, what the wheels bear (2), along the heading's, [m] of the reach."""
-        self._force[:] = force[:BASE]
-        self._lean_offsets(yaw)
-        return self._out.tolist()
+        asked = (*force[:BASE].tolist(), yaw)
+        if asked != self._asked:  # several times in a tick of the same
+            self._force[:] = force[:BASE]
+            self._lean_offsets(yaw)
+            self._asked, self._answer = asked, self._out.tolist()
+        return self._answer

@@ -8,6 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+#: Of commands that ask for nothing beside torques.
+_NOTHING = np.zeros(0)
+_NOTHING.flags.writeable = False
+
+
+def _nothing() -> Array:
+    return _NOTHING
 
 
 @dataclass(frozen=True)
@@ -16,10 +23,10 @@ class BallCommand:
     what these ask for about ``position`` [rad], which moves on with ``speed`` [rad/s]; none of the four: torque alone."""
 
     torque: Array
-    position: Array = field(default_factory=lambda: np.zeros(0))
-    speed: Array = field(default_factory=lambda: np.zeros(0))
-    stiffness: Array = field(default_factory=lambda: np.zeros(0))
-    damping: Array = field(default_factory=lambda: np.zeros(0))
+    position: Array = field(default_factory=_nothing)
+    speed: Array = field(default_factory=_nothing)
+    stiffness: Array = field(default_factory=_nothing)
+    damping: Array = field(default_factory=_nothing)
 
 
 @dataclass(frozen=True)

@@ -90,9 +90,16 @@ class PayloadEstimator:
         """Weigh for ``h`` [s] at joint positions q (nq) what a disturbance observer has found, whose arrays ``observed`` are (always
         the same ones), at once where a load comes or goes; its ``force`` goes without what became mass.
         ``learning``: see :class:`wbmpc.estimation.disturbance.DisturbanceObserver`."""
-        a, n = self._arrays, q.size
+        own = self.bound(observed)
+        own["weight"][:] = self.weight(q)
+        self._steps["update_mass"](learning, h)
+
+    def bound(self, observed: dict[str, Array]) -> dict[str, Array]:
+        """Its arrays by their names in :func:`wbmpc.bases.ball.payload_step.update_mass`, of whoever's step that is, beside those of the
+        observer (``observed``)."""
+        n = observed["force"].size
         if "update_mass" not in self._steps:
             own = {name: np.zeros(n) for name in ("weight", "model", "believed", "apart")}
-            self._own, self._steps["update_mass"] = own, bind(update_mass, a | observed | own, self._backend, n=n)
-        self._own["weight"][:] = self.weight(q)
-        self._steps["update_mass"](learning, h)
+            self._own = own | {name: self._arrays[name] for name in ("load", "rule")}
+            self._steps["update_mass"] = bind(update_mass, observed | self._own, self._backend, n=n)
+        return self._own

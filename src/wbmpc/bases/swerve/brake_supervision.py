@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -115,7 +116,7 @@ class BrakeSupervision:
 
         Brakes are judged if the last check is :data:`POLL_PERIOD` ago (within half a period). Times may start anew.
         """
-        if self.monitor is None or not np.isfinite(rate).all():
+        if self.monitor is None or not all(map(math.isfinite, rate.tolist())):
             return  # a command that is not finite is rejected, by the name of its drives, before it goes to them
         self._watched = t, leg, brake, rate
         if t < self._checked_at - self._period:  # the clock of a new run; by less: the check before a stop was ahead

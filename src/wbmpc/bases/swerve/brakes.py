@@ -30,15 +30,20 @@ class Brakes:
         self.torque: Array = np.asarray(torque, float)
         self.engaged: Array = np.ones(n)
         self._target: Array = np.ones(n)
+        self._asked: list[float] | None = None
         self._stuck: dict[int, float] = {}
         self.held: Array = self.torque * self.engaged
         self.rests = False
 
     def command(self, brake: ArrayLike) -> None:
         """What each brake (n) shall be: 1 open, 0 closed."""
+        asked = np.asarray(brake, float).tolist()
+        if asked == self._asked:  # as at most ticks
+            return
         target = np.where(np.asarray(brake, float) > 0.5, 0.0, 1.0)
         if (target != self._target).any():
             self._target, self.rests = target, False
+        self._asked = asked
 
     def fail(self, leg: int, kind: str | None) -> None:
         """A brake that no longer answers: "open" or "closed" for good; None repairs it."""

@@ -13,12 +13,14 @@ from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
+from wbmpc.bases.swerve.smooth_step import smooth_pose
 from wbmpc.checks import not_negative
 from wbmpc.control.drives import Smoothing
 from wbmpc.estimation.fused_odometry import FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import WheelOdometry
+from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -71,8 +73,9 @@ class SwerveEstimator:
         self._odd = SlippingWheels(geometry, self.wheels_alone) if settings.reject_slipping_wheels else None
         self._inertial = None if self._odd is None else InertialVelocity(self._odd.seen)
         self._arm_offset = settings.arm_offset
-        self._smoothing = Smoothing(settings.smoothing) if settings.smoothing > 0.0 else None
-        self._mean_age = (settings.noise or OdometryNoise()).mean_age
+        self._smoothing: Smoothing | None = None
+        if settings.smoothing > 0.0:
+            self._bind_smoothing(settings.smoothing, (settings.noise or OdometryNoise()).mean_age)
         self.measured: SwerveMeasurement | None = None
 
     def update(self, measurement: SwerveMeasurement) -> Array:
@@ -92,7 +95,9 @@ class SwerveEstimator:
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
         if self._smoothing is not None:
-            self._smooth(self._smoothing, h)
+            self._read_arm[:] = m.arm
+            self._smooth(self._smoothing.started, h)
+            self._smoothing.started = True
 
     def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
         """The gyro's mean yaw rate [rad/s] from one message to the next; None if it says nothing."""
@@ -127,16 +132,15 @@ class SwerveEstimator:
                 return np.where(slips, SLIP_WEIGHT, 1.0)
         return None
 
-    def _smooth(self, smoothing: Smoothing, h: float) -> None:
-        """Positions of the base and of the arm at the moment of the message."""
-        assert self.measured is not None
-        pose = self.odometry.pose
-        c, s = lie.cos_sin(pose[2])
-        vx, vy, _ = self._drives.rates[self.robot.input["base"]].tolist()
-        rates, read = np.empty((2, 2 + self.measured.arm.size))
-        rates[0], rates[1], rates[2:] = c * vx - s * vy, s * vx + c * vy, self._arm_drives.mean + self._arm_drives.sag
-        read[:2], read[2:] = pose[:2], self.measured.arm
-        smoothing.update(read, rates * h, rates * self._mean_age, h)
+    def _bind_smoothing(self, time: float, age: float) -> None:
+        """Positions of the base and of the arm at the moment of a message."""
+        inputs, arm = self.robot.input, self._arm_drives.arrays
+        m = len(inputs.groups["arm"])
+        self._smoothing = smoothing = Smoothing(time, age, 2 + m)
+        self._read_arm, drives = np.zeros(m), {"drives": self._drives.rates, "mean": arm["mean"], "sag": arm["sag"]}
+        own = {"pose": self.odometry.mean, "arm": self._read_arm}
+        sizes = {"m": m, "base": inputs["base"].start}
+        self._smooth = bind(smooth_pose, smoothing.arrays | drives | own, **sizes, age=age, time=time)
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -148,8 +152,8 @@ class SwerveEstimator:
     def pose(self) -> Array:
         """(x, y, yaw) of the base that is controlled."""
         pose = self.odometry.pose
-        if self._smoothing is not None and self._smoothing.value is not None:
-            pose[:2] = self._smoothing.value[:2]
+        if self._smoothing is not None and self._smoothing.started:
+            pose[:2] = self._smoothing.arrays["value"][:2]
         return pose
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +46,7 @@ class InertialVelocity:
     def update(self, h: float, gyro: Array, accel: Array, yaw_rate: float, announced: NDArray[np.bool_] | None) -> bool:
         """Over h [s] to a message: ``gyro`` (3) [rad/s], ``accel`` (3) [m/s²], mean ``yaw_rate`` [rad/s] without its bias; ``announced`` (n):
         wheels that slip, as the controller says. Whether ``weights`` are of this message: there is an inertial unit, and no gap before it."""
-        if not (NO_GRAVITY < np.linalg.norm(accel) < BROKEN and np.linalg.norm(gyro) < BROKEN):
+        if not (NO_GRAVITY < math.hypot(*accel.tolist()) < BROKEN and math.hypot(*gyro.tolist()) < BROKEN):
             return False
         if not 0.0 < h < GAP:
             self._arrays["inertial"][:] = self._arrays["averaged"][:] = self._seen.reshape(-1, 2).mean(axis=0)

@@ -18,8 +18,10 @@ from wbmpc.bases.swerve.brakes import BRAKE_FORCE, BRAKE_TORQUE, Brakes
 from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.perturbation import check_perturbation
+from wbmpc.bases.swerve.slip_step import contact_slip
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
@@ -31,8 +33,6 @@ from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant, let_tires_s
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
-#: Three numbers.
-Vector = list[float]
 #: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
 WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0
 #: Speed limits [rad/s] of the wheel and steer drives.
@@ -157,8 +157,11 @@ class SwervePlant(WheeledPlant):
         self._arm_speed = np.array([speed.get(n, np.inf) for n in names["arm"]])
         self._wheel_geoms = [m.geom(f"contact_{n}").id for n in names["wheel"]]
         self._wheel_of = {geom: i for i, geom in enumerate(self._wheel_geoms)}
-        self._velocity = np.zeros(6)
+        self._velocity, self._at, self._normal = np.zeros(6), np.zeros(3), np.zeros(3)
         self._wheel_bodies = [int(m.geom_bodyid[geom]) for geom in self._wheel_geoms]
+        own = {"velocity": self._velocity, "at": self._at, "normal": self._normal}
+        places = [{"center": self.data.xpos[b], "axes": self.data.xmat[b]} for b in self._wheel_bodies]
+        self._contact_slip = [bind(contact_slip, own | place) for place in places]
         for dof in self._v["leg"]:
             m.dof_solref[dof], m.dof_solimp[dof] = _BRAKE_SOLREF, _BRAKE_SOLIMP
 
@@ -305,26 +308,7 @@ class SwervePlant(WheeledPlant):
             i = self._wheel_of.get(geoms[0], self._wheel_of.get(geoms[1]))
             if i is not None and distance < depth[i]:
                 depth[i] = distance
-                slip[i] = self._contact_slip(self._wheel_bodies[i], at, frame[:3])
+                self._at[:], self._normal[:], body = at, frame[:3], self._wheel_bodies[i]
+                mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, body, self._velocity, 0)
+                slip[i] = self._contact_slip[i]()
         return slip
-
-    def _contact_slip(self, body: int, at: Vector, normal: Vector) -> tuple[float, float]:
-        """Velocity [m/s] of a wheel's point ``at`` a contact with this ``normal``."""
-        d, velocity = self.data, self._velocity
-        mujoco.mj_objectVelocity(self.model, d, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
-        v, center = velocity.tolist(), d.xpos[body].tolist()
-        turned = _cross(v[:3], [p - c for p, c in zip(at, center, strict=True)])
-        point = [a + b for a, b in zip(v[3:], turned, strict=True)]
-        along = _cross(d.xmat[body].tolist()[1::3], normal)
-        length = max(math.sqrt(_dot(along, along)), 1e-9)
-        along = [a / length for a in along]
-        return _dot(point, along), _dot(point, _cross(normal, along))
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    """Cross product (of lists: several times as fast as of arrays)."""
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -137,8 +137,8 @@ class SwerveTracking:
     ) -> tuple[SwerveCommand, Array]:
         """Drive speeds at t [s] under ``brake`` (n, 1 = open), and the rates (n) [rad/s] of legs that go with them."""
         a, inputs, ahead = self._arrays, self.robot.input, t + self.settings.lag
-        a["u"][:] = policy.feedforward(ahead)
-        a["planned"][:] = policy.state(ahead)[self.robot.state["steer"]]
+        x, a["u"][:] = policy.planned(ahead)
+        a["planned"][:] = x[self.robot.state["steer"]]
         a["measured"][:], a["brake"][: brake.size] = estimator.steer, brake
         self.aligning, self.clamped = self._track(self.aligning)
         if self.side_slip is not None:

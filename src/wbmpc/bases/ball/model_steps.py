@@ -1,0 +1,93 @@
+"""The compiled part of a ball robot's controller that asks the model, in one call for each new state."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from wbmpc.bases.ball.model_step import accelerate, learn
+from wbmpc.bases.ball.payload import PayloadEstimator
+from wbmpc.errors import UnsupportedOperation
+from wbmpc.estimation.disturbance import DisturbanceObserver
+from wbmpc.kernel.function import CompiledFunction
+from wbmpc.kernel.step import Backend, bind
+from wbmpc.model.robot import RobotModel
+from wbmpc.solver import Solver
+
+Array = NDArray[np.float64]
+
+
+class ModelSteps:
+    """The model of a ``robot`` as a ``solver`` integrates it, for controllers whose model is that alone. ``backend``: machine code, or the
+    same source as ordinary Python.
+
+    Its arrays are the solver's, the observer's and the payload's own: it changes them as these do by themselves.
+    """
+
+    def __init__(
+        self, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None,
+        backend: Backend = "compiled",
+    ) -> None:  # fmt: skip
+        nx, nu = solver.problem.nx, solver.problem.nu
+        joints = robot.state["arm_velocity"]
+        m = joints.stop - joints.start
+        self._solver, self._observer = solver, observer
+        self._state, self._acted, self.acceleration = np.zeros(nx), np.zeros(nu), np.zeros(m)
+        own = {
+            "memory": solver.ws.memory, "table": solver.ws.table, "state": self._state, "acted": self._acted,
+            "trial": np.zeros(nx), "acceleration": self.acceleration,
+        }  # fmt: skip
+        self._accelerate = bind(accelerate, own, backend, nx=nx, at=joints.start, m=m)
+        if observer is not None:
+            n = robot.base.nq
+            weighing = {name: np.zeros(n) for name in ("weight", "model", "believed", "apart")}
+            weighing |= {"load": np.zeros(1), "rule": np.zeros(1)}
+            if payload is not None:
+                weighing |= payload.bound(observer.arrays)
+            inertial = {"inertial": np.zeros(n * n + n), "places": np.zeros(2, np.int64)}
+            self._inertia = _inertia(robot)
+            constants = {
+                "n": n,
+                "gates": observer.gate.size,
+                "inertia": self._inertia.address,
+                "weighs": payload is not None,
+            }
+            self._learn = bind(learn, own | observer.arrays | weighing | inertial, backend, **constants)
+
+    @classmethod
+    def of(
+        cls, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None
+    ) -> ModelSteps | None:
+        """None where the solver is interpreted, has other states and inputs than the robot, or the model cannot be compiled."""
+        if not isinstance(solver, Solver) or solver.settings.backend == "interpreted":
+            return None
+        if solver.problem.nx != robot.state.size or robot.state.size != 2 * robot.base.nq:
+            return None
+        try:
+            return cls(robot, solver, observer, payload)
+        except UnsupportedOperation:
+            return None
+
+    def accelerations(self, x: Array, u: Array, h: float) -> Array:
+        """Of the arm (m) [rad/s²] in the state x (nx) under the torques u (nu), mean over h [s]; a view that the next call changes."""
+        self._state[:], self._acted[:] = x, u
+        with self._solver.exclusive:
+            self._accelerate(h)
+        return self.acceleration
+
+    def learn(self, t: float, x: Array, u: Array, h: float) -> None:
+        """As :meth:`DisturbanceObserver.update` and :meth:`PayloadEstimator.observe` after it."""
+        observer = self._observer
+        assert observer is not None
+        self._state[:], self._acted[:] = x, u
+        with self._solver.exclusive:
+            observer.learning = self._learn(observer.started, t, h)
+        observer.started = True
+
+
+def _inertia(robot: RobotModel) -> CompiledFunction:
+    """Mass matrix (n n) by rows and weight (n) of 1 kg at the tool, of the coordinates (n)."""
+    base, q = robot.base, ca.SX.sym("q", robot.base.nq)
+    mass, weight = base.mass_matrix(q), base.tool_force(q, ca.SX([0, 0, -9.81]))
+    return CompiledFunction(ca.Function("inertia", [q], [ca.densify(ca.vertcat(ca.vec(mass.T), weight))]))

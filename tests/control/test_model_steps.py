@@ -1,0 +1,105 @@
+"""The ball robot's compiled calls of its model. Truth: the same made of the solver's integrator, CasADi's mass matrix and weight, and the
+observer's and the payload's own steps, one by one; and the same source as ordinary Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from toys import robot
+from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.model_steps import ModelSteps
+from wbmpc.bases.ball.payload import PayloadEstimator
+from wbmpc.bases.ball.sent_torques import DriveSettings
+from wbmpc.bases.ball.settings import mpc_settings
+from wbmpc.estimation.disturbance import DisturbanceObserver
+from wbmpc.kernel.step import Backend
+from wbmpc.model.robot import load_robot
+from wbmpc.mpc.mpc import MPC
+
+ROBOT, PERIOD = load_robot("rezero", payload=True), 0.0025
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(robot("rezero").home[ROBOT.state["arm"]])
+#: By what digits of machine code differ: order of sums, products added in one rounding.
+SAME: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-11}
+
+
+@pytest.fixture(scope="module")
+def mpc() -> MPC:
+    return rezero_mpc(ROBOT, mpc_settings(barrier_mu=3e-2), RezeroCost())
+
+
+def parts(mpc: MPC, mass: float = 0.0) -> tuple[DisturbanceObserver, PayloadEstimator]:
+    numeric = ROBOT.base.numeric
+    observer = DisturbanceObserver(mpc.solver.simulate, numeric.mass_matrix, ROBOT.base.nq)
+    return observer, PayloadEstimator(numeric.tool_weight, mass=mass)
+
+
+def motion(count: int, seed: int) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """Times, states and torques: a lean that swings, an arm that sags at once after half of them, as under a load that comes."""
+    rng, found = np.random.default_rng(seed), []
+    for k in range(count):
+        x, t = HOME.copy(), k * PERIOD
+        x[3] += 0.02 * np.sin(3.0 * t)
+        x[ROBOT.base.nq + 3] = 0.06 * np.cos(3.0 * t)
+        x[ROBOT.state["arm_velocity"]] = 0.02 * rng.normal(size=len(ROBOT.state.groups["arm"]))
+        if k > count // 2:
+            x[ROBOT.state["arm_velocity"]] += 0.3 * (t - PERIOD * (count // 2))
+        found.append((t, x, TORQUE + 0.2 * rng.normal(size=TORQUE.size)))
+    return found
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_what_is_learned_is_that_of_the_parts(mpc: MPC, backend: Backend) -> None:
+    observer, payload = parts(mpc)
+    learned, weighed = parts(mpc)
+    steps = ModelSteps(ROBOT, mpc.solver, learned, weighed, backend)
+    for t, x, u in motion(60, 3):
+        observer.update(t, x, u, PERIOD)
+        payload.observe(x[: ROBOT.base.nq], observer.arrays, observer.learning, PERIOD)
+        steps.learn(t, x, u, PERIOD)
+        np.testing.assert_allclose(learned.force, observer.force, **SAME)
+        assert weighed.mass == pytest.approx(payload.mass, rel=1e-9, abs=1e-11)
+        assert learned.learning == pytest.approx(observer.learning, rel=1e-9)
+    assert payload.mass > 1e-4 and np.abs(observer.force).max() > 0.05  # there was something to learn
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_accelerations_are_those_of_the_model(mpc: MPC, backend: Backend) -> None:
+    """Truth: the equations of motion, M v̇ + h = τ, solved by NumPy, over a step so short that they are constant."""
+    base, n, (x, u) = ROBOT.base, ROBOT.base.nq, (HOME.copy(), TORQUE.copy())
+    u[-1] += 0.5
+    x[n + 5 :] = 0.1, -0.2, 0.3
+    q, given = ca.SX.sym("q", n), ca.SX.sym("u", u.size)
+    force = ca.Function("force", [q, given], [base.generalized_force(q, given, ca.SX.zeros(ROBOT.parameters.size))])
+    torque = np.array(force(x[:n], u)).ravel() - base.numeric.inverse_dynamics(x[:n], x[n:], np.zeros(n))
+    truth = np.linalg.solve(base.numeric.mass_matrix(x[:n]), torque)[5:]
+    found = ModelSteps(ROBOT, mpc.solver, None, None, backend).accelerations(x, u, 1e-6)
+    np.testing.assert_allclose(found, truth, rtol=1e-4, atol=1e-4)
+    assert np.abs(truth).max() > 1.0
+
+
+class OwnModel(BallController):
+    """Its model is the same, but its own: every part asks it by itself."""
+
+    def _step(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+        return self.mpc.solver.simulate(x, u, h)
+
+
+def test_a_controller_with_a_model_of_its_own_learns_the_same(mpc: MPC) -> None:
+    make: Callable[[type[BallController]], BallController]
+    make = lambda kind: kind(ROBOT, mpc, TORQUE, PERIOD, DriveSettings(0.02, 0.01))
+    ours, own = make(BallController), make(OwnModel)
+    assert ours._model_steps is not None and own._model_steps is None
+    for t, x, u in motion(20, 5):
+        for controller in (ours, own):
+            controller.sent.send(u)
+            controller._known_acted = None
+            controller.measured = type("Measured", (), {"state": x, "age": 0.0})()  # type: ignore[assignment]
+            controller._learn(t, x, PERIOD)
+        np.testing.assert_allclose(ours.disturbance, own.disturbance, **SAME)
+    assert np.abs(own.disturbance).max() > 0.01
