@@ -13,6 +13,7 @@ from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc import lie
 from wbmpc.obstacles.world import Obstacles
+from wbmpc.ros2.bus import SENSOR
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.obstacles import ObstacleTopics
 from wbmpc.ros2.opening import open_node
@@ -367,3 +368,36 @@ def test_a_robot_stops_when_its_detections_do(
     assert p.until(lambda: p.control.state.startswith("running")), p.control.state
     sending.clear()
     check_stopped(p, "the obstacles on /detections are 0.6", caplog)
+
+
+def test_a_flood_on_a_topic_of_obstacles_is_not_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """300 messages between two steps of the node: threads that keep a robot upright need the interpreter. Truth: the number that
+    waits for the node's thread at most, and the message that was sent last."""
+    network = Network.of(private())
+    node, other = open_node("control", "dds", network), open_node("other", "dds", network)
+    adapter: Any = SimpleNamespace(
+        obstacles=Obstacles(),
+        robot=None,
+        planner=SimpleNamespace(lift=LIFT),
+        snapshot=lambda: None,
+        estimate=lambda: None,
+    )
+    now, kind = (lambda: 100.0), OBSTACLE_TYPES["detections"]
+    topics = ObstacleTopics(node, adapter, RosSettings(topics={"detections": "/detections"}), now, now, lambda: BEGIN)
+    try:
+        publisher = other.publisher("/detections", kind, SENSOR)
+        assert wait_until(lambda: publisher._writer.get_matched_subscriptions())
+        decoded: list[str] = []
+        decode = node.types.decode
+        monkeypatch.setattr(node.types, "decode", lambda kind, data: (decoded.append(kind), decode(kind, data))[1])
+        for k in range(300):
+            publisher.publish({"header": {"frame_id": "odom"}, "detections": [box(f"last {k}", 3.0)]})
+        waiting = lambda: [w[2][0] for w in node._deferred._waiting.get("/detections", ())]
+        assert wait_until(lambda: decoded or (waiting() and b"last 299" in waiting()[-1]))
+        assert kind not in decoded
+        assert wait_until(lambda: (node.work(), "detections/last 299" in adapter.obstacles)[1])
+        assert decoded.count(kind) <= 20
+    finally:
+        topics.close()
+        node.close()
+        other.close()

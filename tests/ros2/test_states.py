@@ -25,8 +25,11 @@ if not MISSING:
     from wbmpc.ros2.clock import BusClock
     from wbmpc.ros2.convert import header
     from wbmpc.ros2.joints import JointReader
+    from wbmpc.ros2.localization import PoseSource
     from wbmpc.ros2.messages import types
+    from wbmpc.ros2.request_queue import RequestQueue
     from wbmpc.ros2.settings import Safety, settings_of
+    from wbmpc.ros2.transforms import Transforms
 
 
 def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_moves(
@@ -137,6 +140,44 @@ def test_the_bus_clock_knows_how_fast_its_time_passes(speed: float, monkeypatch:
     assert limit == pytest.approx(min(0.1 / min(speed, 1.0), 1.0), rel=0.02)
     assert SwerveRosSettings(use_sim_time=True, safety=Safety(clock=7.0)).silence(clock.speed) == 7.0
     assert SwerveRosSettings(lockstep=True).silence(clock.speed) == 30.0
+
+
+def test_what_came_before_time_went_back_is_old() -> None:
+    """A simulator that is started anew begins at 0, as does a recording that is played again: a wrench, a pose, a transform and a stop
+    of before are not of the future. Truth: the limits of the settings."""
+    clock, takes = BusClock(), {}
+    subscribe = lambda topic, kind, take, *_, **__: takes.setdefault(topic, take) and (lambda: None)
+    node: Any = SimpleNamespace(subscribe=subscribe, publishers=lambda topic: [])
+    settings = settings_of(ROBOT)(topics={"pose": "/pose"})
+    planner: Any = SimpleNamespace(robot=ROBOT)
+    requests = RequestQueue(node, planner, settings, lambda: 0.0, clock.steady)
+    poses = PoseSource(node, settings, clock.steady, clock.stamp)
+    frames = Transforms(node, "odom", "base_link", clock.steady)
+
+    def message(kind: str, **values: Any) -> Any:
+        return types("jazzy").decode(kind, types("jazzy").encode(kind, values))
+
+    def send() -> None:
+        head = {"header": header(clock.stamp(), "odom")}
+        takes["/cmd_vel"](message("geometry_msgs/msg/Twist", linear={"x": 0.2}))
+        takes["/wrench"](message("geometry_msgs/msg/WrenchStamped", **head, wrench={"force": {"x": 5.0}}))
+        takes["/pose"](message("nav_msgs/msg/Odometry", **head))
+
+    for k in range(5):
+        clock.set(200.0 + 0.1 * k)
+        send()
+        frames.note_base(clock.stamp(), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    assert requests.wrench().any() and requests.take() is not None and not poses.lost()
+    frames.pose("base_link", clock.stamp())
+    requests.stop()
+    clock.set(0.0)
+    assert clock.went_back and not requests.wrench().any() and poses.lost()
+    with pytest.raises(InputError, match="has not come for 2 s"):
+        frames.pose("base_link", clock.stamp())
+    taken = poses.newest()
+    assert taken is not None and taken[0] > 60.0
+    send()
+    assert requests.take() is not None and requests.wrench().any() and not poses.lost() and not requests.rejected
 
 
 @pytest.mark.parametrize("confirmed", [False, True])

@@ -14,6 +14,8 @@ from wbmpc.ros2.sources import OneSource, Source
 _ROUNDING = 1e-7
 #: Messages may overtake each other by this [s].
 _REORDERED = 0.02
+#: What came before time went back is so much older [s] than what comes afterwards: more than any age that the settings allow.
+_BEFORE = 100.0
 #: Over which time [s] of the wall the speed of the bus's time is averaged.
 _MEMORY = 0.5
 
@@ -31,6 +33,7 @@ class BusClock:
         self.delay, self.in_turns = delay, delay is not None
         self.origin, self.heard = 0.0, None  # type: float, float | None
         self._time, self.went_back = 0.0, False
+        self._steady = self._ahead = 0.0
         self._changed = threading.Condition()
         self._released = False
         self.speed = 1.0
@@ -41,12 +44,14 @@ class BusClock:
         if not self.source.takes(source):
             return
         with self._changed:
-            self.went_back |= time_of_bus < self._time - _REORDERED
+            if time_of_bus < self._time - _REORDERED:
+                self.went_back = True
+                self._ahead += self._time - time_of_bus + _BEFORE
             if self.heard is None or time_of_bus != self._time:
                 previous, self.heard = self.heard, time.monotonic()
                 if previous is not None and time_of_bus > self._time:
                     self._pass(min(time_of_bus - self._time, _MEMORY), max(self.heard - previous, 1e-6))
-            self._time = time_of_bus
+            self._time, self._steady = time_of_bus, time_of_bus + self._ahead
             self._changed.notify_all()
 
     def _pass(self, of_bus: float, of_wall: float) -> None:
@@ -57,6 +62,10 @@ class BusClock:
     def stamp(self) -> float:
         """The bus's time [s]."""
         return self._time
+
+    def steady(self) -> float:
+        """A time [s] by which messages grow old: the bus's, but where that goes back this one makes a leap ahead."""
+        return self._steady
 
     def lost(self, limit: float, published: Callable[[], bool]) -> str:
         """Why there is no time any more: none for ``limit`` [s] of the wall, or for :data:`GONE` and nobody who publishes it; empty

@@ -73,7 +73,7 @@ class ControlNode:
         """What the node is made of, and its endpoints."""
         node, robot, settings = self.node, self.robot, self.settings
         self.adapter: BaseAdapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
-        steady = self.clock.stamp if isinstance(self.clock, BusClock) else time.monotonic
+        steady = self.clock.steady if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady, self.now)
         self.external_pose = ExternalPose(self)
         if settings.topics.pose:

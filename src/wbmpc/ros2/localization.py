@@ -47,7 +47,7 @@ class PoseSource:
         self.at, self.jumped, self._wrong = -np.inf, "", ""
         self._limit = RateLimit()
         self._good = -np.inf  # when the last one that counted came
-        self._fix: tuple[float, Array, Array] | None = None
+        self._fix: tuple[float, Array, Array] | None = None  # of when [s of ``now()``]
         self.source = OneSource(settings.topics.pose)
         self._messages = MultiTypeSubscriber(
             node, settings.topics.pose, dict.fromkeys(_POSES, self._take), sourced=True
@@ -72,7 +72,7 @@ class PoseSource:
     def newest(self) -> tuple[float, Array, Array] | None:
         """What is new: age now [s], pose (x, y, yaw), covariance (3, 3), zero if it was not given. Once."""
         fix, self._fix = self._fix, None
-        return None if fix is None else (max(self.stamp() - fix[0], 0.0), *fix[1:])
+        return None if fix is None else (max(self.now() - fix[0], 0.0), *fix[1:])
 
     def lost(self) -> str:
         """Why there is no pose any more; empty if there is. One that jumped is none."""
@@ -115,10 +115,9 @@ class PoseSource:
             raise InputError(f"{topic}: a number of the covariance is too large; valid: at most {LARGEST_VARIANCE:g}")
         if not is_covariance(covariance):
             raise InputError(f"{topic}: a variance is negative")
-        now, stamped = self.stamp(), seconds(message.header.stamp)
+        self.at, age = self.now(), self.stamp() - seconds(message.header.stamp)
         # a stamp of another machine's clock, or none, says nothing: the pose is then of now
-        self._fix = (stamped if 0.0 <= now - stamped < POSE_AGE else now), pose, covariance
-        self.at = self.now()
+        self._fix = self.at - (age if 0.0 <= age < POSE_AGE else 0.0), pose, covariance
 
 
 class PoseGate:

@@ -53,7 +53,8 @@ class ObstacleTopics:
     """Keeps ``adapter.obstacles`` (None: there are no topics) as messages say. ``steady()`` [s]: by which messages grow old; ``stamp()``: the
     bus's time [s]; ``origin()``: that which is 0 for the plan.
 
-    Messages are read in a thread of its own, of each topic the newest; one that cannot be meant is dropped as a whole, with a log line.
+    Messages are decoded in the node's own thread and read in another one, of each topic the newest; one that cannot be meant is dropped
+    as a whole, with a log line.
     """
 
     def __init__(
@@ -89,13 +90,14 @@ class ObstacleTopics:
         topic = _Topic(name, max_age, read, OneSource(name))
         self._topics.append(topic)
         try:
-            node.subscribe(name, OBSTACLE_TYPES[key], partial(self._take, topic), qos, largest=largest, sourced=True)
+            take = partial(self._take, topic)  # deferred: what a flood brings is not even decoded
+            node.subscribe(name, OBSTACLE_TYPES[key], take, qos, deferred=True, largest=largest, sourced=True)
         except (ImportError, AttributeError) as error:
             raise InputError(f"topics.{key}: {OBSTACLE_TYPES[key]} is not installed: {error_message(error)}") from error
 
     # ------------------------------------------------------------------ messages
     def _take(self, topic: _Topic, message: Any, source: Source | None = None) -> None:
-        """From a thread of the back end: what waits already is replaced."""
+        """What waits already is replaced."""
         if not topic.source.takes(source):
             return
         with self._lock:
