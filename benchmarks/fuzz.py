@@ -6,8 +6,8 @@ Cases are run in a process of their own, one after the other; one that hangs or 
 begins in a fresh one. *Nonsense*: a case whose generator knows that it is wrong was accepted, or that it is right was rejected,
 or a message has characters that steer a terminal. Every bad case is printed with the command that runs it alone. Cases of the
 kind ``problems`` build an experiment and run it for a few ticks: they may take a minute, for some are compiled. Times are of the
-processor, so that a busy machine does not count as a hang; what waits is given six times as much, and then is run once more in
-a fresh process with sixty times as much before it counts as a hang.
+processor, so that a busy machine does not count as a hang; what waits is given six times as much. What takes longer is run again
+when all other cases are done, up to twice, in fresh processes and with sixty times as much: a hang is what is too slow each time.
 Exits with 1 if there are tracebacks, hangs or nonsense.
 """
 
@@ -40,9 +40,9 @@ from fuzzing.kinds import KINDS, Accepted, make, short, stand_ins
 
 from wbmpc.errors import InputError
 
-#: Longest case [s], by kind and else; by how much longer one may wait, at first and once more; the longest start of a process
-#: [s]; its memory [bytes].
-LIMITS, LIMIT, WAITS, START, MEMORY = {"problems": 60.0}, 10.0, (6.0, 60.0), 600.0, 6 * 1024**3
+#: Longest case [s], by kind and else; by how much longer one may wait, at first and in each further try; the longest start of a
+#: process [s]; its memory [bytes].
+LIMITS, LIMIT, WAITS, START, MEMORY = {"problems": 60.0}, 10.0, (6.0, 60.0, 60.0), 600.0, 6 * 1024**3
 COLUMNS = ("accepted", "rejected", "tracebacks", "hangs", "nonsense")
 #: Exit codes of a run that was rejected, that fell, and that was ended.
 _REJECTED, _ABORTED, _ENDED = 2, 1, 130
@@ -155,19 +155,19 @@ class Worker:
             raise RuntimeError("the process that runs the cases does not begin")
         self._pipe.recv()
 
-    def run(self, kind: str, number: int) -> tuple[str, str, Case | None, float]:
-        """What came of a case, what was said, the case, and how long it took [s]."""
+    def run(self, kind: str, number: int, wait: float) -> tuple[str, str, Case | None, float]:
+        """What came of a case, what was said, the case, and how long it took [s]; ``wait``: how many limits it may wait."""
         limit = LIMITS.get(kind, LIMIT)
-        for wait in WAITS:
-            answer, busy = self._answer(kind, number, limit, wait * limit)
-            if answer is not None:
-                return answer
-            self.end()
-            code = self._process.exitcode
-            self._begin()
-            if busy >= limit:  # else it waited, or the machine was too busy: once more
-                break
-        return "hangs", f"the process ended with {code} after {busy:.1f} s of the processor", None, limit
+        answer, busy = self._answer(kind, number, limit, wait * limit)
+        if answer is not None:
+            return answer
+        self.begin_anew()
+        return "hangs", f"no answer after {busy:.1f} s of the processor", None, limit
+
+    def begin_anew(self) -> None:
+        """A fresh process."""
+        self.end()
+        self._begin()
 
     def _answer(
         self, kind: str, number: int, limit: float, wait: float
@@ -207,27 +207,52 @@ def fuzz(given: argparse.Namespace) -> dict[str, Tally]:
     tallies = {kind: Tally() for kind in parts}
     with tempfile.TemporaryDirectory() as folder:
         worker = Worker(given.seed, folder, list(parts))
+        slow: list[tuple[str, int]] = []
         try:
-            for done, (kind, number) in enumerate(order(parts, given.cases), 1):
-                number += given.first
-                good = tallies[kind].count(f"{kind} {number}", *worker.run(kind, number))
-                if not good:
-                    tallies[kind].bad[-1] += f"\n    {command(kind, number, given.seed)}"
-                    print(tallies[kind].bad[-1], file=sys.stderr, flush=True)
+            for done, (kind, number) in enumerate(order(parts, given.cases, given.first), 1):
+                found = worker.run(kind, number, WAITS[0])
+                if found[0] == "hangs":
+                    slow.append((kind, number))
+                else:
+                    _count(tallies[kind], kind, number, found, given.seed)
                 if done % 500 == 0 and not given.quiet:
                     bad = sum(len(t.bad) for t in tallies.values())
-                    print(f"{done} of {given.cases} cases, {bad} bad", file=sys.stderr, flush=True)
+                    print(
+                        f"{done} of {given.cases} cases, {bad} bad, {len(slow)} to run again",
+                        file=sys.stderr,
+                        flush=True,
+                    )
+            while slow:
+                kind, number = slow[-1]
+                for wait in WAITS[1:]:
+                    worker.begin_anew()
+                    found = worker.run(kind, number, wait)
+                    if found[0] != "hangs":
+                        break
+                slow.pop()
+                _count(tallies[kind], kind, number, found, given.seed)
         except KeyboardInterrupt:
             print("interrupted: figures of what was run", file=sys.stderr)
+            for kind, number in slow:
+                _count(
+                    tallies[kind], kind, number, ("hangs", "not run again", None, LIMITS.get(kind, LIMIT)), given.seed
+                )
         finally:
             worker.end()
     return tallies
 
 
-def order(parts: dict[str, int], cases: int) -> list[tuple[str, int]]:
-    """Kind and number of each case: all kinds side by side, so that a part of the run says something about all of them."""
+def _count(tally: Tally, kind: str, number: int, found: tuple[str, str, Case | None, float], seed: int) -> None:
+    """Count a case, and print it if it was bad."""
+    if not tally.count(f"{kind} {number}", *found):
+        tally.bad[-1] += f"\n    {command(kind, number, seed)}"
+        print(tally.bad[-1], file=sys.stderr, flush=True)
+
+
+def order(parts: dict[str, int], cases: int, first: int = 0) -> list[tuple[str, int]]:
+    """Kind and number of each case, from number ``first``: all kinds side by side, so that a part of the run says something about all of them."""
     counts = {kind: max(1, round(cases * share / sum(parts.values()))) for kind, share in parts.items()}
-    found = [(number / count, kind, number) for kind, count in counts.items() for number in range(count)]
+    found = [(number / count, kind, first + number) for kind, count in counts.items() for number in range(count)]
     return [(kind, number) for _, kind, number in sorted(found)]
 
 

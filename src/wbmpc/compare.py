@@ -97,7 +97,7 @@ def _recorded(path: Path) -> Run:
     }
     note = f"did not complete: {result['reason']}" if result.get("reason") else ""
     if not metrics:
-        note = f"left no metrics; its recording ends at {recording.duration:.2f} s"
+        note = f"left no metrics; its recording ends at {recording.end:.2f} s"
     return Run(path, figures, {}, note)
 
 

@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 import venv
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +27,7 @@ from wbmpc.benchmark.machine_speed import peak_gflops
 from wbmpc.benchmark.ours import ours
 from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
 from wbmpc.benchmark.problems import Problem, RaceProblems, suite_bench
-from wbmpc.benchmark.program import Program, compiler
+from wbmpc.benchmark.program import Program, compiler, run_whole
 from wbmpc.kernel.compiled import Sizes
 from wbmpc.studies.race.ballbot import ballbot
 from wbmpc.studies.race.small import cartpole, double_integrator
@@ -220,6 +221,23 @@ def test_without_its_environment_crocoddyl_is_left_out_with_a_message(
     rows = whole.crocoddyl_race()
     assert len(rows) == 3 and all("could not be installed" in r["error"] and not r["success"] for r in rows)
     assert list(tmp_path.glob("crocoddyl/ready")) == []
+
+
+def test_a_compiler_that_is_ended_leaves_no_process(tmp_path: Path) -> None:
+    """Truth: the process that its driver started, as the system knows it."""
+    note = tmp_path / "started"
+    command = ["sh", "-c", f"sleep 300 & echo $! > {note}; wait"]
+    with pytest.raises(subprocess.TimeoutExpired):
+        run_whole(command, 2.0)
+    started = Path(f"/proc/{note.read_text().strip()}/stat")
+    for _ in range(200):
+        if not started.exists() or started.read_text().rpartition(")")[2].split()[0] == "Z":
+            break
+        time.sleep(0.02)
+    else:
+        pytest.fail("it works on")
+    with pytest.raises(subprocess.CalledProcessError):
+        run_whole(["sh", "-c", "exit 3"], 20.0)
 
 
 def _sleep() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from wbmpc.cli import main
 from wbmpc.errors import InputError
-from wbmpc.recording import writer
+from wbmpc.recording import recorder, writer
 from wbmpc.recording.reader import KINDS, Recording, read_recording
 from wbmpc.recording.records import MAGIC
 from wbmpc.recording.writer import McapFile, stamp
@@ -158,6 +158,22 @@ def test_log_without_a_command_shows_its_help(capsys: pytest.CaptureFixture[str]
     assert main(["log"]) == 0
     said = capsys.readouterr()
     assert "Usage" in said.out and said.err == ""
+
+
+def test_topics_that_are_read_by_name_are_recorded() -> None:
+    """A name that no recorder writes would check nothing. Truth: where the recorder writes it."""
+    source = Path(recorder.__file__).read_text()
+    for name in KINDS:
+        assert f'"{name}' in source, name
+
+
+def test_a_message_that_is_none_of_its_type_names_file_and_topic(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    file = McapFile(path)
+    file.put_bytes("/end_effector/pose", "geometry_msgs/PoseStamped", 0.0, b"\0\1\0\0\xff\xff\xff\x7f")
+    file.close()
+    with pytest.raises(InputError, match=rf"^{path}: /end_effector/pose: 8 bytes are no geometry_msgs/PoseStamped: "):
+        read_recording(path).table("/end_effector/pose")
 
 
 @pytest.mark.parametrize("name", KINDS)

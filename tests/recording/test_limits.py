@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from command_line import shell
+from wbmpc.cli import main
 from wbmpc.cli.directories import size_of
 from wbmpc.errors import InputError
 from wbmpc.recording.reader import read_recording
@@ -88,3 +89,29 @@ def _run(*arguments: str, folder: Path, largest: int = 0):  # type: ignore[no-un
         "from fake_experiment import REGISTRY; from wbmpc.cli import main; sys.exit(main(None, REGISTRY))"
     )
     return shell(*arguments, code=code)
+
+
+def test_a_part_says_that_it_is_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Which times it holds, and where those before are: a part does not look like a whole run that long."""
+    path = tmp_path / "run.mcap"
+    file = McapFile(path, 1_000_000)
+    for k, row in enumerate(RNG.normal(size=(3000, 100))):
+        file.put("/x", "std_msgs/Float64MultiArray", 0.01 * k, {"layout": {"dim": [], "data_offset": 0}, "data": row})
+    file.close()
+    older, newest = read_recording(tmp_path / "run-1.mcap"), read_recording(path)
+    assert older.end + 0.01 == pytest.approx(newest.start) and newest.end == pytest.approx(29.99)
+    said = f"the run is longer than its --record-limit: what was before {newest.start:.2f} s"
+    for gone, where in ((False, "is in run-1.mcap"), (True, "was overwritten")):
+        if gone:
+            older.path.unlink()
+        assert main(["log", "info", str(path)]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert f"{newest.start:.2f} to 29.99 s" in lines[0] and lines[1] == f"{said} {where}"
+    assert "was overwritten" in older.earlier
+
+
+def test_a_run_that_fits_is_no_part(tmp_path: Path) -> None:
+    file = McapFile(tmp_path / "run.mcap", 1_000_000)
+    file.put("/x", "std_msgs/Float64", 0.0, [1.0])
+    file.close()
+    assert read_recording(tmp_path).earlier == ""

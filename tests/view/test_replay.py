@@ -115,6 +115,28 @@ def test_times_that_go_back_or_on_for_years_are_one_message(run: SimpleNamespace
         write_page(years, tmp_path / "page.html", 8080)
 
 
+def test_a_film_may_begin_at_any_time(run: SimpleNamespace, tmp_path: Path) -> None:
+    """As a part of a long run, or stamps of a calendar: bar and page begin where the film does, at a time so large that a nanosecond
+    more is the same number."""
+    pytest.importorskip("viser")
+    from wbmpc.view.access import Access
+    from wbmpc.view.replay import Player
+
+    late = 1.8e10
+    recording = read_recording(run.folder)
+    for topic in recording.topics.values():
+        topic.times = [t + late for t in topic.times]
+    film = Film(recording)
+    player = Player(film, Access.of("127.0.0.1"), free_port())
+    try:
+        assert player._time.value == player._time.min == film.times[0] and player._time.max == film.times[-1]
+    finally:
+        player.server.stop()
+    film.times = film.times[:1]
+    write_page(film, tmp_path / "page.html", free_port())
+    assert (tmp_path / "page.html").stat().st_size > 100_000
+
+
 @pytest.fixture(scope="module")
 def page(run: SimpleNamespace) -> Path:
     pytest.importorskip("viser")

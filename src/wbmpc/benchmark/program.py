@@ -5,7 +5,9 @@ Gauss-Newton Hessian, as one small C file whose stage functions are called in lo
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
+import signal
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
@@ -313,6 +315,19 @@ def compiler() -> str | None:
     return shutil.which("cc") or shutil.which("gcc")
 
 
+def run_whole(command: list[str], seconds: float) -> None:
+    """Run a program for at most ``seconds``; whatever ends the wait, also Ctrl-C, ends all processes that it has started: a compiler
+    starts others, which may work on for minutes. Raises :class:`subprocess.SubprocessError` where it fails or takes longer."""
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, process_group=0) as process:
+        try:
+            code = process.wait(seconds)
+        finally:
+            if process.returncode is None:
+                os.killpg(process.pid, signal.SIGKILL)
+    if code:
+        raise subprocess.CalledProcessError(code, command)
+
+
 def compiled_library(functions: dict[str, ca.Function], seconds: float = 600.0) -> Path | str:
     """A shared library of the functions, kept beside the kernels' cache; a message when it cannot be made."""
     found = compiler()
@@ -332,7 +347,7 @@ def compiled_library(functions: dict[str, ca.Function], seconds: float = 600.0) 
     source.write_text(code)
     command = [found, *flags, "-o", str(partial), str(source), "-lm"]
     try:
-        subprocess.run(command, check=True, capture_output=True, timeout=seconds)
+        run_whole(command, seconds)
     except subprocess.SubprocessError as error:
         return f"the C compiler failed: {str(error)[:200]}"
     partial.chmod(0o700)

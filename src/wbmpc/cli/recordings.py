@@ -37,7 +37,7 @@ def _summary(recording: Recording) -> dict[str, Any]:
         for name, topic in recording.topics.items()
         if topic.times
     }
-    head = {"file": str(recording.path), "complete": recording.complete, "duration": recording.duration}
+    head = {"file": str(recording.path), "complete": recording.complete, "start": recording.start, "end": recording.end}
     head["damage"] = recording.damage
     return {**head, "metadata": recording.metadata, "topics": topics}
 
@@ -55,8 +55,10 @@ def info(file: File, as_json: AsJson = False) -> None:
     run, result = recording.metadata.get("run", {}), recording.metadata.get("result", {})
     # a damaged one has been reported by a warning
     end = "" if recording.complete or recording.damage else "; it ends in the middle: the run was killed"
-    head = f"{recording.title}, {recording.duration:.2f} s, started {run.get('started', 'unknown')}{end}"
-    typer.echo(printable(head))
+    times = f"{recording.start:.2f} to {recording.end:.2f} s"
+    typer.echo(printable(f"{recording.title}, {times}, started {run.get('started', 'unknown')}{end}"))
+    if recording.earlier:
+        typer.echo(printable(recording.earlier))
     if result.get("reason"):
         typer.echo(printable(f"did not complete: {result['reason']}"))
     width = max(map(len, summary["topics"]), default=0)

@@ -229,19 +229,19 @@ def _array(values: Any, kind: str, where: str) -> np.ndarray:
 PADDING = 7
 
 
-def decode(kind: str, data: bytes) -> Any:
+def decode(kind: str, data: bytes, where: str = "message") -> Any:
     """The message in CDR bytes; sequences of float64 as arrays, types of float64 alone as one vector.
 
-    Raises :class:`InputError` if they are not a whole message of this type.
+    Raises :class:`InputError` that begins with ``where`` if they are not a whole message of this type.
     """
     if data[:4] != _HEADER:
-        raise InputError(f"message: only plain little-endian CDR can be read, got header {data[:4].hex()}")
+        raise InputError(f"{where}: only plain little-endian CDR can be read, got header {data[:4].hex()}")
     try:
         message, end = _read(data, 4, kind)
     except (struct.error, ValueError, OverflowError, MemoryError) as error:
-        raise InputError(f"message: {len(data)} bytes are no {kind}: {error}") from error
+        raise InputError(f"{where}: {len(data)} bytes are no {kind}: {error}") from error
     if len(data) - end > PADDING:
-        raise InputError(f"message: {len(data)} bytes are no {kind}: {len(data) - end} are left over")
+        raise InputError(f"{where}: {len(data)} bytes are no {kind}: {len(data) - end} are left over")
     return message
 
 

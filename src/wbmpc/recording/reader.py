@@ -18,6 +18,7 @@ from wbmpc.input_file import read_file
 from wbmpc.json_file import parse_json
 from wbmpc.recording.messages import DEFINITIONS, decode, fields, numbers
 from wbmpc.recording.records import MAGIC, records
+from wbmpc.recording.writer import older_part
 
 _LOG = logging.getLogger(__name__)
 #: Bytes of a recording that is read as a whole, at most.
@@ -26,7 +27,7 @@ LARGEST = 8 * 1024**3
 KINDS = {
     "/robot_description": "std_msgs/String", "/mode": "std_msgs/String", "/tf": "tf2_msgs/TFMessage",
     "/tf_static": "tf2_msgs/TFMessage", "/joint_states": "sensor_msgs/JointState", "/odom": "nav_msgs/Odometry",
-    "/hand/": "geometry_msgs/PoseStamped", "/plan": "nav_msgs/Path", "/plan/": "nav_msgs/Path",
+    "/end_effector/": "geometry_msgs/PoseStamped", "/plan": "nav_msgs/Path", "/plan/": "nav_msgs/Path",
     "/contact/": "geometry_msgs/WrenchStamped", "/mpc/": "std_msgs/Float64",
 }  # fmt: skip
 #: Fields of a message's header and of its layout: no numbers of their own.
@@ -35,20 +36,21 @@ _SKIPPED = ("header", "layout")
 
 @dataclass
 class Topic:
-    """Messages of one topic: type (``geometry_msgs/Pose``), times [s] and CDR bytes."""
+    """Messages of one topic: type (``geometry_msgs/Pose``), times [s] and CDR bytes; ``where``: file and name, for errors."""
 
     kind: str
+    where: str
     times: list[float] = field(default_factory=list)
     data: list[bytes] = field(default_factory=list)
 
     def messages(self) -> Iterator[tuple[float, Any]]:
         """Times [s] and decoded messages."""
         for t, data in zip(self.times, self.data, strict=True):
-            yield t, decode(self.kind, data)
+            yield t, decode(self.kind, data, self.where)
 
     def last(self) -> Any:
         """The newest message."""
-        return decode(self.kind, self.data[-1])
+        return decode(self.kind, self.data[-1], self.where)
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,23 @@ class Recording:
         return self.topics[topic]
 
     @cached_property
-    def duration(self) -> float:
+    def start(self) -> float:
+        """Time of the first message [s]: not 0 of a part, and of a recording whose clock is a calendar's."""
+        return min((t.times[0] for t in self.topics.values()), default=0.0)
+
+    @cached_property
+    def end(self) -> float:
         """Time of the last message [s]."""
         return max((t.times[-1] for t in self.topics.values()), default=0.0)
+
+    @property
+    def earlier(self) -> str:
+        """Where the messages before the first one are, a clause; empty if the run begins with it."""
+        if "continues" not in self.metadata:
+            return ""
+        older = older_part(self.path)
+        where = f"is in {older.name}" if older.is_file() else "was overwritten"
+        return f"the run is longer than its --record-limit: what was before {self.start:.2f} s {where}"
 
     @property
     def title(self) -> str:
@@ -222,7 +238,7 @@ class _Assembly:
             if known and kind != needed:
                 known = False
                 self._out.damage.append(f"{record.topic} is left out: its type is {kind}, {needed} is needed")
-            self._channels[record.id] = self._out.topics.setdefault(record.topic, Topic(kind)) if known else None
+            self._channels[record.id] = self._topic(record.topic, kind) if known else None
         elif isinstance(record, Record):
             if record.channel_id in self._channels:
                 self._message(record)
@@ -234,6 +250,9 @@ class _Assembly:
             self._out.attachments[record.name] = (record.log_time / 1e9, record.data)
         elif isinstance(record, Footer):
             self._out.complete = True
+
+    def _topic(self, name: str, kind: str) -> Topic:
+        return self._out.topics.setdefault(name, Topic(kind, f"{self._out.path}: {name}"))
 
     def _message(self, record: Record) -> None:
         topic = self._channels.get(record.channel_id)

@@ -69,6 +69,7 @@ class McapFile:
         self.close()
         self.path.replace(older_part(self.path))
         self._open()
+        self._writer.add_metadata("continues", {"from": f"{t:.9f}"})
         for name, table in self._about.items():
             self._writer.add_metadata(name, table)
         for name, (at, data) in self._attached.items():

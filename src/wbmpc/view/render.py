@@ -46,7 +46,11 @@ def render(film: Film, path: Path, times: tuple[float, float], size: tuple[int, 
     start, end = max(times[0], float(film.times[0])), min(times[1], float(film.times[-1]))
     if not (start <= end and speed > 0.0):
         raise InputError(f"render: from {start:g} to {end:g} s at speed {speed:g} there is nothing to draw")
-    moments = np.array([start]) if kind == ".png" else np.arange(start, end + 1e-9, speed / RATES[kind])
+    moments = (
+        np.array([start])
+        if kind == ".png"
+        else start + np.arange(int((end - start) * RATES[kind] / speed + 1e-6) + 1) * speed / RATES[kind]
+    )
     pictures = _pictures(film, moments, size)
     first = next(pictures)  # whether there are graphics at all shows before a file is begun
     existed = path.exists()

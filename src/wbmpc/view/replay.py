@@ -26,6 +26,8 @@ RATE, PAGE_RATE = 30.0, 20.0
 LONGEST_PAGE = 7200.0
 #: Frames farther away than this [m] are of no robot, and nothing draws them.
 FARTHEST = 1e6
+#: The shortest time bar [s]: browsers count in doubles, and times may be a calendar's.
+_STEP = 0.1
 #: How often it is looked whether a browser has come [s].
 WAIT = 0.2
 _NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
@@ -209,13 +211,15 @@ class Player:
         self.server, guard = open_server(access, port)
         guard.rejected = self._reject
         self.stage = ViewScene(self.server, film.scene)
-        gui, end = self.server.gui, float(film.times[-1])
+        gui, self._start, self._end = self.server.gui, float(film.times[0]), float(film.times[-1])
         gui.main_panel.dock_right()
         name_tab(gui, film.recording.title)
         self._title = f"**{plain(film.recording.title)}**"
         self._text = gui.add_markdown(self._title)
         self._playing = gui.add_checkbox("Play", True)
-        self._time: Any = gui.add_slider("Time [s]", 0.0, max(end, 0.01), 0.01, 0.0)
+        self._time: Any = gui.add_slider(
+            "Time [s]", self._start, max(self._end, self._start + _STEP), 0.01, self._start
+        )
         self._speed = gui.add_slider("Speed", 0.1, 4.0, 0.1, 1.0)
         self._follow = add_follow(self.server)
         add_legend(gui)
@@ -241,14 +245,14 @@ class Player:
 
     def run(self) -> None:
         """Play, again and again, until Ctrl-C. Without a browser nothing moves: a replay that was forgotten takes no time."""
-        end, shown = float(self.film.times[-1]), -1.0
+        shown = -np.inf
         while True:
             if not self.server.get_clients():
                 time.sleep(WAIT)
                 continue
             if self._playing.value:
                 later = float(self._time.value) + float(self._speed.value) / RATE
-                self._time.value = 0.0 if later > end else later
+                self._time.value = self._start if later > self._end else later
             if self._time.value != shown:
                 shown = float(self._time.value)
                 self.show(shown)
@@ -266,8 +270,8 @@ def write_page(film: Film, path: Path, port: int) -> None:
     server, _ = open_server(Access.of("127.0.0.1"), port, film.recording.title)
     try:
         stage, serializer = ViewScene(server, film.scene, carried=True), None
-        for t in np.arange(film.times[0], film.times[-1] + 1e-9, 1.0 / PAGE_RATE):
-            s = film.snapshot(float(t))
+        for k in range(int(length * PAGE_RATE + 1e-6) + 1):
+            s = film.snapshot(float(film.times[0]) + k / PAGE_RATE)
             stage.show(s)
             stage.follow(s["poses"])
             if serializer is None:

@@ -39,7 +39,7 @@ class ReplayPlots:
                     styles.append(uplot.Series(label="deadline", stroke=_AMBER, width=1.5))
                 styles.append(uplot.Series(label="now", stroke=_GRAY, width=1.5))
                 handle = server.gui.add_uplot(
-                    marked(times, lines, 0.0), (uplot.Series(label="t"), *styles), title=title, aspect=2.2,
+                    marked(times, lines, float(times[0])), (uplot.Series(label="t"), *styles), title=title, aspect=2.2,
                     scales={"x": uplot.Scale(time=False)}, legend=uplot.Legend(show=False),
                 )  # fmt: skip
                 self._figures.append((handle, times, lines))

@@ -16,6 +16,7 @@ import viser
 from websockets.asyncio import server as websockets_server
 from websockets.datastructures import Headers
 from websockets.http11 import Response
+from websockets.protocol import State
 
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimitFilter
@@ -59,7 +60,8 @@ class Guard:
         self.rejected: Callable[[str], None] = lambda reason: None
         self._throttle = Throttle(_FREE, _REJECTED_RATE)
         self.server: viser.ViserServer | None = None
-        self.connections: set[Any] = set()
+        #: The oldest first, with their transports.
+        self.connections: dict[Any, Any] = {}
         self.installed = False
         # not one of the registered loggers: their filters would add up over several servers
         self.log = logging.Logger("wbmpc.view")
@@ -103,12 +105,16 @@ class Guard:
             return None
 
     def admit(self, connection: Any, transport: Any) -> bool:
-        """Count a connection; False, and it is closed, if there are too many."""
+        """Count a connection; False, and it is closed, if there are too many. Instead of it the oldest one is closed that has not
+        yet made its request: whoever opens many and says nothing keeps out nobody who has the token."""
         if len(self.connections) >= MAX_CONNECTIONS:
             self.log.warning("view: a connection was closed: there are %d, the most that are served", MAX_CONNECTIONS)
-            transport.abort()
-            return False
-        self.connections.add(connection)
+            silent = next((c for c in self.connections if c.state is State.CONNECTING), None)
+            if silent is None:
+                transport.abort()
+                return False
+            self.connections.pop(silent).abort()
+        self.connections[connection] = transport
         return True
 
     def _input(self, uuid: str) -> Any:
@@ -122,13 +128,16 @@ class Guard:
         guard = self
 
         class Connection(websockets_server.ServerConnection):
+            admitted = False
+
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
-                if guard.admit(self, transport):
+                self.admitted = guard.admit(self, transport)
+                if self.admitted:
                     super().connection_made(transport)
 
             def connection_lost(self, exc: Exception | None) -> None:
-                if self in guard.connections:
-                    guard.connections.remove(self)
+                guard.connections.pop(self, None)
+                if self.admitted:
                     super().connection_lost(exc)
 
             async def recv(self, decode: bool | None = None) -> Any:
