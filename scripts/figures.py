@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import re
 import subprocess
 import sys
@@ -20,11 +19,11 @@ from typing import Any
 
 from readme import fill_from_studies
 
+from wbmpc.units import scale
+
 ROOT = Path(__file__).parents[1]
 #: By first letters of an experiment's name, the page and mark of its robot.
 PAGES = {"swerve": "swerve", "rezero": "ball"}
-#: Units that are shown as others: factor and name.
-SHOWN_AS = {"m": (1e3, "mm"), "rad": (180.0 / math.pi, "deg")}
 #: What the papers say of experiments for which they give no figure.
 PAPER = {
     "rezero-steps": "“acceptable”",
@@ -36,45 +35,65 @@ PAPER = {
     "rezero-door": "works; the force is missed",
     "rezero-frequency": "“improves”",
 }
-HEAD = ("experiment", "metric", "goal", "paper", "median (95 %, worst)", "commit", "seeds", "reached")
+HEAD = ("metric", "goal", "paper", "median", "95 %", "worst", "reached")
 Cell = dict[str, Any]
 
 
-def number(value: float | None, factor: float = 1.0) -> str:
-    """Three digits, or all of a whole number; None (a figure that is not finite) is ∞."""
-    if value is None:
-        return "∞"
-    return f"{factor * value:.0f}" if abs(factor * value) >= 999.5 else f"{factor * value:.3g}"
+def texts(metric: dict[str, Any], *values: float | None) -> list[str]:
+    """Values of a metric in the unit that reads best for all of them, three digits each; None (a figure that is not finite) is ∞."""
+    shown = scale(metric["unit"], *(metric[key] for key in ("median", "p95", "goal", "least", "paper")))
+    unit = "" if shown.unit == "1" else shown.unit if shown.unit in "%°" else f" {shown.unit}"
+    scaled = (None if value is None else shown.factor * value for value in values)
+    return ["∞" if v is None else f"{v:.0f}{unit}" if abs(v) >= 999.5 else f"{v:.3g}{unit}" for v in scaled]
 
 
-def figures(metric: dict[str, Any]) -> str:
-    """Median (95 %, worst); of a figure that is to be large, (5 %, worst)."""
-    factor = SHOWN_AS.get(metric["unit"], (1.0, ""))[0]
+def figures(metric: dict[str, Any]) -> list[str]:
+    """Median, 95 % and worst; of a figure that is to be large, median, 5 % and worst."""
     bad = "p5" if metric["goal"] is None and metric["least"] is not None else "p95"
-    return "{} ({}, {})".format(*(number(metric[key], factor) for key in ("median", bad, "worst")))
+    return texts(metric, *(metric[key] for key in ("median", bad, "worst")))
+
+
+def limits(metric: dict[str, Any]) -> str:
+    """The goal: at most, at least, or both."""
+    least, most = metric["least"], metric["goal"]
+    if least is not None and most is not None:
+        low, high = texts(metric, least, most)
+        return low if low == high else f"{low} to {high}"
+    (text,) = texts(metric, most if least is None else least)
+    return "–" if least is None and most is None else f"{'≤' if least is None else '≥'} {text}"
 
 
 def row(cells: Iterable[str]) -> str:
     return "| " + " | ".join(cells) + " |\n"
 
 
+def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    heads = list(heads)
+    return row(heads) + "|" + " --- |" * len(heads) + "\n" + "".join(map(row, rows)) + "\n"
+
+
 def goals(cells: list[Cell], commit: str) -> str:
-    """Every metric with a goal or a paper's figure; an experiment's name stands in its first row."""
-    text = row(HEAD) + "|" + " --- |" * len(HEAD) + "\n"
+    """For each experiment and condition a table of every metric with a goal or a paper's figure."""
+    text = ""
     for cell in cells:
         plain = cell["condition"] in ("", "protocol")
-        name = f"`{cell['experiment']}`" + ("" if plain else f", {cell['condition']}")
+        rows = []
         for k, (metric, found) in enumerate(cell["metrics"].items()):
-            factor, unit = SHOWN_AS.get(found["unit"], (1.0, found["unit"]))
-            limits = [(sign, found[key]) for key, sign in (("least", "≥"), ("goal", "≤")) if found[key] is not None]
-            goal = " ".join(f"{sign} {number(value, factor)}" for sign, value in limits) or "–"
             said = PAPER.get(cell["experiment"], "–") if k == 0 and plain else "–"
-            paper = said if found["paper"] is None else number(found["paper"], factor)
+            paper = said if found["paper"] is None else texts(found, found["paper"])[0]
             reached = {True: "yes", False: "**no**", None: ""}[found["met"]]
-            shown = f"`{metric}`" + ("" if unit == "1" else f" [{unit}]")
-            first = (name, commit) if k == 0 else ("", "")
-            text += row([first[0], shown, goal, paper, figures(found), first[1], str(len(cell["seeds"])), reached])
+            rows.append([f"`{metric}`", limits(found), paper, *figures(found), reached])
+        name = f"`{cell['experiment']}`" + ("" if plain else f", {cell['condition']}")
+        seeds = cell["seeds"]
+        head = f"{len(seeds)} runs, seeds {min(seeds)} to {max(seeds)}, commit {commit}; {outcomes(cell)}."
+        text += f"### {name}\n{head}\n\n" + table(HEAD, rows)
     return text
+
+
+def outcomes(cell: Cell) -> str:
+    """How the runs ended."""
+    found = cell["outcomes"]
+    return ", ".join(f"{found[k]} {k.replace('_', ' ')}" for k in sorted(found, key=lambda k: (k != "completed", k)))
 
 
 def loads(cells: list[Cell], commit: str) -> str:
@@ -82,42 +101,34 @@ def loads(cells: list[Cell], commit: str) -> str:
     text = ""
     for experiment in dict.fromkeys(cell["experiment"] for cell in cells):
         mine = [cell for cell in cells if cell["experiment"] == experiment]
-        shown = [(m, SHOWN_AS.get(found["unit"], (1.0, found["unit"]))[1]) for m, found in mine[0]["metrics"].items()]
-        heads = ["condition", "failed", *(f"`{m}`" + ("" if unit == "1" else f" [{unit}]") for m, unit in shown)]
-        text += (
-            f"### `{experiment}`\nMedian (95 %, worst), commit {commit}.\n\n"
-            + row(heads)
-            + "|"
-            + " --- |" * len(heads)
-            + "\n"
-        )
+        names = list(mine[0]["metrics"])
+        rows = []
         for cell in mine:
-            failed = cell["failures"]
-            cells_ = [figures(cell["metrics"][m]) for m, _ in shown]
-            text += row([cell["condition"], f"{failed['failed']} of {failed['count']}", *cells_])
-        text += "\n"
+            failed, found = cell["failures"], cell["metrics"]
+            shown = ("{} ({}, {})".format(*figures(found[m])) for m in names)
+            rows.append([cell["condition"], f"{failed['failed']} of {failed['count']}", *shown])
+        text += f"### `{experiment}`\nMedian (95 %, worst), commit {commit}.\n\n"
+        text += table(["condition", "failed", *(f"`{m}`" for m in names)], rows)
     return text
 
 
-def publish(path: Path, mark: str, text: str, part: str) -> None:
+def publish(path: Path, mark: str, text: str) -> None:
     """Put ``text`` between the lines ``<!-- mark -->`` and ``<!-- end of mark -->`` of a document.
 
-    ``part``: pattern of the lines with which the text's parts begin. What stands there of other parts stays.
+    Its parts begin with a heading of the third level; parts that it does not have stay.
     """
     first, last = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
     previous, _, rest = path.read_text().partition(first)
     old, end, after = rest.partition(last)
     if not end:
         raise SystemExit(f"figures: {path} has no lines '{first.strip()}' and '{last}' to put the table between")
-    path.write_text(previous + first + _renewed(old, text, part) + end + after)
+    path.write_text(previous + first + _renewed(old, text) + end + after)
 
 
-def _renewed(old: str, new: str, part: str) -> str:
-    """``old`` with the parts of ``new`` in place of those that begin with the same words, or behind all others."""
-    (head, *parts), (_, *others) = (re.split(f"(?m)^(?={part})", text) for text in (new, old))
-    name = lambda text: re.split(r"(?<=`) |\n", text)[0]
-    kept = {name(p): p for p in others}
-    return head + "".join((kept | {name(p): p for p in parts}).values())
+def _renewed(old: str, new: str) -> str:
+    """``old`` with the parts of ``new`` in place of those with the same heading, or behind all others."""
+    parts = lambda text: {p.partition("\n")[0]: p for p in re.split("(?m)^(?=### )", text)[1:]}
+    return "".join((parts(old) | parts(new)).values())
 
 
 def main() -> None:
@@ -130,7 +141,7 @@ def main() -> None:
     given = parser.parse_args()
     made, of_goals = [], []
     for robot, page in PAGES.items():
-        for kind, write, part in (("goals", goals, r"\| `"), ("loads", loads, "### ")):
+        for kind, write in (("goals", goals), ("loads", loads)):
             name = f"{robot}-{kind}"
             out = given.runs / name
             if given.run:
@@ -138,7 +149,7 @@ def main() -> None:
             if (out / "statistics.json").is_file():
                 found = json.loads((out / "statistics.json").read_text())
                 text = write(found["cells"], ", ".join(found["commit"]) or "unknown")
-                publish(given.docs / "results" / f"{page}.md", f"{page} {kind}", text, part)
+                publish(given.docs / "results" / f"{page}.md", f"{page} {kind}", text)
                 made.append(name)
                 of_goals += [out / "statistics.json"] * (kind == "goals")
     if not made:

@@ -1,43 +1,25 @@
-"""The README's figures and clip, from finished runs: the words stay as they are, marks say which figure goes where.
+"""The README's figures, from the statistics.json of studies: the words stay as they are, marks say which figure goes where.
 
 A mark is a comment that nobody sees, before the figure and after it:
 
     <!--= swerve-track hand_error_mean_odometry mm -->1.2 mm (2.1)<!--/-->
 
 names an experiment, a metric, a unit, and may end in ``median`` or ``worst`` (else both: median and worst in brackets), or in
-``count`` (in how many runs a metric is not 0). Figures come from sites of `wbmpc reproduce` (--site, may be repeated; a later
-one wins) and from the statistics.json of `wbmpc study` (--study FILE). The mark ``commit`` takes the commits that the runs of
-the sites are of. Marks without figures keep what they have; ``kept`` of the output lists them.
+``count`` (in how many runs a metric is not 0; of falls alone). The mark ``commit`` takes the commits that the runs are of. Marks
+without figures keep what they have. `python scripts/figures.py` fills them.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import statistics
 from pathlib import Path
 from typing import Any
 
-from wbmpc.reproduce import finished, summarize
-
-ROOT = Path(__file__).parents[1]
 MARK = re.compile(r"(<!--= (?P<what>[^>]*?) -->)(?P<text>.*?)(<!--/-->)")
 #: How a unit of the README is made of a metric's own.
 UNITS = {"mm": 1e3, "m": 1.0, "%": 100.0, "s": 1.0, "rad": 1.0, "N": 1.0, "1": 1.0}
-CLIP = "swerve-track"
-SPEED, SIZE, LONGEST = 6.0, (360, 200), 60.0
-
-
-def of_sites(sites: list[Path]) -> dict[str, dict[str, dict[str, Any]]]:
-    """By experiment and metric: median, worst, and the values of all runs."""
-    found: dict[str, dict[str, dict[str, Any]]] = {}
-    for site in sites:
-        for name, entry in summarize(finished(site)).items():
-            runs = [run["metrics"] for run in entry["runs"].values()]
-            values = {m: [r[m]["value"] for r in runs if m in r] for m in entry["metrics"]}
-            found[name] = {m: {**figures, "values": values[m]} for m, figures in entry["metrics"].items()}
-    return found
 
 
 def of_study(file: Path) -> dict[str, dict[str, dict[str, Any]]]:
@@ -62,12 +44,6 @@ def fill_from_studies(readme: Path, studies: list[Path]) -> list[str]:
     filled, left = fill(readme.read_text(), found, ", ".join(sorted(commits)))
     readme.write_text(filled)
     return left
-
-
-def commits_of(sites: list[Path]) -> str:
-    """The commits that the runs of sites recorded; ``""`` without runs."""
-    files = [json.loads((job.directory / "metrics.json").read_text()) for site in sites for job in finished(site)]
-    return ", ".join(sorted({f.get("versions", {}).get("commit") or "unknown" for f in files}))
 
 
 def short(value: float) -> str:
@@ -103,38 +79,3 @@ def fill(readme: str, found: dict[str, dict[str, dict[str, Any]]], commit: str =
         return f"{match[1]}{new}{match[4]}"
 
     return MARK.sub(put, readme), left
-
-
-def clip(sites: list[Path], path: Path) -> None:
-    """The README's clip: the beginning of the first finished run of its experiment."""
-    from wbmpc.recording.reader import read_recording
-    from wbmpc.view.render import render
-    from wbmpc.view.replay import Film
-
-    runs = [job for site in sites for job in finished(site) if job.name == CLIP]
-    if runs:
-        render(Film(read_recording(runs[0].directory)), path, (0.0, LONGEST), SIZE, SPEED)
-
-
-def main() -> None:
-    """Figures, then the clip."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--site", type=Path, action="append", help="of wbmpc reproduce (default: reproduced)")
-    parser.add_argument("--study", type=Path, action="append", default=[], help="statistics.json of wbmpc study")
-    parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
-    parser.add_argument("--clip", type=Path, default=ROOT / "docs" / "images" / "swerve.gif")
-    given = parser.parse_args()
-    sites = given.site or ([] if given.study else [ROOT / "reproduced"])
-    found = of_sites(sites)
-    for study in given.study:
-        found = {**found, **of_study(study)}
-    if not found:
-        raise SystemExit(f"readme: {', '.join(map(str, sites))} holds no finished runs: wbmpc reproduce")
-    filled, left = fill(given.readme.read_text(), found, commits_of(sites))
-    given.readme.write_text(filled)
-    clip(sites, given.clip)
-    print(json.dumps({"readme": str(given.readme), "experiments": sorted(found), "kept": left}))
-
-
-if __name__ == "__main__":
-    main()

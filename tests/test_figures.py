@@ -15,7 +15,7 @@ from wbmpc.report import provenance
 
 ROOT = Path(__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-PAGE = "words\n<!-- {0} goals -->\n| head |\n| --- |\n| `swerve-old` | kept |\n<!-- end of {0} goals -->\nmore\n"
+PAGE = "words\n<!-- {0} goals -->\n### `swerve-old`\n| kept |\n<!-- end of {0} goals -->\nmore\n"
 
 
 def git(*words: str) -> str:
@@ -40,17 +40,6 @@ def test_an_installed_package_has_no_commit(tmp_path: Path, monkeypatch: pytest.
     assert provenance.commit.__wrapped__() == ""
 
 
-def finished_run(site: Path, name: str, seed: int, error: float, commit: str) -> None:
-    directory = site / name / f"seed{seed}"
-    directory.mkdir(parents=True)
-    run: dict[str, Any] = {
-        "seed": seed, "completed": True, "metrics": {"hand_error_mean_odometry": {"value": error, "unit": "m"}},
-        "targets": {"hand_error_mean_odometry": {"goal": 0.002, "least": None, "paper": 0.0167}}, "versions": {"commit": commit},
-    }  # fmt: skip
-    (directory / "metrics.json").write_text(json.dumps(run))
-    (directory / "finished").touch()
-
-
 def test_tables_of_goals_name_the_commit(tmp_path: Path) -> None:
     """Of an experiment without runs the old rows stay, and so does the page of a robot without a study."""
     (tmp_path / "results").mkdir()
@@ -70,32 +59,21 @@ def test_tables_of_goals_name_the_commit(tmp_path: Path) -> None:
     (tmp_path / "runs" / "swerve-goals" / "statistics.json").write_text(study)
     readme = tmp_path / "README.md"
     readme.write_text(
-        "<!--= commit -->old<!--/-->: <!--= swerve-track error mm -->1<!--/-->, <!--= swerve-track fell 1 count -->0<!--/-->"
+        "<!--= commit -->old<!--/-->: <!--= swerve-track error mm -->1<!--/-->, <!--= swerve-track fell 1 count -->0<!--/-->,"
+        " <!--= swerve-track error mm median -->1<!--/-->, <!--= rezero-door error m worst -->7<!--/-->"
     )
     script = [sys.executable, str(ROOT / "scripts" / "figures.py"), "--docs", str(tmp_path), "--readme", str(readme)]
     subprocess.run([*script, "--runs", str(tmp_path / "runs")], env=ENVIRONMENT, check=True, capture_output=True)
     rows = (tmp_path / "results" / "swerve.md").read_text().splitlines()
-    expected = "| `swerve-track` | `error` [mm] | ≤ 2 | 16.7 | 2 (3, ∞) | abc1234567 | 2 | **no** |"
-    assert expected in rows and "| `swerve-old` | kept |" in rows and rows[-1] == "more"
+    expected = "| `error` | ≤ 2 mm | 16.7 mm | 2 mm | 3 mm | ∞ | **no** |"
+    head = "2 runs, seeds 300 to 301, commit abc1234567; 1 completed, 1 fell."
+    assert rows[rows.index("### `swerve-track`") + 1] == head and expected in rows
+    assert rows[2:4] == ["### `swerve-old`", "| kept |"] and rows[-1] == "more"
     assert (tmp_path / "results" / "ball.md").read_text() == PAGE.format("ball")
     filled = [text.partition("<!--/-->")[0] for text in readme.read_text().split("-->")[1::2]]
-    assert [text.removesuffix("<!--/") for text in filled] == ["abc1234567", "2.0 mm (inf)", "1 of 2"]
+    assert [text.removesuffix("<!--/") for text in filled] == ["abc1234567", "2.0 mm (inf)", "1 of 2", "2.0 mm", "7"]
     done = subprocess.run([*script, "--runs", str(tmp_path)], env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 1 and "holds no finished studies" in done.stderr
-
-
-def test_the_readme_names_the_commit(tmp_path: Path) -> None:
-    finished_run(tmp_path / "site", "swerve-track", 200, 0.0012, "abc1234567")
-    readme = tmp_path / "README.md"
-    readme.write_text(
-        "of <!--= commit -->unknown<!--/-->: <!--= swerve-track hand_error_mean_odometry mm -->–<!--/-->\n"
-    )
-    for name in ("log.npz", "run.mcap"):
-        (tmp_path / "site" / "swerve-track" / "seed200" / name).touch()
-    code = f"import sys; sys.path.insert(0, {str(ROOT / 'scripts')!r}); import readme; readme.clip = lambda *a: None; readme.main()"
-    words = ["--site", str(tmp_path / "site"), "--readme", str(readme)]
-    subprocess.run([sys.executable, "-c", code, *words], env=ENVIRONMENT, check=True, capture_output=True)
-    assert "of <!--= commit -->abc1234567<!--/-->: " in readme.read_text() and ">1.2 mm (1.2)<" in readme.read_text()
 
 
 def test_a_table_is_as_old_as_the_code_that_it_depends_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import statistics
-import subprocess
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -194,39 +193,6 @@ def test_the_default_command_is_a_run(tmp_path: Path) -> None:
     failed = run_all(plan(["nonsense"], [1], tmp_path), 1)
     (reason,) = failed.values()
     assert reason.startswith("wbmpc: unknown experiment 'nonsense'")
-
-
-def test_the_readme_gets_its_figures(site, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    """Between its marks, as often as one likes; the words stay. Figures are those of the runs' own files, in the mark's unit."""
-    out, jobs, _, _ = site
-    readme, script = tmp_path / "README.md", HERE.parent / "scripts" / "readme.py"
-    marks = {
-        "fake hand_error_mean_odometry mm": "0 mm (0)", "fake rise_time_max s worst": "1", "fake fell 1 count": "0 of 0",
-        "other hand_error_max m": "7 (8)",
-    }  # fmt: skip
-    words = "| a figure | <!--= {} -->{}<!--/--> of it | {} |\n"
-    readme.write_text("# A\n" + "".join(words.format(m, old, "–") for m, old in marks.items()))
-    for _ in range(2):
-        arguments = ["--site", str(out), "--readme", str(readme), "--clip", str(tmp_path / "a.gif")]
-        said = subprocess.run(
-            [sys.executable, str(script), *arguments], env=ENVIRONMENT, check=True, capture_output=True
-        )
-        assert json.loads(said.stdout)["kept"] == ["other hand_error_max m"]
-    files = [json.loads((j.directory / "metrics.json").read_text())["metrics"] for j in jobs if j.done]
-    errors = [1e3 * f["hand_error_mean_odometry"]["value"] for f in files]
-    text = [f"{statistics.median(errors):.2g} mm ({max(errors):.2g})", "inf s", "1 of 4", "7 (8)"]
-    assert readme.read_text() == "# A\n" + "".join(
-        words.format(m, new, "–") for m, new in zip(marks, text, strict=True)
-    )
-    study = tmp_path / "study.json"
-    study.write_text(
-        json.dumps(
-            {"cells": [{"experiment": "other", "metrics": {"hand_error_max": {"median": 0.00123, "worst": 12.34}}}]}
-        )
-    )
-    arguments = ["--study", str(study), "--readme", str(readme)]
-    subprocess.run([sys.executable, str(script), *arguments], env=ENVIRONMENT, check=True, capture_output=True)
-    assert "<!--= other hand_error_max m -->0.0012 m (12)<!--/--> of it" in readme.read_text()
 
 
 def test_the_site_has_what_earlier_calls_have_finished(

@@ -73,5 +73,5 @@ def _read(path: Path, file: BinaryIO, count: int) -> bytes:
 
 
 def _open(path: str, flags: int) -> int:
-    """Without waiting for a pipe's writer. What is open is then looked at: a name could lead elsewhere a moment later."""
+    """Without waiting for a pipe's writer. What is open is then checked: a name could lead elsewhere a moment later."""
     return os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY)

@@ -14,7 +14,6 @@ from wbmpc.bases.ball.filter_solve import solve_robust
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState, rotation_of
 from wbmpc.bases.ball.filter_step import linearize
 from wbmpc.bases.ball.joint_tracker import JointTracker
-from wbmpc.kernel.step import bind
 
 H, GRAVITY = 0.0025, np.array([0.0, 0.0, 9.81])
 
@@ -89,7 +88,7 @@ def test_slopes_are_the_derivatives_of_the_residuals() -> None:
     memory.state = x
     a = memory.arrays
     a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, gyro, accel
-    bind(linearize, a, n=3, radius=float(g.radius))(H, 0.4, 0.0, 0.0)
+    memory.step(linearize)(H, 0.4, 0.0, 0.0)
     memory.arrays["x"][:] = a["y"]
     y = memory.state
     memory.state = x
@@ -116,7 +115,7 @@ def test_the_older_state_is_marginalised() -> None:
     q, p = np.diag(rng.uniform(0.5, 2.0, m)), np.diag(rng.uniform(0.5, 2.0, size))
     for name, value in (("jx", jx), ("jy", jy), ("r", r), ("q", q), ("p", p)):
         a[name][:] = value.ravel()
-    choice, cost = bind(solve_robust, a, n=3)(np.inf)
+    choice, cost = memory.step(solve_robust)(np.inf)
     assert choice == 0
     rows = np.block(
         [[np.diag(np.diag(q) ** -0.5) @ np.hstack([jx, jy])], [np.diag(np.diag(p) ** -0.5), np.zeros((size, size))]]
@@ -132,7 +131,7 @@ def test_the_older_state_is_marginalised() -> None:
 def test_no_solution_is_said() -> None:
     memory = FilterMemory(geometry(np.random.default_rng(0)), BallNoise(), "compiled")
     memory.arrays["p"][:] = np.nan
-    assert bind(solve_robust, memory.arrays, n=3)(1.0)[0] == -1
+    assert memory.step(solve_robust)(1.0)[0] == -1
 
 
 def test_a_copy_goes_its_own_way() -> None:

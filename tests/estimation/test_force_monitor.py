@@ -13,9 +13,9 @@ from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_control import DoorController
 from wbmpc.studies.minniti2019.force import (
     CONFIRMED,
+    MAX_MISMATCH,
     MAX_ZERO,
-    UNFELT,
-    UNFELT_TIME,
+    MISMATCH_TIME,
     ZERO_LEFT,
     ZERO_TIME,
     ForceMonitor,
@@ -72,23 +72,25 @@ def test_a_spike_does_not_count_and_a_hit_does() -> None:
 
 
 @pytest.mark.parametrize(
-    ("touching", "felt", "found", "fault"),
+    ("touching", "measured", "estimated", "fault"),
     [
-        (True, 8.0, 8.0 + UNFELT - 0.1, ""),
-        (True, 8.0, 8.0 - UNFELT - 0.1, "feels 8.0 N, the robot's motion says 4.9 N"),
-        (True, 8.0, 8.0 + UNFELT + 0.1, "feels 8.0 N, the robot's motion says 11.1 N"),
-        (False, 0.0, UNFELT + 0.1, "pushed by 3.1 N that the force sensor does not feel"),
-        (False, 0.0, -2.0 * UNFELT, ""),
+        (True, 8.0, 8.0 + MAX_MISMATCH - 0.1, ""),
+        (True, 8.0, 8.0 - MAX_MISMATCH - 0.1, "measures 8.0 N, the robot's motion shows 4.9 N"),
+        (True, 8.0, 8.0 + MAX_MISMATCH + 0.1, "measures 8.0 N, the robot's motion shows 11.1 N"),
+        (False, 0.0, MAX_MISMATCH + 0.1, "pushed by 3.1 N that the force sensor does not measure"),
+        (False, 0.0, -2.0 * MAX_MISMATCH, ""),
     ],
 )
-def test_a_sensor_that_the_motion_contradicts_is_found(touching: bool, felt: float, found: float, fault: str) -> None:
+def test_a_sensor_that_the_motion_contradicts_is_found(
+    touching: bool, measured: float, estimated: float, fault: str
+) -> None:
     monitor, reported = ForceMonitor(), np.inf
     for k in range(200):
         for _ in range(k == 50):  # once it agrees: the time begins anew
-            monitor.update(k * H, H, touching, felt, felt)
-        if monitor.update(k * H, H, touching, felt, found):
+            monitor.update(k * H, H, touching, measured, measured)
+        if monitor.update(k * H, H, touching, measured, estimated):
             reported = min(reported, k * H)
-    assert reported == (pytest.approx(50 * H + UNFELT_TIME, abs=2 * H) if fault else np.inf)
+    assert reported == (pytest.approx(50 * H + MISMATCH_TIME, abs=2 * H) if fault else np.inf)
     assert fault in monitor.fault and bool(fault) == bool(monitor.fault)
 
 
@@ -98,7 +100,7 @@ def test_bad_messages_are_rejected() -> None:
         monitor.judge(H, np.zeros(2))
     with pytest.raises(InputError, match="interval"):
         monitor.judge(0.0, np.zeros(3))
-    with pytest.raises(NotFinite, match="force sensor: 'found'"):
+    with pytest.raises(NotFinite, match="force sensor: 'estimated'"):
         monitor.update(0.0, H, True, 8.0, np.nan)
 
 
@@ -121,14 +123,14 @@ def test_a_sensor_is_zeroed_at_rest(off: float) -> None:
     assert monitor.tare() == fault and np.array_equal(monitor.zero, zero)  # once
 
 
-@pytest.mark.parametrize(("felt", "found", "reported"), [(2.6, 0.5, True), (2.1, 0.5, True), (2.6, 1.6, False)])
-def test_a_touch_that_the_motion_does_not_know_is_none(felt: float, found: float, reported: bool) -> None:
+@pytest.mark.parametrize(("measured", "estimated", "reported"), [(2.6, 0.5, True), (2.1, 0.5, True), (2.6, 1.6, False)])
+def test_a_touch_that_the_motion_does_not_know_is_none(measured: float, estimated: float, reported: bool) -> None:
     """A zero that moves by more than a touch's threshold, and by less than what contradicts the motion: the end effector ran against the
     panel with 45 N 0.3 s later. The motion's numbers swing by 1.5 N (as recorded), about their truth."""
     monitor, first = ForceMonitor(), np.inf
     for k in range(200):
-        swings = found + 1.5 * np.sin(2.0 * np.pi * k * H / 0.05)
-        if monitor.update(k * H, H, k >= 20, felt if k >= 20 else 0.0, swings):
+        swings = estimated + 1.5 * np.sin(2.0 * np.pi * k * H / 0.05)
+        if monitor.update(k * H, H, k >= 20, measured if k >= 20 else 0.0, swings):
             first = min(first, (k - 20) * H)
     assert first == (pytest.approx(CONFIRMED, abs=2 * H) if reported else np.inf)
     assert bool(monitor.fault) == reported and (not reported or "that the robot's motion does not" in monitor.fault)
@@ -152,7 +154,7 @@ def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> N
     controller, rng = controller_with_stalled_sensor(1.0), np.random.default_rng(2)
     for k in range(round(2.5 / H)):
         force = np.array([0.0, 0.0, off + 8.0 * (k * H >= 2.0)]) + 0.1 * rng.normal(size=3)
-        controller._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=force))
+        controller._read_force(BallMeasurement(k * H, np.zeros(0), 0.0, force=force))
         assert controller.contact.touching == (not reported and k * H >= 2.0 + controller.contact.debounce - 1e-9)
     assert controller.force[2] == pytest.approx(0.0 if reported else 8.0, abs=0.5)
     assert len(controller._found) == reported and all(
@@ -161,13 +163,13 @@ def test_nothing_touches_before_the_hand_starts(off: float, reported: bool) -> N
 
 
 @pytest.mark.parametrize("phase", ["approach", "push", "release"])
-def test_a_controller_whose_sensor_stands_lets_go_and_feels_nothing_any_more(phase: str) -> None:
+def test_a_controller_whose_sensor_stands_lets_go_and_measures_nothing_any_more(phase: str) -> None:
     """An end effector at rest with a level forearm; its sensor stands at 8 N. One report; neither force nor contact then, in any phase."""
     controller = controller_with_stalled_sensor(0.0)
     controller.phase = phase
     touched = False
     for k in range(60):
-        controller._feel(BallMeasurement(k * H, np.zeros(0), 0.0, force=PUSH))
+        controller._read_force(BallMeasurement(k * H, np.zeros(0), 0.0, force=PUSH))
         touched |= controller.contact.touching and controller.force[2] == 8.0
     assert touched and not controller.contact.touching and not controller.force.any()
     assert controller._ends(60 * H)

@@ -11,8 +11,7 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies.minniti2019.door_control import SensorlessForce
-from wbmpc.studies.minniti2019.momentum import MomentumObserver
+from wbmpc.studies.minniti2019.momentum import MomentumObserver, SensorlessForce
 
 ROBOT, PUSHED = robot("rezero"), load_robot("rezero", contact="force")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from copy import deepcopy
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -131,3 +132,62 @@ def test_calls_with_many_arguments_name_them() -> None:
     ]
     assert len(many) > 20
     assert not bad
+
+
+class Cloud(NamedTuple):
+    """Points about a center."""
+
+    count: int
+    scale: float
+    points: Floats
+    center: Floats
+
+
+@LIBRARY.compiled
+def mean_of(c: Cloud, shift: float) -> float:
+    """The mean of the points, and into ``center`` what is left of it."""
+    points, total = c.points, 0.0
+    for i in range(c.count):
+        total += points[i]
+    c.center[0] = c.scale * total / c.count + shift
+    return total / c.count
+
+
+@LIBRARY.step
+def centered(c: Cloud, shift: float) -> float:
+    mean = mean_of(shift=shift, c=c)
+    for i in range(c.count):
+        c.points[i] -= mean
+    return mean
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_records_are_bound_by_their_fields(backend: str) -> None:
+    """Truth: the mean of 1, 2, 6 is 3; twice that and 10 more is 16."""
+    arrays = {"points": np.array([1.0, 2.0, 6.0]), "center": np.zeros(1)}
+    step = Step(centered, arrays, backend, count=3, scale=2.0)  # type: ignore[arg-type]
+    assert step(10.0) == 3.0 and arrays["center"][0] == 16.0
+    np.testing.assert_array_equal(arrays["points"], [-2.0, -1.0, 3.0])
+    cloud = Cloud(3, 1.0, np.array([3.0, 3.0, 0.0]), np.zeros(1))
+    assert mean_of(cloud, 0.5) == mean_of.python(cloud, 0.5) == 2.0 and cloud.center[0] == 2.5
+
+
+def test_what_is_wrong_with_a_record_is_said() -> None:
+    library = Library("test of wrong records")
+
+    @library.step
+    def twice(c: Cloud, scale: float) -> float:
+        return c.scale * scale
+
+    with pytest.raises(KernelError, match="several arguments have the name scale"):
+        Step(twice, {}, count=1)
+    with pytest.raises(InputError, match=r"point.*valid: count, scale, points, center, shift"):
+        Step(centered, {"point": np.zeros(3)})
+
+    @library.compiled
+    def passes_numbers(n: int, scale: float) -> float:
+        return mean_of(n, scale)
+
+    library.functions.append(mean_of)
+    with pytest.raises(KernelError, match="'c' needs a record of the kind Cloud"):
+        library.source()

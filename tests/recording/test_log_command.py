@@ -64,7 +64,7 @@ def test_info_of_a_killed_run(run: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 def test_csv_has_every_digit(run: Path) -> None:
     assert main(["log", "export", ".", "--out", "tables"]) == 0
-    with (run / "tables" / "hand_pose_odom.csv").open() as file:
+    with (run / "tables" / "end_effector_pose_odom.csv").open() as file:
         rows = list(csv.DictReader(file))
     names = [*(f"position.{a}" for a in "xyz"), *(f"orientation.{a}" for a in "xyzw")]
     np.testing.assert_array_equal([[float(r[f"pose.{n}"]) for n in names] for r in rows], POSES)

@@ -93,7 +93,7 @@ def test_a_node_that_a_signal_ends_stops_first_and_has_its_status(
     seen: list[str] = []
 
     class Node:
-        backend, state, behind = "dds", "ended", 0
+        backend, state, behind, failed = "dds", "ended", 0, False
 
         def __init__(self, *_: object, **__: object) -> None:
             pass

@@ -78,7 +78,7 @@ def test_a_brake_fails_as_the_settings_say() -> None:
     ("name", "leg", "words"),
     [
         ("swerve-ur10", 4, "no leg 4 with a brake; valid: 0"),
-        ("swerve-fixed-ur10", 0, "valid: a robot with hinged legs"),
+        ("swerve-fixed-ur10", 0, "valid: a robot with legs that move"),
     ],
 )
 def test_a_brake_that_is_not_there_cannot_fail(name: str, leg: int, words: str) -> None:

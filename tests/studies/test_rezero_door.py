@@ -13,7 +13,7 @@ from wbmpc.studies.minniti2019 import door_control as control
 from wbmpc.studies.minniti2019.door_figures import trial_metrics
 from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
-from wbmpc.studies.minniti2019.force import UNFELT_TIME, ForceMonitor
+from wbmpc.studies.minniti2019.force import MISMATCH_TIME, ForceMonitor
 
 SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=6.0, final_hold_time=4.0)
 #: With a mass that the controller does not know: 1 kg felled the robot after the release when the arm had no posture to go back to.
@@ -154,19 +154,19 @@ def test_a_hand_that_touches_has_no_joints_that_should_have_moved(monkeypatch, t
 @pytest.mark.parametrize(
     ("phase", "touching", "force", "ends"),
     [
-        ("approach", False, 5.4, "pushed by 5.4 N that the force sensor does not feel"),  # a sensor that gives zeros
+        ("approach", False, 5.4, "pushed by 5.4 N that the force sensor does not measure"),  # a sensor that gives zeros
         (
             "push",
             False,
             5.4,
-            "pushed by 5.4 N that the force sensor does not feel",
+            "pushed by 5.4 N that the force sensor does not measure",
         ),  # and one that dies while it pushes
         ("push", True, 5.4, ""),
         ("approach", False, 1.3, "has found no door"),  # on its way, to the end of its patience
         ("approach", False, -5.4, "has found no door"),
     ],
 )
-def test_what_the_sensor_does_not_feel_ends_the_push(phase: str, touching: bool, force: float, ends: str) -> None:
+def test_what_the_sensor_does_not_measure_ends_the_push(phase: str, touching: bool, force: float, ends: str) -> None:
     """Forces of the momentum observer, 0.5 s of them from 1 s on; patience until 3 s. 5.4 N were pushed for 3.6 s unnoticed."""
     controller = control.DoorController.__new__(control.DoorController)
     controller.phase, controller.period, controller.door, controller.monitor = phase, 0.0025, np.zeros(2), None
@@ -186,7 +186,7 @@ def test_what_the_sensor_does_not_feel_ends_the_push(phase: str, touching: bool,
             ended = t
             break
     if "sensor" in ends:
-        assert ended == pytest.approx(1.0 + UNFELT_TIME, abs=0.01)
+        assert ended == pytest.approx(1.0 + MISMATCH_TIME, abs=0.01)
     else:
         assert ended == np.inf and controller._ends(3.0)
     assert len(controller.faults) == bool(ends) and all(ends in f for f in controller.faults)

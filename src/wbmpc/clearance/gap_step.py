@@ -9,8 +9,8 @@ import numpy as np
 
 from wbmpc.clearance.compilation import compiled
 from wbmpc.clearance.simplex_step import Work, reduce
-from wbmpc.clearance.support_step import core_radius, support
-from wbmpc.kernel.ir import Floats, Integers
+from wbmpc.clearance.support_step import Solids, core_radius, support
+from wbmpc.kernel.ir import Floats
 
 #: Iterations at most; share of the squared distance that ends them; cores nearer [m] than this touch.
 MOST, ENOUGH, TOUCH = 40, 1e-7, 1e-6
@@ -18,13 +18,13 @@ MOST, ENOUGH, TOUCH = 40, 1e-7, 1e-6
 
 @compiled
 def add_point(
-    a: int, b: int, kind: Integers, size: Floats, first: Integers, vertices: Floats, place: Floats, pa: int, axes: Floats,
-    ra: int, others: Floats, pb: int, turns: Floats, rb: int, work: Floats, count: int,
+    solids: Solids, a: int, b: int, place: Floats, pa: int, axes: Floats, ra: int, others: Floats, pb: int, turns: Floats,
+    rb: int, work: Floats, count: int,
 ) -> float:  # fmt: skip
     """Put the difference of the cores' farthest points against and along ``Work.V`` to the simplex; how far it is along that."""
     x, y, z = work[Work.V], work[Work.V + 1], work[Work.V + 2]
-    ax, ay, az = support(a, kind, size, first, vertices, axes, ra, -x, -y, -z)
-    bx, by, bz = support(b, kind, size, first, vertices, turns, rb, x, y, z)
+    ax, ay, az = support(solids, a, axes, ra, -x, -y, -z)
+    bx, by, bz = support(solids, b, turns, rb, x, y, z)
     own, at = Work.OWN + 3 * count, 3 * count
     work[own], work[own + 1], work[own + 2] = ax, ay, az
     work[at] = ax - bx - (others[pb] - place[pa])
@@ -55,8 +55,8 @@ def first_direction(place: Floats, pa: int, others: Floats, pb: int, work: Float
 
 @compiled
 def gap(
-    a: int, b: int, kind: Integers, size: Floats, first: Integers, vertices: Floats, place: Floats, pa: int, axes: Floats,
-    ra: int, others: Floats, pb: int, turns: Floats, rb: int, limit: float, work: Floats,
+    solids: Solids, a: int, b: int, place: Floats, pa: int, axes: Floats, ra: int, others: Floats, pb: int, turns: Floats,
+    rb: int, limit: float, work: Floats,
 ) -> float:  # fmt: skip
     """Distance [m] of solids ``a`` and ``b``, or ``limit`` where it is not less; minus infinity where their cores touch.
 
@@ -64,14 +64,11 @@ def gap(
     :class:`~wbmpc.clearance.simplex_step.Work` says; of a distance below ``limit`` ``V`` and ``AT`` are those of the cores.
     """
     first_direction(place, pa, others, pb, work)
-    radius = core_radius(a, kind, size) + core_radius(b, kind, size)
+    radius = core_radius(solids, a) + core_radius(solids, b)
     reach, square, count = limit + radius, np.inf, 0
     for _ in range(MOST):
         vv = work[Work.V] ** 2 + work[Work.V + 1] ** 2 + work[Work.V + 2] ** 2
-        ahead = add_point(
-            a=a, b=b, kind=kind, size=size, first=first, vertices=vertices, place=place, pa=pa, axes=axes, ra=ra,
-            others=others, pb=pb, turns=turns, rb=rb, work=work, count=count,
-        )  # fmt: skip
+        ahead = add_point(solids, a, b, place, pa, axes, ra, others, pb, turns, rb, work, count)
         if ahead > 0.0 and (reach <= 0.0 or ahead * ahead >= vv * reach * reach):
             return limit
         if count > 0 and vv - ahead <= ENOUGH * vv:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.clearance.compilation import step
-from wbmpc.clearance.pairs_step import nearest_own, place_solids
+from wbmpc.clearance.pairs_step import Gaps, nearest_own, place_solids
+from wbmpc.clearance.support_step import Solids
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
 
 call2 = PointerCall(2)
@@ -14,10 +15,8 @@ call2 = PointerCall(2)
 @step
 def measure(
     n: int, address: int, nx: int, all_frames: int, frames: int, shapes: int, rows: int, pairs: int, reach: float, states: Floats,
-    poses: Floats, table: Integers, kind: Integers, size: Floats, around: Floats, first: Integers, vertices: Floats,
-    frame_of: Integers, row_of: Integers, one: Integers, two: Integers, local: Floats, turn: Floats, position: Floats,
-    rotation: Floats, place: Floats, axes: Floats, distance: Floats, normal: Floats, own: Floats, other: Floats,
-    touching: Integers, work: Floats,
+    poses: Floats, table: Integers, solids: Solids, gaps: Gaps, frame_of: Integers, row_of: Integers, one: Integers, two: Integers,
+    local: Floats, turn: Floats, position: Floats, rotation: Floats, place: Floats, axes: Floats, touching: Integers, work: Floats,
 ) -> int:  # fmt: skip
     """Poses of frames at ``states`` (n, nx) by the function at ``address``, then :func:`~wbmpc.clearance.pairs_step.nearest_own` within
     ``reach`` [m]: how many pairs touch."""
@@ -33,22 +32,19 @@ def measure(
                 rotation[9 * to + i] = poses[at + 3 + i]
     place_solids(n, shapes, frames, frame_of, local, turn, position, rotation, place, axes)
     for i in range(n * rows):
-        distance[i] = reach
-    _compared, touch = nearest_own(
-        n=n, shapes=shapes, rows=rows, pairs=pairs, kind=kind, size=size, around=around, first=first, vertices=vertices,
-        row_of=row_of, one=one, two=two, place=place, axes=axes, distance=distance, normal=normal, own=own, other=other,
-        touching=touching, work=work,
-    )  # fmt: skip
+        gaps.distance[i] = reach
+    _compared, touch = nearest_own(n, shapes, rows, pairs, solids, gaps, row_of, one, two, place, axes, touching, work)
     return touch
 
 
 @step
 def fill(
     n: int, all_frames: int, rows: int, reach: float, margin: float, poses: Floats, of_a: Integers, of_b: Integers, above: Integers,
-    distance: Floats, normal: Floats, own: Floats, other: Floats, parameters: Floats,
+    gaps: Gaps, parameters: Floats,
 ) -> None:  # fmt: skip
     """``parameters`` (n, rows, 10): normal in the axes of the frame ``above`` both, the nearest points in those of the pair's frames, the
     margin; zeros beyond ``reach``, where ``distance`` becomes infinite."""
+    distance, normal, own, other = gaps.distance, gaps.normal, gaps.own, gaps.other
     for k in range(n):
         for r in range(rows):
             i, to = k * rows + r, 10 * (k * rows + r)

@@ -6,13 +6,24 @@ spheres around them, or by a solid against a sphere, are not compared.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from wbmpc.clearance.compilation import compiled
 from wbmpc.clearance.gap_step import gap
 from wbmpc.clearance.simplex_step import Work
-from wbmpc.clearance.support_step import beyond, core_radius
+from wbmpc.clearance.support_step import Solids, beyond, core_radius
 from wbmpc.kernel.ir import Floats, Integers
+
+
+class Gaps(NamedTuple):
+    """What is found, by entry: as much as :class:`wbmpc.clearance.table.Found` has."""
+
+    distance: Floats
+    normal: Floats
+    own: Floats
+    other: Floats
 
 
 @compiled
@@ -35,81 +46,71 @@ def place_solids(
 
 @compiled
 def bound(
-    a: int, b: int, kind: Integers, size: Floats, around: Floats, place: Floats, pa: int, axes: Floats, ra: int, others: Floats,
-    pb: int, limit: float,
-) -> float:  # fmt: skip
-    """At most the distance [m] of solids ``a`` and ``b`` by their enclosing spheres (radius ``around`` (s)); of ``a`` itself against the
+    solids: Solids, a: int, b: int, place: Floats, pa: int, axes: Floats, ra: int, others: Floats, pb: int, limit: float
+) -> float:
+    """At most the distance [m] of solids ``a`` and ``b`` by their enclosing spheres; of ``a`` itself against the
     sphere of ``b`` where that is less than ``limit``."""
     x, y, z = others[pb] - place[pa], others[pb + 1] - place[pa + 1], others[pb + 2] - place[pa + 2]
-    reach = around[a] + around[b] + limit
+    around, reach = solids.around[b], solids.around[a] + solids.around[b] + limit
     square = x * x + y * y + z * z
     if reach <= 0.0 or square >= reach * reach:
         return np.inf
     lx = axes[ra] * x + axes[ra + 3] * y + axes[ra + 6] * z
     ly = axes[ra + 1] * x + axes[ra + 4] * y + axes[ra + 7] * z
     lz = axes[ra + 2] * x + axes[ra + 5] * y + axes[ra + 8] * z
-    return beyond(a, kind, size, lx, ly, lz) - around[b]
+    return beyond(a, solids.kind, solids.size, lx, ly, lz) - around
 
 
 @compiled
 def write_gap(
-    a: int, b: int, kind: Integers, size: Floats, place: Floats, pa: int, d: float, i: int, distance: Floats, normal: Floats,
-    own: Floats, other: Floats, work: Floats,
-) -> None:  # fmt: skip
+    solids: Solids, gaps: Gaps, a: int, b: int, place: Floats, pa: int, d: float, i: int, work: Floats
+) -> None:
     """Write a gap that has been found to entry ``i``: ``normal`` from ``b`` to ``a``, the nearest points ``own`` and ``other`` in the world."""
     v, at = int(Work.V), int(Work.AT)
     length = np.sqrt(work[v] ** 2 + work[v + 1] ** 2 + work[v + 2] ** 2)
-    ra, rb = core_radius(a, kind, size), core_radius(b, kind, size)
-    distance[i] = d
+    ra, rb = core_radius(solids, a), core_radius(solids, b)
+    gaps.distance[i] = d
     for c in range(3):
         n = work[v + c] / length
-        normal[3 * i + c] = n
-        own[3 * i + c] = place[pa + c] + work[at + c] - ra * n
-        other[3 * i + c] = place[pa + c] + work[at + c] - work[v + c] + rb * n
+        gaps.normal[3 * i + c] = n
+        gaps.own[3 * i + c] = place[pa + c] + work[at + c] - ra * n
+        gaps.other[3 * i + c] = place[pa + c] + work[at + c] - work[v + c] + rb * n
 
 
 @compiled
 def nearest(
-    n: int, shapes: int, frames: int, solids: int, kind: Integers, size: Floats, around: Floats, first: Integers,
-    vertices: Floats, frame_of: Integers, place: Floats, axes: Floats, others: Floats, turns: Floats, distance: Floats,
-    normal: Floats, own: Floats, other: Floats, touching: Integers, work: Floats,
+    n: int, shapes: int, frames: int, others_count: int, solids: Solids, gaps: Gaps, frame_of: Integers, place: Floats,
+    axes: Floats, others: Floats, turns: Floats, touching: Integers, work: Floats,
 ) -> tuple[int, int]:  # fmt: skip
-    """Of each of n states, ``frames`` and other ``solids``, numbered after the robot's ``shapes``: what is nearer than ``distance`` (n, f, o)
-    on entry. ``others`` (n, o, 3), ``turns`` (o, 3, 3). How many pairs were compared, and how many of them touch: their numbers
-    (k · shapes + s) · solids + o are in ``touching``."""
+    """Of each of n states, ``frames`` and ``others_count`` others, numbered after the robot's ``shapes``: what is nearer than the
+    ``distance`` (n, f, o) of ``gaps`` on entry. ``others`` (n, o, 3), ``turns`` (o, 3, 3). How many pairs were compared, and how many
+    of them touch: their numbers (k · shapes + s) · others_count + o are in ``touching``."""
     compared, touch = 0, 0
-    for o in range(solids):
+    for o in range(others_count):
         for s in range(shapes):
             b, rb = shapes + o, 9 * o
             for c in range(3):
                 work[Work.V + c] = 0.0
             for k in range(n):
-                i = (k * frames + frame_of[s]) * solids + o
-                limit = distance[i]
-                pa, ra, pb = 3 * (k * shapes + s), 9 * (k * shapes + s), 3 * (k * solids + o)
-                if bound(b, s, kind, size, around, others, pb, turns, rb, place, pa, limit) >= limit:
+                i = (k * frames + frame_of[s]) * others_count + o
+                limit = gaps.distance[i]
+                pa, ra, pb = 3 * (k * shapes + s), 9 * (k * shapes + s), 3 * (k * others_count + o)
+                if bound(solids, b, s, others, pb, turns, rb, place, pa, limit) >= limit:
                     continue
                 compared += 1
-                d = gap(
-                    a=s, b=b, kind=kind, size=size, first=first, vertices=vertices, place=place, pa=pa, axes=axes,
-                    ra=ra, others=others, pb=pb, turns=turns, rb=rb, limit=limit, work=work,
-                )  # fmt: skip
+                d = gap(solids, s, b, place, pa, axes, ra, others, pb, turns, rb, limit, work)
                 if d == -np.inf:
-                    touching[touch] = (k * shapes + s) * solids + o
+                    touching[touch] = (k * shapes + s) * others_count + o
                     touch += 1
                 elif d < limit:
-                    write_gap(
-                        a=s, b=b, kind=kind, size=size, place=place, pa=pa, d=d, i=i, distance=distance, normal=normal,
-                        own=own, other=other, work=work,
-                    )  # fmt: skip
+                    write_gap(solids, gaps, s, b, place, pa, d, i, work)
     return compared, touch
 
 
 @compiled
 def nearest_own(
-    n: int, shapes: int, rows: int, pairs: int, kind: Integers, size: Floats, around: Floats, first: Integers,
-    vertices: Floats, row_of: Integers, one: Integers, two: Integers, place: Floats, axes: Floats, distance: Floats,
-    normal: Floats, own: Floats, other: Floats, touching: Integers, work: Floats,
+    n: int, shapes: int, rows: int, pairs: int, solids: Solids, gaps: Gaps, row_of: Integers, one: Integers, two: Integers,
+    place: Floats, axes: Floats, touching: Integers, work: Floats,
 ) -> tuple[int, int]:  # fmt: skip
     """The same of ``pairs`` of a robot's solids ``one`` and ``two``, each of one of the ``rows``: ``distance`` (n, rows). Numbers of those
     that touch: k · pairs + pair."""
@@ -120,23 +121,17 @@ def nearest_own(
             work[Work.V + c] = 0.0
         for k in range(n):
             i = k * rows + row_of[j]
-            limit = distance[i]
+            limit = gaps.distance[i]
             pa, pb = k * shapes + a, k * shapes + b
-            if bound(a, b, kind, size, around, place, 3 * pa, axes, 9 * pa, place, 3 * pb, limit) >= limit:
+            if bound(solids, a, b, place, 3 * pa, axes, 9 * pa, place, 3 * pb, limit) >= limit:
                 continue
-            if bound(b, a, kind, size, around, place, 3 * pb, axes, 9 * pb, place, 3 * pa, limit) >= limit:
+            if bound(solids, b, a, place, 3 * pb, axes, 9 * pb, place, 3 * pa, limit) >= limit:
                 continue
             compared += 1
-            d = gap(
-                a=a, b=b, kind=kind, size=size, first=first, vertices=vertices, place=place, pa=3 * pa, axes=axes, ra=9
-                * pa, others=place, pb=3 * pb, turns=axes, rb=9 * pb, limit=limit, work=work,
-            )  # fmt: skip
+            d = gap(solids, a, b, place, 3 * pa, axes, 9 * pa, place, 3 * pb, axes, 9 * pb, limit, work)
             if d == -np.inf:
                 touching[touch] = k * pairs + j
                 touch += 1
             elif d < limit:
-                write_gap(
-                    a=a, b=b, kind=kind, size=size, place=place, pa=3 * pa, d=d, i=i, distance=distance, normal=normal,
-                    own=own, other=other, work=work,
-                )  # fmt: skip
+                write_gap(solids, gaps, a, b, place, 3 * pa, d, i, work)
     return compared, touch

@@ -7,6 +7,7 @@ numbered as in :data:`wbmpc.obstacles.solids.KINDS`.
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,11 +26,21 @@ class Kind(IntEnum):
     MESH = 5
 
 
+class Solids(NamedTuple):
+    """A robot's solids, then others."""
+
+    kind: Integers  # Kind
+    size: Floats  # (s, 3) [m]
+    around: Floats  # (s) [m], radii of the spheres around them
+    first: Integers  # (s + 1), where the vertices of each begin
+    vertices: Floats  # (v, 3) [m]
+
+
 @compiled
-def core_radius(s: int, kind: Integers, size: Floats) -> float:
+def core_radius(solids: Solids, s: int) -> float:
     """The radius about a solid's core [m]."""
-    if kind[s] == Kind.SPHERE or kind[s] == Kind.CAPSULE:
-        return size[3 * s]
+    if solids.kind[s] == Kind.SPHERE or solids.kind[s] == Kind.CAPSULE:
+        return solids.size[3 * s]
     return 0.0
 
 
@@ -57,11 +68,9 @@ def round_support(k: int, size: Floats, at: int, x: float, y: float, z: float) -
 
 
 @compiled
-def local_support(
-    s: int, kind: Integers, size: Floats, first: Integers, vertices: Floats, x: float, y: float, z: float
-) -> tuple[float, float, float]:
+def local_support(solids: Solids, s: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """The farthest point of a solid's core along a direction (x, y, z), both in its axes about its center."""
-    at, k = 3 * s, kind[s]
+    at, k, size, vertices = 3 * s, solids.kind[s], solids.size, solids.vertices
     if k == Kind.SPHERE:
         return 0.0, 0.0, 0.0
     if k == Kind.CAPSULE:
@@ -71,19 +80,16 @@ def local_support(
         sy = -size[at + 1] if y < 0.0 else size[at + 1]
         return sx, sy, -size[at + 2] if z < 0.0 else size[at + 2]
     if k == Kind.MESH:
-        v = farthest_vertex(s, first, vertices, x, y, z)
+        v = farthest_vertex(s, solids.first, vertices, x, y, z)
         return vertices[v], vertices[v + 1], vertices[v + 2]
     return round_support(k, size, at, x, y, z)
 
 
 @compiled
-def support(
-    s: int, kind: Integers, size: Floats, first: Integers, vertices: Floats, axes: Floats, r: int, x: float, y: float,
-    z: float,
-) -> tuple[float, float, float]:  # fmt: skip
+def support(solids: Solids, s: int, axes: Floats, r: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """The same in the world's axes: those of the solid are columns of the matrix that begins at ``axes[r]``."""
     lx, ly, lz = local_support(
-        s, kind, size, first, vertices,
+        solids, s,
         axes[r] * x + axes[r + 3] * y + axes[r + 6] * z,
         axes[r + 1] * x + axes[r + 4] * y + axes[r + 7] * z,
         axes[r + 2] * x + axes[r + 5] * y + axes[r + 8] * z,

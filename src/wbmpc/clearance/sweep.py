@@ -18,7 +18,7 @@ from wbmpc.obstacles.world import Snapshot
 Array = NDArray[np.float64]
 #: Motion between two states that are looked at [m], and how many between two nodes at most.
 STEP, MOST = 0.08, 8
-#: Frames that move less than this [m] in an interval are not looked at between nodes: it is more than the margin lacks by.
+#: Frames that move less than this [m] in an interval are not checked between nodes: it is more than the margin lacks by.
 SLOW = 0.02
 
 

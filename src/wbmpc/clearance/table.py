@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.clearance import pairs_step
+from wbmpc.clearance.pairs_step import Gaps
 from wbmpc.clearance.simplex_step import Work
+from wbmpc.clearance.support_step import Solids
 from wbmpc.kernel.step import Backend
 from wbmpc.obstacles.collider import Collider
 from wbmpc.obstacles.geometry import RobotGeometry
@@ -105,10 +107,11 @@ class SolidTable:
         place, axes = self.put(position, rotation)
         places, turns = np.ascontiguousarray(places), np.ascontiguousarray(turns)
         touching = np.empty(n * s * count, np.int64)
+        solids = Solids(self._kind, self._size, self._around, self._first, self._vertices)
+        gaps = Gaps(*(a.reshape(-1) for a in (out.distance, out.normal, out.own, out.other)))
         compared, touch = self._nearest(
-            n, s, frames, count, self._kind, self._size, self._around, self._first, self._vertices, self._frame_of, place,
-            axes, places, turns, out.distance, out.normal, out.own, out.other, touching, self._work,
-        )  # fmt: skip
+            n, s, frames, count, solids, gaps, self._frame_of, place, axes, places, turns, touching, self._work
+        )
         if touch:
             k, a, o = np.unravel_index(touching[:touch], (n, s, count))
         if touch and not deep:

@@ -6,11 +6,12 @@ Mathematics and state: :mod:`wbmpc.estimation.odometry_filter`. Matrices are sto
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
 from wbmpc.estimation.compilation import compiled, step
-from wbmpc.estimation.wheel_fit import fit, move
+from wbmpc.estimation.wheel_fit import Wheels, fit, move
 from wbmpc.estimation.wheel_slip import slip_intensity
 from wbmpc.kernel.ir import Floats
 
@@ -58,6 +59,27 @@ class Way(IntEnum):
 PIECE = 0.05
 
 
+class Odometry(NamedTuple):
+    """The filter of n wheels: its state of ``size`` 5 + 2n, the last interval and what it remembers; matrices by rows."""
+
+    mean: Floats  # (size)
+    p: Floats  # (size, size)
+    interval: Floats  # Interval
+    by_wheels: Floats  # (3, 2n), the twist's derivative by zeros and radii
+    covariance: Floats  # (3, 3), of the twist
+    noise: Floats  # Noise
+    slip: Floats  # wbmpc.estimation.wheel_slip.Slip
+    slip_mean: Floats  # (windows, n, 2)
+    off: Floats  # (n, 2) [m], contradictions in the present piece of way
+    rolled_off: Floats  # (n) [m], and what wheels rolled in it
+    way: Floats  # Way
+    smoothed: Floats  # (3, 2n), derivatives of the twist's rate, averaged
+    pose: Floats  # derivative (3, 3) of the move by the twist, then the move (3)
+    by: Floats  # (3, 2n), of the move by the wheels; scratch
+    spread: Floats  # (3, 3), scratch
+    cross: Floats  # (size), scratch
+
+
 @step
 def farthest(n: int, before: Floats, now: Floats) -> float:
     """How far [rad] the wheel turned that turned most."""
@@ -68,42 +90,40 @@ def farthest(n: int, before: Floats, now: Floats) -> float:
 
 
 @compiled
-def note_contradiction(
-    n: int, residual: Floats, rolled: Floats, off: Floats, rolled_off: Floats, way: Floats
-) -> None:  # fmt: skip
+def note_contradiction(w: Wheels, o: Odometry) -> None:
     """Add an interval to the present piece of way: ``off`` (n, 2) and ``rolled_off`` (n) [m]."""
+    n, residual, off, rolled_off = w.n, w.residual, o.off, o.rolled_off
     piece = 0.0
     for i in range(n):
         off[2 * i] += residual[2 * i]
         off[2 * i + 1] += residual[2 * i + 1]
-        rolled_off[i] += abs(rolled[i])
+        rolled_off[i] += abs(w.rolled[i])
         piece += rolled_off[i]
     if piece < PIECE * n:
         return
     for i in range(n):
-        way[Way.APART] += np.sqrt(off[2 * i] ** 2 + off[2 * i + 1] ** 2)
+        o.way[Way.APART] += np.sqrt(off[2 * i] ** 2 + off[2 * i + 1] ** 2)
         off[2 * i], off[2 * i + 1], rolled_off[i] = 0.0, 0.0, 0.0
-    way[Way.ROLLED] += piece
+    o.way[Way.ROLLED] += piece
 
 
 @compiled
-def wheel_noise(
-    n: int, rolled: Floats, heading: Floats, slope: Floats, weights: Floats, noise: Floats, slip: float, h: float,
-    smoothed: Floats, by_wheels: Floats, covariance: Floats,
-) -> float:  # fmt: skip
+def wheel_noise(w: Wheels, o: Odometry, slips: float, h: float) -> float:
     """The twist's ``covariance`` (3, 3), its derivative ``by_wheels`` (3, 2n) by (zeros, radii) and the variance of the wheels' turn
-    by counts, which is returned; ``slip`` [m²]: variance of what wheels of weight 1 slip in the interval, others slip more.
+    by counts, which is returned; ``slips`` [m²]: variance of what wheels of weight 1 slip in the interval, others slip more.
 
     The derivative is ``smoothed``, and of the intervals before: the age of this message is in its own derivative and in what it is
     compared with, and their product would look like a wrong radius.
     """
+    n, heading, slope, noise = w.n, w.heading, w.slope, o.noise
+    smoothed, by_wheels, covariance = o.smoothed, o.by_wheels, o.covariance
     new, counts = 1.0 - np.exp(-h / SMOOTHING), 0.0
     for j in range(9):
         covariance[j] = 0.0
     for i in range(n):
-        c, s, way, weight = np.cos(heading[i]), np.sin(heading[i]), rolled[i], max(weights[i], SMALLEST)
-        along_variance = (noise[Noise.ALONG] ** 2 * abs(way) + slip) / weight
-        across_variance = (noise[Noise.ACROSS] ** 2 * abs(way) + slip) / weight
+        c, s, way, weight = np.cos(heading[i]), np.sin(heading[i]), w.rolled[i], max(w.weights[i], SMALLEST)
+        along_variance = (noise[Noise.ALONG] ** 2 * abs(way) + slips) / weight
+        across_variance = (noise[Noise.ACROSS] ** 2 * abs(way) + slips) / weight
         for row in range(3):
             fx, fy = slope[row * 2 * n + 2 * i], slope[row * 2 * n + 2 * i + 1]
             along, across = fx * c + fy * s, fy * c - fx * s
@@ -120,36 +140,28 @@ def wheel_noise(
 
 
 @step
-def measure(
-    hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
-    weights: Floats, before: Floats, now: Floats, twist: Floats, residual: Floats, rolled: Floats, heading: Floats,
-    slope: Floats, axes: Floats, moved: Floats, noise: Floats, slip: Floats, slip_mean: Floats, off: Floats,
-    rolled_off: Floats, way: Floats, smoothed: Floats, mean: Floats, interval: Floats, by_wheels: Floats,
-    covariance: Floats, h: float, turn: float, has_gyro: bool,
-) -> None:  # fmt: skip
+def measure(w: Wheels, o: Odometry, h: float, turn: float, has_gyro: bool) -> None:
     """What the wheels say of the interval of ``h`` [s] from ``before`` to ``now``, into ``interval``, ``twist``, ``by_wheels``,
     ``correction`` (at which both are) and ``covariance``."""
-    for j in range(2 * n):
-        correction[j] = mean[WHEELS + j]
-    fit(
-        hinge=hinge, length=length, leg_heading=leg_heading, slides=slides, wheel_heading=wheel_heading, n=n, radius=radius,
-        correction=correction, weights=weights, before=before, now=now, twist=twist, residual=residual, rolled=rolled,
-        heading=heading, slope=slope, axes=axes, moved=moved,
-    )  # fmt: skip
-    note_contradiction(n, residual, rolled, off, rolled_off, way)
-    slips = h * slip_intensity(slip, slip_mean, n, residual, weights, rolled, noise[Noise.SLIP_WINDOW], h)
-    counts = wheel_noise(n, rolled, heading, slope, weights, noise, slips, h, smoothed, by_wheels, covariance)
+    for j in range(2 * w.n):
+        w.correction[j] = o.mean[WHEELS + j]
+    fit(w)
+    note_contradiction(w, o)
+    window, interval = o.noise[Noise.SLIP_WINDOW], o.interval
+    slips = h * slip_intensity(o.slip, o.slip_mean, w.n, w.residual, w.weights, w.rolled, window, h)
+    counts = wheel_noise(w, o, slips, h)
     interval[Interval.H], interval[Interval.TURN], interval[Interval.HAS_GYRO] = h, turn, float(has_gyro)
     interval[Interval.COUNTS] = counts
 
 
 @compiled
-def drive(n: int, mean: Floats, twist: Floats, by_wheels: Floats, correction: Floats, pose: Floats) -> None:
+def drive(w: Wheels, o: Odometry) -> None:
     """Move the pose of ``mean`` by the twist that the wheels give as they are believed to be by now. ``pose`` (12) becomes the
     derivative (3, 3) of the move by the twist, then (3) the move, and last (3) the twist."""
-    dx, dy, dyaw = twist[0], twist[1], twist[2]
+    n, mean, by_wheels, pose = w.n, o.mean, o.by_wheels, o.pose
+    dx, dy, dyaw = w.twist[0], w.twist[1], w.twist[2]
     for j in range(2 * n):
-        known = mean[WHEELS + j] - correction[j]
+        known = mean[WHEELS + j] - w.correction[j]
         dx += by_wheels[j] * known
         dy += by_wheels[2 * n + j] * known
         dyaw += by_wheels[4 * n + j] * known
@@ -176,15 +188,13 @@ def move_row(n: int, p: Floats, first: int, stride: int, x: float, y: float, by:
 
 
 @step
-def advance(
-    n: int, mean: Floats, p: Floats, interval: Floats, twist: Floats, by_wheels: Floats, correction: Floats,
-    covariance: Floats, noise: Floats, pose: Floats, by: Floats, spread: Floats, cross: Floats,
-) -> None:  # fmt: skip
-    """One interval on: the wheels' twist moves the pose, the gyro's turn corrects it and everything behind it. ``mean`` (size) and
-    ``p`` (size, size) are the state; ``pose`` (12), ``by`` (3, 2n), ``spread`` (3, 3) and ``cross`` (size) are scratch."""
+def advance(w: Wheels, o: Odometry) -> None:
+    """One interval on: the wheels' twist moves the pose, the gyro's turn corrects it and everything behind it."""
+    n, mean, p, interval, by_wheels = w.n, o.mean, o.p, o.interval, o.by_wheels
+    covariance, noise, pose, by, spread, cross = o.covariance, o.noise, o.pose, o.by, o.spread, o.cross
     size, m, h = WHEELS + 2 * n, 2 * n, interval[Interval.H]
     bias, late_before = mean[BIAS], mean[LATE]
-    drive(n, mean, twist, by_wheels, correction, pose)
+    drive(w, o)
     x, y, dyaw = pose[9], pose[10], pose[11]
     for row in range(3):
         for j in range(m):

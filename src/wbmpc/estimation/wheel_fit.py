@@ -7,6 +7,8 @@ solution follows from (weighted) centroids: ψ = Σ (s − s̄) × b / Σ |s −
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,29 @@ from wbmpc.kernel.step import Backend, Step, bind
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
+
+
+class Wheels(NamedTuple):
+    """Steered wheels over an interval: n of them, on legs."""
+
+    n: int
+    hinge: Floats  # (n, 2) [m], the legs' hinges in the base's frame
+    length: Floats  # (n) [m], of the legs
+    leg_heading: Floats  # (n) [rad], at angle 0
+    slides: Floats  # (n), 1 for legs that slide, 0 for those that turn
+    wheel_heading: Floats  # (n) [rad], at angle 0
+    radius: Floats  # (n) [m]
+    correction: Floats  # zeros (n) [rad] of the steering, relative errors (n) of the radii
+    weights: Floats  # (n)
+    before: Floats  # legs, steering, wheels (n each) [rad], or [m] of legs that slide, at the beginning
+    now: Floats  # and at the end
+    rolled: Floats  # (n) [m]
+    heading: Floats  # (n) [rad], in the middle
+    axes: Floats  # (n, 2) [m], the wheels' places in the middle
+    moved: Floats  # (n, 2) [m], the wheels' displacements less the legs'
+    twist: Floats  # (3) [m, m, rad], the base's over the interval
+    slope: Floats  # (3, n, 2), of the twist by the displacements
+    residual: Floats  # (n, 2) [m], what the twist does not explain
 
 
 @compiled
@@ -39,43 +64,34 @@ def move(pose: Floats, dx: float, dy: float, dyaw: float) -> tuple[float, float]
 
 
 @compiled
-def displacements(
-    hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
-    before: Floats, now: Floats, rolled: Floats, heading: Floats, axes: Floats, moved: Floats,
-) -> None:  # fmt: skip
+def displacements(w: Wheels) -> None:
     """Each wheel's path (``rolled``, ``heading``), its axis in the middle of the interval and its displacement ``moved`` (n, 2)
-    less the leg's; ``correction``: zeros (n) of the steering and relative errors (n) of the radii."""
+    less the leg's."""
+    n, before, now, hinge, slides, heading = w.n, w.before, w.now, w.hinge, w.slides, w.heading
     for i in range(n):
-        leg0, leg1, zero = before[i], now[i], correction[i]
+        leg0, leg1, zero = before[i], now[i], w.correction[i]
         steer0, steer1 = before[n + i] - zero, now[n + i] - zero
         turn0, turn1 = (1.0 - slides[i]) * leg0, (1.0 - slides[i]) * leg1
         turn = (turn1 - turn0) + (steer1 - steer0)
-        heading[i] = wheel_heading[i] + 0.5 * (turn0 + turn1 + steer0 + steer1)
-        way = radius[i] * (1.0 + correction[n + i]) * (now[2 * n + i] - before[2 * n + i]) * sinc(0.5 * turn)
-        length0, length1 = length[i] + slides[i] * leg0, length[i] + slides[i] * leg1
-        x0 = hinge[2 * i] + length0 * np.cos(leg_heading[i] + turn0)
-        y0 = hinge[2 * i + 1] + length0 * np.sin(leg_heading[i] + turn0)
+        heading[i] = w.wheel_heading[i] + 0.5 * (turn0 + turn1 + steer0 + steer1)
+        way = w.radius[i] * (1.0 + w.correction[n + i]) * (now[2 * n + i] - before[2 * n + i]) * sinc(0.5 * turn)
+        length0, length1 = w.length[i] + slides[i] * leg0, w.length[i] + slides[i] * leg1
+        x0 = hinge[2 * i] + length0 * np.cos(w.leg_heading[i] + turn0)
+        y0 = hinge[2 * i + 1] + length0 * np.sin(w.leg_heading[i] + turn0)
         x1, y1 = x0, y0
         if leg0 != leg1:
-            x1 = hinge[2 * i] + length1 * np.cos(leg_heading[i] + turn1)
-            y1 = hinge[2 * i + 1] + length1 * np.sin(leg_heading[i] + turn1)
-        rolled[i] = way
-        moved[2 * i], moved[2 * i + 1] = x0 - x1 + way * np.cos(heading[i]), y0 - y1 + way * np.sin(heading[i])
-        axes[2 * i], axes[2 * i + 1] = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+            x1 = hinge[2 * i] + length1 * np.cos(w.leg_heading[i] + turn1)
+            y1 = hinge[2 * i + 1] + length1 * np.sin(w.leg_heading[i] + turn1)
+        w.rolled[i] = way
+        w.moved[2 * i], w.moved[2 * i + 1] = x0 - x1 + way * np.cos(heading[i]), y0 - y1 + way * np.sin(heading[i])
+        w.axes[2 * i], w.axes[2 * i + 1] = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
 
 
 @step
-def fit(
-    hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
-    weights: Floats, before: Floats, now: Floats, twist: Floats, residual: Floats, rolled: Floats, heading: Floats,
-    slope: Floats, axes: Floats, moved: Floats,
-) -> None:  # fmt: skip
-    """The ``twist`` (3) from true angles (legs, steering, wheels, n each) ``before`` and ``now``, and its ``slope`` (3, n, 2) by the
-    wheels' displacements."""
-    displacements(
-        hinge=hinge, length=length, leg_heading=leg_heading, slides=slides, wheel_heading=wheel_heading, n=n, radius=radius,
-        correction=correction, before=before, now=now, rolled=rolled, heading=heading, axes=axes, moved=moved,
-    )  # fmt: skip
+def fit(w: Wheels) -> None:
+    """The ``twist`` from true angles ``before`` and ``now``, and its ``slope``."""
+    n, weights, axes, moved, slope, twist = w.n, w.weights, w.axes, w.moved, w.slope, w.twist
+    displacements(w)
     total, mx, my = 0.0, 0.0, 0.0
     for i in range(n):
         total += weights[i]
@@ -99,23 +115,15 @@ def fit(
         dyaw += fx * moved[j] + fy * moved[j + 1]
     twist[0], twist[1], twist[2] = dx, dy, dyaw
     for i in range(n):
-        residual[2 * i] = moved[2 * i] - dx + dyaw * axes[2 * i + 1]
-        residual[2 * i + 1] = moved[2 * i + 1] - dy - dyaw * axes[2 * i]
+        w.residual[2 * i] = moved[2 * i] - dx + dyaw * axes[2 * i + 1]
+        w.residual[2 * i + 1] = moved[2 * i + 1] - dy - dyaw * axes[2 * i]
 
 
 @step
-def dead_reckon(
-    hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, wheel_heading: Floats, n: int, radius: Floats, correction: Floats,
-    weights: Floats, before: Floats, now: Floats, twist: Floats, residual: Floats, rolled: Floats, heading: Floats,
-    slope: Floats, axes: Floats, moved: Floats, pose: Floats,
-) -> None:  # fmt: skip
+def dead_reckon(w: Wheels, pose: Floats) -> None:
     """As :func:`fit`; ``pose`` (3) moves by the twist."""
-    fit(
-        hinge=hinge, length=length, leg_heading=leg_heading, slides=slides, wheel_heading=wheel_heading, n=n, radius=radius,
-        correction=correction, weights=weights, before=before, now=now, twist=twist, residual=residual, rolled=rolled,
-        heading=heading, slope=slope, axes=axes, moved=moved,
-    )  # fmt: skip
-    move(pose, twist[0], twist[1], twist[2])
+    fit(w)
+    move(pose, w.twist[0], w.twist[1], w.twist[2])
 
 
 class WheelFit:

@@ -16,6 +16,7 @@ from wbmpc.kernel.ir import (
     NUM,
     NUMS,
     VEC,
+    Parameter,
     PointerCall,
     Signature,
     Value,
@@ -60,13 +61,19 @@ class Expressions(Vectors):
     def name(self, node: ast.Name) -> Value:
         if node.id not in self.slots:
             return self.constant(self.names.get(node.id), node)
-        kind, slot = self.slots[node.id]
+        return self.load(node.id)
+
+    def load(self, place: str) -> Value:
+        """The value of a local name, or of a record's field."""
+        kind, slot = self.slots[place]
         if kind in (NUMS, INTS):
             return Value(kind, slot)
         return Value(kind, self.new(f"load {llvm_type(kind)}, ptr {slot}{alignment(kind)}"))
 
     def of_Attribute(self, node: ast.Attribute) -> Value:
         text = ast.unparse(node)
+        if text in self.slots:
+            return self.load(text)
         if text.endswith(".ctypes.data"):
             array = self.slots[text.removesuffix(".ctypes.data")]
             return Value(INT, self.new(f"ptrtoint ptr {array[1]} to i64"))
@@ -236,13 +243,22 @@ class Expressions(Vectors):
         raise self.fail(node, "this function is not compiled")
 
     def in_order(self, signature: Signature, node: ast.Call) -> list[ast.expr]:
-        """The arguments of a call in the order of the function's own: by position first, then by name."""
-        named = {k.arg or "": k.value for k in node.keywords}
-        given = list(zip(signature.names, node.args, strict=False))
-        if sorted([*named, *(name for name, _ in given)]) != sorted(signature.names) or len(given) != len(node.args):
-            raise self.fail(node, f"needs each argument once; valid: {', '.join(signature.names)}")
+        """What a call passes for each parameter, in the order of the function's own: by position first, then by name."""
+        named, names = {k.arg or "": k.value for k in node.keywords}, [p.name for p in signature.parameters]
+        given = list(zip(names, node.args, strict=False))
+        if sorted([*named, *(name for name, _ in given)]) != sorted(names) or len(given) != len(node.args):
+            raise self.fail(node, f"needs each argument once; valid: {', '.join(names)}")
         named |= dict(given)
-        return [named[name] for name in signature.names]
+        return [named[name] for name in names]
+
+    def passed(self, parameter: Parameter, node: ast.expr) -> list[Value]:
+        """The arguments of a parameter: of a record the fields of one of the same kind."""
+        if parameter.record is None:
+            return [self.value(node)]
+        own = [p for p in self.signature.parameters if isinstance(node, ast.Name) and p.name == node.id]
+        if not own or own[0].record is not parameter.record:
+            raise self.fail(node, f"'{parameter.name}' needs a record of the kind {parameter.record.__name__}")
+        return [self.load(place) for place in own[0].places]
 
     def extreme(self, word: str, node: ast.Call) -> Value:
         result = self.value(node.args[0])
@@ -295,8 +311,9 @@ class Expressions(Vectors):
         return Value(NONE, "")
 
     def library_call(self, signature: Signature, node: ast.Call) -> Value:
-        given = self.in_order(signature, node)
-        arguments = [self.convert(self.value(a), k, node) for a, k in zip(given, signature.arguments, strict=True)]
+        pairs = zip(signature.parameters, self.in_order(signature, node), strict=True)
+        values = [value for parameter, given in pairs for value in self.passed(parameter, given)]
+        arguments = [self.convert(v, k, node) for v, k in zip(values, signature.arguments, strict=True)]
         text = f"call {llvm_type(signature.result)} @{signature.symbol}("
         text += ", ".join(f"{llvm_type(g.kind)} {g.text}" for g in arguments) + ")"
         if signature.result == NONE:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, overload
 
@@ -94,21 +94,60 @@ def alignment(kind: Type) -> str:
     return ", align 8" if kind == VEC else ""
 
 
+def record_fields(kind: object) -> tuple[str, ...]:
+    """The names of the fields of a record, a ``NamedTuple`` of numbers and arrays; none where it is no record."""
+    return getattr(kind, "_fields", ()) if isinstance(kind, type) and issubclass(kind, tuple) else ()
+
+
+class Parameter(NamedTuple):
+    """A parameter of a function: its name, and its record, which is passed as one argument for each ``field``; None for a value."""
+
+    name: str
+    record: Callable[..., Any] | None
+    fields: tuple[str, ...]
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """What translated code calls its arguments."""
+        return tuple(f"{self.name}.{field}" for field in self.fields) if self.record else (self.name,)
+
+
 class Signature(NamedTuple):
-    """LLVM name, result, argument types and their names, of a function that translated code may call."""
+    """LLVM name, result, argument types and their names, of a function that translated code may call. The arguments of a record are its
+    fields, by their own names."""
 
     symbol: str
     result: Type
     arguments: tuple[Type, ...]
     names: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
 
     @classmethod
     def of(cls, function: Callable[..., Any]) -> Signature:
         """The signature of a function of translated Python from its annotations (as text: ``from __future__ import annotations``)."""
         signature = inspect.signature(function)
-        arguments = tuple(_annotated(function, p.annotation) for p in signature.parameters.values())
+        parameters, arguments, names = [], [], []
+        for p in signature.parameters.values():
+            record = function.__globals__.get(p.annotation) if isinstance(p.annotation, str) else p.annotation
+            fields = record_fields(record)
+            parameters.append(Parameter(p.name, record if fields else None, fields))
+            kinds = [record.__annotations__[field] for field in fields] if fields else [p.annotation]
+            arguments += [_annotated(function, getattr(kind, "__forward_arg__", kind)) for kind in kinds]
+            names += fields or [p.name]
         symbol = f"{function.__module__.rsplit('.', 1)[-1]}_{function.__name__}"
-        return cls(symbol, _annotated(function, signature.return_annotation), arguments, tuple(signature.parameters))
+        result = _annotated(function, signature.return_annotation)
+        return cls(symbol, result, tuple(arguments), tuple(names), tuple(parameters))
+
+    def structured(self, flat: Sequence[Any]) -> list[Any]:
+        """Flat arguments as the function's source takes them."""
+        values = iter(flat)
+        return [p.record(*(next(values) for _ in p.fields)) if p.record else next(values) for p in self.parameters]
+
+    def flat(self, structured: Sequence[Any]) -> list[Any]:
+        """The arguments of machine code."""
+        return [
+            v for p, value in zip(self.parameters, structured, strict=True) for v in (value if p.record else (value,))
+        ]
 
 
 class Value(NamedTuple):

@@ -63,9 +63,8 @@ class Function(Generic[P, R]):
 
     @property
     def argument_names(self) -> list[str]:
-        """The names of the arguments, in order."""
-        code = self.python.__code__
-        return list(code.co_varnames[: code.co_argcount])
+        """The names of the arguments of machine code, in order."""
+        return list(self.signature.names)
 
     @property
     def interpreted(self) -> Callable[P, R]:
@@ -88,7 +87,7 @@ class Function(Generic[P, R]):
             return self.python(*arguments, **names)
         converted, result = [], self.signature.result
         values: tuple[Any, ...] = (*arguments, *self._in_order(len(arguments), names)) if names else arguments
-        for value, kind in zip(values, self.signature.arguments, strict=True):
+        for value, kind in zip(self.signature.flat(values), self.signature.arguments, strict=True):
             if kind in (NUMS, INTS):
                 if value.dtype != (np.float64 if kind == NUMS else np.int64) or not value.flags.c_contiguous:
                     raise KernelError(f"{self.signature.symbol}: contiguous float64 or int64 arrays are needed")
@@ -103,7 +102,7 @@ class Function(Generic[P, R]):
 
     def _in_order(self, first: int, names: dict[str, Any]) -> list[Any]:
         """Arguments by name in the order of the function's own, from the ``first`` on."""
-        needed = self.signature.names[first:]
+        needed = [p.name for p in self.signature.parameters[first:]]
         if set(needed) != set(names):
             raise KernelError(
                 f"{self.signature.symbol}: got the arguments {', '.join(names)}; needed: {', '.join(needed)}"

@@ -25,7 +25,8 @@ Memory = Mapping[str, NDArray[Any]]
 
 class Step:
     """``step(*numbers)`` runs a function of a library on the arrays of ``memory`` and on ``constants``, both by the names of its
-    arguments; ``numbers`` are the other arguments, in order. Returns the function's result, a tuple where there are several.
+    arguments (of a record: of its fields); ``numbers`` are the other arguments, in order. Returns the function's result, a tuple
+    where there are several.
 
     Arrays are contiguous, of float64 or int64, and do not overlap; they stay where they are, so callers write into them. A call does
     not allocate, look anything up, or let go of the interpreter. ``backend``: machine code, or the same source as ordinary Python.
@@ -45,6 +46,9 @@ class Step:
 
     def _bind(self) -> None:
         f, arguments = self._function, self._function.argument_names
+        if len(set(arguments)) < len(arguments):
+            twice = sorted({name for name in arguments if arguments.count(name) > 1})
+            raise KernelError(f"{f.signature.symbol}: several arguments have the name {', '.join(twice)}")
         for name in (*self._memory, *self._constants):
             if name not in arguments:
                 raise unknown_name("argument", name, arguments)
@@ -97,7 +101,7 @@ class Step:
         if self._backend == "interpreted":
             for place, number in zip(self._places, numbers, strict=True):
                 self._given[place] = number
-            return self._function.interpreted(*self._given)
+            return self._function.interpreted(*self._function.signature.structured(self._given))
         for (row, i, whole), number in zip(self._slots, numbers, strict=True):
             row[i] = int(number) if whole else number
         self._code(self._address)

@@ -9,8 +9,9 @@ Eight numbers at a time: ``m[i : i + LANES]`` is one vector, to read or to write
 of a vector.
 
 Types are those of the annotations: ``float``, ``int``, ``bool``, :class:`~wbmpc.kernel.ir.Floats`, ``Integers``, ``Vector``, ``Mask``,
-tuples of them. Constants are module-level numbers, members of an ``IntEnum`` (``State.BARRIER``: named entries of an array) and fields
-of a frozen dataclass instance (settings of a component).
+tuples of them. A parameter may be a record, a ``NamedTuple`` of numbers and arrays: its fields are read (``w.radius[i]``), it is
+passed on as a whole, and an array of it may get a local name (``radius = w.radius``). Constants are module-level numbers, members of
+an ``IntEnum`` (``State.BARRIER``: named entries of an array) and fields of a frozen dataclass instance (settings of a component).
 
 The same functions run as ordinary Python, which is how the interpreted twin and the tests use them (there a slice is a view:
 read it before it is written to).
@@ -33,7 +34,7 @@ class Translator(Expressions):
     def translate(self) -> str:
         """The function as LLVM IR."""
         parameters = []
-        names = [a.arg for a in self.tree.args.args]
+        names = [place for p in self.signature.parameters for place in p.places]
         if len(names) != len(self.signature.arguments):
             raise self.fail(self.tree, "the signature has another number of arguments")
         for name, kind in zip(names, self.signature.arguments, strict=True):
@@ -102,6 +103,9 @@ class Translator(Expressions):
 
     def assign_name(self, name: str, value: Value, node: ast.AST) -> None:
         if name not in self.slots:
+            if value.kind in (NUMS, INTS):  # another name for the same array
+                self.slots[name] = (value.kind, value.text)
+                return
             self.slots[name] = (value.kind, self.slot(value.kind))
         kind, slot = self.slots[name]
         if kind in (NUMS, INTS):

@@ -35,7 +35,7 @@ class InputRows:
         tables = self._solver.tables()
         if self._step is None or tables is not self._tables:
             self._step, self._tables = self._bound(tables), tables
-        np.add(self._solver.ws.grid, t, out=self._times)
+        np.add(self._solver.trajectory(copy=False).grid, t, out=self._times)
         self._step()
         return self._active.copy(), self._moving.copy() if self.planes.move else None
 

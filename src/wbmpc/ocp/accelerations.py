@@ -20,7 +20,7 @@ from wbmpc.ocp import sets
 from wbmpc.ocp.norms import RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import AccelerationLimit, ProblemInput
-from wbmpc.ocp.symbols import Residual, Symbols
+from wbmpc.ocp.symbols import Symbols, Wrapping
 from wbmpc.ocp.terms import Constraint, Cost
 
 Array = NDArray[np.float64]
@@ -34,26 +34,12 @@ SHARES: Mapping[str, float] = {"base": 0.9, "arm": 0.4}
 
 
 @dataclass(frozen=True)
-class RateRows:
+class RateRows(Wrapping):
     """The rows of an equality ``inner``; of those that have no input of the problem while brakes are closed ġ + ``rate`` g [1/s], in the
     row's unit over a second; inputs behind open brakes count as constant."""
 
-    inner: Residual
     dynamics: InputRate
     rate: float = RETURN_RATE
-
-    @property
-    def size(self) -> int:
-        return self.inner.size
-
-    @property
-    def groups(self) -> Mapping[str, slice]:
-        """Those of ``inner``."""
-        return self.inner.groups
-
-    @property
-    def reference(self) -> int:
-        return self.inner.reference
 
     def __call__(self, s: Symbols) -> ca.SX:
         rows = self.inner(s)
@@ -88,10 +74,7 @@ def with_accelerations(
     if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError("accelerations: a problem on the robot's own dynamics (robot.dynamics()) is needed")
     dynamics = InputRate(own, tuple(shares))
-    wrapped = OptimalControlProblem(
-        dynamics, ocp.horizon, ocp.intervals, grid=[float(t) for t in ocp.grid], integrator=ocp.integrator,
-        align_events=ocp.align_events, modes=ocp.modes,
-    )  # fmt: skip
+    wrapped = ocp.on(dynamics)
     for term in ocp.terms.values():
         if isinstance(term, Constraint) and term.equality:
             softness = max(term.softness, SOFTNESS)

@@ -16,30 +16,18 @@ import casadi as ca
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.augment import FrequencyShaping, InputFilter
 from wbmpc.ocp.problem import OptimalControlProblem
-from wbmpc.ocp.residuals import Residual, Symbols
+from wbmpc.ocp.residuals import Symbols
+from wbmpc.ocp.symbols import Wrapping
 from wbmpc.ocp.terms import Cost
 from wbmpc.ocp.transcription import Transcription
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Seen(Wrapping):
     """A residual of the inner problem as it sees the wrapped one; ``weighed``: with ν in the place of u."""
 
-    inner: Residual
     dynamics: FrequencyShaping
     weighed: bool
-
-    @property
-    def size(self) -> int:
-        return self.inner.size
-
-    @property
-    def groups(self) -> Mapping[str, slice]:
-        return self.inner.groups
-
-    @property
-    def reference(self) -> int:
-        return self.inner.reference
 
     @property
     def row_names(self) -> Any:
@@ -79,10 +67,7 @@ def frequency_aware(
             raise unknown_name("cost that depends on a filtered input", name, depending)
     if not chosen:
         raise InputError(f"filters: no cost depends on an input of {', '.join(dynamics.groups)}")
-    wrapped = OptimalControlProblem(
-        dynamics, ocp.horizon, ocp.intervals, grid=[float(t) for t in ocp.grid], integrator=ocp.integrator,
-        align_events=ocp.align_events, modes=ocp.modes,
-    )  # fmt: skip
+    wrapped = ocp.on(dynamics)
     nested = hasattr(ocp.dynamics, "view")
     for name, term in ocp.terms.items():
         weighed = name in chosen

@@ -43,10 +43,7 @@ def path_problem(
         raise InputError(
             f"path problem: '{pose}' is no cost of a FramePose; valid: the one that the path takes the place of"
         )
-    wrapped = OptimalControlProblem(
-        dynamics, ocp.horizon, ocp.intervals, grid=[float(t) for t in ocp.grid], integrator=ocp.integrator,
-        align_events=ocp.align_events, modes=ocp.modes,
-    )  # fmt: skip
+    wrapped = ocp.on(dynamics)
     for name, term in ocp.terms.items():
         if name != pose:
             wrapped.add(term)

@@ -111,12 +111,19 @@ class OptimalControlProblem:
             )
         cuts = cuts.astype(int)
         grid = [t for k, c in enumerate(cuts) for t in np.linspace(self.grid[k], self.grid[k + 1], c, endpoint=False)]
-        other = OptimalControlProblem(
-            self.dynamics, self.horizon, len(grid), grid=[*grid, self.horizon], integrator=self.integrator,
-            align_events=self.align_events, modes=self.modes,
-        )  # fmt: skip
+        other = self._anew(self.dynamics, [*grid, self.horizon])
         other.terms = self.terms
         return other
+
+    def on(self, dynamics: SystemDynamics) -> OptimalControlProblem:
+        """A problem without terms on other ``dynamics``, with this one's grid, integrator and modes."""
+        return self._anew(dynamics, [float(t) for t in self.grid])
+
+    def _anew(self, dynamics: SystemDynamics, grid: Sequence[float]) -> OptimalControlProblem:
+        return OptimalControlProblem(
+            dynamics, self.horizon, len(grid) - 1, grid=grid, integrator=self.integrator, align_events=self.align_events,
+            modes=self.modes,
+        )  # fmt: skip
 
     def __repr__(self) -> str:
         d, count = self.dynamics, len(self.terms)

@@ -38,6 +38,26 @@ class Residual(Protocol):
     def __call__(self, s: Symbols) -> ca.SX: ...
 
 
+@dataclass(frozen=True)
+class Wrapping:
+    """A residual with the rows of another one, ``inner``."""
+
+    inner: Residual
+
+    @property
+    def size(self) -> int:
+        return self.inner.size
+
+    @property
+    def groups(self) -> Mapping[str, slice]:
+        """Those of ``inner``."""
+        return self.inner.groups
+
+    @property
+    def reference(self) -> int:
+        return self.inner.reference
+
+
 @runtime_checkable
 class FollowsLastInput(Protocol):
     """A residual whose reference is what was commanded last: ``last_inputs``, the indices of those inputs. Its reference has

@@ -191,10 +191,9 @@ class Steering:
 
     def _here(self) -> Array:
         """Where the base is estimated to be (x, y, 0) [m]; a base that does not move is at the origin."""
-        controller = self._controller
         if self.mpc is None or "base" not in self.mpc.dynamics.state:
             return np.zeros(3)
-        place = controller.state()[self.mpc.dynamics.state["base"]][:2]
+        place = self._controller.state()[self.mpc.dynamics.state["base"]][:2]
         return np.array([*place, 0.0])
 
     def _push(self, t: float, force: Array, seconds: float) -> None:

@@ -98,7 +98,7 @@ class BallFilter:
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """Its arrays by their names in :mod:`wbmpc.bases.ball.filter_step`, for other steps to read."""
+        """Its arrays by their names in :class:`wbmpc.bases.ball.filter_step.Filter`, for other steps to read."""
         return self._memory.arrays
 
     # ------------------------------------------------------------------ update

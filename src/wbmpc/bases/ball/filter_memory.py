@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.filter_solve import update
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState
 from wbmpc.bases.ball.filter_step import Noise, State, advance
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import Backend, Step, bind
 
 Array = NDArray[np.float64]
 
 
 class FilterMemory:
-    """``arrays``: everything by its name in :mod:`wbmpc.bases.ball.filter_step`. Steps: ``update(h, torque, gyro_more, accel_more,
+    """``arrays``: everything by its name in :class:`wbmpc.bases.ball.filter_step.Filter`. Steps: ``update(h, torque, gyro_more, accel_more,
     gate)`` finds the newer state, ``advance(still, most)`` makes it the older one. The older state is the filter's."""
 
     def __init__(self, geometry: BallGeometry, noise: BallNoise, backend: Backend) -> None:
@@ -24,17 +27,20 @@ class FilterMemory:
         sizes = {"x": state, "y": state, "z": state, "gyro": 3, "accel": 3}
         sizes |= {"wheel": n, "read": n, "way": n, "gone": n, "stalled": n, "spin": n, "plain": n * n, "slip": 3 * n}
         sizes |= {"rate": 3, "turn": 3, "turned": 9, "half": 9, "middle": 9, "after": 9, "shift": 3, "pushed": 3}
-        sizes |= {"p": size * size, "jx": m * size, "jy": m * size, "q": m * m, "r": m, "moved": m * size, "f": m * m}
-        sizes |= {"w": m * (size + 1), "a": size * size, "inverse": size * size, "slope": size}
+        sizes |= {"p": size * size, "jx": m * size, "jy": m * size, "q": m * m, "r": m, "moved": m * size}
+        sizes |= {"w": m * (size + 1), "a": size * size, "inverse": size * size, "slope": size, "root": m * m}
         sizes |= {"error": size, "covariance": size * size, "best_error": size, "best_covariance": size * size}
         self.arrays = {name: np.zeros(length) for name, length in sizes.items()} | {
             "mount": np.array(geometry.mount, float),
             "wheels": np.array(geometry.turn, float).flatten(),
             "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
         }
-        a = self.arrays
-        self.update = bind(update, a, backend, n=n, radius=float(geometry.radius))
-        self.advance = bind(advance, a, backend, n=n)
+        self.update, self.advance = self.step(update), self.step(advance)
+
+    def step(self, function: Callable[..., Any]) -> Step:
+        """A step of the filter on these arrays."""
+        geometry, _, backend = self._made_of
+        return bind(function, self.arrays, backend, n=len(geometry.turn), radius=float(geometry.radius))
 
     def __deepcopy__(self, memo: dict[int, object]) -> FilterMemory:
         """Steps of the copy work on its own arrays, and so do those of others on these."""

@@ -1,6 +1,6 @@
 """The ball filter's least squares, compiled: solved under the mildest explanation of the readings.
 
-Matrices are stored by rows; n wheels, errors of ``size`` 16 + n, 17 + 2n rows of residuals (:mod:`wbmpc.bases.ball.filter_step`).
+The arrays are in :class:`wbmpc.bases.ball.filter_step.Filter`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
-from wbmpc.bases.ball.filter_step import Row, State, apply, linearize
+from wbmpc.bases.ball.filter_step import Filter, Row, State, apply, linearize
 from wbmpc.kernel.ir import Floats
 
 #: Variance [rad²] of rows that count for nothing.
@@ -32,12 +32,11 @@ def cholesky(a: Floats, n: int) -> None:
 
 
 @compiled
-def whiten(
-    n: int, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats, moved: Floats, f: Floats, w: Floats
-) -> None:
-    """``w`` (rows, size + 1): slopes by the newer state, and residuals, over the root ``f`` of what noise and the older state's
-    covariance ``p`` make of them; ``moved`` (rows, size) is scratch."""
-    size, m = 16 + n, 17 + 2 * n
+def whiten(f: Filter) -> None:
+    """``w`` (rows, size + 1): slopes by the newer state, and residuals, over the ``root`` of what noise and the older state's
+    covariance ``p`` make of them."""
+    p, jx, jy, q, r, moved, root, w = f.p, f.jx, f.jy, f.q, f.r, f.moved, f.root, f.w
+    size, m = 16 + f.n, 17 + 2 * f.n
     c = size + 1
     for i in range(m):
         for j in range(size):
@@ -51,17 +50,17 @@ def whiten(
             total = q[i * m + j]
             for k in range(size):
                 total += moved[i * size + k] * jx[j * size + k]
-            f[i * m + j] = total
-    cholesky(f, m)
+            root[i * m + j] = total
+    cholesky(root, m)
     for i in range(m):
         for j in range(size):
             w[i * c + j] = jy[i * size + j]
         w[i * c + size] = r[i]
         for k in range(i):
-            share = f[i * m + k]
+            share = root[i * m + k]
             for j in range(c):
                 w[i * c + j] -= share * w[k * c + j]
-        pivot = 1.0 / f[i * m + i]
+        pivot = 1.0 / root[i * m + i]
         for j in range(c):
             w[i * c + j] *= pivot
 
@@ -92,15 +91,13 @@ def invert(a: Floats, inverse: Floats, out: Floats, n: int) -> None:
 
 
 @compiled
-def solve(
-    n: int, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats, moved: Floats, f: Floats, w: Floats, a: Floats,
-    inverse: Floats, slope: Floats, error: Floats, covariance: Floats,
-) -> float:  # fmt: skip
+def solve(f: Filter) -> float:
     """``error`` (size) of the newer state and its ``covariance``, the older one, with covariance ``p``, being marginalised; returns
     the cost of the redundant rows, which is no number where there is no solution."""
-    size, m = 16 + n, 17 + 2 * n
+    a, w, slope, error, covariance = f.a, f.w, f.slope, f.error, f.covariance
+    size, m = 16 + f.n, 17 + 2 * f.n
     c = size + 1
-    whiten(n, p, jx, jy, q, r, moved, f, w)
+    whiten(f)
     for i in range(size * size):
         a[i] = 0.0
     for i in range(size):
@@ -111,7 +108,7 @@ def solve(
             for j in range(i + 1):
                 a[i * size + j] += share * w[k * c + j]
             slope[i] += share * w[k * c + size]
-    invert(a, inverse, covariance, size)
+    invert(a, f.inverse, covariance, size)
     for i in range(size):
         total = 0.0
         for j in range(size):
@@ -127,15 +124,12 @@ def solve(
 
 
 @step
-def solve_robust(
-    n: int, x: Floats, wheels: Floats, stalled: Floats, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats,
-    moved: Floats, f: Floats, w: Floats, a: Floats, inverse: Floats, slope: Floats, error: Floats, covariance: Floats,
-    plain: Floats, spin: Floats, best_error: Floats, best_covariance: Floats, gate: float,
-) -> tuple[int, float]:  # fmt: skip
+def solve_robust(f: Filter, gate: float) -> tuple[int, float]:
     """The error and covariance of the newer state under the mildest explanation of the rows: which one, and the cost without one.
 
     0: nothing, 1: the ball spins on the floor, 2 + i: wheel i slips, 2 + n: the ball slips; −1: there is no solution. If none costs
-    less than the ``gate`` the best one counts. ``stalled`` (n): 1 for wheels whose rows count for nothing."""
+    less than the ``gate`` the best one counts."""
+    n, x, wheels, q, plain, spin, stalled = f.n, f.x, f.wheels, f.q, f.plain, f.spin, f.stalled
     size, m = 16 + n, 17 + 2 * n
     best, lowest, first = -1, np.inf, 0.0
     for i in range(n):
@@ -154,44 +148,26 @@ def solve_robust(
                 if i == j and (choice == 2 + i or choice == 2 + n):
                     more = ANY
                 q[(Row.ROLLING + i) * m + Row.ROLLING + j] = plain[i * n + j] + more
-        cost = solve(
-            n=n, p=p, jx=jx, jy=jy, q=q, r=r, moved=moved, f=f, w=w, a=a, inverse=inverse, slope=slope, error=error,
-            covariance=covariance,
-        )  # fmt: skip
+        cost = solve(f)
         if choice == 0:
             first = cost
         if cost < lowest:
             best, lowest = choice, cost
             for i in range(size):
-                best_error[i] = error[i]
+                f.best_error[i] = f.error[i]
             for i in range(size * size):
-                best_covariance[i] = covariance[i]
+                f.best_covariance[i] = f.covariance[i]
         if lowest < gate:
             break
     return best, first
 
 
 @step
-def update(
-    n: int, x: Floats, y: Floats, z: Floats, gyro: Floats, accel: Floats, wheel: Floats, mount: Floats, wheels: Floats,
-    radius: float, noise: Floats, turn: Floats, turned: Floats, half: Floats, middle: Floats, after: Floats,
-    shift: Floats, pushed: Floats, slip: Floats, stalled: Floats, p: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats,
-    moved: Floats, f: Floats, w: Floats, a: Floats, inverse: Floats, slope: Floats, error: Floats, covariance: Floats,
-    plain: Floats, spin: Floats, best_error: Floats, best_covariance: Floats, h: float, torque: float, gyro_more: float,
-    accel_more: float, gate: float,
-) -> tuple[int, float]:  # fmt: skip
+def update(f: Filter, h: float, torque: float, gyro_more: float, accel_more: float, gate: float) -> tuple[int, float]:
     """The newer state ``z`` after a message: :func:`~wbmpc.bases.ball.filter_step.linearize`, :func:`solve_robust` (what it returns) and
     :func:`~wbmpc.bases.ball.filter_step.apply` in one."""
-    linearize(
-        n=n, x=x, y=y, gyro=gyro, accel=accel, wheel=wheel, mount=mount, wheels=wheels, radius=radius, noise=noise,
-        turn=turn, turned=turned, half=half, middle=middle, after=after, shift=shift, pushed=pushed, slip=slip, jx=jx,
-        jy=jy, q=q, r=r, h=h, torque=torque, gyro_more=gyro_more, accel_more=accel_more,
-    )  # fmt: skip
-    choice, first = solve_robust(
-        n=n, x=x, wheels=wheels, stalled=stalled, p=p, jx=jx, jy=jy, q=q, r=r, moved=moved, f=f, w=w, a=a,
-        inverse=inverse, slope=slope, error=error, covariance=covariance, plain=plain, spin=spin, best_error=best_error,
-        best_covariance=best_covariance, gate=gate,
-    )  # fmt: skip
+    linearize(f, h, torque, gyro_more, accel_more)
+    choice, first = solve_robust(f, gate)
     if choice >= 0:
-        apply(n, y, best_error, turned, after, z)
+        apply(f)
     return choice, first

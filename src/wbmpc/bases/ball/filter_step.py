@@ -1,12 +1,12 @@
 """The ball filter's step, compiled: the next state, residuals and their slopes, and how an error moves a state.
 
-What it does and why: :class:`wbmpc.bases.ball.filter.BallFilter`. Matrices are stored by rows; n wheels, errors of ``size`` 16 + n,
-17 + 2n rows of residuals.
+What it does and why: :class:`wbmpc.bases.ball.filter.BallFilter`. The arrays are in :class:`Filter`.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,6 +70,52 @@ class Noise(IntEnum):
     SCALE_TIME = 13
 
 
+class Filter(NamedTuple):
+    """What the filter works on: n wheels, errors of ``size`` 16 + n, m = 17 + 2n rows; matrices by rows."""
+
+    n: int
+    radius: float  # of the ball [m]
+    x: Floats  # State: the older one
+    y: Floats  # the guess of the newer one, where residuals are linearized
+    z: Floats  # the newer one
+    gyro: Floats  # (3) [rad/s] of the message
+    accel: Floats  # (3) [m/s²]
+    wheel: Floats  # (n) [rad]
+    mount: Floats  # (3) [m], from the base's origin to the inertial unit
+    wheels: Floats  # (n, 3), from the ball's turning to the wheels'
+    noise: Floats  # Noise
+    turn: Floats  # (3) [rad], by the gyro
+    turned: Floats  # (3, 3), its rotation
+    half: Floats  # (3, 3), half of it
+    middle: Floats  # (3, 3), the base in the middle of the interval
+    after: Floats  # (3, 3), and at its end
+    shift: Floats  # (3) [m]
+    pushed: Floats  # (3) [rad], the ball's turning by the shift, in base axes
+    slip: Floats  # (n, 3), the wheels' directions in the world
+    p: Floats  # (size, size), covariance of the older state's error
+    jx: Floats  # (m, size), slopes of the residuals by the older state's error
+    jy: Floats  # (m, size), by the newer state's
+    q: Floats  # (m, m), covariance of their noise
+    r: Floats  # (m), residuals
+    moved: Floats  # (m, size), scratch
+    root: Floats  # (m, m), Cholesky factor of the residuals' covariance
+    w: Floats  # (m, size + 1), whitened slopes by the newer state, and residuals
+    a: Floats  # (size, size), information
+    inverse: Floats  # (size, size), scratch
+    slope: Floats  # (size), of the cost
+    error: Floats  # (size), of the newer state
+    covariance: Floats  # (size, size)
+    best_error: Floats  # the same under the mildest explanation
+    best_covariance: Floats
+    plain: Floats  # (n, n), the rolling rows' covariance without a fault
+    spin: Floats  # (n), the wheels' turning by a ball that spins about the vertical
+    stalled: Floats  # (n), 1 for wheels whose rows count for nothing
+    read: Floats  # (n) [rad], what encoders read when they last moved
+    way: Floats  # (n) [rad], what their wheels must have turned since
+    gone: Floats  # (n) [rad], what wheels turned in the interval
+    rate: Floats  # (3) [rad/s], of the base by the last message that counted
+
+
 @compiled
 def rotation_of(x: float, y: float, z: float, r: Floats) -> None:
     """Rotation matrix of a rotation vector [rad] (Rodrigues)."""
@@ -101,12 +147,12 @@ def by_skew(a: float, b: float, c: float, x: float, y: float, z: float) -> tuple
 
 
 @compiled
-def integrate(
-    n: int, h: float, x: Floats, y: Floats, gyro: Floats, accel: Floats, mount: Floats, wheels: Floats, radius: float,
-    turn: Floats, turned: Floats, half: Floats, middle: Floats, after: Floats, shift: Floats, pushed: Floats,
-) -> None:  # fmt: skip
+def integrate(f: Filter, h: float) -> None:
     """The state ``y`` after ``x`` by strapdown integration and rolling: where the residuals are linearized. ``pushed`` (3): turning of
     the ball by the way ``shift``, in base axes."""
+    n, x, y, gyro, accel, mount, wheels, turn = f.n, f.x, f.y, f.gyro, f.accel, f.mount, f.wheels, f.turn
+    turned = f.turned
+    half, middle, after, shift, pushed = f.half, f.middle, f.after, f.shift, f.pushed
     for i in range(3):
         turn[i] = h * (gyro[i] - x[State.GYRO_BIAS + i])
     rotation_of(turn[0], turn[1], turn[2], turned)
@@ -128,18 +174,18 @@ def integrate(
         y[State.POSITION + i] += way
     factor = np.exp(-x[State.SCALE])
     for i in range(3):
-        pushed[i] = (middle[3 + i] * shift[0] - middle[i] * shift[1]) / radius
+        pushed[i] = (middle[3 + i] * shift[0] - middle[i] * shift[1]) / f.radius
     for i in range(n):
         for j in range(3):
             y[State.WHEEL + i] += factor * wheels[3 * i + j] * (pushed[j] - turn[j])
 
 
 @compiled
-def inertial_rows(
-    n: int, h: float, x: Floats, after: Floats, accel: Floats, mount: Floats, noise: Floats, turned: Floats,
-    middle: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats,
-) -> None:  # fmt: skip
+def inertial_rows(f: Filter, h: float) -> None:
     """Turning, push and shift, which are zero at the guess; walks of the biases, and the scale."""
+    n, x, after, accel, mount, noise, turned = f.n, f.x, f.after, f.accel, f.mount, f.noise, f.turned
+    middle, jx = f.middle, f.jx
+    jy, q = f.jy, f.q
     size, m = 16 + n, 17 + 2 * n
     ax, ay, az = (
         accel[0] - x[State.ACCEL_BIAS], accel[1] - x[State.ACCEL_BIAS + 1], accel[2] - x[State.ACCEL_BIAS + 2],
@@ -175,27 +221,26 @@ def inertial_rows(
         walk = noise[Noise.GYRO_WALK] if i < 3 else noise[Noise.ACCEL_WALK]
         q[(Row.WALKS + i) * (m + 1)] = walk**2 * h
     kept = np.exp(-h / noise[Noise.SCALE_TIME])
-    r[Row.SCALE] = (1.0 - kept) * x[State.SCALE]
+    f.r[Row.SCALE] = (1.0 - kept) * x[State.SCALE]
     jy[Row.SCALE * size + Error.SCALE], jx[Row.SCALE * size + Error.SCALE] = 1.0, -kept
     q[Row.SCALE * (m + 1)] = noise[Noise.SCALE] ** 2 * (1.0 - kept**2)
 
 
 @compiled
-def rolling_rows(
-    n: int, h: float, x: Floats, y: Floats, wheel: Floats, wheels: Floats, radius: float, torque: float, noise: Floats,
-    turn: Floats, turned: Floats, middle: Floats, pushed: Floats, slip: Floats, jx: Floats, jy: Floats, q: Floats,
-    r: Floats,
-) -> None:  # fmt: skip
+def rolling_rows(f: Filter, h: float, torque: float) -> None:
     """Wheel increments − turn · (ball's turning − base's), zero at the guess; encoders, what they read was true a little before; and
-    the floor. ``torque`` [N m]: what lasts about the vertical; ``slip`` (n, 3) is scratch."""
+    the floor. ``torque`` [N m]: what lasts about the vertical."""
+    n, x, y, wheels, noise, turned, middle, pushed = f.n, f.x, f.y, f.wheels, f.noise, f.turned, f.middle, f.pushed
+    slip = f.slip
+    jx, jy, q, r = f.jx, f.jy, f.q, f.r
     size, m, factor = 16 + n, 17 + 2 * n, np.exp(-x[State.SCALE])
     spin = noise[Noise.SPIN] ** 2 + (noise[Noise.CREEPING] * torque) ** 2
     for i in range(n):
         row, t = (Row.ROLLING + i) * size, 3 * i
         fx, fy, fz = factor * wheels[t], factor * wheels[t + 1], factor * wheels[t + 2]
         jy[row + Error.WHEEL + i], jx[row + Error.WHEEL + i] = 1.0, -1.0
-        along = (fx * middle[3] + fy * middle[4] + fz * middle[5]) / radius
-        across = -(fx * middle[0] + fy * middle[1] + fz * middle[2]) / radius
+        along = (fx * middle[3] + fy * middle[4] + fz * middle[5]) / f.radius
+        across = -(fx * middle[0] + fy * middle[1] + fz * middle[2]) / f.radius
         jy[row + Error.POSITION], jy[row + Error.POSITION + 1] = -along, -across
         jx[row + Error.POSITION], jx[row + Error.POSITION + 1] = along, across
         a, b, c = by_skew(fx, fy, fz, 0.5 * pushed[0], 0.5 * pushed[1], 0.5 * pushed[2])
@@ -204,7 +249,9 @@ def rolling_rows(
         jx[k] = -a - (fx * turned[0] + fy * turned[1] + fz * turned[2])
         jx[k + 1] = -b - (fx * turned[3] + fy * turned[4] + fz * turned[5])
         jx[k + 2] = -c - (fx * turned[6] + fy * turned[7] + fz * turned[8])
-        jx[row + Error.SCALE] = fx * (pushed[0] - turn[0]) + fy * (pushed[1] - turn[1]) + fz * (pushed[2] - turn[2])
+        jx[row + Error.SCALE] = (
+            fx * (pushed[0] - f.turn[0]) + fy * (pushed[1] - f.turn[1]) + fz * (pushed[2] - f.turn[2])
+        )
         for k in range(3):
             slip[t + k] = (
                 wheels[t] * middle[3 * k] + wheels[t + 1] * middle[3 * k + 1] + wheels[t + 2] * middle[3 * k + 2]
@@ -212,7 +259,7 @@ def rolling_rows(
     for i in range(n):
         row, e = (Row.ROLLING + n + i) * size, Row.ROLLING + n + i
         speed, age = (y[State.WHEEL + i] - x[State.WHEEL + i]) / h, noise[Noise.AGE]
-        r[e] = y[State.WHEEL + i] - age * speed - wheel[i]
+        r[e] = y[State.WHEEL + i] - age * speed - f.wheel[i]
         jy[row + Error.WHEEL + i], jx[row + Error.WHEEL + i] = 1.0 - age / h, age / h
         for j in range(n):
             level = slip[3 * i] * slip[3 * j] + slip[3 * i + 1] * slip[3 * j + 1]
@@ -226,14 +273,10 @@ def rolling_rows(
 
 
 @step
-def linearize(
-    n: int, x: Floats, y: Floats, gyro: Floats, accel: Floats, wheel: Floats, mount: Floats, wheels: Floats,
-    radius: float, noise: Floats, turn: Floats, turned: Floats, half: Floats, middle: Floats, after: Floats,
-    shift: Floats, pushed: Floats, slip: Floats, jx: Floats, jy: Floats, q: Floats, r: Floats, h: float, torque: float,
-    gyro_more: float, accel_more: float,
-) -> None:  # fmt: skip
+def linearize(f: Filter, h: float, torque: float, gyro_more: float, accel_more: float) -> None:
     """The guess ``y`` after ``x``, residuals ``r`` between the two, their slopes ``jx`` and ``jy`` by the errors of both, and the
     covariance ``q`` of their noise; ``gyro_more`` [rad²], ``accel_more`` [m²/s²]: more variance of turning and push."""
+    n, jx, jy, q, r = f.n, f.jx, f.jy, f.q, f.r
     size, m = 16 + n, 17 + 2 * n
     for i in range(m):
         r[i] = 0.0
@@ -241,28 +284,20 @@ def linearize(
         jx[i], jy[i] = 0.0, 0.0
     for i in range(m * m):
         q[i] = 0.0
-    integrate(
-        n=n, h=h, x=x, y=y, gyro=gyro, accel=accel, mount=mount, wheels=wheels, radius=radius, turn=turn, turned=turned,
-        half=half, middle=middle, after=after, shift=shift, pushed=pushed,
-    )  # fmt: skip
-    inertial_rows(
-        n=n, h=h, x=x, after=after, accel=accel, mount=mount, noise=noise, turned=turned, middle=middle, jx=jx, jy=jy,
-        q=q, r=r,
-    )  # fmt: skip
-    rolling_rows(
-        n=n, h=h, x=x, y=y, wheel=wheel, wheels=wheels, radius=radius, torque=torque, noise=noise, turn=turn,
-        turned=turned, middle=middle, pushed=pushed, slip=slip, jx=jx, jy=jy, q=q, r=r,
-    )  # fmt: skip
+    integrate(f, h)
+    inertial_rows(f, h)
+    rolling_rows(f, h, torque)
     for i in range(3):
         q[(Row.TURNING + i) * (m + 1)] += gyro_more
         q[(Row.PUSH + i) * (m + 1)] += accel_more
 
 
 @compiled
-def apply(n: int, y: Floats, error: Floats, turned: Floats, after: Floats, z: Floats) -> None:
-    """The state ``z`` is ``y`` with an ``error``."""
-    rotation_of(error[Error.ATTITUDE], error[Error.ATTITUDE + 1], error[Error.ATTITUDE + 2], turned)
-    turned_by(y, turned, after)
+def apply(f: Filter) -> None:
+    """The state ``z`` is ``y`` with the ``best_error``."""
+    y, z, error, after = f.y, f.z, f.best_error, f.after
+    rotation_of(error[Error.ATTITUDE], error[Error.ATTITUDE + 1], error[Error.ATTITUDE + 2], f.turned)
+    turned_by(y, f.turned, after)
     for i in range(3):
         z[State.POSITION + i] = y[State.POSITION + i] + error[Error.POSITION + i]
         z[State.VELOCITY + i] = y[State.VELOCITY + i] + error[Error.VELOCITY + i]
@@ -271,45 +306,42 @@ def apply(n: int, y: Floats, error: Floats, turned: Floats, after: Floats, z: Fl
     for i in range(9):
         z[State.ROTATION + i] = after[i]
     z[State.SCALE] = y[State.SCALE] + error[Error.SCALE]
-    for i in range(n):
+    for i in range(f.n):
         z[State.WHEEL + i] = y[State.WHEEL + i] + error[Error.WHEEL + i]
 
 
 @compiled
-def detect_stalled(
-    n: int, gone: Floats, wheel: Floats, read: Floats, way: Floats, stalled: Floats, still: float, most: float
-) -> None:  # fmt: skip
+def detect_stalled(f: Filter, still: float, most: float) -> None:
     """An encoder that stays within ``still`` [rad] of what it ``read`` (one may flicker by a count) while its wheel must have turned
     by ``most`` [rad] since: ``way`` being by how much, ``gone`` (n) [rad] what the last interval gives to it."""
-    for i in range(n):
+    wheel, read, way, stalled = f.wheel, f.read, f.way, f.stalled
+    for i in range(f.n):
         if abs(wheel[i] - read[i]) > still:
             way[i], stalled[i], read[i] = 0.0, 0.0, wheel[i]
         else:
-            way[i] += gone[i]
+            way[i] += f.gone[i]
             stalled[i] = 1.0 if abs(way[i]) > most else 0.0
 
 
 @step
-def advance(
-    n: int, x: Floats, y: Floats, z: Floats, p: Floats, best_covariance: Floats, gone: Floats, gyro: Floats, rate: Floats,
-    wheel: Floats, read: Floats, way: Floats, stalled: Floats, still: float, most: float,
-) -> None:  # fmt: skip
+def advance(f: Filter, still: float, most: float) -> None:
     """:func:`accept`, the ``rate`` (3) [rad/s] of the base by the last message that counted, and :func:`detect_stalled`."""
-    accept(n, x, y, z, p, best_covariance, gone)
+    accept(f)
     for i in range(3):
-        rate[i] = gyro[i] - x[State.GYRO_BIAS + i]
-    detect_stalled(n, gone, wheel, read, way, stalled, still, most)
+        f.rate[i] = f.gyro[i] - f.x[State.GYRO_BIAS + i]
+    detect_stalled(f, still, most)
 
 
 @compiled
-def accept(n: int, x: Floats, y: Floats, z: Floats, p: Floats, best_covariance: Floats, gone: Floats) -> None:
+def accept(f: Filter) -> None:
     """The newer state ``z`` becomes the older one, ``x`` and ``p``; ``gone`` (n) [rad]: what the wheels turned between them."""
+    n, x, y = f.n, f.x, f.y
     for i in range(n):
-        gone[i] = y[State.WHEEL + i] - x[State.WHEEL + i]
+        f.gone[i] = y[State.WHEEL + i] - x[State.WHEEL + i]
     for i in range(State.WHEEL + n):
-        x[i] = z[i]
+        x[i] = f.z[i]
     for i in range((16 + n) * (16 + n)):
-        p[i] = best_covariance[i]
+        f.p[i] = f.best_covariance[i]
 
 
 @step

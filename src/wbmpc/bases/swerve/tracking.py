@@ -76,7 +76,7 @@ class SwerveTracking:
         self._bind(backend)
 
     def _memory(self, wheel_scale: Array) -> dict[str, Array]:
-        """Arrays by their names in :mod:`wbmpc.bases.swerve.tracking_step`."""
+        """Arrays by the names of fields in :mod:`wbmpc.bases.swerve.tracking_step`."""
         robot, limits = self.robot, self.robot.limits
         n, nu, steer = robot.base.geometry.modules, robot.input.size, robot.state["steer"]
         own = {name: np.zeros(nu) for name in ("u", "sent", "future", "ahead", "moved", "excess")}
@@ -95,30 +95,18 @@ class SwerveTracking:
         )
 
     def _bind(self, backend: Backend) -> None:
-        a, s, inputs, state = self._arrays, self.settings, self.robot.input, self.robot.state
-        legs, n, m = len(inputs.groups.get("leg", ())), self.robot.base.geometry.modules, len(inputs.groups["arm"])
-        places = {g: inputs[g].start if g in inputs else 0 for g in ("base", "leg", "steer", "wheel", "arm")}
-        states = {f"x_{g}": state[g].start if g in state else 0 for g in places}
-        sizes, blend = {"nu": inputs.size, "n": n}, self.drives.blend
-        steering = {"planned_steering": s.planned_steering}
+        s, inputs, state, blend = self.settings, self.robot.input, self.robot.state, self.drives.blend
+        groups = ("base", "leg", "steer", "wheel", "arm")
         law = {
-            "legs": legs,
-            "m": m,
-            "period": self.period,
-            "lag": s.lag,
-            "blend": blend,
-            "late": blend * s.lag / self.period,
-        }
-        servo = {"gain": s.steer_gain, "align_gain": ALIGN_GAIN}
-        self._track = bind(track, a, backend, **sizes, **law, **places, **servo, **steering)
-        self._simulate_drives = bind(
-            simulate_drives, a, backend, **sizes, steer=places["steer"], blend=blend, **steering
+            "nu": inputs.size, "n": self.robot.base.geometry.modules, "legs": len(inputs.groups.get("leg", ())),
+            "m": len(inputs.groups["arm"]), **{g: inputs[g].start if g in inputs else 0 for g in groups},
+            **{f"x_{g}": state[g].start if g in state else 0 for g in groups}, "period": self.period, "lag": s.lag, "blend": blend,
+            "late": blend * s.lag / self.period, "gain": s.steer_gain, "align_gain": ALIGN_GAIN,
+            "planned_steering": s.planned_steering,
+        }  # fmt: skip
+        self._track, self._simulate_drives, self._predict, self._integrate = (
+            bind(step, self._arrays, backend, **law) for step in (track, simulate_drives, predict, integrate)
         )
-        moving = {"n": n, "legs": legs, "m": m, **places, **states}
-        self._predict = bind(
-            predict, a | {"u": a["future"]}, backend, nu=inputs.size, period=self.period, **moving, **steering
-        )
-        self._integrate = bind(integrate, a | {"u": a["moved"]}, backend, **moving)
 
     @property
     def target(self) -> Array:

@@ -1,10 +1,8 @@
-"""A tick of the tracking law and a period of the prediction, compiled: see :class:`wbmpc.bases.swerve.tracking.SwerveTracking`.
-
-nu inputs, of which base (3), legs (0 or n), steering (n), wheels (n) and arm (m) begin at ``base``, ``leg``, ``steer``, ``wheel``, ``arm``;
-``x_…``: the same of a state.
-"""
+"""A tick of the tracking law and a period of the prediction, compiled: see :class:`wbmpc.bases.swerve.tracking.SwerveTracking`."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,28 +14,88 @@ from wbmpc.kernel.ir import Floats
 MISALIGNED, ALIGNED = 0.45, 0.1
 
 
+class Law(NamedTuple):
+    """The robot and the law: n modules, ``legs`` (0 or n) and m joints of the arm, whose entries begin at ``base``, ``leg``, ``steer``,
+    ``wheel`` and ``arm`` of an input (nu), and at ``x_…`` of a state."""
+
+    nu: int
+    n: int
+    legs: int
+    m: int
+    base: int
+    leg: int
+    steer: int
+    wheel: int
+    arm: int
+    x_base: int
+    x_leg: int
+    x_steer: int
+    x_wheel: int
+    x_arm: int
+    period: float  # [s]
+    lag: float  # of the drives [s]
+    blend: float  # share of the way to a command that drives go in a period
+    late: float  # blend · lag / period
+    gain: float  # of the steering servo [1/s]
+    align_gain: float  # the least while wheels are aligned
+    planned_steering: bool  # the plan's angles are those of the wheels
+    low: Floats  # (n) [rad], limits of the steering
+    high: Floats
+    wheel_scale: Floats  # (n), the model's radius over each wheel's own
+    actuator_upper: Floats  # (nu)
+    input_upper: Floats  # (nu)
+    input_rate: Floats  # (nu)
+    brake: Floats  # (legs), 1 = open
+    excess: Floats  # (nu), scratch
+
+
+class Drives(NamedTuple):
+    """What is commanded, and what drives make of it."""
+
+    u: Floats  # (nu), the plan's input, then what plan and servo ask for
+    planned: Floats  # (n) [rad], angles of the steering
+    measured: Floats  # (n) [rad]
+    error: Floats  # (n) [rad]
+    sent: Floats  # (nu), what accelerations allow
+    rates: Floats  # (nu), what drives make of it
+    turning: Floats  # (n) [rad/s], the steering drives
+    wheels: Floats  # (n) [rad/s], commands
+    leg_rates: Floats  # (legs) [rad/s]
+    sag: Floats  # (m) [rad/s], by what the arm's joints turn besides their commands
+    command: Floats  # (m) [rad/s], of the arm
+    rate: Floats  # (m) [rad/s], what its drives make of it now
+    mean: Floats  # (m) [rad/s], and over the last period
+
+
+class Prediction(NamedTuple):
+    """A state that goes on with the plan."""
+
+    x: Floats  # (nx)
+    future: Floats  # (nu), the plan's input
+    ahead: Floats  # (nu), the last command
+    moved: Floats  # (nu), what drives make of it
+
+
 @compiled
-def hold_base(n: int, legs: int, base: int, leg: int, wheel: int, u: Floats) -> None:
+def hold_base(law: Law, u: Floats) -> None:
     """While wheels are aligned the base stands."""
     for i in range(3):
-        u[base + i] = 0.0
-    for i in range(legs):
-        u[leg + i] = 0.0
-    for i in range(n):
-        u[wheel + i] = 0.0
+        u[law.base + i] = 0.0
+    for i in range(law.legs):
+        u[law.leg + i] = 0.0
+    for i in range(law.n):
+        u[law.wheel + i] = 0.0
 
 
 @compiled
-def limit_acceleration(
-    nu: int, n: int, legs: int, leg: int, steer: int, sent: Floats, u: Floats, brake: Floats, input_rate: Floats,
-    excess: Floats, period: float,
-) -> None:  # fmt: skip
+def limit_acceleration(law: Law, sent: Floats, u: Floats) -> None:
     """``sent`` (nu) goes towards u (nu) as far as accelerations allow within a period. All but the steering go the same share of
     the way, which is as short as the worst of them needs; a closed brake stops its leg as hard as it likes."""
+    n, nu, leg, steer, excess = law.n, law.nu, law.leg, law.steer, law.excess
     together = 1.0
     for i in range(nu):
-        over = abs(u[i] - sent[i]) / (input_rate[i] * period)
-        if i >= leg and i < leg + legs and brake[i - leg] <= 0.5:
+        over = abs(u[i] - sent[i]) / (law.input_rate[i] * law.period)
+        if i >= leg and i < leg + law.legs and law.brake[i - leg] <= 0.5:
             over = 0.0
         excess[i] = max(over, 1.0)
         if i < steer or i >= steer + n:
@@ -49,71 +107,63 @@ def limit_acceleration(
 
 
 @compiled
-def drive_arm(
-    m: int, arm: int, sent: Floats, sag: Floats, command: Floats, rate: Floats, mean: Floats, input_upper: Floats,
-    input_rate: Floats, period: float, blend: float, late: float,
-) -> None:  # fmt: skip
+def drive_arm(law: Law, d: Drives) -> None:
     """The arm's commands: without the sag, within limits of speed and acceleration."""
-    for i in range(m):
-        limit, change = input_upper[arm + i], input_rate[arm + i] * period
-        given = min(max(sent[arm + i] - sag[i], -limit), limit)
+    sag, command, rate = d.sag, d.command, d.rate
+    for i in range(law.m):
+        limit, change = law.input_upper[law.arm + i], law.input_rate[law.arm + i] * law.period
+        given = min(max(d.sent[law.arm + i] - sag[i], -limit), limit)
         given = command[i] + min(max(given - command[i], -change), change)
         behind = rate[i] - given
-        command[i], mean[i], rate[i] = given, given + behind * late, given + behind * (1.0 - blend)
+        command[i], d.mean[i], rate[i] = given, given + behind * law.late, given + behind * (1.0 - law.blend)
 
 
 @step
-def simulate_drives(
-    nu: int, n: int, steer: int, sent: Floats, rates: Floats, turning: Floats, blend: float, planned_steering: bool
-) -> None:
+def simulate_drives(law: Law, d: Drives) -> None:
     """What drives of first order make of ``sent`` within a period."""
-    for i in range(n):
+    steer, rates, turning = law.steer, d.rates, d.turning
+    for i in range(law.n):
         rates[steer + i] = turning[i]
-    for i in range(nu):
-        rates[i] += blend * (sent[i] - rates[i])
-    for i in range(n):
+    for i in range(law.nu):
+        rates[i] += law.blend * (d.sent[i] - rates[i])
+    for i in range(law.n):
         turning[i] = rates[steer + i]
-        if planned_steering:
+        if law.planned_steering:
             rates[steer + i] = 0.0
 
 
 @step
-def track(
-    nu: int, n: int, legs: int, m: int, base: int, leg: int, steer: int, wheel: int, arm: int, u: Floats, planned: Floats,
-    measured: Floats, brake: Floats, low: Floats, high: Floats, error: Floats, turning: Floats, rates: Floats, sent: Floats,
-    wheel_scale: Floats, actuator_upper: Floats, input_upper: Floats, input_rate: Floats, excess: Floats, wheels: Floats,
-    leg_rates: Floats, sag: Floats, command: Floats, rate: Floats, mean: Floats, period: float, lag: float, blend: float,
-    late: float, gain: float, align_gain: float, planned_steering: bool, aligning: bool,
-) -> tuple[bool, bool]:  # fmt: skip
+def track(law: Law, d: Drives, aligning: bool) -> tuple[bool, bool]:
     """From the plan's input ``u`` (nu) and angles ``planned`` (n), and the ``measured`` ones: ``u`` becomes what plan and servo ask for,
     ``sent`` what of it accelerations allow; ``wheels`` (n), ``leg_rates`` and the arm's ``command`` (m) [rad/s]. Returns whether
     wheels are aligned now, and whether they were too fast."""
+    n, u, planned, error, sent, wheels = law.n, d.u, d.planned, d.error, d.sent, d.wheels
     off = 0.0
     for i in range(n):
-        planned[i] = min(max(planned[i], low[i]), high[i])
+        planned[i] = min(max(planned[i], law.low[i]), law.high[i])
         # what lagging drives still owe counts as done, or a wheel that turns fast would seem to be behind
-        error[i] = planned[i] - measured[i] - lag * turning[i]
-        if planned_steering:
+        error[i] = planned[i] - d.measured[i] - law.lag * d.turning[i]
+        if law.planned_steering:
             off = max(off, abs(error[i]))
     aligns = off > (ALIGNED if aligning else MISALIGNED)
     if aligns:
-        hold_base(n, legs, base, leg, wheel, u)
-    servo = max(gain, align_gain) if aligns else gain
+        hold_base(law, u)
+    servo = max(law.gain, law.align_gain) if aligns else law.gain
     for i in range(n):
-        largest = actuator_upper[steer + i]
-        u[steer + i] = min(max(u[steer + i] + servo * error[i], -largest), largest)
-    limit_acceleration(nu, n, legs, leg, steer, sent, u, brake, input_rate, excess, period)
-    simulate_drives(nu, n, steer, sent, rates, turning, blend, planned_steering)
+        largest = law.actuator_upper[law.steer + i]
+        u[law.steer + i] = min(max(u[law.steer + i] + servo * error[i], -largest), largest)
+    limit_acceleration(law, sent, u)
+    simulate_drives(law, d)
     fast = 0.0
     for i in range(n):
-        wheels[i] = sent[wheel + i] * wheel_scale[i]
-        fast = max(fast, abs(wheels[i]) / input_upper[wheel + i])
+        wheels[i] = sent[law.wheel + i] * law.wheel_scale[i]
+        fast = max(fast, abs(wheels[i]) / law.input_upper[law.wheel + i])
     # too fast for one wheel: the whole motion is slowed down, or the wheels drag each other
     for i in range(n):
         wheels[i] = wheels[i] / max(1.0, fast)
-    for i in range(legs):
-        leg_rates[i] = sent[leg + i] * min(1.0, 1.0 / max(fast, 1e-12))
-    drive_arm(m, arm, sent, sag, command, rate, mean, input_upper, input_rate, period, blend, late)
+    for i in range(law.legs):
+        d.leg_rates[i] = sent[law.leg + i] * min(1.0, 1.0 / max(fast, 1e-12))
+    drive_arm(law, d)
     return aligns, fast > 1.0
 
 
@@ -123,11 +173,9 @@ def sinc(x: float) -> float:
 
 
 @step
-def integrate(
-    n: int, legs: int, m: int, base: int, leg: int, steer: int, wheel: int, arm: int, x_base: int, x_leg: int, x_steer: int,
-    x_wheel: int, x_arm: int, x: Floats, u: Floats, brake: Floats, h: float,
-) -> None:  # fmt: skip
-    """Integrate input rates u over h [s] into the state x."""
+def integrate(law: Law, p: Prediction, h: float) -> None:
+    """Integrate the input rates ``moved`` over h [s] into the state x."""
+    x, u, base, x_base = p.x, p.moved, law.base, law.x_base
     dx, dy, turn = u[base] * h, u[base + 1] * h, u[base + 2] * h
     s, half = sinc(turn), sinc(0.5 * turn)
     c = 0.5 * turn * half * half
@@ -136,34 +184,27 @@ def integrate(
     x[x_base] += cy * ahead - sy * left
     x[x_base + 1] += sy * ahead + cy * left
     x[x_base + 2] += turn
-    for i in range(legs):
-        x[x_leg + i] += u[leg + i] * (brake[i] * h)
-    for i in range(n):
-        x[x_steer + i] += u[steer + i] * h
-        x[x_wheel + i] += u[wheel + i] * h
-    for i in range(m):
-        x[x_arm + i] += u[arm + i] * h
+    for i in range(law.legs):
+        x[law.x_leg + i] += u[law.leg + i] * (law.brake[i] * h)
+    for i in range(law.n):
+        x[law.x_steer + i] += u[law.steer + i] * h
+        x[law.x_wheel + i] += u[law.wheel + i] * h
+    for i in range(law.m):
+        x[law.x_arm + i] += u[law.arm + i] * h
 
 
 @step
-def predict(
-    nu: int, n: int, legs: int, m: int, base: int, leg: int, steer: int, wheel: int, arm: int, x_base: int, x_leg: int,
-    x_steer: int, x_wheel: int, x_arm: int, x: Floats, u: Floats, ahead: Floats, moved: Floats, brake: Floats,
-    input_rate: Floats, excess: Floats, period: float, planned_steering: bool, aligning: bool,
-) -> None:  # fmt: skip
-    """The state x a period later under the plan's input ``u``; ``ahead`` (nu): the command before, which becomes this one. Planned
+def predict(law: Law, p: Prediction, aligning: bool) -> None:
+    """The state x a period later under the plan's input ``future``; ``ahead``: the command before, which becomes this one. Planned
     angles go on with the plan, and the servo follows them."""
     if aligning:
-        hold_base(n, legs, base, leg, wheel, u)
-    limit_acceleration(nu, n, legs, leg, steer, ahead, u, brake, input_rate, excess, period)
-    for i in range(nu):
-        moved[i] = ahead[i]
-        if planned_steering and i >= steer and i < steer + n:
-            moved[i] = u[i]
-    integrate(
-        n=n, legs=legs, m=m, base=base, leg=leg, steer=steer, wheel=wheel, arm=arm, x_base=x_base, x_leg=x_leg,
-        x_steer=x_steer, x_wheel=x_wheel, x_arm=x_arm, x=x, u=moved, brake=brake, h=period,
-    )  # fmt: skip
+        hold_base(law, p.future)
+    limit_acceleration(law, p.ahead, p.future)
+    for i in range(law.nu):
+        p.moved[i] = p.ahead[i]
+        if law.planned_steering and i >= law.steer and i < law.steer + law.n:
+            p.moved[i] = p.future[i]
+    integrate(law, p, law.period)
 
 
 @step

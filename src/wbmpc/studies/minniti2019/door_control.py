@@ -18,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from wbmpc import lie
@@ -29,10 +28,10 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.studies.minniti2019.contact import ContactMonitor
-from wbmpc.studies.minniti2019.door_filter import DoorFilter
-from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, place_of
+from wbmpc.studies.minniti2019.door_filter import DoorFilter, LeverFit
+from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.force import ForceMonitor
-from wbmpc.studies.minniti2019.momentum import MomentumObserver
+from wbmpc.studies.minniti2019.momentum import SensorlessForce
 from wbmpc.types import Observation
 
 Array = np.ndarray
@@ -41,8 +40,6 @@ _LOG = logging.getLogger("wbmpc")
 SOON = 0.05
 #: Least and largest impedance that the optimizer is reported (inertia, damping, resistance).
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
-#: How well the generalized forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
-SPREAD = (2.0, 2.0, 1.0, 1.5, 1.5, 0.1)
 #: Before it has touched, the plan leans for no more than the first of these [N]. To lean forward the ball first rolls back, and a
 #: plan that does so again and again, as if the touch were always imminent, never touches (seen at 24 N): while a touch is overdue,
 #: that goes down to the second within :data:`OVERDUE` [s].
@@ -59,7 +56,7 @@ UNMOVED = 0.1
 SLIDING = 0.06
 #: While it pushes, the body is before the panel anyway: a distance [m] that leaves its limit without effect.
 FAR = 5.0
-#: How much of the resistance that was felt is taken for a closer's, which brings the door back, and not for dry friction.
+#: How much of the resistance that was estimated is taken for a closer's, which brings the door back, and not for dry friction.
 #: A door is taken to come back no faster than at the last [rad/s], however it was estimated.
 CLOSER_SHARE, MAX_CLOSING = 0.5, 0.5
 #: Points of the references over the horizon.
@@ -133,7 +130,7 @@ class DoorController(BallController):
     def measure(self, measurement: BallMeasurement) -> None:
         """State, force, contact and door of this tick."""
         if measurement.force.size:
-            self._feel(measurement)
+            self._read_force(measurement)
         super().measure(measurement)
         assert self.measured is not None
         end_effector, velocity = self._end_effector(self.measured.state)
@@ -154,7 +151,7 @@ class DoorController(BallController):
         if self.contact.touching:
             self._accelerates = None
 
-    def _feel(self, m: BallMeasurement) -> None:
+    def _read_force(self, m: BallMeasurement) -> None:
         """The contact force in world axes, with the last known attitude of the end effector; zero if the sensor is not believed. Before
         it starts the end effector touches nothing: what the sensor reads then is its zero."""
         known, free = self.sensor.fault, m.time < self.push.begin
@@ -178,9 +175,9 @@ class DoorController(BallController):
     def _compare(self, t: float) -> None:
         """The sensor's force against the one that the motion says, along the panel's normal."""
         touching, normal = self.contact.touching, self.geometry.directions(float(self.door[0]))[1]
-        felt, found = float(-normal @ self.force), float(-normal @ self.sensorless.force)
+        measured, estimated = float(-normal @ self.force), float(-normal @ self.sensorless.force)
         watched = t >= self.push.begin and (touching or self.phase != "release")
-        for fault in self.sensor.update(t, self.period, touching, felt, found if watched else felt):
+        for fault in self.sensor.update(t, self.period, touching, measured, estimated if watched else measured):
             self._distrust(fault.time)
 
     def _distrust(self, t: float) -> None:
@@ -219,7 +216,7 @@ class DoorController(BallController):
             self.phase, self.released, self._let_go = "release", t, end_effector.copy()
 
     def _closing(self) -> float:
-        """How fast [rad/s] a door that was let go is taken to come back: nobody feels it any more."""
+        """How fast [rad/s] a door that was let go is taken to come back: nothing measures it any more."""
         if self.phase != "release":
             return 0.0
         _, damping, resistance = self.impedance
@@ -348,62 +345,3 @@ class DoorController(BallController):
             return np.array([self.geometry.place(a, self.lever, push.start[2]) for a in angles])
         way = push.speed * np.clip(times - push.begin, 0.0, None)
         return push.start + np.minimum(way, push.reach)[:, None] * self.geometry.directions(0.0)[1]
-
-
-class LeverFit:
-    """How far [m] from its hinge a door is pushed, from the way of an end effector that keeps its place on the panel: a circle.
-
-    Moved by d since it touched the closed panel at p₀ = h + ℓ a − c n (hinge h, along the panel a, normal n, offset c), it is as far from h
-    as before: 2 ℓ aᵀd = 2 c nᵀd − |d|², which is linear in ℓ: recursive least squares from a first guess of standard deviation
-    ``spread``. ``noise`` [m²] of that equation, for places that are 3 mm off for 0.1 s at a time, asked 400 times a second.
-    """
-
-    def __init__(self, guess: float, spread: float = 0.08, noise: float = 0.03) -> None:
-        self.lever, self._variance, self._noise, self.first = guess, spread**2, noise**2, np.zeros(3)
-
-    def update(self, end_effector: Array, along: Array, normal: Array, offset: float) -> None:
-        """The end effector (3) [m] touches the panel there; directions (3) and ``offset`` [m] are those of the closed panel."""
-        d = end_effector - self.first
-        row, seen = 2.0 * float(along[:2] @ d[:2]), float(2.0 * offset * normal[:2] @ d[:2] - d[:2] @ d[:2])
-        gain = self._variance * row / (row * row * self._variance + self._noise)
-        self.lever += gain * (seen - row * self.lever)
-        self._variance *= 1.0 - gain * row
-
-
-class SensorlessForce:
-    """The force (3) [N] of the world on a ball robot's end effector from state and torques alone, beside the measured one."""
-
-    def __init__(self, robot: RobotModel) -> None:
-        n = self._nq = robot.base.nq
-        q, force = ca.SX.sym("q", n), ca.SX.sym("f", 3)
-        torque = ca.SX.sym("u", robot.input.size - 3)
-        known = robot.base.generalized_force(q, ca.vertcat(torque, ca.SX(3, 1)), ca.SX(robot.parameters.size, 1))
-        self._known = ca.Function("known", [q, torque], [known])
-        self._jacobian = ca.Function("jacobian", [q], [ca.jacobian(robot.base.tool_force(q, force), force).T])
-        still = np.zeros(n)
-        self.observer = MomentumObserver(
-            robot.base.numeric.mass_matrix, lambda q, v: robot.base.numeric.inverse_dynamics(q, v, still)
-        )
-        self._load = robot.base.numeric.tool_weight
-        self._weight = 1.0 / np.array([*SPREAD[:5], *[SPREAD[5]] * (n - 5)]) ** 2
-        self.force = np.zeros(3)
-
-    def update(self, state: Array, torque: Array, interval: float, carried: float) -> None:
-        """The state (nx) now, the torques that acted over the ``interval`` [s] before, the mass [kg] that the end effector holds."""
-        q, v = state[: self._nq], state[self._nq :]
-        known = np.array(self._known(q, torque)).ravel() + carried * self._load(q)
-        self.observer.update(q, v, known, interval)
-        self.force = self.observer.force(np.array(self._jacobian(q)), self._weight)
-
-
-def end_effector_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Array]]:
-    """Position (3) [m] and velocity (3) [m/s] of the end effector at a state (nx) of the robot."""
-    x, u = ca.SX.sym("x", robot.state.size), ca.SX(robot.input.size, 1)
-    place, velocity = robot.frame_pose(x, robot.tool).position, robot.frame_velocity(x, u, robot.tool)[0]
-    function = ca.Function("hand", [x], [place, velocity])
-
-    def motion(state: Array) -> tuple[Array, Array]:
-        p, v = function(state)
-        return np.array(p).ravel(), np.array(v).ravel()
-
-    return motion

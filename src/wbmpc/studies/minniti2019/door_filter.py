@@ -1,4 +1,4 @@
-"""The impedance of a door from the force on it and its motion: a Kalman filter.
+"""The impedance of a door from the force on it and its motion: a Kalman filter. And where its hinge is.
 
 I φ̈ + d φ̇ + c = τ of a door that opens, with the unknown inertia I, damping d and resistance c. c is closer plus dry friction: while
 a door only opens, the two cannot be distinguished. States are angle, rate and 1 / I, d / I, c / I, in which the equation is nearly
@@ -101,3 +101,23 @@ class DoorFilter:
         self.state[:2] += h * np.array([rate, a * torque - b * rate - c])
         spread = np.concatenate([[0.0, a * self.noise.torque], self.noise.walk * self._first])
         self.covariance = slope @ self.covariance @ slope.T + h * np.diag(spread**2)
+
+
+class LeverFit:
+    """How far [m] from its hinge a door is pushed, from the way of an end effector that keeps its place on the panel: a circle.
+
+    Moved by d since it touched the closed panel at p₀ = h + ℓ a − c n (hinge h, along the panel a, normal n, offset c), it is as far from h
+    as before: 2 ℓ aᵀd = 2 c nᵀd − |d|², which is linear in ℓ: recursive least squares from a first guess of standard deviation
+    ``spread``. ``noise`` [m²] of that equation, for places that are 3 mm off for 0.1 s at a time, asked 400 times a second.
+    """
+
+    def __init__(self, guess: float, spread: float = 0.08, noise: float = 0.03) -> None:
+        self.lever, self._variance, self._noise, self.first = guess, spread**2, noise**2, np.zeros(3)
+
+    def update(self, end_effector: Array, along: Array, normal: Array, offset: float) -> None:
+        """The end effector (3) [m] touches the panel there; directions (3) and ``offset`` [m] are those of the closed panel."""
+        d = end_effector - self.first
+        row, seen = 2.0 * float(along[:2] @ d[:2]), float(2.0 * offset * normal[:2] @ d[:2] - d[:2] @ d[:2])
+        gain = self._variance * row / (row * row * self._variance + self._noise)
+        self.lever += gain * (seen - row * self.lever)
+        self._variance *= 1.0 - gain * row

@@ -8,6 +8,7 @@ state-input equality keeps at zero (:class:`wbmpc.studies.minniti2019.door_resid
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -169,3 +170,16 @@ class WithDoor:
 def place_of(door: DoorGeometry) -> Array:
     """The parameters ``place`` of a believed door."""
     return np.array([*door.hinge, door.closed, door.offset])
+
+
+def end_effector_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Array]]:
+    """Position (3) [m] and velocity (3) [m/s] of the end effector at a state (nx) of the robot."""
+    x, u = ca.SX.sym("x", robot.state.size), ca.SX(robot.input.size, 1)
+    place, velocity = robot.frame_pose(x, robot.tool).position, robot.frame_velocity(x, u, robot.tool)[0]
+    function = ca.Function("hand", [x], [place, velocity])
+
+    def motion(state: Array) -> tuple[Array, Array]:
+        p, v = function(state)
+        return np.array(p).ravel(), np.array(v).ravel()
+
+    return motion

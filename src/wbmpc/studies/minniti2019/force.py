@@ -14,8 +14,8 @@ from wbmpc.estimation.inertial import REPEATS, STANDS
 Array = NDArray[np.float64]
 #: Sensor and motion contradict each other by more than this [N], for so long [s], and the sensor is wrong. (What the motion says
 #: of a free end effector on its way is 1.3 N at most; the end effector's pull at its place beyond a panel, where no force is planned, is 5 N.)
-UNFELT, UNFELT_TIME = 3.0, 0.3
-#: A message farther than this [N] from the one before does not count; the next one does, whatever it says: a hit is felt one
+MAX_MISMATCH, MISMATCH_TIME = 3.0, 0.3
+#: A message farther than this [N] from the one before does not count; the next one does, whatever it says: a hit counts one
 #: message later.
 JUMP = 30.0
 #: A touch that has lasted so long [s] is none if the motion says less than this share of its force, both averaged over the last
@@ -48,7 +48,7 @@ class ForceMonitor:
         self._last: Array | None = None
         self._jumped = False
         self._same, self._for, self._apart, self._touched = 0, 0.0, 0.0, 0.0
-        self._pushes = np.zeros(2)  # felt and found while the end effector touches, averaged [N]
+        self._pushes = np.zeros(2)  # measured and estimated while the end effector touches, averaged [N]
 
     def judge(self, h: float, force: ArrayLike) -> Array:
         """The force (3) [N] that counts after a message, ``h`` [s] after the one before.
@@ -91,31 +91,31 @@ class ForceMonitor:
         self._at_rest = np.zeros(3)
         return self.fault
 
-    def update(self, t: float, h: float, touching: bool, felt: float, found: float) -> list[ForceFault]:
-        """What is new at t [s] after another ``h`` [s] in which the sensor has ``felt`` a push [N] and the motion ``found`` one; of
+    def update(self, t: float, h: float, touching: bool, measured: float, estimated: float) -> list[ForceFault]:
+        """What is new at t [s] after another ``h`` [s] in which the sensor ``measured`` a push [N] and the motion ``estimated`` one; of
         an end effector that is not ``touching`` it only counts that the motion says it is pushed."""
         known = self.fault
-        self._compare(h, touching, felt, found)
+        self._compare(h, touching, measured, estimated)
         return [ForceFault(t, self.fault)] if self.fault and not known else []
 
-    def _compare(self, h: float, touching: bool, felt: float, found: float) -> None:
-        finite("force sensor", felt=felt, found=found)
-        apart = abs(felt - found) > UNFELT if touching else found > UNFELT
+    def _compare(self, h: float, touching: bool, measured: float, estimated: float) -> None:
+        finite("force sensor", measured=measured, estimated=estimated)
+        apart = abs(measured - estimated) > MAX_MISMATCH if touching else estimated > MAX_MISMATCH
         self._apart = self._apart + h if apart else 0.0
         if self.fault:
             return
-        if self._imagined(h, touching, felt, found):
-            self.fault = f"the force sensor feels a touch of {felt:.1f} N that the robot's motion does not"
-        elif self._apart >= UNFELT_TIME - 1e-9:
+        if self._unconfirmed(h, touching, measured, estimated):
+            self.fault = f"the force sensor reports a touch of {measured:.1f} N that the robot's motion does not show"
+        elif self._apart >= MISMATCH_TIME - 1e-9:
             self.fault = (
-                f"the force sensor feels {felt:.1f} N, the robot's motion says {found:.1f} N"
+                f"the force sensor measures {measured:.1f} N, the robot's motion shows {estimated:.1f} N"
                 if touching
-                else f"the end effector is pushed by {found:.1f} N that the force sensor does not feel"
+                else f"the end effector is pushed by {estimated:.1f} N that the force sensor does not measure"
             )
 
-    def _imagined(self, h: float, touching: bool, felt: float, found: float) -> bool:
-        """Whether the motion knows hardly anything of a touch that has lasted."""
-        pushes = np.array([felt, found]) if touching else np.zeros(2)
+    def _unconfirmed(self, h: float, touching: bool, measured: float, estimated: float) -> bool:
+        """Whether a touch has lasted that the motion hardly shows."""
+        pushes = np.array([measured, estimated]) if touching else np.zeros(2)
         self._pushes = self._pushes + (1.0 - np.exp(-h / MEAN_TIME)) * (pushes - self._pushes)
         self._touched = self._touched + h if touching else 0.0
         return bool(self._touched >= CONFIRMED - 1e-9 and self._pushes[1] < SHARE * self._pushes[0])

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.checks import numbers, positive_time
 from wbmpc.errors import InputError
+from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
+#: How well the generalized forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
+SPREAD = (2.0, 2.0, 1.0, 1.5, 1.5, 0.1)
 
 
 class MomentumObserver:
@@ -72,3 +76,29 @@ class MomentumObserver:
     def _started(self) -> None:
         if self._previous is None:
             raise InputError("momentum observer: nothing is known before the first update")
+
+
+class SensorlessForce:
+    """The force (3) [N] of the world on a ball robot's end effector from state and torques alone, beside the measured one."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        n = self._nq = robot.base.nq
+        q, force = ca.SX.sym("q", n), ca.SX.sym("f", 3)
+        torque = ca.SX.sym("u", robot.input.size - 3)
+        known = robot.base.generalized_force(q, ca.vertcat(torque, ca.SX(3, 1)), ca.SX(robot.parameters.size, 1))
+        self._known = ca.Function("known", [q, torque], [known])
+        self._jacobian = ca.Function("jacobian", [q], [ca.jacobian(robot.base.tool_force(q, force), force).T])
+        still = np.zeros(n)
+        self.observer = MomentumObserver(
+            robot.base.numeric.mass_matrix, lambda q, v: robot.base.numeric.inverse_dynamics(q, v, still)
+        )
+        self._load = robot.base.numeric.tool_weight
+        self._weight = 1.0 / np.array([*SPREAD[:5], *[SPREAD[5]] * (n - 5)]) ** 2
+        self.force = np.zeros(3)
+
+    def update(self, state: Array, torque: Array, interval: float, carried: float) -> None:
+        """The state (nx) now, the torques that acted over the ``interval`` [s] before, the mass [kg] that the end effector holds."""
+        q, v = state[: self._nq], state[self._nq :]
+        known = np.array(self._known(q, torque)).ravel() + carried * self._load(q)
+        self.observer.update(q, v, known, interval)
+        self.force = self.observer.force(np.array(self._jacobian(q)), self._weight)
