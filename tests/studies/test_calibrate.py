@@ -26,7 +26,7 @@ from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings
 
 ROBOT, SEED = robot("swerve-ur10"), 5
 SETTINGS = SwerveCalibrateSettings(
-    stroke=1.0, turn=1.5, settle_time=2.0, tracked_poses=20, control=ControlSettings(rate=200.0)
+    stroke=1.0, turn=1.5, rounds=1, settle_time=2.0, tracked_poses=20, control=ControlSettings(rate=200.0)
 )
 
 

@@ -1,4 +1,4 @@
-"""`swerve-calibrate`: a short reference drive with global poses, from which the wheels are calibrated."""
+"""`swerve-calibrate`: a reference drive with global poses, from which the wheels are calibrated."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from wbmpc.studies.pankert2022.reference_drive import SwerveCalibrateSettings, d
 from wbmpc.studies.pankert2022.wheel_log import record_of, swerve_robot
 
 NAME = "swerve-calibrate"
-SUMMARY = "a short reference drive with global poses, for 'wbmpc calibrate' (steer zeros and wheel radii)"
+SUMMARY = "a reference drive with global poses, for 'wbmpc calibrate' (steer zeros and wheel radii)"
 
 IDEALIZATIONS = [
     "global poses have independent normal noise; a real localization has errors that last as well",
-    "the robot may drive about 2 m in each direction",
+    "the robot may drive about 4 m in each direction",
     "open hinges turn freely: one that sticks looks like a wheel that points where it should",
 ]
 
