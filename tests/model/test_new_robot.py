@@ -266,6 +266,19 @@ def test_a_hand_of_three_fingers_is_no_part_of_the_arm(tmp_path: Path) -> None:
     assert joints == ("pan", "lift", "elbow")
 
 
+def test_a_wrist_belongs_to_the_arm_whatever_it_moves_is_called(tmp_path: Path) -> None:
+    """What it moves is the hand, and the frame on that the tool; a joint of another name that moves a hand is a gripper's."""
+    for name, joints, tool in (
+        ("wrist", ("pan", "lift", "elbow", "wrist"), "tcp"),
+        ("turn", ("pan", "lift", "elbow"), "grasp_frame"),
+    ):
+        limit = 'lower="-2" upper="2" velocity="1.5"'
+        hand = link("hand") + joint(name, "fore", "hand", (0.3, 0, 0), "1 0 0", limit) + link("tcp")
+        hand += joint("tcp_fixed", "hand", "tcp", (0.1, 0, 0))
+        arm = load_robot(new(model(tmp_path, DIFFERENTIAL + ARM + hand))).description.arm
+        assert (arm.joints, arm.tool) == (joints, tool)
+
+
 def test_wheels_that_do_not_turn_in_the_file_carry_a_base_that_takes_speeds(tmp_path: Path) -> None:
     wheels = "".join(
         link(f"wheel_{k}") + joint(f"axle_{k}", "hull", f"wheel_{k}", (0, 0.2 - 0.4 * k, 0.1)) for k in range(2)

@@ -15,6 +15,8 @@ GRIPPER = re.compile(
     r"finger|gripper|thumb|knuckle|jaw|claw|palm|hand(?!le)|suction|pinky|_index|_middle|_ring|puller", re.IGNORECASE
 )
 NO_ARM = re.compile(r"head|neck|camera|sensor|lidar|laser|kinect|antenna|tablet|screen|wheel|cast[eo]r", re.IGNORECASE)
+#: Joints that an arm ends with, though what they move may be called a hand, or like a gripper that is mounted on it.
+WRIST = re.compile(r"wrist", re.IGNORECASE)
 #: Frames of tools, the best first.
 TOOLS = [
     re.compile(p, re.IGNORECASE)
@@ -56,7 +58,9 @@ def find_arms(mechanism: Mechanism, others: Collection[str]) -> list[Arm]:
 
 def is_gripper(mechanism: Mechanism, joint: Joint) -> bool:
     """Whether a joint moves fingers, or follows another."""
-    if joint.drive.mimics is not None or GRIPPER.search(joint.name) or GRIPPER.search(joint.body):
+    if joint.drive.mimics is not None or GRIPPER.search(joint.name):
+        return True
+    if GRIPPER.search(joint.body) and not WRIST.search(joint.name):
         return True
     short = joint.kind == "slide" and joint.range is not None and joint.range[1] - joint.range[0] <= _STROKE
     return short and not joint.vertical and not mechanism.below(joint.name) and len(joint.above) > 2
