@@ -141,5 +141,5 @@ def _scene(text: str) -> None:
     kind = "tf2_msgs/TFMessage"
     header = {"stamp": stamp(0.0), "frame_id": "map"}
     frame = {"header": header, "child_frame_id": "b", "transform": np.array([0, 0, 0, 0, 0, 0, 1.0])}
-    topic = Topic(kind, [0.0], [encode(kind, {"transforms": [frame]})])
+    topic = Topic(kind, "run.mcap: /tf", [0.0], [encode(kind, {"transforms": [frame]})])
     Film(Recording(Path("run.mcap"), {"/tf": topic}, {}, {"scene.json": (0.0, text.encode())}, True))

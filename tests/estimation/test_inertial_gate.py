@@ -14,8 +14,8 @@ UNIT, REST, H = InertialDescription(), np.array([0.0, 0.0, 9.81]), 0.0025
 
 def said(gate: InertialGate, message: np.ndarray) -> tuple[str, bool]:
     gate.message[:] = message
-    verdict = gate.judge(H)
-    return verdict.fault, verdict.jumps
+    assessment = gate.judge(H)
+    return assessment.fault, assessment.jumps
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
@@ -43,5 +43,5 @@ def test_what_is_said_of_messages(backend: Backend) -> None:
 def test_how_far_a_message_is_from_the_last_one_that_counted() -> None:
     gate = InertialGate(UNIT, REST)
     gate.message[:] = 1.0, 2.0, 2.0, 3.0, 0.0, 9.81 + 4.0
-    verdict = gate.judge(H)
-    assert verdict.turned == pytest.approx(9.0) and verdict.pushed == pytest.approx(25.0)
+    assessment = gate.judge(H)
+    assert assessment.turned == pytest.approx(9.0) and assessment.pushed == pytest.approx(25.0)

@@ -44,7 +44,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_info(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", "info", "."]) == 0
     out = capsys.readouterr().out
-    assert "toy, seed 7, 0.39 s, started then" in out and "did not complete: the robot fell" in out
+    assert "toy, seed 7, 0.00 to 0.39 s, started then" in out and "did not complete: the robot fell" in out
     row = next(line for line in out.splitlines() if "/joint_states" in line)
     assert row.split() == ["/joint_states", "sensor_msgs/JointState", "40", "100.0", "Hz"]
     assert main(["log", "info", "run.mcap", "--json"]) == 0

@@ -54,7 +54,8 @@ def test_two_wheels_are_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     result = pushed(monkeypatch, stalled(0), stalled(1, start=1.0))
     assert not result.completed and "wheel_0 and wheel_1 stand still, and 2 are needed; motors off" in result.reason
     assert [f.split(" (")[0] for f in result.faults] == [f"the encoder of wheel_{i} stands still" for i in (0, 1)]
-    assert "(0.6" in result.faults[0] or "(0.7" in result.faults[0]
+    # while the ball rolls along one line, a ball that spins on the floor would show the same
+    assert START < float(result.faults[0].split("(")[1].split()[0]) < START + 0.4
     assert 1.0 < result.log.times("state")[-1] < 1.4
     assert result.metrics["estimated_position_error_max"].value < 0.02
 

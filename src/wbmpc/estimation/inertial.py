@@ -20,7 +20,7 @@ UNKNOWN = (1.0, 20.0)
 _FAULTS = ("", "exceeds", "repeats")
 
 
-class Verdict(NamedTuple):
+class Assessment(NamedTuple):
     """Of a message: its ``fault`` (it ``exceeds`` the range, or ``repeats`` itself; empty if nothing is wrong); whether it ``jumps``: is
     farther from the last one that counted than a robot on its wheels can get it; how far it is from that, squared: ``turned``
     [rad²/s²], ``pushed`` [m²/s⁴]."""
@@ -42,14 +42,14 @@ class InertialGate:
         arrays = {"message": self.message, "last": self.last, "gate": self._gate, "given": np.zeros(6)}
         self._judge = bind(judge, arrays, backend)
 
-    def judge(self, h: float) -> Verdict:
+    def judge(self, h: float) -> Assessment:
         """What the ``message`` is, ``h`` [s] after the one before."""
         code, jumps, turned, pushed = self._judge(h)
-        return Verdict(_FAULTS[code], jumps, turned, pushed)
+        return Assessment(_FAULTS[code], jumps, turned, pushed)
 
-    def persists(self, verdict: Verdict) -> bool:
+    def persists(self, assessment: Assessment) -> bool:
         """Whether what jumped is still there: no more needs to contradict it."""
-        return verdict.jumps and bool(self._gate[Gate.JUMPED])
+        return assessment.jumps and bool(self._gate[Gate.JUMPED])
 
     def accept(self) -> None:
         """The message counts."""

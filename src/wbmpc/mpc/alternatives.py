@@ -36,6 +36,7 @@ from wbmpc.mpc.route import (
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import Reference
+from wbmpc.solver import Solver
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
@@ -93,7 +94,7 @@ class Alternatives:
         self.taken: list[tuple[float, str]] = []
         self._waits_since: float | None = None
         self._not_before = -np.inf
-        self._weights = mpc.solver.ws.w.copy()
+        self._weights: list[float] | None = None  # of the states, before a way has given the base one
         #: until when [s, of the references] they are on another way
         self._until = -np.inf
         self._ways: list[_Way] = []
@@ -109,7 +110,10 @@ class Alternatives:
         """At ``t`` [s]: notice that the robot waits, or go on with a search by one solve."""
         t, began = absolute_time("alternatives", t), time.perf_counter()
         if self._pace.time >= self._until > -np.inf:
-            self._mpc.solver.ws.w[:], self._until = self._weights, -np.inf
+            self._until = -np.inf
+            if self._weights is not None:
+                self._mpc.solver.set_weight("state", self._weights)
+                self._weights = None
         if self._pace.rate >= WAITS or self._pace.time >= self._pace.end:
             self._waits_since, self.failed = None, 0
             self._ways = []
@@ -226,7 +230,7 @@ class Alternatives:
         self._world.take(mpc.obstacles.snapshot(t))
         start = t if mpc.plan_start is None else mpc.plan_start
         self._t, self._x = max(t, start), self._now(t).copy()
-        ahead.solver.ws.w[:] = mpc.solver.ws.w
+        _copy_constants(mpc.solver, ahead.solver)
         running = {"end_effector": self._pace.running(t)["end_effector"]}
         for term, reference in {**mpc.solver.references, **running}.items():
             ahead.solver.set_reference(term, reference)
@@ -275,9 +279,11 @@ class Alternatives:
         times, base = timed_route(way.poses, SPEED, TURN_SPEED, RAMP)
         poses = carried_poses(self._robot, base)
         ways = {"end_effector": Reference.poses(times, poses[:, :3], poses[:, 3:])}
-        if self._until == -np.inf:
-            self._weights[:] = self._mpc.solver.ws.w
-        if weigh_base(self._mpc.solver, self._robot):
+        solver = self._mpc.solver
+        part = solver.problem.constant.slices.get("path.state")
+        before = [] if part is None else solver.constants[part].tolist()
+        if weigh_base(solver, self._robot):
+            self._weights = self._weights or before
             ways["state"] = Reference(times, carried_states(self._robot, base))
         self._until = self._pace.time + float(times[-1])
         self._pace.detour(ways, way.rejoin)
@@ -315,3 +321,16 @@ def _rest(way: Array, pose: Array) -> Array:
     k = len(distance) - 1 - int(np.argmin(distance[::-1]))
     here = way[k] + share[k] * np.diff(way, axis=0)[k]
     return np.concatenate([here[None], way[k + 1 :]])
+
+
+def _copy_constants(source: Solver, target: Solver) -> None:
+    """Give ``target`` the weights and model parameters of another solver of the same problem."""
+    constants = source.constants
+    for key, part in source.problem.constant.slices.items():
+        at, _, name = key.partition(".")
+        if not name:
+            target.set_parameters(constants[part])
+        elif at == "path":
+            target.set_weight(name, constants[part].tolist())
+        else:
+            target.set_weight(name, constants[part].tolist(), "terminal")

@@ -48,6 +48,12 @@ class SolverResults:
         return _read_only(self.ws.w[: self.problem.constant.size])
 
     @property
+    def integrator(self) -> dict[str, np.ndarray]:
+        """The arguments ``memory`` and ``table`` of :func:`wbmpc.solver.receding.simulate`, for compiled steps that integrate the problem's
+        dynamics."""
+        return {"memory": self.ws.memory, "table": self.ws.table}
+
+    @property
     def parameters(self) -> np.ndarray:
         """The model's parameters, read-only."""
         return _read_only(self.ws.w[self.problem.constant.slices["parameters"]])

@@ -21,7 +21,7 @@ from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.inertial import UNKNOWN, InertialGate, Verdict
+from wbmpc.estimation.inertial import UNKNOWN, Assessment, InertialGate
 from wbmpc.kernel.step import Backend
 
 Array = NDArray[np.float64]
@@ -175,25 +175,25 @@ class BallFilter:
         One that jumps while the wheels contradict it cannot, if the wheels agree with each other: a spike, not three wheels.
         """
         unit = self._inertial
-        verdict = unit.judge(h)
-        if verdict.fault:
-            self._solve(h, wheel, unit.last, verdict)
+        assessment = unit.judge(h)
+        if assessment.fault:
+            self._solve(h, wheel, unit.last, assessment)
             return
-        loose = self._solve(h, wheel, unit.message, verdict)
-        if unit.persists(verdict) or (loose and verdict.jumps):
-            if not self._solve(h, wheel, unit.last, verdict._replace(fault="jumps")):
+        loose = self._solve(h, wheel, unit.message, assessment)
+        if unit.persists(assessment) or (loose and assessment.jumps):
+            if not self._solve(h, wheel, unit.last, assessment._replace(fault="jumps")):
                 unit.reject()
                 return
-            self._solve(h, wheel, unit.message, verdict)
+            self._solve(h, wheel, unit.message, assessment)
         unit.accept()
 
-    def _solve(self, h: float, wheel: Array, message: Array, verdict: Verdict) -> bool:
+    def _solve(self, h: float, wheel: Array, message: Array, assessment: Assessment) -> bool:
         """Find the newer state, and the ``faults``, under the mildest explanation of the rows: no fault, the ball spins on the floor,
-        one wheel slips, the ball slips. If none is good enough the best one counts. Where the ``verdict`` has a fault, the ``message`` (6)
+        one wheel slips, the ball slips. If none is good enough the best one counts. Where the ``assessment`` has a fault, the ``message`` (6)
         is another one's, which says little. Returns whether wheels, or the ball, slip in it."""
-        memory, a, fault = self._memory, self._memory.arrays, verdict.fault
+        memory, a, fault = self._memory, self._memory.arrays, assessment.fault
         a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, message[:3], message[3:]
-        choice, self.surprise = memory.update(h, self._turning, *self._extra_variance(h, verdict), self._gate)
+        choice, self.surprise = memory.update(h, self._turning, *self._extra_variance(h, assessment), self._gate)
         if choice < 0:
             raise np.linalg.LinAlgError("the residuals are not finite")
         stalled = a["stalled"].tolist()
@@ -203,17 +203,17 @@ class BallFilter:
         self.faults = certain + self._named(choice)
         return bool(choice > 0)
 
-    def _extra_variance(self, h: float, verdict: Verdict) -> tuple[float, float]:
+    def _extra_variance(self, h: float, assessment: Assessment) -> tuple[float, float]:
         """By how much the variances of turning [rad²] and push [m²/s²] are above those of a motion that does not change."""
-        if verdict.fault:
+        if assessment.fault:
             usual = self.noise.gyro, self.noise.accel
             rate, force = ((unknown * h) ** 2 - s**2 * h for unknown, s in zip(UNKNOWN, usual, strict=True))
             return rate, force
-        if verdict.jumps:
+        if assessment.jumps:
             return 0.0, 0.0
         # a mean says the less of a motion, the more it changes to the next; spikes are judged, not believed a little less
         share = (self.noise.change * h) ** 2
-        return share * verdict.turned, share * verdict.pushed
+        return share * assessment.turned, share * assessment.pushed
 
     def _named(self, choice: int) -> tuple[str, ...]:
         """What slips in an explanation (:func:`wbmpc.bases.ball.filter_solve.solve_robust`)."""

@@ -35,9 +35,8 @@ class ModelSteps:
         self._solver, self._observer = solver, observer
         self._state, self._acted, self.acceleration = np.zeros(nx), np.zeros(nu), np.zeros(m)
         own = {
-            "memory": solver.ws.memory, "table": solver.ws.table, "state": self._state, "acted": self._acted,
-            "trial": np.zeros(nx), "acceleration": self.acceleration,
-        }  # fmt: skip
+            "state": self._state, "acted": self._acted, "trial": np.zeros(nx), "acceleration": self.acceleration,
+        } | solver.integrator  # fmt: skip
         self._accelerate = bind(accelerate, own, backend, nx=nx, at=joints.start, m=m)
         if observer is not None:
             n = robot.base.nq
