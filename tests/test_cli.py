@@ -186,6 +186,23 @@ def test_figures_of_a_run_that_the_user_ended_are_not_judged(capsys: pytest.Capt
         assert ("not measured" in out) is interrupted and ("of all steps" in out) is not interrupted
 
 
+@pytest.mark.parametrize("paper", [None, 2.0])
+@pytest.mark.parametrize("physics", ["mujoco", "kinematic"])
+def test_what_was_simulated_and_whose_figures_there_are(
+    paper: float | None, physics: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Truth: the run's own settings and metrics."""
+    settings = {"physics": physics}
+    result = RunResult("x", 1, True, "", {"way": Metric(1.0, "m", paper=paper)}, None, Log(), settings=settings)
+    _table([result])
+    out = " ".join(capsys.readouterr().out.split())
+    body = page(result).split("<body>")[1].split("What is idealized")[0]
+    assert ("paper" in out) is ("paper" in body) is (paper is not None)
+    for text in (out, body):
+        assert ("in MuJoCo" in text) is (physics == "mujoco")
+        assert ("by the planner's own model" in text) is (physics == "kinematic")
+
+
 def test_failures_of_the_solver_are_in_table_and_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("run", "fake", "--set", "failures=7", "--json") == 0
     mpc = json.loads(capsys.readouterr().out)["mpc"]

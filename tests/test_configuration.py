@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import pytest
@@ -12,6 +13,7 @@ from wbmpc.configuration import POSITIVE, OnlyWith, Rules, configure, keys, kind
 from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
 from wbmpc.settings import Settings
+from wbmpc.tasks.settings import SimulationSettings
 
 
 def value_at(tree: Any, key: str) -> Any:
@@ -87,6 +89,13 @@ def test_a_fault_is_one_message_with_place_key_and_choices(assignment: str) -> N
         assert part in text
     assert "\n" not in text
     assert "http" not in text and "Value error" not in text and "validation error" not in text
+
+
+def test_a_file_that_is_no_name_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "settings.yaml"
+    file.write_text("obstacles: {pillar: {sphere: 0.1}}\n")
+    with pytest.raises(InputError, match="obstacles: the name of a file is needed"):
+        configure(SimulationSettings, [], "x", file)
 
 
 def test_a_fault_between_settings_does_not_print_the_whole_section() -> None:

@@ -319,6 +319,9 @@ def describe(error: ValidationError, model: type[BaseModel] | None = None) -> st
                 example = "numbers in brackets are needed, e.g. [0.6, 0.9]"
             faults.append(f"{key}{shown}: several {example}")
             continue
+        if fault["type"] == "path_type":
+            faults.append(f"{key}: the name of a file is needed")
+            continue
         text = fault["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
         faults.append(f"{key}{shown}: {text[:1].lower()}{text[1:]}".removeprefix(": "))
     return "; ".join(faults)

@@ -279,6 +279,12 @@ def test_a_wrist_belongs_to_the_arm_whatever_it_moves_is_called(tmp_path: Path) 
         assert (arm.joints, arm.tool) == (joints, tool)
 
 
+def test_a_robot_file_is_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = new(model(tmp_path, DIFFERENTIAL + ARM))
+    assert main(["new", str(path), "--yes"]) == 2
+    assert f"wbmpc doctor {path}" in capsys.readouterr().err
+
+
 def test_wheels_that_do_not_turn_in_the_file_carry_a_base_that_takes_speeds(tmp_path: Path) -> None:
     wheels = "".join(
         link(f"wheel_{k}") + joint(f"axle_{k}", "hull", f"wheel_{k}", (0, 0.2 - 0.4 * k, 0.1)) for k in range(2)

@@ -51,6 +51,8 @@ def new(
 
     if not model.is_file():
         raise InputError(f"{model}: there is no such file; a URDF, xacro or MJCF is needed")
+    if model.suffix in (".yaml", ".yml"):
+        raise InputError(f"{model}: a URDF, xacro or MJCF is needed; a robot file is checked by: wbmpc doctor {model}")
     path = new_file("--out", out, Path(f"{model.name.split('.')[0]}.yaml"), force)
     packages = {name: Path(folder) for name, folder in pairs("--package", package).items()}
     arguments, keys = pairs("--argument", argument), dict(_assigned(assignments))

@@ -15,30 +15,34 @@ if TYPE_CHECKING:
 
 
 def _table(results: list[RunResult]) -> None:
-    from wbmpc.report import goal_notes, metric_cells
+    from wbmpc.report import exact, goal_notes, metric_cells
     from wbmpc.units import number
 
-    exact = [r.settings.get("physics") == "kinematic" for r in results]
+    models = [exact(r) for r in results]
+    paper = any(m.paper is not None for r in results for m in r.metrics.values())
     own, physics = "Simulated by the planner's own model", "Simulated in MuJoCo, plant perturbed"
-    title = own if all(exact) else f"{own} or in MuJoCo, plant perturbed" if any(exact) else physics
-    table = plain_table(f"{title}; the paper's figures are of the real robot.")
+    title = own if all(models) else f"{own} or in MuJoCo, plant perturbed" if any(models) else physics
+    title += "; the paper's figures are of the real robot." if paper else "."
+    table = plain_table(title)
     for column in ("experiment", "metric"):
         table.add_column(column, overflow="fold")
     table.add_column("unit", no_wrap=True)
-    for column in ("this run", "paper", "goal"):
+    for column in ("this run", *(["paper"] if paper else []), "goal"):
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
     for result in results:
         for k, name in enumerate(result.metrics):
             outcome = {True: "reached", False: "missed", None: ""}[result.reached(name)]
-            table.add_row(result.experiment if k == 0 else "", name, *metric_cells(result, name), outcome)
+            unit, figure, published, goal = metric_cells(result, name)
+            cells = [figure, *([published] if paper else []), goal]
+            table.add_row(result.experiment if k == 0 else "", name, unit, *cells, outcome)
         mpc = result.mpc
         if mpc is not None:
-            table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}", "", "", "")
+            table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}")
             for kind, milliseconds in mpc.solve_ms.items():
-                table.add_row("", f"MPC solve time, {kind}", "ms", number(milliseconds), "", "", "")
+                table.add_row("", f"MPC solve time, {kind}", "ms", number(milliseconds))
             for kind, how_many in _counts(mpc).items():
-                table.add_row("", f"MPC {kind}", f"of {mpc.solves}", str(how_many), "", "", "")
+                table.add_row("", f"MPC {kind}", f"of {mpc.solves}", str(how_many))
         table.add_section()
     out = console()
     out.print(table)
@@ -62,7 +66,9 @@ def show_results(results: list[tuple[RunResult, dict[str, str]]], as_json: bool)
         _table([r for r, _ in results])
         for result, files in results:
             if not result.completed:
-                typer.echo(f"{result.experiment} did not complete: {result.reason} (outcome: {result.outcome})")
+                judged = any(result.reached(name) is not None for name in result.metrics)
+                goals = "; a run that does not complete reaches no goal" if judged else ""
+                typer.echo(f"{result.experiment} did not complete: {result.reason} (outcome: {result.outcome}{goals})")
             typer.echo(f"{result.experiment}: the report page is {files['report']}")
     if any(r.interrupted for r, _ in results):
         raise typer.Exit(INTERRUPTED)

@@ -12,6 +12,7 @@ from wbmpc.report.files import to_json as to_json
 from wbmpc.report.files import write_run as write_run
 from wbmpc.report.provenance import commit as commit
 from wbmpc.report.provenance import versions as versions
+from wbmpc.report.run_page import exact as exact
 from wbmpc.report.run_page import goal_notes as goal_notes
 from wbmpc.report.run_page import goal_text as goal_text
 from wbmpc.report.run_page import metric_cells as metric_cells

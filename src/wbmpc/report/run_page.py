@@ -27,6 +27,11 @@ def metric_cells(result: RunResult, name: str) -> list[str]:
     return [shown.unit, "not measured" if missing else shown.text(m.value), shown.text(m.paper), goal_text(m, shown)]
 
 
+def exact(result: RunResult) -> bool:
+    """Whether the planner's own model was simulated, without physics."""
+    return result.settings.get("physics") == "kinematic"
+
+
 def goal_text(metric: Metric, shown: Scale) -> str:
     """The goal as a cell of a table: a largest value, a range, or a smallest value."""
     goal, least = shown.text(metric.goal), shown.text(metric.least)
@@ -68,7 +73,9 @@ def _summary(result: RunResult) -> str:
     text = "The run completed" if result.completed else ended
     if judged:
         text += f"; {len(judged) - len(missed)} of {len(judged)} goals reached"
-    if missed:
+    if judged and not result.completed:
+        text += " (a run that does not complete reaches none)"
+    elif missed:
         text += f", missed: {', '.join(missed)}"
     kind = "bad" if not result.completed else "fair" if missed else ""
     solving = "".join(f"<p>{html.escape(line)}</p>" for line in solve_lines(result))
@@ -120,11 +127,16 @@ def page(result: RunResult) -> str:
     notes = "".join(f'<p class="sub">{html.escape(note)}.</p>' for note in goal_notes(result))
     ideal = "".join(f"<li>{html.escape(line)}</li>" for line in result.idealizations)
     settings = html.escape(json.dumps(plain(result.settings), indent=2))
+    own, physics = (
+        "by the planner's own model",
+        "in MuJoCo; the plant differs from the planner's model as the settings say",
+    )
+    simulated = f"simulated {own if exact(result) else physics}"
     installed = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in versions().items())
     return document(
         f"{result.experiment}, seed {result.seed}",
         f"""<h1>{html.escape(result.experiment)}</h1>
-<p class="sub">Seed {result.seed}, simulated in MuJoCo; the plant differs from the planner's model as the settings say.</p>
+<p class="sub">Seed {result.seed}, {simulated}.</p>
 {_summary(result)}
 <h2>Figures</h2>{_metrics(result)}{notes}
 {_solve_times(result.mpc)}
