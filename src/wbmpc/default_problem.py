@@ -31,6 +31,9 @@ from wbmpc.settings import MpcSettings, Settings, StabilitySettings, Weight
 Array = NDArray[np.float64]
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a meter from where it should be.
 CLEARANCE_SLACK = 3e4
+#: Of ranges of joints [1 over the range, per second]: more than what a goal pulls with that is a meter out of reach, or joints are
+#: planned beyond their stops.
+RANGE_SLACK = 3e4
 #: Of the accelerations, what plans use: wheels of a base are limited together, and feedback needs some.
 ACCELERATION_SHARE = 0.6
 #: Of stability rows: per share of a wheel's mean load and per meter of the zero-moment point, each per second.
@@ -80,7 +83,10 @@ def default_problem(
     barrier = RelaxedBarrier(settings.barrier_mu, 0.02)
     ranges = sets.Box(limits.state_lower, limits.state_upper)
     free_state = residuals.State(robot, reference=None)
-    ocp.add(Constraint("positions", free_state, ranges, at="path+terminal", penalty=barrier, hard=hard))
+    positions = Constraint(
+        "positions", free_state, ranges, at="path+terminal", penalty=barrier, hard=hard, slack=RANGE_SLACK
+    )
+    ocp.add(positions)
     speeds = sets.Box(limits.input_lower, limits.input_upper)
     ocp.add(Constraint("speeds", residuals.Input(robot, reference=None), speeds, penalty=barrier, hard=hard))
     rates = robot.limits.input_rate
