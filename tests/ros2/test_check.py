@@ -55,19 +55,27 @@ def listen(node: Any, groups: tuple[str, ...] = GROUPS, kind: str = COMMANDS) ->
         node.subscribe(f"/{group}_controller/commands", kind, lambda message: None, DEFAULT)
 
 
-def states(node: Any, rate: float, names: list[str] | None = None, age: float = 0.0) -> threading.Event:
-    """Publish joint states until the event is set."""
-    publisher, end = node.publisher("/joint_states", "sensor_msgs/msg/JointState", SENSOR), threading.Event()
-    names = names or [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+class States:
+    """Joint states that a thread publishes until :meth:`set`."""
 
-    def run() -> None:
-        while not end.wait(1.0 / rate):
-            publisher.publish(
-                {"header": header(time.time() - age, ""), "name": names, "position": np.zeros(len(names))}
-            )
+    def __init__(self, node: Any, rate: float, names: list[str] | None = None, age: float = 0.0) -> None:
+        publisher = node.publisher("/joint_states", "sensor_msgs/msg/JointState", SENSOR)
+        names = names or [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
+        self._end = threading.Event()
 
-    threading.Thread(target=run, daemon=True).start()
-    return end
+        def run() -> None:
+            while not self._end.wait(1.0 / rate):
+                publisher.publish(
+                    {"header": header(time.time() - age, ""), "name": names, "position": np.zeros(len(names))}
+                )
+
+        self._thread = threading.Thread(target=run, daemon=True)
+        self._thread.start()
+
+    def set(self) -> None:
+        """End it, before its node is closed."""
+        self._end.set()
+        self._thread.join()
 
 
 def known(node: Any, publishers: tuple[str, ...] = (), subscribers: tuple[str, ...] = ()) -> None:
@@ -95,7 +103,7 @@ def test_an_empty_bus(looker: Any) -> None:
 
 def test_a_good_robot(robot: Any, looker: Any) -> None:
     listen(robot)
-    end = states(robot, 300.0)
+    end = States(robot, 300.0)
     known(looker, ("/joint_states",), commands(*GROUPS))
     f = found(looker)
     end.set()
@@ -120,7 +128,7 @@ def test_the_robot_that_is_there_is_named(
 ) -> None:
     if urdf is not None:
         robot.publisher("/robot_description", "std_msgs/msg/String", LATCHED).publish({"data": urdf})
-    end = states(robot, 100.0, names)
+    end = States(robot, 100.0, names)
     known(looker, ("/joint_states", "/robot_description") if urdf is not None else ("/joint_states",))
     f = found(looker)
     end.set()
@@ -131,7 +139,7 @@ def test_types_names_rates_and_stamps_that_are_wrong(robot: Any, looker: Any) ->
     robot.publisher("/imu", "std_msgs/msg/String")
     robot.publisher("/cmd_vel", "geometry_msgs/msg/Pose")
     listen(robot, ("wheel",), "std_msgs/msg/Float64")
-    end = states(robot, 10.0, ["hip"], age=100.0)
+    end = States(robot, 10.0, ["hip"], age=100.0)
     known(looker, ("/imu", "/cmd_vel", "/joint_states"), commands("wheel"))
     found_all = [(f.topic, f.text) for f in check(looker, ROBOT, SwerveRosSettings(), 1.5)]
     end.set()
@@ -158,11 +166,13 @@ def test_a_simulation_that_is_paused_is_said(robot: Any, looker: Any) -> None:
             clock.publish({"clock": {"sec": 7}})
             joints.publish({"header": header(7.0, ""), "name": names, "position": np.zeros(len(names))})
 
-    threading.Thread(target=run, daemon=True).start()
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
     known(looker, ("/clock", "/joint_states"), commands(*GROUPS))
     by_wall = {(f.level, f.topic, f.text) for f in check(looker, ROBOT, SwerveRosSettings(), 1.0)}
     by_clock = {(f.level, f.topic, f.text) for f in check(looker, ROBOT, SwerveRosSettings(use_sim_time=True), 1.0)}
     end.set()
+    thread.join()
     stands = "it stands still at 7.000 s: the simulation is paused, or in lockstep waits for a controller"
     assert ("error", "/clock", stands) in by_clock and ("warning", "/clock", stands) in by_wall
     assert ("warning", "/clock", "somebody publishes it, but time is the wall's: use --use-sim-time") in by_wall
@@ -174,7 +184,7 @@ def test_a_simulation_that_is_paused_is_said(robot: Any, looker: Any) -> None:
 
 def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: Any) -> None:
     robot.publisher("/joint_states", "sensor_msgs/msg/JointState")
-    end = states(robot, 100.0)
+    end = States(robot, 100.0)
     robot.subscribe("/arm_controller/commands", COMMANDS, lambda message: None, Qos(latched=True))
     robot.publisher("/steer_controller/commands", COMMANDS)
     robot.publisher("/goal_pose", "geometry_msgs/msg/PoseStamped", SENSOR)
@@ -196,7 +206,7 @@ def test_two_publishers_and_a_quality_that_does_not_match(robot: Any, looker: An
 
 def test_ones_own_controller_is_no_conflict_but_two_of_them_are(robot: Any, looker: Any) -> None:
     listen(robot)
-    end = states(robot, 300.0)
+    end = States(robot, 300.0)
     with ExitStack() as stack:
         nodes = [open_node("wbmpc", "dds", NETWORK) for _ in range(2)]
         for node in nodes:

@@ -6,11 +6,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 
 import pytest
-from needs import everything, needs_dds
+from needs import everything, needs_dds, private, wait_until
 
 from effort import some
+from wbmpc.errors import InputError, RunAborted
+from wbmpc.ros2 import open_node
+from wbmpc.ros2.network import Network
 
 pytestmark = needs_dds
 
@@ -74,3 +78,72 @@ def test_callbacks_of_two_nodes_that_answer_each_other_without_end_are_an_error(
     )
     assert run.stdout.strip() == "ended", run.stderr
     assert "/ping: a callback of it, in this process, leads to another message on it" in run.stderr
+
+
+READS_WHAT_IS_WRITTEN = """
+import threading, time
+from wbmpc.ros2 import open_node
+one, two = (open_node(n, "dds") for n in ("one", "two"))
+kind, heard, ended = "std_msgs/msg/Float64", [], threading.Event()
+publisher = one.publisher("/count", kind)
+def write():
+    while not ended.is_set():
+        publisher.publish({"data": 2.0})
+thread = threading.Thread(target=write)
+thread.start()
+for _ in range(100):
+    ends = [n.subscribe("/count", kind, lambda m: heard.append(m.data)) for n in (two, one)]
+    time.sleep(0.005)
+    for end in ends:
+        end()
+ended.set()
+thread.join()
+print("ended" if heard else "nothing heard")
+"""
+
+
+def test_readers_come_and_go_while_another_thread_writes() -> None:
+    other = subprocess.Popen([sys.executable, "-c", OTHER], env=(environment := everything()))
+    try:
+        run = subprocess.run(
+            [sys.executable, "-c", READS_WHAT_IS_WRITTEN],
+            env=environment, timeout=100.0, capture_output=True, text=True,
+        )  # fmt: skip
+    finally:
+        other.kill()
+        other.wait()
+    assert run.stdout.strip() == "ended", run.stderr
+
+
+def test_a_callback_may_not_wait_for_callbacks(caplog: pytest.LogCaptureFixture) -> None:
+    network = Network.of(private())
+    one, two = (open_node(n, "dds", network) for n in ("one", "two"))
+    kind, later = "rcl_interfaces/srv/ListParameters", {"prefixes": [], "depth": 0}
+    one.serve("/names", kind, lambda _: {})
+    actions: list[Callable[[], object]] = [lambda: two.call("/names", kind, later), two.close, lambda: end()]
+    heard: list[str] = []
+
+    def callback(_: object) -> None:
+        for action in actions:
+            try:
+                action()
+            except InputError as error:
+                heard.append(str(error))
+
+    end = two.subscribe("/topic", "std_msgs/msg/Float64", callback)
+    publisher = one.publisher("/topic", "std_msgs/msg/Float64")
+    assert wait_until(lambda: publisher.publish({"data": 1.0}) or len(heard) >= 3)
+    what = ("calls /names", "closes node 'two'", "ends a subscription")
+    assert heard[:3] == [
+        f"/topic: a callback of it {w}, which waits for callbacks to end; "
+        "give it deferred=True, which calls back from work()"
+        for w in what
+    ]
+    end()
+    deferred: list[object] = []
+    two.subscribe("/topic", "std_msgs/msg/Float64", lambda _: deferred.append(actions[0]()), deferred=True)
+    assert wait_until(lambda: publisher.publish({"data": 1.0}) or two.work() or deferred)
+    one.close()
+    with pytest.raises(RunAborted, match="/topic: node 'one' is closed"):
+        publisher.publish({"data": 1.0})
+    two.close()

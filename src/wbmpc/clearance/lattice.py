@@ -3,7 +3,7 @@
 Places are a square grid, headings the sixteen directions between points of it that are at most two cells apart, so that straight moves
 go from place to place exactly (Pivtoraiko, Knepper, Kelly 2009, "Differentially constrained mobile robot motion planning in state
 lattices", J. Field Robotics 26(3)). Moves are forwards, backwards and turns in place. What stands there is measured by the compiled
-nearest points that clearance rows have; edges are looked at closely only when they are part of a route.
+nearest points that clearance rows have; edges are checked closely only when they are part of a route.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MOVES = np.concatenate([_QUARTER, _TURNED, -_QUARTER, -_TURNED])
 HEADINGS = np.unwrap(np.arctan2(MOVES[:, 1], MOVES[:, 0]))
 #: What a way backwards costs against one forwards; what a turn costs [m/rad].
 BACKWARDS, TURN = 2.0, 0.35
-#: Between two poses that are looked at: way [m], turn [rad].
+#: Between two poses that are checked: way [m], turn [rad].
 CLOSE, CLOSE_TURN = 0.03, 0.06
 #: How far [m] around start and goal a route may lead; states measured at once; searches at most.
 AROUND, AT_ONCE, SEARCHES = 3.0, 2000, 200

@@ -8,7 +8,7 @@ that has gone: d̂ then learns at full gain, whatever the gate says, until ``set
 on like that. A plan that does not know of such a force, or believes in one that has gone, leans wrongly for as long. (To go on
 learning at every sign of motion makes a robot with an unknown 1 kg in its end effector swing against its own observer.)
 
-At the start nothing has been learned, and what is felt first are the robot's own masses and its load: for ``longest`` seconds d̂ learns
+At the start nothing has been learned, and the first disturbances are errors of the robot's own masses and its load: for ``longest`` seconds d̂ learns
 :data:`~wbmpc.estimation.disturbance_step.EAGER` times as fast, whatever the gate says.
 
 Nor is the inertia of a load that is not modeled: while the robot accelerates, its force comes and goes with the motion. An observer

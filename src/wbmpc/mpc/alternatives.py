@@ -48,12 +48,12 @@ WAITS, PATIENCE, AGAIN, AFTER = 0.5, 0.3, 1.0, 3.0
 SOLVES, STEP = 10, 0.3
 #: How much nearer [m] to its end the robot is then, at least.
 MOVED = 0.2
-#: How far aside [m] a way past something is looked for, in steps [m]; how far [m] the robot backs off first, and how often at most.
+#: How far aside [m] a way past something may lead, in steps [m]; how far [m] the robot backs off first, and how often at most.
 FARTHEST, ASIDE, BACK, BACKS = 2.5, 0.1, 0.35, 3
-#: Headings at which a place is looked at where the robot turns.
+#: Headings that are checked at a place where the robot turns.
 HEADINGS = 12
-#: How densely [s] the reference is looked at for what is in its way, and how far ahead [s] at most.
-LOOKED, AHEAD = 0.1, 60.0
+#: How densely [s] the reference is sampled to find what is in its way, and how far ahead [s] at most.
+SAMPLED, AHEAD = 0.1, 60.0
 #: Speeds [m/s], [rad/s] along other ways, from rest over a ramp [s]; what a turn counts [m/rad] beside ways.
 SPEED, TURN_SPEED, RAMP, TURN = 0.3, 0.6, 0.5, 0.35
 
@@ -71,9 +71,8 @@ class Alternatives:
 
     Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: how many searches in a row found nothing
     while the references waited; ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of
-    all of it. While the robot
-    goes another way its base has a weight in the cost "state". Raises :class:`InputError` for an MPC without obstacles or with progress
-    along a path, and a base that does not move or balances.
+    all of it. While the robot goes another way, its base has a weight in the cost "state". Raises :class:`InputError` for an MPC without
+    obstacles or with progress along a path, and a base that does not move or balances.
     """
 
     def __init__(self, mpc: MPC, robot: RobotModel, pace: PacedReferences) -> None:
@@ -166,7 +165,7 @@ class Alternatives:
         """When [s, of the references] the robot, carried along, can turn again after what is in its way; where its base (3) is then; and
         where it is blocked (n, 3). None: up to their end it cannot."""
         pace = self._pace
-        times = np.arange(pace.time, min(pace.end, pace.time + AHEAD) + LOOKED, LOOKED)
+        times = np.arange(pace.time, min(pace.end, pace.time + AHEAD) + SAMPLED, SAMPLED)
         places = np.array([carrying_base(self._robot, pace.pose(float(at))) for at in times])
         places = unwrapped(places)
         clear = footprint.clear(places)
@@ -328,9 +327,7 @@ def _copy_constants(source: Solver, target: Solver) -> None:
     constants = source.constants
     for key, part in source.problem.constant.slices.items():
         at, _, name = key.partition(".")
-        if not name:
-            target.set_parameters(constants[part])
-        elif at == "path":
-            target.set_weight(name, constants[part].tolist())
+        if name:
+            target.set_weight(name, constants[part].tolist(), "path" if at == "path" else "terminal")
         else:
-            target.set_weight(name, constants[part].tolist(), "terminal")
+            target.set_parameters(constants[part])

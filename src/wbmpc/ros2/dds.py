@@ -65,6 +65,7 @@ class DdsNode:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise InputError(f"node: a name of letters, digits and _ is needed, got '{name}'")
         self.name, self.network, self.types = name, network, types(network.distribution)
+        self.closed = False
         self._mismatches, self._limit = Mismatches(self), RateLimit()
         self._lock = threading.RLock()
         open_domain(network)
@@ -194,8 +195,10 @@ class DdsNode:
         )
 
     def call(self, service: str, kind: str, values: Mapping[str, Any], timeout: float = 5.0) -> Any:
-        """Ask a service and wait for its answer [s]. Raises :class:`RunAborted` if none comes."""
+        """Ask a service and wait for its answer [s]. Raises :class:`RunAborted` if none comes, :class:`InputError` in a callback
+        that is not deferred: no answer could come."""
         name = full_name(service)
+        LOCAL.check_waits(f"calls {name}")
         request_type, response_type = request(kind), response(kind)
         mark = f"clientid={_identity()};"
         requests, replies = (
@@ -287,7 +290,9 @@ class DdsNode:
             self._info.write(self._info.topic.data_type(self.types.encode(_INFO, message)))
 
     def close(self) -> None:
-        """Leave the bus. Callbacks have ended when this returns."""
+        """Leave the bus. Callbacks have ended when this returns. Raises :class:`InputError` in a callback that is not deferred."""
+        LOCAL.check_waits(f"closes node '{self.name}'")
+        self.closed = True
         self._mismatches.close()
         with self._lock:
             entities = [*self._readers, *self._writers]
@@ -324,6 +329,7 @@ class DdsNode:
         return reader
 
     def _end(self, reader: DataReader) -> None:
+        LOCAL.check_waits("ends a subscription")
         with self._lock:
             if reader not in self._readers:
                 return

@@ -2,8 +2,8 @@
 
 The package ``cyclonedds`` writes with Python's interpreter lock held. A reader of the same process is served from within the
 write, and DDS lets only one callback of a reader run at a time: a write then waits in C for a callback that waits for the
-interpreter. So a topic that the process reads is written without the interpreter lock. Other topics are written with it: a tick
-of the controller must not let the interpreter go.
+interpreter. So a topic that another node of the process reads is written without the interpreter lock. Other topics are written
+with it: a tick of the controller must not let the interpreter go. A new reader waits until no such write is under way.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cyclonedds.core import DDSException
 from cyclonedds.internal import load_cyclonedds
 from cyclonedds.pub import DataWriter
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, RunAborted
 from wbmpc.ros2.messages import Types
 
 #: A topic of a domain: domain, name in DDS.
@@ -40,13 +40,17 @@ class LocalReaders:
 
     def __init__(self) -> None:
         self._nodes: dict[Where, list[Any]] = {}
-        self._lock = threading.Lock()
+        self._writing: dict[Where, list[int]] = {}  # threads that write with the interpreter lock
+        self._lock = threading.Condition(threading.Lock())
         self._running = threading.local()
 
     def add(self, where: Where, node: Any) -> Callable[[], None]:
-        """Note a reader, before it exists; returns what forgets it, once it has gone."""
+        """Note a reader, before it exists; returns what forgets it, once it has gone. No other thread writes the topic with the
+        interpreter lock when this returns."""
+        own = threading.get_ident()
         with self._lock:
             self._nodes.setdefault(where, []).append(node)
+            self._lock.wait_for(lambda: all(thread == own for thread in self._writing.get(where, ())))
 
         def unregister() -> None:
             with self._lock:
@@ -56,10 +60,22 @@ class LocalReaders:
 
         return unregister
 
-    def of_others(self, where: Where, node: Any) -> bool:
-        """Whether another node of this process reads a topic."""
+    @contextmanager
+    def write(self, where: Where, node: Any) -> Iterator[bool]:
+        """While ``node`` writes a topic: whether another node of this process reads it, so that the writer must let the
+        interpreter lock go."""
+        own = threading.get_ident()
         with self._lock:
-            return any(n is not node for n in self._nodes.get(where, ()))
+            others = any(n is not node for n in self._nodes.get(where, ()))
+            if not others:
+                self._writing.setdefault(where, []).append(own)
+        try:
+            yield others
+        finally:
+            if not others:
+                with self._lock:
+                    self._writing[where].remove(own)
+                    self._lock.notify_all()
 
     @contextmanager
     def callback(self, where: Where, node: Any) -> Iterator[None]:
@@ -71,7 +87,15 @@ class LocalReaders:
         finally:
             stack.pop()
 
-    def check(self, where: Where, node: Any) -> None:
+    def check_waits(self, what: str) -> None:
+        """Raise :class:`InputError` if this thread is in a callback: what waits for the bus would wait for that callback to end."""
+        for (_, topic), _ in self._running.__dict__.get("stack", ()):
+            raise InputError(
+                f"{topic[2:]}: a callback of it {what}, which waits for callbacks to end; "
+                "give it deferred=True, which calls back from work()"
+            )
+
+    def check_write(self, where: Where, node: Any) -> None:
         """Raise :class:`InputError` if this thread is in a callback of another node's reader of the topic: DDS would wait for
         that callback to end."""
         if any(w == where and n is not node for w, n in self._running.__dict__.get("stack", ())):
@@ -105,14 +129,20 @@ class DdsPublisher:
 
 
 def write(writer: DataWriter, data: bytes, where: Where, node: Any, turn: threading.RLock) -> None:  # type: ignore[valid-type]
-    """Write CDR with a writer of ``node``; see the module. ``turn``: the writer's own lock."""
-    if not LOCAL.of_others(where, node):
-        with turn:  # type: ignore[attr-defined]
-            writer.write(writer.topic.data_type(data))
-        return
-    LOCAL.check(where, node)
-    padded = data.ljust(-(-len(data) // 4) * 4, b"\0")
-    with turn:  # type: ignore[attr-defined]
-        status = _write(writer._ref, ctypes.byref(_Sample(padded, len(padded))))
-    if status < 0:
-        raise DDSException(status, f"while writing on {where[1]}")
+    """Write CDR with a writer of ``node``; see the module. ``turn``: the writer's own lock. Raises :class:`RunAborted` if the
+    node is closed."""
+    with turn, LOCAL.write(where, node) as others:  # type: ignore[attr-defined]
+        if others:
+            LOCAL.check_write(where, node)
+        try:
+            if not others:
+                writer.write(writer.topic.data_type(data))
+                return
+            padded = data.ljust(-(-len(data) // 4) * 4, b"\0")
+            status = _write(writer._ref, ctypes.byref(_Sample(padded, len(padded))))
+            if status < 0:
+                raise DDSException(status, f"while writing on {where[1]}")
+        except DDSException as error:
+            if node.closed:
+                raise RunAborted(f"{where[1].removeprefix('rt')}: node '{node.name}' is closed") from error
+            raise
