@@ -113,6 +113,16 @@ def test_failing_from_the_start_is_an_abort() -> None:
         mpc.update(Observation(0.0, START))
 
 
+@pytest.mark.parametrize("wrong", [3.0, "zero", (1, 2)])
+def test_a_guess_of_a_wrong_type_is_an_input_error(wrong: object) -> None:
+    mpc = make()
+    with pytest.raises(InputError, match=r"mpc\.guess: a function of t, x0 and the last trajectory is needed"):
+        mpc.guess = wrong  # type: ignore[assignment]
+    mpc.guess = lambda t, x0, trajectory: wrong  # type: ignore[assignment, return-value]
+    with pytest.raises(InputError, match=rf"mpc\.guess: it must return a Trajectory, .*got {type(wrong).__name__}"):
+        mpc.update(Observation(0.0, START))
+
+
 @pytest.mark.parametrize("part", ["feedback gain", "planned state"])
 def test_a_plan_that_is_not_finite_never_comes_into_force(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the solver's status says (which part it finds: tests/solver/test_trajectory.py)."""

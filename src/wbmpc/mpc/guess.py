@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
+from wbmpc.errors import InputError
 from wbmpc.solver import Solver, Trajectory
 
 if TYPE_CHECKING:
@@ -24,6 +25,14 @@ class Bound(Protocol):
     """A guess that needs the MPC it serves: its references, to read or to set before a solve, its schedule."""
 
     def bind(self, mpc: MPC) -> None: ...
+
+
+def check_guess(found: object) -> None:
+    """Raise :class:`InputError` unless this is what a guess returns: numbers are checked by :meth:`Solver.warm_start`."""
+    if not isinstance(found, Trajectory):
+        raise InputError(
+            f"mpc.guess: it must return a Trajectory, such as the one that it gets, or None; got {type(found).__name__}"
+        )
 
 
 def predicted(solver: Solver, t: float, delta: float) -> tuple[np.ndarray, np.ndarray]:
