@@ -224,9 +224,10 @@ class ControlNode:
 
     # ------------------------------------------------------------------ before a goal
     def _follow_sensors(self) -> None:
-        """Follow the sensors while nobody commands the drives, whatever it waits for, or stopped for."""
+        """Follow the sensors while nobody commands the drives, for whatever reason; a tick that a stop overtakes has them to itself."""
         unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
-        if unheard or (self.adapter.needs_imu and not self.robot_io.has_imu):
+        ticking = self.runner is not None and self.runner.ticking
+        if unheard or ticking or (self.adapter.needs_imu and not self.robot_io.has_imu):
             return
         for measurement in self.robot_io.unread():
             with suppress(SafeStop, InputError):
