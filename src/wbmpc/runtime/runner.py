@@ -57,7 +57,8 @@ class RealTimeRunner(StopControl):
 
     ``settings`` and ``clock`` (None: defaults, the wall clock). To read: ``plans``: policies in force and on their way; ``punctuality`` of
     the ticks, which ``ticker`` counts; ``latency``: from measurement to policy [s]; ``kept``: why the last policy is kept beyond its time,
-    ``""`` when it is not; ``remote``: whether the MPC is in another process; ``own``: counts and times of the control thread,
+    ``""`` when it is not; ``remote``: whether the MPC is in another process; ``ticking``: whether a tick is
+    under way; ``own``: counts and times of the control thread,
     ``board``: those of the MPC. Between both: ``observations``, ``policies``, ``worker_commands``.
     """
 

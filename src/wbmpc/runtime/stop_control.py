@@ -29,7 +29,8 @@ class RobotInterface(Protocol):
 
 
 class StopControl:
-    """Stops a ``robot`` for good. ``state`` says what it does, or why it stopped; ``error``: the exception behind that."""
+    """Stops a ``robot`` for good. ``state`` says what it does, or why it stopped; ``error``: the exception behind that;
+    ``ticking``: whether a tick is under way, which a stop from another thread does not end."""
 
     def __init__(self, robot: RobotInterface, settings: RealTimeSettings, clock: Clock) -> None:
         self.robot, self.settings, self.clock = robot, settings, clock
@@ -39,7 +40,7 @@ class StopControl:
         self._halt_lock = threading.Lock()
         #: when the last tick began [s]
         self._beat = 0.0
-        #: whether a tick is under way, which a stop from another thread does not end; set before the tick asks whether it may run
+        #: set before the tick asks whether it may run
         self.ticking = False
 
     def halt(self, reason: str, error: BaseException | None = None) -> None:
