@@ -21,7 +21,9 @@ from wbmpc.obstacles.shapes import Box, Capsule, HalfSpace, Sphere
 from wbmpc.ocp.symbols import Symbols
 from wbmpc.registry import load
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
-from wbmpc.tasks.obstacles import ENTRY, Clutter, Corridor, Extent, clutter_scene, corridor_scene
+from wbmpc.tasks.obstacles import (
+    ENTRY, PERSON, Clutter, Corridor, Extent, Moving, clutter_scene, corridor_scene, moving_scene, passing,
+)  # fmt: skip
 from wbmpc.tasks.rooms import RoomSettings, draw_room
 
 BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
@@ -100,6 +102,29 @@ def ball_and_floor(around: SimulatedObstacles) -> tuple[mujoco.MjModel, mujoco.M
     model = spec.compile()
     around.bind(model)
     return model, mujoco.MjData(model)
+
+
+@pytest.mark.parametrize("angles", [(0.0, 0.0), (0.0, 3.14), (3.14, 3.14)])
+def test_people_from_all_sides_meet_the_robot_and_do_not_appear_in_it(
+    driving: Path, angles: tuple[float, float]
+) -> None:
+    """Truth: motions at constant velocities, of people and of a robot that nothing delays; the axle is in the middle of its box."""
+    robot, settings = wb.load_robot(driving), Moving(robot=driving, angles=angles, people=6)
+    e = Extent(robot, "x")
+    half = float(np.linalg.norm(np.maximum(e.high[:2] - e.base[:2], e.base[:2] - e.low[:2])))
+    for seed in range(10):
+        for k, one in enumerate(moving_scene(settings, robot, seed)):
+            velocity = np.array(one.place["velocity"])
+            along = (k + 0.5) / 6 * settings.path.length
+            meet = passing(settings, along)
+            base = lambda t, at=along, then=meet: e.base[:2] + [at - settings.path.speed * (then - t), 0.0]
+            turned = abs(np.arctan2(velocity[1], velocity[0]))
+            assert angles[0] - 1e-9 <= turned <= angles[1] + 1e-9
+            start = np.array(one.place["position"])[:2] - base(one.appears)
+            assert np.linalg.norm(start) > half + PERSON[0] - 1e-9
+            relative = velocity[:2] - [settings.path.speed, 0.0]
+            if np.linalg.norm(relative) > 1e-6:  # a straight way relative to the robot leads through its middle
+                assert abs(np.cross(relative, start)) / np.linalg.norm(relative) < 1e-6
 
 
 def test_distances_and_contacts_are_those_of_the_world() -> None:

@@ -4,6 +4,7 @@ An MPC finds local optima: in front of a wall that stands head-on it waits, thou
 the same problem runs ahead of time on the model, with one solve for each update of the first: once with the references as they are, if
 they did not wait (what is in the way may leave), and along other ways to behind what is in the way: left, right, back and on again. A way
 counts if the robot gets on along it and keeps clear; the one that leaves the least to go wins. Where none counts, the robot is stuck.
+What moves past the robot is waited for.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ class Alternatives:
     """Tries other ways for ``mpc`` of ``robot``, whose base moves and can turn in place, when its references, kept by ``pace``, wait for it.
 
     Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: how many searches in a row found nothing
-    while the references waited; ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of
+    while the references waited for something that stands; ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of
     all of it. While the robot goes another way, its base has a weight in the cost "state". Raises :class:`InputError` for an MPC without
     obstacles or with progress along a path, and a base that does not move or balances.
     """
@@ -116,6 +117,9 @@ class Alternatives:
         if self._pace.rate >= WAITS or self._pace.time >= self._pace.end:
             self._waits_since, self.failed = None, 0
             self._ways = []
+            return
+        if not self.searching and self._pace.waits_for(t):  # it passes by; another way would be one for where it is now
+            self._waits_since = None
             return
         if self._waits_since is None:
             self._waits_since = t
@@ -263,7 +267,10 @@ class Alternatives:
     # ------------------------------------------------------------------ the winner
     def _end(self, t: float) -> None:
         self.searches += 1
-        self._not_before, self.failed = t + AGAIN, 0 if self._found else self.failed + 1
+        self._not_before = t + AGAIN
+        if not self._found and self._pace.waits_for(t):  # something has come since
+            return
+        self.failed = 0 if self._found else self.failed + 1
         if self.failed:
             _LOG.warning("alternatives at %.3f s: nothing leads on, the robot is stuck", t)
             return

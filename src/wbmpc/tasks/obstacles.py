@@ -61,13 +61,17 @@ class Among(PathTaskSettings):
 
 #: Of somebody who crosses [m/s].
 Speed = Annotated[float, Field(ge=0.01, le=10)]
+#: Of somebody's direction to the path's [rad].
+Angle = Annotated[float, Field(ge=0.0, le=3.15)]
 
 
 class Moving(Among):
-    """``people`` that cross at ``speeds`` [m/s], between the smallest and the largest."""
+    """``people`` that walk at ``speeds`` [m/s] and ``angles`` [rad] to the path, to its left or right, between the smallest and the largest:
+    0 comes from behind, pi head-on."""
 
     people: int = Field(4, ge=1, le=50)
     speeds: tuple[Speed, Speed] = (0.2, 1.5)
+    angles: tuple[Angle, Angle] = (0.25 * np.pi, 0.75 * np.pi)
 
 
 class Sudden(Among):
@@ -145,22 +149,32 @@ def static_scene(settings: Among, robot: RobotModel, seed: int) -> list[SceneObs
 def moving_scene(settings: Moving, robot: RobotModel, seed: int) -> list[SceneObstacle]:
     """People who walk straight over the robot's path, from both sides and at any angle, each where the robot would then be."""
     e, rng = Extent(robot, "obstacles-moving"), np.random.default_rng(seed)
-    length, (low, high) = settings.path.size(robot), sorted(settings.speeds)
+    length, (low, high), (least, most) = settings.path.size(robot), sorted(settings.speeds), sorted(settings.angles)
+    apart = float(np.linalg.norm(np.maximum(e.high[:2] - e.base[:2], e.base[:2] - e.low[:2]))) + PERSON[0]
     people = []
     for k in range(settings.people):
         along = np.array([(k + 0.5) / settings.people * length, 0.0, 0.0])
         meet = passing(settings, float(along[0]))
-        angle = rng.choice([-1.0, 1.0]) * rng.uniform(0.25, 0.75) * np.pi
-        people.append(person(f"person{k}", [*e.base[:2], e.ground] + along, meet, rng.uniform(low, high), angle))
+        angle = rng.choice([-1.0, 1.0]) * rng.uniform(least, most)
+        place, pace = [*e.base[:2], e.ground] + along, rng.uniform(low, high)
+        people.append(person(f"person{k}", place, meet, pace, angle, settings.path.speed, apart))
     return people
 
 
-def person(name: str, place: Array, meet: float, pace: float, angle: float) -> SceneObstacle:
-    """Somebody who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s]."""
+def person(
+    name: str, place: Array, meet: float, pace: float, angle: float, speed: float = 0.0, apart: float = 0.0
+) -> SceneObstacle:
+    """Somebody who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s], as is a robot
+    with ``speed`` [m/s] along x; or later: nobody appears within ``apart`` [m] of that robot."""
     velocity = pace * np.array([np.cos(angle), np.sin(angle), 0.0])
-    appears = max(meet - max(SEEN_FROM / pace, SEEN_FOR), 0.0)
-    motion = {"position": place - (meet - appears) * velocity, "velocity": velocity}
-    return SceneObstacle(name, Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0]), {**motion, **SEEN_AS}, appears)
+    lead = min(max(SEEN_FROM / pace, SEEN_FOR), meet)
+    ahead = np.array([speed, 0.0, 0.0])
+    off = lead * (ahead - velocity)  # from the robot to the person who appears
+    distance = float(np.linalg.norm(off))
+    if distance < apart:
+        off = apart * (off / distance if distance > 1e-9 else -velocity / pace)
+    motion = {"position": place - lead * ahead + off, "velocity": velocity}
+    return SceneObstacle(name, Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0]), {**motion, **SEEN_AS}, meet - lead)
 
 
 def passing(settings: Among, way: float) -> float:
