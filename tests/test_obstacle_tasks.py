@@ -109,7 +109,7 @@ def test_people_from_all_sides_meet_the_robot_and_do_not_appear_in_it(
     driving: Path, angles: tuple[float, float]
 ) -> None:
     """Truth: motions at constant velocities, of people and of a robot that nothing delays; the axle is in the middle of its box."""
-    robot, settings = wb.load_robot(driving), Moving(robot=driving, angles=angles, people=6)
+    robot, settings = wb.load_robot(driving), Moving(robot=str(driving), angles=angles, people=6)
     e = Extent(robot, "x")
     half = float(np.linalg.norm(np.maximum(e.high[:2] - e.base[:2], e.base[:2] - e.low[:2])))
     for seed in range(10):
