@@ -71,9 +71,9 @@ class Alternatives:
     """Tries other ways for ``mpc`` of ``robot``, whose base moves and can turn in place, when its references, kept by ``pace``, wait for it.
 
     Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: how many searches in a row found nothing
-    while the references waited for something that stands; ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of
-    all of it. While the robot goes another way, its base has a weight in the cost "state". Raises :class:`InputError` for an MPC without
-    obstacles or with progress along a path, and a base that does not move or balances.
+    while the references waited for something that stands; ``searches``: how many have ended; ``taken``: times [s] and names of the
+    winners; ``computation`` [s]: of all of it. While the robot goes another way, its base has a weight in the cost "state". Raises
+    :class:`InputError` for an MPC without obstacles or with progress along a path, and a base that does not move or balances.
     """
 
     def __init__(self, mpc: MPC, robot: RobotModel, pace: PacedReferences) -> None:

@@ -83,7 +83,8 @@ class Sudden(Among):
 
 class Corridor(Among):
     """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go, and it turns off to
-    the left by ``angle`` [rad]; ``closed``: a dead end. The end effector swings ahead of the base before it enters."""
+    the left by ``angle`` [rad]; ``closed``: a dead end; ``chicane`` [m]: after a gap as long as the robot another corridor goes on so far to the
+    left (negative: right). The end effector swings ahead of the base before it enters."""
 
     path: AnyPath = Line(length=5.0, speed=0.25)
     width: float = Field(0.9, ge=0.1, le=100.0)
@@ -91,6 +92,7 @@ class Corridor(Among):
     offset: float = Field(0.05, ge=-10.0, le=10.0)
     angle: float = Field(0.0, ge=-0.8, le=0.8)
     closed: bool = False
+    chicane: float = Field(0.0, ge=-10.0, le=10.0)
 
 
 class Clutter(Among):
@@ -200,8 +202,14 @@ def corridor_scene(settings: Corridor, robot: RobotModel, seed: int) -> list[Sce
     turn, quaternion = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), lie.quaternion_about(UP, settings.angle)
     aside, along = 0.5 * settings.width + 0.1, 0.5 * settings.long
     parts = {"left": ((along, aside), (along, 0.1)), "right": ((along, -aside), (along, 0.1))}
+    end, middle = settings.long, 0.0
+    if settings.chicane:
+        begin, middle = end + float(e.high[0] - e.low[0]), settings.chicane
+        for side, off in (("left", aside), ("right", -aside)):
+            parts[f"next_{side}"] = ((begin + along, middle + off), (along, 0.1))
+        end = begin + settings.long
     if settings.closed:
-        parts["end"] = ((settings.long + 0.1, 0.0), (0.1, aside + 0.1))
+        parts["end"] = ((end + 0.1, middle), (0.1, aside + 0.1))
     return [
         SceneObstacle(
             name, Box((*half, high)), {"position": entry + turn @ np.array([*place, 0.0]), "orientation": quaternion}
