@@ -167,15 +167,14 @@ class Alternatives:
 
     def _behind(self, footprint: Footprint) -> tuple[float, Array, Array] | None:
         """When [s, of the references] the robot, carried along, can turn again after what is in its way; where its base (3) is then; and
-        where it is blocked (n, 3). None: up to their end it cannot."""
+        where it is blocked (n, 3). None: it is not blocked, or up to their end it cannot turn."""
         pace = self._pace
         times = np.arange(pace.time, min(pace.end, pace.time + AHEAD) + SAMPLED, SAMPLED)
         places = np.array([carrying_base(self._robot, pace.pose(float(at))) for at in times])
         places = unwrapped(places)
         clear = footprint.clear(places)
-        if clear.all():  # what waits there is another part of the robot, or something that moves
-            k = min(int(np.searchsorted(times, pace.time + self._mpc.ocp.horizon)), len(times) - 1)
-            return float(times[k]), places[k], places[:1]
+        if clear.all():  # nothing that stands is in its way: time helps, or nothing
+            return None
         first = int(np.argmin(clear))
         after = np.flatnonzero(_can_turn(footprint, places[first:]))
         if not after.size:
