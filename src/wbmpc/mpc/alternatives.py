@@ -135,9 +135,14 @@ class Alternatives:
         snapshot = self._mpc.obstacles.snapshot(t)
         still = Snapshot(tuple(o for o in snapshot.obstacles if not o.velocity.any()), snapshot.frames)
         footprint = Footprint(self._robot, still, self._robot.description.collision.margin, t)
+        times, places = self._carried()
+        clear = footprint.clear(places)
+        if clear.all():  # nothing that stands is in its way: its arm lags behind, and time helps
+            self._not_before = t + AGAIN
+            return
         self._found, self._solves = [], 0
         self._ways = [_Way("wait", np.zeros((0, 3)), self._pace.time)]
-        target = self._behind(footprint)
+        target = _behind(footprint, times, places, int(np.argmin(clear)))
         start = self._now(t)[base_part(self._robot)]
         back = self._off(footprint, start)
         if target is None or back is None:
@@ -165,22 +170,11 @@ class Alternatives:
                 return place
         return None
 
-    def _behind(self, footprint: Footprint) -> tuple[float, Array, Array] | None:
-        """When [s, of the references] the robot, carried along, can turn again after what is in its way; where its base (3) is then; and
-        where it is blocked (n, 3). None: it is not blocked, or up to their end it cannot turn."""
+    def _carried(self) -> tuple[Array, Array]:
+        """Times (n) [s] of the references, and where the base (n, 3) is then that carries the end effector along."""
         pace = self._pace
         times = np.arange(pace.time, min(pace.end, pace.time + AHEAD) + SAMPLED, SAMPLED)
-        places = np.array([carrying_base(self._robot, pace.pose(float(at))) for at in times])
-        places = unwrapped(places)
-        clear = footprint.clear(places)
-        if clear.all():  # nothing that stands is in its way: time helps, or nothing
-            return None
-        first = int(np.argmin(clear))
-        after = np.flatnonzero(_can_turn(footprint, places[first:]))
-        if not after.size:
-            return None
-        k = first + int(after[0])
-        return float(times[k]), places[k], places[first:k]
+        return times, unwrapped(np.array([carrying_base(self._robot, pace.pose(float(at))) for at in times]))
 
     def _past(
         self, footprint: Footprint, places: tuple[Array, Array, Array], blocked: Array, side: float
@@ -313,6 +307,16 @@ def _can_turn(footprint: Footprint, places: Array) -> NDArray[np.bool_]:
     turned = np.repeat(places, HEADINGS, axis=0)
     turned[:, 2] += np.tile(np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS, len(places))
     return np.asarray(footprint.clear(turned).reshape(-1, HEADINGS).all(axis=1))
+
+
+def _behind(footprint: Footprint, times: Array, places: Array, first: int) -> tuple[float, Array, Array] | None:
+    """When [s] the robot, carried to places (n, 3) at ``times`` (n) [s] of which the ``first`` blocked one is given, can turn again after
+    that; where its base (3) is then; and where it is blocked (m, 3). None: it cannot."""
+    after = np.flatnonzero(_can_turn(footprint, places[first:]))
+    if not after.size:
+        return None
+    k = first + int(after[0])
+    return float(times[k]), places[k], places[first:k]
 
 
 def _rest(way: Array, pose: Array) -> Array:
