@@ -83,33 +83,25 @@ def aside(snapshot: Snapshot, obstacle: Obstacle) -> Array | None:
 
 
 def _leave_track(
-    finder: Finder,
-    snapshot: Snapshot,
-    poses: Poses,
-    near: Nearest,
-    through: NDArray[np.bool_],
-    f: int,
-    o: int,
+    finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, through: NDArray[np.bool_], f: int, o: int,
     track: Array,
-) -> None:
+) -> None:  # fmt: skip
     """Give nodes in a row that an obstacle runs over the normal across its ``track`` (3) along which they are least deep in it."""
     obstacle = snapshot.obstacles[o]
     places, turn = snapshot.pose(obstacle, poses.times)
     distance, normal = near.distance[:, f, o], near.normal[:, f, o]
     met = (distance < 0.0) | through
     starts = np.flatnonzero(met & ~np.concatenate([[False], met[:-1]]))
-    for start in starts:
+    for start in starts.tolist():
         end = start + int(np.argmin(np.append(met[start:], False)))
         before = normal[max(start - 1, 0)]
         # a node that is touched and left to the side it was on is no matter of the track
         if not through[start:end].any() and (normal[start:end] @ before > 0.0).all():
             continue
-        sides = [
-            [_gap(finder, obstacle, places[k], turn, poses, k, f, n) for k in range(start, end)]
-            for n in (track, -track)
-        ]
-        n, found = max(zip((track, -track), sides, strict=True), key=lambda side: min(gap for gap, _, _ in side[1]))
-        for k, (gap, point, level) in zip(range(start, end), found, strict=True):
+        nodes = range(start, end)
+        one, other = ([_gap(finder, obstacle, places[k], turn, poses, k, f, n) for k in nodes] for n in (track, -track))
+        n, found = (track, one) if min(g[0] for g in one) >= min(g[0] for g in other) else (-track, other)
+        for k, (gap, point, level) in zip(nodes, found, strict=True):
             near.normal[k, f, o], near.point[k, f, o], near.level[k, f, o] = n, point, level
             near.distance[k, f, o] = gap
 
