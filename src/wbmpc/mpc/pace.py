@@ -58,6 +58,13 @@ class PacedReferences:
         """When [s] the end effector's reference ends, in its own time."""
         return float(self._path.times[-1])
 
+    def waits_for(self, t: float) -> str:
+        """The obstacle that the last plan is nearest to, if it moves at ``t`` [s]: who waits for it goes on by and by. Empty: it stands."""
+        world, name = self._mpc.obstacles, self._mpc.clearance.other
+        if world is None or not name:
+            return ""
+        return name if any(o.name == name and o.velocity.any() for o in world.snapshot(t).obstacles) else ""
+
     def pose(self, time: float) -> Array:
         """The end effector's reference (7) at ``time`` [s] of its own."""
         return self._path.at(time)
