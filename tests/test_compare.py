@@ -238,14 +238,14 @@ def test_curves_have_names_and_the_runs_the_same_colors(tmp_path: Path) -> None:
     run = load(tmp_path)
     plots = {p.title: p.series for p in overlay([run] * 2, ["a", "b"])}
     names = {title: [s.name for s in series if not s.dashed] for title, series in plots.items()}
-    assert names["tour.base_odometry"] == ["a x", "a y", "a yaw"] and names["hand"] == ["a x", "a y", "a z"]
-    assert names["hand_quaternion"] == ["a qw", "a qx", "a qy", "a qz"]
-    assert names["leg"] == [f"a {wheel}" for wheel in wheels] and names["other"] == ["a [0]", "a [1]"]
+    assert names["tour.base_odometry"] == ["x", "y", "yaw"] and names["hand"] == ["x", "y", "z"]
+    assert names["hand_quaternion"] == ["qw", "qx", "qy", "qz"]
+    assert names["leg"] == [*wheels] and names["other"] == ["[0]", "[1]"]
     assert len(names["one (8 of 10)"]) == 8
     for series in plots.values():
         half = len(series) // 2
         assert [s.color for s in series[:half]] == [s.color for s in series[half:]] == list(range(half))
-        assert all(s.dashed for s in series[half:])
+        assert all(s.dashed and s.name == f"{s.signal}, b" for s in series[half:])
     page = plots_page("a", "b", overlay([run] * 2, ["a", "b"]))
     assert "</script><b>" not in page.partition("<body>")[2]
 
@@ -278,6 +278,7 @@ def test_differences_to_the_first_run_are_in_the_table_and_on_the_page(
 
 @pytest.mark.parametrize(("difference", "first", "text"), [
     (0.0005, 0.002, "+0.5 (+25.0 %)"), (-0.001, 0.002, "-1 (-50.0 %)"), (0.0, 0.002, "0"), (0.001, 0.0, "+1"), (None, 0.002, ""),
+    (1e-17, 0.002, "0"),
 ])  # fmt: skip
 def test_a_difference_has_its_unit_and_share(difference: float | None, first: float, text: str) -> None:
     assert difference_text(difference, first, Scale("mm", 1e3)) == text

@@ -35,6 +35,8 @@ _PLACES = (
 _SIGNALS = ("/end_effector/", "/odom", "/command/", "/joint_states", "/mpc/")
 
 _NAMES = ".names"
+#: Differences that are a smaller share of the figure are of its last digits.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -193,23 +195,18 @@ def overlay(runs: Sequence[Run], names: list[str]) -> list[Plot]:
     each run has a color.
     """
     logs = [run.log for run in runs]
-    channels = [c for c in logs[0] if all({c, f"{c}.time"} <= log.keys() for log in logs)]
-    lines = {channel: _lines(channel, runs, names) for channel in channels}
-    if len(runs) == 2:
-        return [
-            Plot(f"{c}{_left_out(logs[0][c])}", "time [s]", _label(c, c), [s for s, _ in by_run])
-            for c, by_run in lines.items()
-        ]
-    return [
-        Plot(
-            title,
-            "time [s]",
-            _label(title, channel),
-            [replace(s, name=n, dashed=False, color=k) for k, (s, n) in enumerate(group)],
-        )
-        for channel, by_run in lines.items()
-        for title, group in _by_component(channel, by_run, len(runs))
-    ]
+    plots = []
+    for channel in [c for c in logs[0] if all({c, f"{c}.time"} <= log.keys() for log in logs)]:
+        by_run, title = [_lines(run, channel) for run in runs], f"{channel}{_left_out(logs[0][channel])}"
+        if len(runs) == 2:
+            plots.append(Plot(title, "time [s]", _label(channel, channel), [*_pair(by_run, names)]))
+            continue
+        for part in [p for p in by_run[0] if all(p in lines for lines in by_run)]:
+            lines = [Series(name, *own[part], color=k) for k, (own, name) in enumerate(zip(by_run, names, strict=True))]
+            plots.append(
+                Plot(f"{title} {part}".strip(), "time [s]", _label(f"{channel} {part}".strip(), channel), lines)
+            )
+    return plots
 
 
 def _left_out(rows: np.ndarray) -> str:
@@ -252,29 +249,22 @@ def difference_text(difference: float | None, first: float | None, unit: Scale) 
     """A difference in ``unit``, and its share of the ``first`` figure: ``+0.2 (+12.5 %)``."""
     if difference is None or first is None:
         return ""
+    if abs(difference) < ROUNDING * abs(first):
+        return "0"
     text = f"{'+' if difference > 0 else ''}{unit.text(difference)}"
     return f"{text} ({100 * difference / abs(first):+.1f} %)" if first and difference else text
 
 
-def _by_component(
-    channel: str, lines: list[tuple[Series, str]], runs: int
-) -> Iterator[tuple[str, list[tuple[Series, str]]]]:
-    """The lines of each component, as far as every run has it."""
-    parts = [(series.name.removeprefix(name).strip(), (series, name)) for series, name in lines]
-    for part in dict.fromkeys(part for part, _ in parts):
-        group = [line for p, line in parts if p == part]
-        if len(group) == runs:
-            yield f"{channel} {part}".strip(), group
+def _pair(by_run: Sequence[dict[str, tuple[np.ndarray, np.ndarray]]], names: Sequence[str]) -> Iterator[Series]:
+    """The lines of two runs: a color for each component, the second run dashed."""
+    for k, (lines, run) in enumerate(zip(by_run, names, strict=True)):
+        for i, (part, (t, y)) in enumerate(lines.items()):
+            name = f"{part}, {run}" if part and k else part or run
+            yield Series(name, t, y, dashed=k == 1, color=i, signal=part)
 
 
-def _lines(channel: str, runs: Sequence[Run], names: list[str]) -> list[tuple[Series, str]]:
-    """The components of a channel by run, each with the run's name."""
-    lines = []
-    for k, (run, name) in enumerate(zip(runs, names, strict=True)):
-        log = run.log
-        rows = np.atleast_2d(log[channel].T)
-        parts = run.labels.get(channel) or _components(channel, len(rows))
-        for i, row in enumerate(rows[:MAX_LINES]):
-            label = f"{name} {parts[i]}" if len(rows) > 1 else name
-            lines.append((Series(label, log[f"{channel}.time"], row, dashed=k == 1, color=i), name))
-    return lines
+def _lines(run: Run, channel: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Times and values of a channel's components by their names; "" where there is one."""
+    rows, t = np.atleast_2d(run.log[channel].T), run.log[f"{channel}.time"]
+    parts = run.labels.get(channel) or _components(channel, len(rows))
+    return {parts[i] if len(rows) > 1 else "": (t, row) for i, row in enumerate(rows[:MAX_LINES])}

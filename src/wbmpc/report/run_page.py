@@ -72,9 +72,9 @@ def _summary(result: RunResult) -> str:
     ended = f"The run did not complete: {html.escape(result.reason)} (outcome: {result.outcome})"
     text = "The run completed" if result.completed else ended
     if judged:
-        text += f"; {len(judged) - len(missed)} of {len(judged)} goals reached"
+        text += f"; {len(judged) - len(missed)} of {len(judged)} metrics reach their goal"
     if judged and not result.completed:
-        text += " (a run that does not complete reaches none)"
+        text += " (those of a run that does not complete do not)"
     elif missed:
         text += f", missed: {', '.join(missed)}"
     kind = "bad" if not result.completed else "fair" if missed else ""
