@@ -11,6 +11,7 @@ from wbmpc.plots.figures import figure
 from wbmpc.report.document import document, named, table
 from wbmpc.report.plain import plain
 from wbmpc.report.provenance import commit, versions
+from wbmpc.report.replay import replay
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 from wbmpc.units import Scale, number, scale
 
@@ -140,6 +141,7 @@ def page(result: RunResult) -> str:
 {_summary(result)}
 <h2>Figures</h2>{_metrics(result)}{notes}
 {_solve_times(result.mpc)}
+{replay(result.motion)}
 <h2 id="plots">Plots</h2>{_plots(result.plots)}
 <h2>What is idealized</h2><ul class="card">{ideal}</ul>
 <h2>How it was made</h2>{_origin(result)}
