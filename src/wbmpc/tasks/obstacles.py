@@ -64,7 +64,7 @@ Speed = Annotated[float, Field(ge=0.01, le=10)]
 
 
 class Moving(Among):
-    """``people`` that cross at ``speeds`` [m/s], between the smallest and the largest."""
+    """``people``: how many cross; ``speeds`` [m/s]: the smallest and the largest of theirs."""
 
     people: int = Field(4, ge=1, le=50)
     speeds: tuple[Speed, Speed] = (0.2, 1.5)
@@ -78,8 +78,8 @@ class Sudden(Among):
 
 
 class Corridor(Among):
-    """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go, and it turns off to
-    the left by ``angle`` [rad]; ``closed``: a dead end. The end effector swings ahead of the base before it enters."""
+    """``width`` [m]: between the walls; ``long`` [m]: length of the walls; ``offset`` [m]: of its middle, to the left of where the robot would
+    go; ``angle`` [rad]: by which it turns off to the left; ``closed``: a dead end. The end effector swings ahead of the base before it enters."""
 
     path: AnyPath = Line(length=5.0, speed=0.25)
     width: float = Field(0.9, ge=0.1, le=100.0)
