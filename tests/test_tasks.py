@@ -17,7 +17,7 @@ from planar_driving import write_robot
 from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.configuration import configure
-from wbmpc.registry import load
+from wbmpc.registry import REGISTRY, load
 from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.tasks.path_settings import Circle, Curve, Line, Poses, Sine, Table, carried_base, timed
 from wbmpc.tasks.settings import TaskSettings
@@ -370,6 +370,21 @@ def test_every_setting_says_what_it_means(name: str) -> None:
     assert len(set(texts)) >= len(texts) - 6  # "of bodies, relative" and the like
     dimensional = re.compile(r"time|delay|offset|noise|bias|walk|payload|length|speed|horizon|ramp|jitter")
     assert [r.key for r in found if dimensional.search(r.key) and "spread" not in r.key and not r.unit] == []
+
+
+@pytest.mark.parametrize("name", sorted(REGISTRY))
+def test_what_a_setting_means_is_not_what_others_mean(name: str) -> None:
+    """No text goes on with another setting of its section."""
+    from wbmpc.settings_table import rows
+
+    found = list(rows(REGISTRY[name].config_type))
+    for row in found:
+        section, _, own = row.key.rpartition(".")
+        others = [
+            k for k in (r.key.rpartition(".")[2] for r in found if r.key.rpartition(".")[0] == section) if k != own
+        ]
+        mixed = [k for k in others if re.search(rf"\b{k}( \[[^\]]*\]|:)", row.help)]
+        assert not mixed, (row.key, row.help)
 
 
 def test_units_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from wbmpc.log import Log
+from wbmpc.plots.motion import Motion
 from wbmpc.plots.notebook import figure, html_table
 from wbmpc.plots.series import Drawing as Drawing
 from wbmpc.plots.series import Plot as Plot
@@ -99,7 +100,7 @@ class RunResult:
     values; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
     experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages; ``failure``: the
     ``outcome`` of a run that neither completed nor was interrupted; ``command`` repeats the run, and ``wall_time`` [s] is how long it
-    took, both of runs of the command line."""
+    took, both of runs of the command line; ``motion``: what the report's replay shows, of runs that are recorded."""
 
     experiment: str
     seed: int
@@ -116,6 +117,7 @@ class RunResult:
     failure: OutcomeName = "gave_up"
     command: str = ""
     wall_time: float | None = None
+    motion: Motion | None = None
 
     @property
     def outcome(self) -> OutcomeName:

@@ -36,9 +36,9 @@ class Settings(BaseModel):
 
 
 class MpcSettings(Settings):
-    """``rate`` [Hz]; ``horizon`` [s] with ``intervals``; ``first_interval`` [s] of a geometric grid (0: uniform);
-    ``computation_delay`` [s]: modeled computation time; ``iterations`` per update; ``limits``: by an interior
-    point (hard) or relaxed barriers (soft), both with ``barrier_mu``; ``rollout_restart``: see
+    """``rate`` [Hz]: of its updates; ``horizon`` [s]: how far it plans; ``intervals``: of the horizon; ``first_interval`` [s]: of a geometric
+    grid (0: uniform); ``computation_delay`` [s]: modeled computation time; ``iterations``: per update; ``limits``: by an interior
+    point (hard) or relaxed barriers (soft); ``barrier_mu``: parameter of both; ``rollout_restart``: see
     :class:`wbmpc.solver.InteriorPoint`."""
 
     rate: float = Field(50.0, gt=0, ge=1e-3, le=10_000)
@@ -83,8 +83,8 @@ class ControlSettings(Settings):
 
 
 class LidarSettings(Settings):
-    """A simulated source of global poses, as a LIDAR with a map is: ``rate`` [Hz],
-    ``age`` [s] at delivery, noise of ``position`` [m] and ``yaw`` [rad]."""
+    """A simulated source of global poses, as a LIDAR with a map is: ``rate`` [Hz]: of the
+    poses; ``age`` [s]: at delivery; ``position`` [m]: standard deviation of each coordinate; ``yaw`` [rad]: that of the heading."""
 
     rate: float = Field(10.0, gt=0, le=1000)
     age: float = Field(0.050, ge=0, le=0.4)

@@ -54,10 +54,9 @@ def _texts(model: type[BaseModel]) -> dict[str, tuple[str, str]]:
         for name in model.model_fields:
             place = re.search(rf"``{name}``(?:\s*\[(?P<unit>[^\]]*)\])?{colon}", text)
             if place and name not in found:
-                found[name] = (
-                    place["unit"] or "",
-                    re.sub(rf"^{name}( \[[^\]]*\])?: ", "", _clause(text, place.start())),
-                )
+                # what stands before a name with a colon is of other settings
+                said = _clause(text[place.end() :], 0).strip() if colon else _clause(text, place.start())
+                found[name] = (place["unit"] or "", re.sub(rf"^{name}( \[[^\]]*\])? (?=\w)", "", said))
     return found
 
 

@@ -115,6 +115,7 @@ def _attempt(
                     result.idealizations = [*result.idealizations, STEERED]
                 result.command = command
                 recorder.close(outcome(result))
+                result.motion = recorder.motion
                 files = write_run(result, directory)
                 if view is not None and "weights" in type(settings).model_fields:
                     files |= write_weights(view.factors, plain["weights"], directory)

@@ -11,6 +11,7 @@ from wbmpc.plots.figures import figure
 from wbmpc.report.document import document, named, table
 from wbmpc.report.plain import plain
 from wbmpc.report.provenance import commit, versions
+from wbmpc.report.replay import replay
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 from wbmpc.units import Scale, number, scale
 
@@ -72,9 +73,9 @@ def _summary(result: RunResult) -> str:
     ended = f"The run did not complete: {html.escape(result.reason)} (outcome: {result.outcome})"
     text = "The run completed" if result.completed else ended
     if judged:
-        text += f"; {len(judged) - len(missed)} of {len(judged)} goals reached"
+        text += f"; {len(judged) - len(missed)} of {len(judged)} metrics reach their goal"
     if judged and not result.completed:
-        text += " (a run that does not complete reaches none)"
+        text += " (those of a run that does not complete do not)"
     elif missed:
         text += f", missed: {', '.join(missed)}"
     kind = "bad" if not result.completed else "fair" if missed else ""
@@ -140,6 +141,7 @@ def page(result: RunResult) -> str:
 {_summary(result)}
 <h2>Figures</h2>{_metrics(result)}{notes}
 {_solve_times(result.mpc)}
+{replay(result.motion)}
 <h2 id="plots">Plots</h2>{_plots(result.plots)}
 <h2>What is idealized</h2><ul class="card">{ideal}</ul>
 <h2>How it was made</h2>{_origin(result)}

@@ -43,7 +43,7 @@ UNTIED = PushCost(force=1.0, tangential=1.0, arm=0.0)
 
 class DoorScheme(Settings):
     """``row``: the door's states and equation in the problem; ``identify``: its impedance is estimated as it moves;
-    ``cone``: the end effector can only push, within the friction cone of coefficient ``friction``, as hard limits;
+    ``cone``: the end effector can only push, within the friction cone, as hard limits; ``friction``: coefficient of the cone;
     ``baumgarte`` [1/s]: how fast planned gaps close; ``door_rate`` [rad/s]: no faster is the door to move (with ``row``)."""
 
     row: bool = True

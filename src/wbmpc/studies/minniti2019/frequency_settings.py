@@ -25,8 +25,8 @@ _Step = Annotated[float, Field(ge=-1, le=1)]
 
 
 class FilterSettings(Settings):
-    """ν = (pole / zero) (s + zero) / (s + pole) u in rad/s for wheels and arm; ``wheel_weight`` and ``arm_weight``: factors of the
-    torques' weights with the filter, so that the end effector rises as fast as without."""
+    """ν = (pole / zero) (s + zero) / (s + pole) u in rad/s for wheels and arm; ``wheel_weight``: factor of the wheels' torques'
+    weight with the filter, so that the end effector rises as fast as without; ``arm_weight``: that of the arm's torques."""
 
     wheel_zero: Positive = 20.0
     wheel_pole: Positive = 160.0
@@ -37,7 +37,7 @@ class FilterSettings(Settings):
 
 
 class RezeroFrequencySettings(RezeroSettings):
-    """``step`` (3) [m] of the end effector and back, ``settle_time`` [s] before it, ``hold_time`` [s] of each; ``filters`` of the shaped variant;
+    """``step`` [m]: of the end effector (3), and back; ``settle_time`` [s]: before it; ``hold_time`` [s]: of each; ``filters`` of the shaped variant;
     ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
 
     plant: Perturbation = ELASTIC
