@@ -189,7 +189,11 @@ def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
         ("rezero-push-ball", ["push_duration=0.0025", "control.rate=200"], "of 5 ms; valid: e.g. 0.005 s"),
         ("rezero-door", ["forces=[0]"], "forces"),
         ("rezero-door", ["forces=[-8]"], "forces"),
-        ("rezero-frequency", ["plant.wheel_spring=0", "plant.wheel_rotor=0.1"], "wheel_rotor: nothing uses it without"),
+        (
+            "rezero-frequency",
+            ["plant.drives=rigid", "plant.drives.wheel_rotor=0.1"],
+            "wheel_rotor: nothing uses it without",
+        ),
         ("rezero-frequency", ["variants=['plain', 'plain']"], "each once"),
         ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),
         ("rezero-frequency", ["settle_time=1"], "seen 1.3 s ahead"),
