@@ -66,7 +66,7 @@ def test_a_base_that_drives_carries_the_tip_along_a_line(driving: Path) -> None:
 
 def test_progress_goes_as_fast_as_the_wheels_and_ends(driving: Path) -> None:
     """Asked for 3 m/s, wheels of 0.1 m at 12 rad/s: 1 m/s along a line, which is the planner's limit of the base."""
-    more = ("path.length=1.5", "path.speed=3", "path.ramp=1", "reference=progress", "time_limit=2.6")
+    more = ("path.length=1.5", "path.speed=3", "path.ramp=1", "reference=progress", "reference.time_limit=2.6")
     result = run("end-effector-track", driving, POSITION_ONLY, *more)
     m, base = result.metrics, result.log.array("base")
     speed = np.diff(base[:, 0]) / np.diff(result.log.times("base"))
@@ -86,7 +86,7 @@ def test_a_swerve_base_follows_a_path_at_its_own_speed() -> None:
         "path.ramp=1",
         "path.direction=1.5708",
         "reference=progress",
-        "time_limit=6",
+        "reference.time_limit=6",
     )
     m = run("end-effector-track", Path("swerve-ur10"), POSITION_ONLY, *more).metrics
     assert 0.6 < m["path_time"].value < 4.0 and m["contour_error_max_world"].value < 0.01

@@ -1,4 +1,4 @@
-"""Policies in force and on their way."""
+"""The active policy and those that become active later."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class OptimalControlProblem:
     or ``grid``: the times of the N + 1 nodes from 0 [s]. ``integrator``: "rk2" (midpoint) or "rk4" steps.
     ``align_events``: move the nearest node onto every event of the mode schedule, so that no interval sees two modes.
     ``modes``: names of all modes that schedules may have, for problems whose schedule changes; left out, the modes that a term
-    names have to be in the schedule that is in force.
+    names have to be in the active schedule.
     """
 
     def __init__(

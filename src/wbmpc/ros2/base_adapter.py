@@ -171,17 +171,17 @@ class PendingChanges:
             self._then.bind(mpc)
 
     def set(self, references: dict[str, Reference]) -> None:
-        """In force from the next solve on."""
+        """Takes effect at the next solve."""
         with self._lock:
             self._references = references
 
     def schedule(self, schedule: ModeSchedule) -> None:
-        """In force from the next solve on."""
+        """Takes effect at the next solve."""
         with self._lock:
             self._schedule = schedule
 
     def reweigh(self, weights: Weights) -> None:
-        """In force from the next solve on."""
+        """Takes effect at the next solve."""
         with self._lock:
             self._weights = {**self._weights, **weights}
 

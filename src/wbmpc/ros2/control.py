@@ -224,7 +224,7 @@ class ControlNode:
 
     # ------------------------------------------------------------------ before a goal
     def _follow_sensors(self) -> None:
-        """Follow the sensors while nobody commands the drives, whatever it waits for, or stopped for."""
+        """Follow the sensors while the drives are not commanded, in every state of the node."""
         unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
         if unheard or (self.adapter.needs_imu and not self.robot_io.has_imu):
             return
@@ -352,14 +352,14 @@ class ControlNode:
             self.robot_io.stop()  # the runner's loop waits for a time that does not come
 
     def _check_graph(self) -> None:
-        """Somebody else on our command topics: two controllers on one drive are worse than none."""
+        """Another publisher on our command topics: two controllers on one drive are worse than none."""
         commands = self.settings.command_topics(self.robot).values()
         others = [c.topic for c in commands if any(not e.own for e in self.node.publishers(c.topic))]
         self._other_commander = f"another node publishes on {others[0]}" if others else ""
 
     @property
     def _other_publisher(self) -> str:
-        """Who else commands the drives, or sends what has one source; empty if nobody does."""
+        """Who else commands the drives, or sends what has one source; empty if there is no other."""
         clock = self.clock.source.conflict if isinstance(self.clock, BusClock) else ""
         return self._other_commander or clock or self.robot_io.conflict or self.source.source.conflict
 

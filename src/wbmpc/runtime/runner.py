@@ -287,7 +287,7 @@ class RealTimeRunner(StopControl):
             self.watch(due, self._beat - due, self.plans)
         except (Exception, SystemExit) as error:
             self.watch = None
-            _LOG.error("nobody watches from here on: %s: %s", type(error).__name__, error, exc_info=error)
+            _LOG.error("the watchdog has ended: %s: %s", type(error).__name__, error, exc_info=error)
 
     def _check_worker(self) -> None:
         if self.board["failed"]:

@@ -159,7 +159,7 @@ class Report:
                 f"MPC: {self.updates} updates, {self.mpc_misses} missed, {self.failures} failed; solve {ms(self.solve)}"
                 + (outside if self.limit_violations else "")
                 + (mismatches if self.initial_state_mismatches else ""),
-                f"policies: {self.policies} in force, {self.late} late; {self.clamped} ticks clamped; latency {ms(self.latency)}",
+                f"policies: {self.policies} used, {self.late} late; {self.clamped} ticks clamped; latency {ms(self.latency)}",
             ]
         )
 

@@ -145,7 +145,7 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
     that it stays whole.
 
     The same holds for every signal whose handler has an attribute ``noted``, which is called then. A second signal acts at once.
-    Nothing is changed outside the main thread, or where somebody else handles the signals.
+    Nothing is changed outside the main thread, or where the signals have other handlers.
     """
     pressed = threading.Event()
     previous: dict[int, Any] = {}

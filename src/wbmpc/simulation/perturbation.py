@@ -144,11 +144,11 @@ class Perturbation(BaseModel):
         return value
 
     def is_set(self, name: str) -> bool:
-        """Whether somebody wants this of the plant: it is neither as usual nor 0, nothing of it."""
+        """Whether a setting is given: it is neither its default nor 0."""
         return getattr(self, name) not in (0, type(self).model_fields[name].default)
 
     def check_read(self, reads: Collection[str], reason: str, reasons: Mapping[str, str]) -> None:
-        """Raise :class:`InputError` for the first setting that somebody wants (:meth:`is_set`) and that a plant does not read, with the
+        """Raise :class:`InputError` for the first setting that is given (:meth:`is_set`) and that a plant does not read, with the
         reason of this setting, or the one of all others."""
         for name in type(self).model_fields:
             if name not in reads and self.is_set(name):

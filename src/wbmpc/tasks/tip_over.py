@@ -139,7 +139,7 @@ def stopping(log: Log, ordered: float) -> dict[str, Metric]:
 def build(settings: TipOverSettings, seed: int) -> Scenario:
     """One run."""
     if settings.physics != "mujoco":
-        raise InputError("tip-over: physics: kinematic robots do not tip; valid: mujoco")
+        raise InputError("tip-over: physics=kinematic: kinematic robots do not tip; valid: mujoco")
     robot = load_robot(settings.robot)
     moving_base(robot, "tip-over")
     robot, mpc = settings.prepare(robot=reaching(robot, settings.direction, settings.legs))

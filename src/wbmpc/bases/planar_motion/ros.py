@@ -179,7 +179,7 @@ class PlanarRosAdapter(BaseAdapter):
         return BusMeasurement(at, wheel, arm, imu.gyro, imu.accel, steer, turning, origin)
 
     def stand(self, measurement: BusMeasurement) -> None:
-        """Follow the wheels, and the gyro's bias, while nobody commands them."""
+        """Follow the wheels, and the gyro's bias, while the drives are not commanded."""
         self.controller.fix = self.fix
         self.controller.measure(measurement)
 

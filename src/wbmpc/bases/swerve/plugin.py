@@ -75,7 +75,7 @@ class SwerveBaseType(BaseType):
         mpc: MPC | None = None,
         edit: Edit | None = None,
     ) -> System:
-        """A perturbed plant at home, whose controller brings end effector, base and legs to goals that come by and by."""
+        """A perturbed plant at home, whose controller brings end effector, base and legs to goals set while it runs."""
         from wbmpc.bases.swerve.system import make_system
 
         return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))
