@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from wbmpc.simulation.contacts import Contacts
 from wbmpc.simulation.simulated_robot import SimulatedRobot
 from wbmpc.types import Plant
 
+#: Commands and measurements of one robot.
+C = TypeVar("C")
+M = TypeVar("M")
 _LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]
 #: How long [s] the robot is held at a stop after a run that ended early, at least, and until it rests, at most.
@@ -215,12 +218,12 @@ def watched(
 
 
 def run_lockstep(
-    plant: Plant[Any, Any],
-    controller: Controller,
+    plant: Plant[C, M],
+    controller: Controller[M, C],
     mpc: MPC | None,
     timing: Timing,
     duration: float,
-    record: Callable[[float, Any, PolicyQueue], None],
+    record: Callable[[float, C, PolicyQueue], None],
     progress: Progress | None = None,
     done: Callable[[], bool] | None = None,
 ) -> Ending:
@@ -262,7 +265,7 @@ def run_lockstep(
     return ending
 
 
-def _come_to_rest(plant: Plant[Any, Any], controller: Controller, timing: Timing, longest: float) -> None:
+def _come_to_rest(plant: Plant[C, M], controller: Controller[M, C], timing: Timing, longest: float) -> None:
     """Stop the robot, which nothing pushes any more, until it rests: for :data:`STOP_TIME` at least, and the ``longest`` time [s] at most."""
     plant.end_pushes()
     for _ in range(max(round(longest / STOP_TIME), 1)):
@@ -272,13 +275,13 @@ def _come_to_rest(plant: Plant[Any, Any], controller: Controller, timing: Timing
 
 
 def _tick(
-    plant: Plant[Any, Any],
-    controller: Controller,
+    plant: Plant[C, M],
+    controller: Controller[M, C],
     mpc: MPC | None,
     timing: Timing,
     i: int,
     plans: PolicyQueue,
-    record: Callable[[float, Any, PolicyQueue], None],
+    record: Callable[[float, C, PolicyQueue], None],
     watchers: tuple[Watcher, ...],
 ) -> Ending:
     """One controller period: measure, plan when it is time, command, step. An ending with a reason if it was the last."""
