@@ -153,7 +153,7 @@ def obstacles_of(settings: RosSettings) -> Obstacles | None:
 
 
 class PendingChanges:
-    """A guess for the MPC that first puts new references, weights and modes into force: in its own thread, between two solves."""
+    """A guess for the MPC that first applies new references, weights and modes: in its own thread, between two solves."""
 
     def __init__(self, then: Guess | None = None) -> None:
         self._then = then

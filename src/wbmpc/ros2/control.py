@@ -258,7 +258,7 @@ class ControlNode:
         return self._hold_reason if self.running else self.waiting_reason()
 
     def _activate(self, planned: Planned) -> None:
-        """Put a planned task into force, if that is still right. Raises :class:`InputError`."""
+        """Start a planned task, if that is still right. Raises :class:`InputError`."""
         seen, why = self.adapter.snapshot(), self._rejection_reason()
         if planned.moving and not self.running:
             why = "the robot has stopped meanwhile"

@@ -1,7 +1,7 @@
 """The real-time runner: a control thread at a fixed rate beside an MPC in a thread or a process of its own.
 
-A tick: read the robot, update the estimator, put the policies that are due into force, hand the predicted observation to the
-MPC, command the robot. The observation is predicted over the latency that was measured, so that its policy comes into force
+A tick: read the robot, update the estimator, activate the policies that are due, hand the predicted observation to the
+MPC, command the robot. The observation is predicted over the latency that was measured, so that its policy becomes active
 at the state that it was computed for. Whatever goes wrong ends in a safe stop: ``stop()`` of the robot at every tick until the
 runner is shut down, and a message that says why.
 """
@@ -280,7 +280,7 @@ class RealTimeRunner(StopControl):
             self._show(due)
 
     def _cuts(self) -> int:
-        """How often the policy in force has cut an input to its hard bounds."""
+        """How often the active policy has cut an input to its hard bounds."""
         policy = self.plans.current
         return 0 if policy is None or policy.limits is None else policy.limits.count
 

@@ -70,7 +70,7 @@ def contacts_of(*plants: Plant[Any, Any]) -> tuple[Contacts, ...]:
 @dataclass(frozen=True)
 class Timing:
     """``period`` [s] of the controller, which is ``steps`` physics steps; the MPC is called at every ``mpc_every``-th tick, and its policies
-    come into force ``delay`` ticks later."""
+    become active ``delay`` ticks later."""
 
     period: float
     steps: int
@@ -119,7 +119,7 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class Watch:
-    """A progress function that brings watchers along: what experiments hand on to the loop unseen. ``name``: of the loop."""
+    """A progress function with watchers: experiments pass it on to the loop, which calls them. ``name``: of the loop."""
 
     progress: Progress | None
     watchers: tuple[Watcher, ...] = ()

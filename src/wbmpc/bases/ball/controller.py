@@ -275,7 +275,7 @@ class BallController:
         return known[2].copy()
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """The state at time ``until`` under the policies that will be in force, through the drives' lag."""
+        """The state at time ``until`` under the policies that will be active, through the drives' lag."""
         x, torque, dead = self.ahead(), self.sent.last, self.sent.dead * self.period
         for k in range(round((until - t) / self.period)):
             policy = plans.at(t + k * self.period)

@@ -217,7 +217,7 @@ class PlanarRosAdapter(BaseAdapter):
         return found
 
     def follow(self, references: dict[str, Reference]) -> None:
-        """Put a task into force."""
+        """Start a task."""
         self.pending.reweigh(self._led[getattr(references, "carried", False)])
         self.pending.set(references)
 

@@ -293,7 +293,7 @@ class SwerveRosAdapter(BaseAdapter):
         return references_of(task, self.robot, x, self.legs)
 
     def follow(self, references: dict[str, Reference]) -> None:
-        """Put a task into force."""
+        """Start a task."""
         self._twists = references["input"]
         self.pending.set(references)
 
