@@ -372,6 +372,15 @@ def test_every_setting_says_what_it_means(name: str) -> None:
     assert [r.key for r in found if dimensional.search(r.key) and "spread" not in r.key and not r.unit] == []
 
 
+def test_a_key_of_several_kinds_has_the_default_of_the_chosen_one() -> None:
+    """Truth: the experiment's own settings. All but one of the kinds have a payload, 0 kg by themselves."""
+    from wbmpc.settings_table import rows
+
+    kind = load("tip-over").config_type
+    found = {r.key: r.default for r in rows(kind)}
+    assert found["stability.payload"] == f"`{kind().stability.payload}`" == "`10.0`"
+
+
 def test_units_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     """Brackets are no markup: [s] would strike the text through."""
     assert "x, y, z [m]" in _shown("end-effector-track", capsys)

@@ -67,8 +67,8 @@ class NoStability(Settings):
 
 
 class StabilitySettings(Settings):
-    """What keeps a robot on wheels from tipping over: one of its subclasses. ``payload`` [kg] at the end effector that plans count with, as
-    the user states it; ``payload_center`` [m]: where it is, in the end effector's axes."""
+    """What keeps a robot on wheels from tipping over: one of its subclasses. ``payload`` [kg]: at the end effector, as plans
+    include it; ``payload_center`` [m]: where it is, in the end effector's axes."""
 
     payload: float = Field(0.0, ge=0, le=1000)
     payload_center: tuple[_Center, _Center, _Center] = (0.0, 0.0, 0.0)

@@ -85,12 +85,12 @@ class Perturbation(BaseModel):
     ``state_age`` [s]: age of its message; ``position_noise`` [m]: noise of its positions; ``angle_noise`` [rad]: noise of its angles;
     ``speed_noise`` [m/s]: noise of its speeds; ``rate_noise`` [rad/s]: noise of its angular rates.
 
-    Torque drives, and not spreads: ``actuator_dead_time`` [s]: of the drives, whole physics steps; ``drives``: rigid ones, or
-    :class:`SeriesElasticDrives`.
+    Torque drives, and not spreads: ``actuator_dead_time`` [s]: of the drives, whole physics steps; ``drives``: rigid, or elastic
+    (:class:`SeriesElasticDrives`).
 
     Not spreads but values that the planner does not know of: ``payload`` [kg]: at the tool, its weight is not fed forward to the arm's
     drives; ``body_payload`` [kg]: on the body; ``slope`` [rad]: of the floor, its direction is drawn; ``brake_fault``: none, or a
-    :class:`StuckBrake`; ``floor_cables`` [m]: height of a grid of cables on the floor.
+    brake that stays open or closed (:class:`StuckBrake`); ``floor_cables`` [m]: height of a grid of cables on the floor.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

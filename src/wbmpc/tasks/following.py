@@ -33,7 +33,7 @@ class ClockReference(Settings):
 
 
 class ProgressReference(Settings):
-    """The path's speed is the desired one, and the robot goes as fast as limits and obstacles allow. ``time_limit`` [s] of the path (left
+    """The path's speed is the desired one, and the robot goes as fast as limits and obstacles allow. ``time_limit`` [s]: of the path (left
     out: twice the time at the desired speed)."""
 
     kind: Literal["progress"] = "progress"

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from wbmpc.bases.swerve.calibrator import SwerveCalibrator
     from wbmpc.bases.swerve.leg_folding import LegFolding
     from wbmpc.bases.swerve.plant import SwervePlant
+    from wbmpc.bases.swerve.ros import SwerveRosAdapter
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.control.protocols import Controller
@@ -96,7 +97,7 @@ class SwerveBaseType(BaseType):
 
         return SwerveRosSettings
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> SwerveRosAdapter:
         """The adapter that reads joint states and publishes speeds."""
         from wbmpc.bases.swerve.ros import SwerveRosAdapter
 

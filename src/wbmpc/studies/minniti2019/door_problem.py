@@ -49,7 +49,7 @@ class FreeWrench(Settings):
 
 
 class DoorEquation(Settings):
-    """The door's states and equation of motion are in the problem. ``baumgarte`` [1/s]: how fast planned gaps close; ``max_rate`` [rad/s]
+    """The door's states and equation of motion are in the problem. ``baumgarte`` [1/s]: how fast planned gaps close; ``max_rate`` [rad/s]:
     of the door in plans."""
 
     kind: Literal["door"] = "door"
