@@ -17,7 +17,6 @@ from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
     from wbmpc.bases.ball.plant import BallPlant
-    from wbmpc.bases.ball.ros import BallRosAdapter
     from wbmpc.bases.ball.ros_plant import BallRosPlant
     from wbmpc.bases.ball.ros_settings import BallRosSettings
     from wbmpc.mpc.mpc import MPC
@@ -81,7 +80,7 @@ class BallBaseType(BaseType):
 
         return BallRosSettings
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> BallRosAdapter:
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
         """The adapter that reads encoders and the inertial unit and publishes torques."""
         from wbmpc.bases.ball.ros import BallRosAdapter
 
