@@ -66,7 +66,7 @@ def test_a_base_that_drives_carries_the_tip_along_a_line(driving: Path) -> None:
 
 def test_progress_goes_as_fast_as_the_wheels_and_ends(driving: Path) -> None:
     """Asked for 3 m/s, wheels of 0.1 m at 12 rad/s: 1 m/s along a line, which is the planner's limit of the base."""
-    more = ("path.length=1.5", "path.speed=3", "path.ramp=1", "reference=progress", "time_limit=2.6")
+    more = ("path.length=1.5", "path.speed=3", "path.ramp=1", "reference=progress", "reference.time_limit=2.6")
     result = run("end-effector-track", driving, POSITION_ONLY, *more)
     m, base = result.metrics, result.log.array("base")
     speed = np.diff(base[:, 0]) / np.diff(result.log.times("base"))
@@ -86,7 +86,7 @@ def test_a_swerve_base_follows_a_path_at_its_own_speed() -> None:
         "path.ramp=1",
         "path.direction=1.5708",
         "reference=progress",
-        "time_limit=6",
+        "reference.time_limit=6",
     )
     m = run("end-effector-track", Path("swerve-ur10"), POSITION_ONLY, *more).metrics
     assert 0.6 < m["path_time"].value < 4.0 and m["contour_error_max_world"].value < 0.01
@@ -385,6 +385,15 @@ def test_what_a_setting_means_is_not_what_others_mean(name: str) -> None:
         ]
         mixed = [k for k in others if re.search(rf"\b{k}( \[[^\]]*\]|:)", row.help)]
         assert not mixed, (row.key, row.help)
+
+
+def test_a_key_of_several_kinds_has_the_default_of_the_chosen_one() -> None:
+    """Truth: the experiment's own settings. All but one of the kinds have a payload, 0 kg by themselves."""
+    from wbmpc.settings_table import rows
+
+    kind = load("tip-over").config_type
+    found = {r.key: r.default for r in rows(kind)}
+    assert found["stability.payload"] == f"`{kind().stability.payload}`" == "`10.0`"
 
 
 def test_units_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:

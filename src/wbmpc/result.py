@@ -95,7 +95,7 @@ class MpcStatistics:
 
 @dataclass
 class RunResult:
-    """Everything a run leaves behind, of an ``experiment`` by name with a ``seed``; ``completed``: whether it got to its end; ``metrics`` by name;
+    """The result of a run of an ``experiment`` by name with a ``seed``; ``completed``: whether it ran to its end; ``metrics`` by name;
     ``log``: its signals; ``plots`` of its report; ``idealizations``: what the simulation leaves out, as texts; ``settings`` as plain
     values; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
     experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages; ``failure``: the
@@ -153,6 +153,6 @@ class RunResult:
     def aborted(
         cls, experiment: str, seed: int, reason: str, settings: dict[str, Any], interrupted: bool = False
     ) -> RunResult:
-        """A run that ended before it had anything to show."""
+        """The result of a run that ended before its first tick."""
         mpc = MpcStatistics.of(1.0, [])
         return cls(experiment, seed, False, reason, {}, mpc, Log(), settings=settings, interrupted=interrupted)

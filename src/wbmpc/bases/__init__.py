@@ -1,4 +1,4 @@
-"""Base types: one table of plug-ins. A base type is a folder here, or a package of somebody else's that names an entry point.
+"""Base types: one table of plug-ins. A base type is a folder here, or another package with an entry point.
 
 ``base_type(name)`` gives the plug-in of a robot file's ``base.type``. What generic code may ask of it is in
 :mod:`wbmpc.bases.base`. A package adds a base type through the entry-point group ``wbmpc.bases``::

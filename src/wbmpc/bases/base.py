@@ -84,7 +84,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Proposal:
-    """How a base type reads a file that nobody has described yet.
+    """How a base type would describe a robot model that has no robot file yet.
 
     ``section``: keys of its ``base`` section, without ``type`` and ``body``; ``fit``: from 0 (hardly) to 1 (nothing else is possible);
     ``reason``: what it saw, for a user; ``joints``: those that the section names; ``held``: others of the base, which stand still;
@@ -273,7 +273,7 @@ class Reshaping(Protocol):
     """What adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`)."""
 
     def update(self, t: float) -> None:
-        """Set references and modes of its MPC for updates from ``t`` [s] on, after whoever sets the reference "state"."""
+        """Set references and modes of its MPC for updates from ``t`` [s] on, after the reference "state" is set."""
 
 
 class Calibrator(Protocol):

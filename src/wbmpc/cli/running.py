@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
-#: What is said of a run that somebody has steered.
+#: What is said of a run that a user has steered.
 STEERED = (
     "goals, weights, legs or forces were changed by hand in the view: the figures are of that, not of the experiment"
 )

@@ -90,16 +90,16 @@ def solve_lines(result: RunResult) -> list[str]:
         return []
     period, lines = f"{number(1e3 / mpc.rate_hz)} ms", []
     if mpc.failures:
-        lines.append(f"{mpc.failures} of {mpc.solves} solves failed: the plan before them stayed in force.")
+        lines.append(f"{mpc.failures} of {mpc.solves} solves failed: the plan before them stayed active.")
     if mpc.no_step:
         lines.append(
-            f"{mpc.no_step} of {mpc.solves} solves found no step: the plan before them, moved on in time, stayed in force."
+            f"{mpc.no_step} of {mpc.solves} solves found no step: the plan before them, moved on in time, stayed active."
         )
     if mpc.deadline_misses:
         lines.append(
             f"{mpc.deadline_misses} of {mpc.solves} solves took longer than the period of {period} on this machine "
-            f"({number(mpc.solve_ms['max'])} ms at most). In virtual time this changes nothing: every plan comes into force after the "
-            f"same delay{_delay(result)}. In real time the plan before would have stayed in force until then."
+            f"({number(mpc.solve_ms['max'])} ms at most). In virtual time this changes nothing: every plan becomes active after the "
+            f"same delay{_delay(result)}. In real time the plan before would have stayed active until then."
         )
     return lines or [f"All {mpc.solves} solves gave a plan, each within the period of {period}."]
 

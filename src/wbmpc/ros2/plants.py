@@ -65,7 +65,7 @@ class RosPlant(ABC):
 
     @abstractmethod
     def rest(self) -> dict[str, Array]:
-        """Commands by group of a robot that rests, brakes closed."""
+        """Commands by group that keep the robot at rest, brakes closed."""
 
     @abstractmethod
     def command(self, groups: dict[str, Array]) -> Any:

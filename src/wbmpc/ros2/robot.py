@@ -1,4 +1,4 @@
-"""A robot behind a bus, as the real-time runner wants it: newest checked measurement, commands, a ramp to rest."""
+"""A robot behind a bus, as the real-time runner needs it: newest checked measurement, commands, a ramp to rest."""
 
 from __future__ import annotations
 

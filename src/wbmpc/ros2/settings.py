@@ -33,7 +33,7 @@ OBSTACLE_TYPES = {
     "detections": "vision_msgs/msg/Detection3DArray", "occupancy_grid": "nav_msgs/msg/OccupancyGrid",
     "points": "sensor_msgs/msg/PointCloud2",
 }  # fmt: skip
-#: How long [s of the wall] simulated time may stand: in lockstep, and if nobody publishes it, or else.
+#: How long [s of the wall] simulated time may stand: in lockstep, and without a publisher, or else.
 LOCKSTEP_PATIENCE, GONE = 30.0, 1.0
 #: Topics of ROS whose names and types are fixed: nothing else may be there.
 FIXED = {
@@ -143,7 +143,7 @@ class VelocityLimits(Settings):
 
 class WrenchLimits(Settings):
     """The most that the end effector of a balancing robot may be asked to exert: force [N], moment [N m]. Its plan leans on the world's
-    answer, and where there is none it has to stand all the same: 20 N that nobody answers fell it."""
+    answer, and where there is none it has to stand all the same: an unanswered push of 20 N makes it fall."""
 
     force: float = Field(10.0, ge=1e-3, le=200)
     moment: float = Field(2.0, ge=1e-3, le=20)
@@ -160,7 +160,7 @@ class Safety(Settings):
     """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
     ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: as long
     as the watchdog, of a slower simulator's time, at most 1 s; in lockstep 30 s, for a busy machine takes its time, or 1 s when
-    nobody publishes it any more). ``jump`` [m, rad]: how far a pose of another localization may be off from what the robot's own
+    no publisher is left). ``jump`` [m, rad]: how far a pose of another localization may be off from what the robot's own
     motion says, beyond three standard deviations."""
 
     watchdog: float = Field(0.1, ge=1e-3, le=1)

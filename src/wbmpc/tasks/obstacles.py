@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.configuration import OnlyWith
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -24,7 +25,7 @@ from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
 from wbmpc.tasks.definitions import DEFINITIONS
-from wbmpc.tasks.following import PathTaskSettings, Task
+from wbmpc.tasks.following import ClockReference, PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
 from wbmpc.tasks.perception import PerceptionSettings
@@ -55,11 +56,11 @@ class Among(PathTaskSettings):
     does not."""
 
     path: AnyPath = Line(length=4.0)
-    patience: float = Field(6.0, ge=0.0, le=600.0)
+    patience: Annotated[float, OnlyWith({"reference.kind": "clock"})] = Field(6.0, ge=0.0, le=600.0)
     when_stuck: Literal["alternatives", "wait"] = "alternatives"
 
 
-#: Of somebody who crosses [m/s].
+#: Speed of a person who crosses [m/s].
 Speed = Annotated[float, Field(ge=0.01, le=10)]
 #: Of somebody's direction to the path's [rad].
 Angle = Annotated[float, Field(ge=0.0, le=3.15)]
@@ -166,7 +167,7 @@ def moving_scene(settings: Moving, robot: RobotModel, seed: int) -> list[SceneOb
 def person(
     name: str, place: Array, meet: float, pace: float, angle: float, speed: float = 0.0, apart: float = 0.0
 ) -> SceneObstacle:
-    """Somebody who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s], as is a robot
+    """A person who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s], as is a robot
     with ``speed`` [m/s] along x; or later: nobody appears within ``apart`` [m] of that robot."""
     velocity = pace * np.array([np.cos(angle), np.sin(angle), 0.0])
     lead = min(max(SEEN_FROM / pace, SEEN_FOR), meet)
@@ -265,7 +266,7 @@ def build(scene: SceneOf, settings: Among, seed: int) -> Scenario:
     task = Task(settings, obstacles=True)
     robot, mpc, end = task.robot, task.mpc, task.end
     metrics: Callable[[Log], dict[str, Metric]] | None = task.metrics
-    if settings.reference == "clock":
+    if isinstance(settings.reference, ClockReference):
         end += settings.patience
         if isinstance(settings, Corridor):
             mpc.reference["end_effector"], metrics = swung_ahead(robot, mpc.reference["end_effector"]), None

@@ -14,7 +14,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Cost
-from wbmpc.settings import Positive, Settings, StabilitySettings
+from wbmpc.settings import NoStability, Positive, Settings, Stability, StabilitySettings, WheelLoadSettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import standing
 
@@ -56,16 +56,16 @@ class TaskSettings(SimulationSettings):
     mpc: TaskMpcSettings = TaskMpcSettings()
     weights: dict[str, Positive] = Field(default={})
     avoid: Literal["obstacles", "nothing"] = "obstacles"
-    stability: StabilitySettings = StabilitySettings()
+    stability: Stability = NoStability()
 
     @property
-    def upright(self) -> StabilitySettings:
+    def upright(self) -> StabilitySettings | None:
         """What plans keep: ``stability`` as far as the model of the MPC knows of loads."""
         if self.mpc.model == "kinematic":
-            return StabilitySettings()
-        if self.mpc.model == "dynamic" and self.stability.keep == "nothing":
-            return StabilitySettings(keep="wheel_loads")
-        return self.stability
+            return None
+        if isinstance(self.stability, StabilitySettings):
+            return self.stability
+        return WheelLoadSettings() if self.mpc.model == "dynamic" else None
 
     def prepare(
         self, obstacles: bool = False, robot: RobotModel | None = None, progress: bool = False
@@ -78,13 +78,13 @@ class TaskSettings(SimulationSettings):
         }
         if self.avoid == "obstacles" and (obstacles or self.obstacles is not None):
             changes["obstacles"] = Obstacles()
-        if self.upright.keep != "nothing":
+        if self.upright is not None:
             standing(robot)
             changes["stability"] = self.upright
         if progress:
-            if self.upright.keep != "nothing":
+            if self.upright is not None:
                 raise InputError(
-                    "stability.keep, mpc.model: plans with progress along a path have no stability rows; valid: nothing, kinematic"
+                    "stability, mpc.model: plans with progress along a path have no stability rows; valid: nothing, kinematic"
                 )
             changes["progress"] = True
         mpc = base_type(robot.description.base.type).mpc(robot, **changes)

@@ -14,7 +14,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.settings import Positive, StabilitySettings
+from wbmpc.settings import Positive, Stability, WheelLoadSettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
@@ -38,7 +38,7 @@ class TipOverSettings(TaskSettings):
 
     robot: str = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
-    stability: StabilitySettings = StabilitySettings(keep="wheel_loads", payload=10.0)
+    stability: Stability = WheelLoadSettings(payload=10.0)
     weights: dict[str, Positive] = Field(default={"end_effector": 0.05})
     settle_time: float = Field(0.5, ge=0, le=60)
     direction: float = Field(np.pi / 2, ge=-6.3, le=6.3)
@@ -139,7 +139,7 @@ def stopping(log: Log, ordered: float) -> dict[str, Metric]:
 def build(settings: TipOverSettings, seed: int) -> Scenario:
     """One run."""
     if settings.physics != "mujoco":
-        raise InputError("tip-over: physics: kinematic robots do not tip; valid: mujoco")
+        raise InputError("tip-over: physics=kinematic: kinematic robots do not tip; valid: mujoco")
     robot = load_robot(settings.robot)
     moving_base(robot, "tip-over")
     robot, mpc = settings.prepare(robot=reaching(robot, settings.direction, settings.legs))

@@ -69,7 +69,7 @@ class BallBaseType(BaseType):
         mpc: MPC | None = None,
         edit: Edit | None = None,
     ) -> System:
-        """A perturbed plant in its equilibrium, whose controller brings the end effector to goals that come by and by."""
+        """A perturbed plant in its equilibrium, whose controller brings the end effector to goals that are set while it runs."""
         from wbmpc.bases.ball.system import make_system
 
         return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))

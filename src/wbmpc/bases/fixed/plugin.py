@@ -16,6 +16,7 @@ from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
     from wbmpc.bases.fixed.plant import FixedPlant
+    from wbmpc.bases.fixed.ros import FixedRosAdapter
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
@@ -89,7 +90,7 @@ class FixedBaseType(BaseType):
 
         return FixedRosSettings
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> FixedRosAdapter:
         """The adapter that reads joint states and publishes speeds."""
         from wbmpc.bases.fixed.ros import FixedRosAdapter
 

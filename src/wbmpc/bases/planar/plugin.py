@@ -77,7 +77,7 @@ class MobileBase(PlanarBase):
 
 
 class MobileBaseType(PlanarBaseType):
-    """Planning, and a simulated base that is driven by a force: what is under it is not known."""
+    """Planning, and a simulated base that is driven by a force: its wheels are not described."""
 
     Description = MobileBaseDescription
 
@@ -136,5 +136,5 @@ class MobileBaseType(PlanarBaseType):
 
         return MobilePlant(robot, perturbation=perturbation, seed=seed, edit=edit)
 
-    # nobody knows its drives: what its driver takes and says on a bus is not described
+    # its drives are unknown, and so are its driver's messages
     ros_settings, ros, ros_plant = BaseType.ros_settings, BaseType.ros, BaseType.ros_plant

@@ -45,7 +45,7 @@ class PlanarController:
 
     # ------------------------------------------------------------------ estimation
     def measure(self, measurement: PlanarMeasurement) -> None:
-        """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
+        """Process the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
         numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
         previous, self.measured = self.measured or measurement, measurement
         self.odometry.update(measurement.time, measurement.wheel, self.turning(previous, measurement))

@@ -112,5 +112,5 @@ class PlanarOdometry:
         return self.pose
 
     def restart(self) -> None:
-        """The encoders begin anew: the next update moves nobody."""
+        """The encoders start again: the next update moves nothing."""
         self._last = None

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from wbmpc.bases.planar_motion.controller import PlanarController
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
+    from wbmpc.ros2.base_adapter import BaseAdapter
     from wbmpc.ros2.plants import RosPlant
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.settings import StabilitySettings
@@ -86,7 +87,7 @@ class PlanarBaseType(BaseType):
 
         return PlanarRosSettings
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> BaseAdapter:
         """The adapter that reads joint states and publishes speeds."""
         from wbmpc.bases.planar_motion.ros import PlanarRosAdapter
 

@@ -179,7 +179,7 @@ class PlanarRosAdapter(BaseAdapter):
         return BusMeasurement(at, wheel, arm, imu.gyro, imu.accel, steer, turning, origin)
 
     def stand(self, measurement: BusMeasurement) -> None:
-        """Follow the wheels, and the gyro's bias, while nobody commands them."""
+        """Follow the wheels, and the gyro's bias, while the drives are not commanded."""
         self.controller.fix = self.fix
         self.controller.measure(measurement)
 
@@ -217,7 +217,7 @@ class PlanarRosAdapter(BaseAdapter):
         return found
 
     def follow(self, references: dict[str, Reference]) -> None:
-        """Put a task into force."""
+        """Start a task."""
         self.pending.reweigh(self._led[getattr(references, "carried", False)])
         self.pending.set(references)
 

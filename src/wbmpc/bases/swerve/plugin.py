@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from wbmpc.bases.swerve.calibrator import SwerveCalibrator
     from wbmpc.bases.swerve.leg_folding import LegFolding
     from wbmpc.bases.swerve.plant import SwervePlant
+    from wbmpc.bases.swerve.ros import SwerveRosAdapter
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.control.protocols import Controller
@@ -75,7 +76,7 @@ class SwerveBaseType(BaseType):
         mpc: MPC | None = None,
         edit: Edit | None = None,
     ) -> System:
-        """A perturbed plant at home, whose controller brings end effector, base and legs to goals that come by and by."""
+        """A perturbed plant at home, whose controller brings end effector, base and legs to goals set while it runs."""
         from wbmpc.bases.swerve.system import make_system
 
         return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))
@@ -96,7 +97,7 @@ class SwerveBaseType(BaseType):
 
         return SwerveRosSettings
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> SwerveRosAdapter:
         """The adapter that reads joint states and publishes speeds."""
         from wbmpc.bases.swerve.ros import SwerveRosAdapter
 

@@ -11,14 +11,14 @@ from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
 from wbmpc.configuration import OnlyWith, Rules, unused
 from wbmpc.settings import Positive, Settings, Weight
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import Perturbation, SeriesElasticDrives
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 VARIANTS = ("plain", "shaped")
 #: Shorter steps [m] cannot be distinguished from the noise.
 MIN_STEP = 0.01
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
-ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, actuator_time_constant=0.0)
+ELASTIC = Perturbation(drives=SeriesElasticDrives(), actuator_time_constant=0.0)
 
 
 _Step = Annotated[float, Field(ge=-1, le=1)]
