@@ -12,6 +12,7 @@ EXPERIMENTS: dict[str, str] = {
     "swerve-calibrate": "wbmpc.studies.pankert2022.calibrate:EXPERIMENT",
     "swerve-brakes": "wbmpc.studies.pankert2022.brakes:EXPERIMENT",
     "swerve-drive": "wbmpc.studies.pankert2022.drive:EXPERIMENT",
+    "legs": "wbmpc.studies.pankert2022.legs:EXPERIMENT",
     "swerve-fast": "wbmpc.studies.pankert2022.fast:EXPERIMENT",
     "swerve-plaster": "wbmpc.studies.pankert2022.plaster:EXPERIMENT",
     "swerve-stability": "wbmpc.studies.pankert2022.stability:EXPERIMENT",
