@@ -20,6 +20,7 @@ EXPERIMENTS: dict[str, str] = {
     "swerve-wobble": "wbmpc.studies.pankert2022.wobble:EXPERIMENT",
     "rezero-steps": "wbmpc.studies.minniti2019.steps:EXPERIMENT",
     "rezero-circle": "wbmpc.studies.minniti2019.circle:EXPERIMENT",
+    "touch": "wbmpc.studies.minniti2019.touch:EXPERIMENT",
     "rezero-door": "wbmpc.studies.minniti2019.door:EXPERIMENT",
     "rezero-frequency": "wbmpc.studies.minniti2019.frequency:EXPERIMENT",
     "rezero-taskspace": "wbmpc.studies.minniti2019.taskspace:EXPERIMENT",

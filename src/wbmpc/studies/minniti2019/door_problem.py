@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, S
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 from wbmpc.studies.minniti2019.door_model import WithDoor
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
-from wbmpc.studies.minniti2019.door_residuals import BodyClearance, PanelContact
+from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed, BodyClearance, PanelContact
 
 PUSHING = ("held", "moving")
 #: What base and elbow keep away from a panel [m], whose angle is known to 0.05 rad.
@@ -42,9 +42,10 @@ UNTIED = PushCost(force=1.0, tangential=1.0, arm=0.0)
 
 
 class DoorScheme(Settings):
-    """``row``: the door's states and equation in the problem; ``identify``: its impedance is estimated as it moves;
-    ``cone``: the end effector can only push, within the friction cone of coefficient ``friction``, as hard limits;
-    ``baumgarte`` [1/s]: how fast planned gaps close; ``door_rate`` [rad/s]: no faster is the door to move (with ``row``)."""
+    """``row``: the door's states and equation in the problem; ``identify``: its impedance is estimated as it moves; ``cone``: the end effector
+    can only push, within the friction cone of coefficient ``friction``, as hard limits; ``approach``: "limited" plans a touch at
+    ``touch_speed`` [m/s] wherever within ± ``known_to`` [m] the panel is, before which the speed may grow by ``approach_rate`` [1/s] with
+    the distance; ``baumgarte`` [1/s]: how fast planned gaps close; ``door_rate`` [rad/s]: no faster is the door to move (with ``row``)."""
 
     row: bool = True
     identify: bool = True
@@ -53,6 +54,29 @@ class DoorScheme(Settings):
     min_push: Annotated[Weight, OnlyWith(cone=True)] = 0.5
     baumgarte: Annotated[Positive, OnlyWith(row=True)] = 10.0
     door_rate: Annotated[Positive, OnlyWith(row=True)] = 1.0
+    approach: Annotated[Literal["free", "limited"], OnlyWith(row=True)] = "free"
+    touch_speed: Annotated[Positive, OnlyWith(approach="limited")] = 0.006
+    approach_rate: Annotated[Positive, OnlyWith(approach="limited")] = 5.0
+    known_to: Annotated[Weight, OnlyWith(approach="limited")] = 0.010
+
+    @property
+    def lead(self) -> float:
+        """How far [m] ahead of an end effector that has not touched the panel is believed to be at least. The plan closes a gap by
+        g̈ + 2 λ ġ + λ² g = 0, slow ones at λ g / 2: at this distance with the speed of the touch."""
+        return 2.0 * self.touch_speed / self.baumgarte if self.approach == "limited" else 0.0
+
+    @property
+    def nearer(self) -> float:
+        """How far [m] before its probable place a panel is believed to be until it is touched: as near as it may be."""
+        return self.known_to if self.approach == "limited" else 0.0
+
+    def soonest(self, gap: float) -> float:
+        """Time [s] in which an end effector comes from ``gap`` [m] before the believed panel to :attr:`lead` before it, at the limit of the
+        approach's speed."""
+        if self.approach == "free" or gap <= self.lead:
+            return 0.0
+        speed = lambda left: self.touch_speed + self.approach_rate * left
+        return float(np.log(speed(gap) / speed(self.lead)) / self.approach_rate)
 
 
 def default_push_cost(scheme: DoorScheme) -> PushCost:
@@ -78,6 +102,10 @@ def door_problem(
                 "door_rate", rate, fast, at="path+terminal", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard
             )
         )
+        if scheme.approach == "limited":
+            slow = ApproachSpeed(dynamics, scheme.touch_speed, scheme.approach_rate)
+            near = RelaxedBarrier(settings.barrier_mu, 0.1)
+            ocp.add(Constraint("approach", slow, sets.NonNegative(), modes=("free",), penalty=near, hard=hard))
         apart = BodyClearance(dynamics, HALF_THICKNESS, KEPT)
         free = sets.NonNegative()
         ocp.add(Constraint("panel", apart, free, at="path+terminal", penalty=barrier, hard=hard, slack=PANEL_SLACK))

@@ -33,7 +33,7 @@ NAME = "legs"
 #: When [s] the brakes open for another stance, and whether that is the wide one.
 CHANGES = ((15.0, True), (32.0, False), (40.0, True), (54.0, False))
 #: Legs move at this share of their speed limit; their brakes close so long [s] after they should be there.
-SHARE, AFTER = 0.5, 0.5
+SHARE, AFTER = 0.6, 0.5
 #: Goal [m] of the feet while legs move: 1.5 degrees of the hinged legs of `swerve-drive`.
 FEET = 0.011
 
@@ -50,7 +50,7 @@ class LegsSettings(MissionSettings):
     `swerve-drive`."""
 
     robot: str = "pentapod-ur10"
-    half_width: float = Field(0.32, gt=0, le=10)
+    half_width: float = Field(0.38, gt=0, le=10)
 
 
 def legs_tour(robot: RobotModel, half_width: float, delay: float) -> Mission:
