@@ -9,13 +9,13 @@ from pydantic import BeforeValidator, Field
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
 from wbmpc.bases.ball.residuals import JointEffort
-from wbmpc.configuration import kind_alone
+from wbmpc.configuration import OnlyWith, kind_alone
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 from wbmpc.studies.minniti2019.door_model import WithDoor
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
-from wbmpc.studies.minniti2019.door_residuals import BodyClearance, PanelContact
+from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed, BodyClearance, PanelContact
 
 PUSHING = ("held", "moving")
 #: What base and elbow keep away from a panel [m], whose angle is known to 0.05 rad.
@@ -72,15 +72,57 @@ class PushCone(Settings):
     min_push: Weight = 0.5
 
 
+class FreeApproach(Settings):
+    """The end effector comes as its reference does."""
+
+    kind: Literal["free"] = "free"
+
+
+class LimitedApproach(Settings):
+    """A touch at a speed that is limited, wherever the panel is. ``touch_speed`` [m/s]: the limit at the panel; ``growth`` [1/s]: of the limit
+    with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place."""
+
+    kind: Literal["limited"] = "limited"
+    touch_speed: Positive = 0.006
+    growth: Positive = 5.0
+    known_to: Weight = 0.010
+
+
 class DoorScheme(Settings):
     """``contact``: what the problem knows of it, a :class:`FreeWrench` or the :class:`DoorEquation`; ``identify``: the door's impedance is
-    estimated as it moves; ``cone``: none, or a :class:`PushCone`."""
+    estimated as it moves; ``cone``: none, or a :class:`PushCone`; ``approach``: a :class:`FreeApproach` or a :class:`LimitedApproach`."""
 
     contact: Annotated[FreeWrench | DoorEquation, Field(discriminator="kind"), BeforeValidator(kind_alone)] = (
         DoorEquation()
     )
     identify: bool = True
     cone: Annotated[NoCone | PushCone, Field(discriminator="kind"), BeforeValidator(kind_alone)] = PushCone()
+    approach: Annotated[
+        FreeApproach | LimitedApproach,
+        Field(discriminator="kind"), BeforeValidator(kind_alone), OnlyWith({"contact.kind": "door"}),
+    ] = FreeApproach()  # fmt: skip
+
+    @property
+    def lead(self) -> float:
+        """How far [m] ahead of an end effector that has not touched the panel is believed to be at least. The plan closes a gap by
+        g̈ + 2 λ ġ + λ² g = 0, slow ones at λ g / 2: at this distance with the speed of the touch."""
+        if isinstance(self.approach, FreeApproach) or isinstance(self.contact, FreeWrench):
+            return 0.0
+        return 2.0 * self.approach.touch_speed / self.contact.baumgarte
+
+    @property
+    def nearer(self) -> float:
+        """How far [m] before its probable place a panel is believed to be until it is touched: as near as it may be."""
+        return 0.0 if isinstance(self.approach, FreeApproach) else self.approach.known_to
+
+    def soonest(self, gap: float) -> float:
+        """Time [s] in which an end effector comes from ``gap`` [m] before the believed panel to :attr:`lead` before it, at the limit of the
+        approach's speed."""
+        if isinstance(self.approach, FreeApproach) or gap <= self.lead:
+            return 0.0
+        touch_speed, growth = self.approach.touch_speed, self.approach.growth
+        speed = lambda left: touch_speed + growth * left
+        return float(np.log(speed(gap) / speed(self.lead)) / growth)
 
 
 def default_push_cost(scheme: DoorScheme) -> PushCost:
@@ -107,6 +149,10 @@ def door_problem(
                 "door_rate", rate, fast, at="path+terminal", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard
             )
         )
+        if isinstance(scheme.approach, LimitedApproach):
+            slow = ApproachSpeed(dynamics, scheme.approach.touch_speed, scheme.approach.growth)
+            near = RelaxedBarrier(settings.barrier_mu, 0.1)
+            ocp.add(Constraint("approach", slow, sets.NonNegative(), modes=("free",), penalty=near, hard=hard))
         apart = BodyClearance(dynamics, HALF_THICKNESS, KEPT)
         free = sets.NonNegative()
         ocp.add(Constraint("panel", apart, free, at="path+terminal", penalty=barrier, hard=hard, slack=PANEL_SLACK))
