@@ -27,7 +27,13 @@ class Bound(Protocol):
     def bind(self, mpc: MPC) -> None: ...
 
 
-def check_guess(found: object) -> None:
+def check_guess(guess: object) -> None:
+    """Raise :class:`InputError` unless this can be called or is None."""
+    if not (guess is None or callable(guess)):
+        raise InputError(f"mpc.guess: a function of t, x0 and the last trajectory is needed, or None; got {guess!r}")
+
+
+def check_found(found: object) -> None:
     """Raise :class:`InputError` unless this is what a guess returns: numbers are checked by :meth:`Solver.warm_start`."""
     if not isinstance(found, Trajectory):
         raise InputError(

@@ -14,7 +14,7 @@ from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.checks import check_events_fit, check_settings, check_vector
 from wbmpc.mpc.clearance import ClearanceRows
-from wbmpc.mpc.guess import Bound, Guess, check_guess
+from wbmpc.mpc.guess import Bound, Guess, check_found, check_guess
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.path import PathProgress
 from wbmpc.mpc.policy import Policy
@@ -118,10 +118,7 @@ class MPC:
 
     @guess.setter
     def guess(self, guess: Guess | None) -> None:
-        if not (guess is None or callable(guess)):
-            raise InputError(
-                f"mpc.guess: a function of t, x0 and the last trajectory is needed, or None; got {guess!r}"
-            )
+        check_guess(guess)
         self._guess = guess
         if isinstance(guess, Bound):
             guess.bind(self)
@@ -313,7 +310,7 @@ class MPC:
         found = None if self._guess is None else self._guess(t, x0, self.solver.trajectory(start))
         if found is None:
             return
-        check_guess(found)
+        check_found(found)
         try:
             self.solver.warm_start(found.x, found.u)
         except NotFinite as error:  # the last plan is the better start
