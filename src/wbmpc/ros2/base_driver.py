@@ -78,7 +78,7 @@ class TwistSender:
     def send(self, values: dict[str, Array]) -> None:
         """A command by groups: the base's speeds are in "wheel"."""
         vx, vy, turn = self._twist @ values["wheel"]
-        twist = {"linear": vector([vx, vy, 0.0]), "angular": vector([0.0, 0.0, turn])}
+        twist = {"linear": vector(np.array([vx, vy, 0.0])), "angular": vector(np.array([0.0, 0.0, turn]))}
         self._to.publish({"header": header(0.0, self._frame), "twist": twist})
 
 
@@ -107,5 +107,5 @@ class SimulatedDriver:
         self._to.publish({
             "header": header(now, self._world), "child_frame_id": self._base,
             "pose": {"pose": pose(np.array([*self._pose[:2], 0.0]), turned)},
-            "twist": {"twist": {"linear": vector([vx, vy, 0.0]), "angular": vector([0.0, 0.0, turn])}},
+            "twist": {"twist": {"linear": vector(np.array([vx, vy, 0.0])), "angular": vector(np.array([0.0, 0.0, turn]))}},
         })  # fmt: skip

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -103,10 +104,8 @@ class SimNode:
         described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
         for name, controller in self._controllers.items():
             target = [places[j] for j in controller.joints]
-            take = lambda message, n=name, w=target: self._take(n, w, message)
-            if controller.takes != "numbers":
-                follow = self._take_trajectory if controller.takes == "trajectory" else self._take_twist
-                take = lambda message, n=name, w=target, f=follow: f(n, w, message)
+            follow = {"trajectory": self._take_trajectory, "twist": self._take_twist}.get(controller.takes, self._take)
+            take = partial(follow, name, target)
             self.node.subscribe(controller.topic, controller.type, take, DEFAULT)
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
