@@ -67,12 +67,16 @@ def _offering(part: str) -> list[str]:
     found = []
     for name in available_base_types():
         try:
-            plugin = type(base_type(name))
+            found += [name] if offers(name, part) else []
         except InputError:
             continue
-        if getattr(plugin, part, None) not in (None, getattr(BaseType, part)):
-            found.append(name)
     return found
+
+
+def offers(name: str, part: str) -> bool:
+    """Whether the base type ``name`` defines a ``part`` of the plug-in (:data:`wbmpc.bases.base.PARTS`). Raises :class:`InputError` as
+    :func:`base_type`."""
+    return getattr(type(base_type(name)), part, None) not in (None, getattr(BaseType, part))
 
 
 base.offering = _offering

@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
+from wbmpc.ros2.base_driver import BaseWay
 from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
@@ -77,6 +78,8 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     target: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", reader.read)}
     if topics.imu and robot.description.base.moves:
         target[topics.imu] = "sensor_msgs/msg/Imu", read_imu
+    if robot.description.base.takes_twist:
+        target[topics.base_odom] = "nav_msgs/msg/Odometry", BaseWay(robot).read
     target["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
     ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in target.items()}
     poses = PoseSource(node, settings, time.monotonic, time.time) if topics.pose else None

@@ -21,13 +21,15 @@ from wbmpc.stability import standing
 
 class SimulationSettings(Settings):
     """``physics``: mujoco with the perturbed ``plant``, noise and lag, or kinematic: the planner's own model, exact and fast;
-    ``computation_delay`` [s]: modeled time of a solve; ``settle_time`` [s]: before the task begins, at rest; ``obstacles``: a YAML file of
+    ``computation_delay`` [s]: modeled time of a solve; ``settle_time`` [s]: before the task begins, at rest; ``calibration``: what
+    is known of the wheels, "none", or what a reference "drive" with global poses shows before the run; ``obstacles``: a YAML file of
     what stands and moves in the simulated world (docs/how-to/obstacles.md)."""
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"
     plant: Annotated[Perturbation, OnlyWith(physics="mujoco")] = Perturbation()
     computation_delay: float = Field(0.010, ge=0, le=1.0)
     settle_time: float = Field(1.0, ge=0, le=60)
+    calibration: Annotated[Literal["none", "drive"], OnlyWith(physics="mujoco")] = "none"
     obstacles: Path | None = None
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from wbmpc.bases.base import BaseType, Proposal, System
+from wbmpc.bases.base import BaseType, Calibration, Proposal, System
 from wbmpc.bases.fixed.description import FixedBaseDescription
 from wbmpc.bases.fixed.model import FixedBase
 from wbmpc.model.robot import RobotModel
@@ -74,6 +74,7 @@ class FixedBaseType(BaseType):
         perturbation: Perturbation | None = None,
         mpc: MPC | None = None,
         edit: Edit | None = None,
+        calibration: Calibration | None = None,
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.control.direct import DirectController

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.base import Base, BaseType, Proposal, Question
+from wbmpc.bases.base import Base, Proposal, Question
 from wbmpc.bases.planar_motion.description import Place, PlanarBaseDescription
 from wbmpc.bases.planar_motion.model import PlanarBase, PointFootprint, standing_on
 from wbmpc.bases.planar_motion.plugin import PlanarBaseType
@@ -43,6 +43,7 @@ class MobileBaseDescription(PlanarBaseDescription):
     square about its center of mass."""
 
     joint_key: ClassVar[str] = ""
+    takes_twist: ClassVar[bool] = True
 
     type: Literal["planar"]
     wheels: tuple[str, ...] = Field((), max_length=0)
@@ -135,6 +136,3 @@ class MobileBaseType(PlanarBaseType):
         from wbmpc.bases.planar.plant import MobilePlant
 
         return MobilePlant(robot, perturbation=perturbation, seed=seed, edit=edit)
-
-    # its drives are unknown, and so are its driver's messages
-    ros_settings, ros, ros_plant = BaseType.ros_settings, BaseType.ros, BaseType.ros_plant

@@ -111,7 +111,7 @@ def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
             sure = exact or not self.placed
             gain = np.eye(3) if sure else self.covariance @ np.linalg.pinv(self.covariance + covariance)
             self.placed = True
-            self.odometry.pose = ours + gain @ error
+            self.odometry.place(ours + gain @ error)
             self.covariance = covariance.copy() if sure else (np.eye(3) - gain) @ self.covariance
 
     return BusController

@@ -27,9 +27,9 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LidarSettings, Settings
+from wbmpc.simulation.kept_calibration import kept
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation, SoundBrakes, quantize
-from wbmpc.studies.pankert2022.calibration_cache import kept
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 
@@ -219,5 +219,5 @@ def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSet
     if how == "drive":
         sound = plant.model_copy(update={"brake_fault": SoundBrakes()})  # a brake fails in the run, not before it
         settings = SwerveCalibrateSettings(plant=sound, lidar=lidar)
-        return kept(robot, settings, seed, lambda: _driven(robot, settings, seed))
+        return WheelCalibration(**kept(robot, settings, seed, lambda: vars(_driven(robot, settings, seed))))
     return WheelCalibration.load(how, geometry, steer_joints(robot), robot.description.name)
