@@ -224,14 +224,10 @@ class ControlNode:
 
     # ------------------------------------------------------------------ before a goal
     def _follow_sensors(self) -> None:
-        """Follow the sensors while the drives are not commanded, in every state of the node; a tick that a stop overtakes has them to
-        itself."""
+        """Follow the sensors while the drives are not commanded, in every state; a tick that a stop overtakes has them to itself."""
         unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
-        if (
-            unheard
-            or (self.runner is not None and self.runner.ticking)
-            or (self.adapter.needs_imu and not self.robot_io.has_imu)
-        ):
+        ticking = self.runner is not None and self.runner.ticking
+        if unheard or ticking or (self.adapter.needs_imu and not self.robot_io.has_imu):
             return
         for measurement in self.robot_io.unread():
             with suppress(SafeStop, InputError):
