@@ -65,7 +65,7 @@ def test_progress_waits_for_a_wall_that_passes(driving: Path, tmp_path: Path) ->
     wall = "box: {half: [0.05, 0.5, 1]}, position: [0.45, -0.8, 0], velocity: [0, 0.5, 0]"
     path.write_text(f"obstacles:\n  wall: {{{wall}, appears: 0}}\n")
     more = (f"obstacles={path}", "settle_time=0.1", "path.length=0.5", "path.ramp=0.3", "path.speed=0.4", "mpc.rate=25")
-    result = run("end-effector-track", driving, *more, "reference=progress", "time_limit=4.2")
+    result = run("end-effector-track", driving, *more, "reference=progress", "reference.time_limit=4.2")
     m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
     assert 2.5 < m["path_time"].value < 4.1
     assert m["obstacle_clearance_min"].value > margin - 0.01

@@ -159,7 +159,7 @@ def test_in_lockstep_a_busy_machine_has_time(pair: Callable[..., Any], monkeypat
     monkeypatch.setattr(p.node, "publishers", lambda topic: [])
     p.control.step()
     assert not p.control.running
-    assert re.search(r"the time on /clock has stopped for \d.\d s, nobody publishes it any more", p.control.state)
+    assert re.search(r"the time on /clock has stopped for \d.\d s, it has no publisher any more", p.control.state)
     with_wall = SwerveRosSettings(use_sim_time=True)
     assert (with_wall.patience, SwerveRosSettings(lockstep=True).patience) == (1.0, 30.0)
 

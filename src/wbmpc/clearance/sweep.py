@@ -1,7 +1,7 @@
 """What happens between the nodes of a plan, and on which side of an obstacle its nodes are.
 
 Nodes late in a horizon are far apart. Where a frame moves so far in one interval that it could come nearer to an obstacle than it is at
-both ends, states in between are looked at: what they lack is added to the margin at both ends. A node that is inside of an obstacle, or
+both ends, states in between are checked: what they lack is added to the margin at both ends. A node that is inside of an obstacle, or
 behind it after a motion through it, keeps the normal of the node before, so that its row pulls the plan back to the side it came from.
 What moves passes by: who keeps to the side in front of it has to run ahead of it for the rest of the plan. Nodes that it runs over are
 pulled aside instead, out of its track, all to the side that takes less.
@@ -18,7 +18,7 @@ from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
 from wbmpc.obstacles.world import Obstacle, Snapshot
 
 Array = NDArray[np.float64]
-#: Motion between two states that are looked at [m], and how many between two nodes at most.
+#: Motion between two states that are checked [m], and how many between two nodes at most.
 STEP, MOST = 0.08, 8
 #: Frames that move less than this [m] in an interval are not checked between nodes: it is more than the margin lacks by.
 SLOW = 0.02

@@ -152,7 +152,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare runs: their metrics in a table, their signals over each other in a page."""
-    from wbmpc.compare import differences, experiments, figures_table, load_all, outcomes, overlay, table, wheels
+    from wbmpc.compare import differences, experiments, figures_table, load_all, outcomes, overlay, table
     from wbmpc.report import plots_page
 
     out = new_file("--out", out, Path("compare.html"), force)
@@ -168,7 +168,7 @@ def compare(
     notes = [note for note in (experiments(figures), *notes) if note]
     shown = f"{paths[0]} (solid) and {paths[1]} (dashed)" if len(paths) == 2 else ", ".join(map(str, paths))
     about = "; ".join([shown, *notes])
-    plots = overlay(runs, names, wheels(figures[0]))
+    plots = overlay(runs, names)
     before = f"<h2>Figures</h2>{figures_table(rows, names, outcomes(figures))}" if rows else ""
     write_text(out, plots_page(" and ".join(names), about, plots, before))
     if as_json:

@@ -27,7 +27,7 @@ WAITS, STANDS = 0.1, 0.02
 
 
 class PacedReferences:
-    """References ``names`` of an MPC, as they are when this is made, along a time of their own: ``time`` [s], which is the clock's at
+    """The present references ``names`` of an MPC on a time scale of their own: ``time`` [s], which is the clock's at
     ``start`` [s] and goes on at ``rate`` (0 to 1) times the clock.
 
     A robot that evades something or waits would leave its reference far behind, and a far reference pulls it through what it evades. The
@@ -66,7 +66,7 @@ class PacedReferences:
         return name if any(o.name == name and o.velocity.any() for o in world.snapshot(t).obstacles) else ""
 
     def pose(self, time: float) -> Array:
-        """The end effector's reference (7) at ``time`` [s] of its own."""
+        """The end effector's reference pose (7) at ``time`` [s] of the paced references."""
         return self._path.at(time)
 
     def running(self, t: float) -> dict[str, Reference]:

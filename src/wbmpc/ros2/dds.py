@@ -214,7 +214,7 @@ class DdsNode:
         end = time.monotonic() + timeout
         try:
             while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
-                _wait(end, f"{name}: nobody serves it")
+                _wait(end, f"{name}: no server")
             write(writer, body[:4] + head + body[4:], self._where(requests), self, threading.RLock())
             while True:
                 for data, _ in _taken(reader):

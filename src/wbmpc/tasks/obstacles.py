@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.configuration import OnlyWith
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -24,7 +25,7 @@ from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
 from wbmpc.tasks.definitions import DEFINITIONS
-from wbmpc.tasks.following import PathTaskSettings, Task
+from wbmpc.tasks.following import ClockReference, PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
 from wbmpc.tasks.perception import PerceptionSettings
@@ -55,19 +56,19 @@ class Among(PathTaskSettings):
     does not."""
 
     path: AnyPath = Line(length=4.0)
-    patience: float = Field(6.0, ge=0.0, le=600.0)
+    patience: Annotated[float, OnlyWith({"reference.kind": "clock"})] = Field(6.0, ge=0.0, le=600.0)
     when_stuck: Literal["alternatives", "wait"] = "alternatives"
 
 
-#: Of somebody who crosses [m/s].
+#: Speed of a person who crosses [m/s].
 Speed = Annotated[float, Field(ge=0.01, le=10)]
 #: Of somebody's direction to the path's [rad].
 Angle = Annotated[float, Field(ge=0.0, le=3.15)]
 
 
 class Moving(Among):
-    """``people`` that walk at ``speeds`` [m/s] and ``angles`` [rad] to the path, to its left or right, between the smallest and the largest:
-    0 comes from behind, pi head-on."""
+    """``people``: how many walk; ``speeds`` [m/s]: the smallest and the largest of theirs; ``angles`` [rad]: the smallest and the largest to the
+    path, to its left or right; 0 comes from behind, pi head-on."""
 
     people: int = Field(4, ge=1, le=50)
     speeds: tuple[Speed, Speed] = (0.2, 1.5)
@@ -82,9 +83,9 @@ class Sudden(Among):
 
 
 class Corridor(Among):
-    """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go, and it turns off to
-    the left by ``angle`` [rad]; ``closed``: a dead end; ``chicane`` [m]: after a gap as long as the robot another corridor goes on so far to the
-    left (negative: right). The end effector swings ahead of the base before it enters."""
+    """``width`` [m]: between the walls; ``long`` [m]: length of the walls; ``offset`` [m]: of its middle, to the left of where the robot would
+    go; ``angle`` [rad]: by which it turns off to the left; ``closed``: a dead end; ``chicane`` [m]: after a gap as long as the robot another
+    corridor goes on so far to the left (negative: right). The end effector swings ahead of the base before it enters."""
 
     path: AnyPath = Line(length=5.0, speed=0.25)
     width: float = Field(0.9, ge=0.1, le=100.0)
@@ -166,7 +167,7 @@ def moving_scene(settings: Moving, robot: RobotModel, seed: int) -> list[SceneOb
 def person(
     name: str, place: Array, meet: float, pace: float, angle: float, speed: float = 0.0, apart: float = 0.0
 ) -> SceneObstacle:
-    """Somebody who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s], as is a robot
+    """A person who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s], as is a robot
     with ``speed`` [m/s] along x; or later: nobody appears within ``apart`` [m] of that robot."""
     velocity = pace * np.array([np.cos(angle), np.sin(angle), 0.0])
     lead = min(max(SEEN_FROM / pace, SEEN_FOR), meet)
@@ -265,7 +266,7 @@ def build(scene: SceneOf, settings: Among, seed: int) -> Scenario:
     task = Task(settings, obstacles=True)
     robot, mpc, end = task.robot, task.mpc, task.end
     metrics: Callable[[Log], dict[str, Metric]] | None = task.metrics
-    if settings.reference == "clock":
+    if isinstance(settings.reference, ClockReference):
         end += settings.patience
         if isinstance(settings, Corridor):
             mpc.reference["end_effector"], metrics = swung_ahead(robot, mpc.reference["end_effector"]), None
