@@ -1,8 +1,8 @@
 """The figure of docs/results/rooms.md: rooms from above, with the ways that the three methods take.
 
 Usage: python scripts/rooms_figure.py [--study runs/rooms] [--out docs/images/rooms.svg]
-Of the rooms of the study one is drawn in which all methods pass, one in which the MPC alone does not, and one in which only the planner
-does: of each kind one with most things, whose runs were the shortest. They are run anew, with the study's settings.
+Of the rooms of the study one is drawn in which the MPC alone does not pass, one in which only the planner does, and one in which all
+methods do: of each kind one with most things, whose runs were the shortest. They are run anew, with the study's settings.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from wbmpc.tasks.settings import moving_base
 ROOT = Path(__file__).parents[1]
 Array = NDArray[np.float64]
 #: Which methods pass in the rooms that are drawn, in the order of :data:`METHODS`.
-PASSING = ((True, True, True), (False, True, True), (False, False, True))
+PASSING = ((False, True, True), (False, False, True), (True, True, True))
 COLORS = {"alone": "#d1495b", "alternatives": "#1f5fa8", "planner": "#2a9d6f"}
 #: Pixels per meter, between rooms and above them.
 SCALE, APART, ABOVE = 42.0, 18.0, 56.0
@@ -145,9 +145,9 @@ def main() -> None:
         robot = load_robot(settings.robot)
         start = robot.home[moving_base(robot, "rooms")]
         rooms.append((f"{things} things, seed {seed}", draw_room(settings, robot, seed), ways(settings, seed)))
+        given.out.write_text(drawn(rooms, start))  # after each: the runs take long
     if not rooms:
         raise SystemExit("rooms: there is no room in which every method has a run")
-    given.out.write_text(drawn(rooms, start))
 
 
 if __name__ == "__main__":
