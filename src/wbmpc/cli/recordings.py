@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -104,11 +105,13 @@ def export(
     recording = read_recording(file)
     directory = new_directory("--out", out, recording.path.with_name("export"), force)
 
-    def check(files: list[Path]) -> None:
-        reject_existing("--out", files, force)
-        writable_directory("--out", directory)
+    with ExitStack() as made:
 
-    paths = write(recording, to, directory, topics or (), check)
+        def check(files: list[Path]) -> None:
+            reject_existing("--out", files, force)
+            made.enter_context(writable_directory("--out", directory))
+
+        paths = write(recording, to, directory, topics or (), check)
     if as_json:
         typer.echo(json.dumps({"files": [str(p) for p in paths]}))
     else:

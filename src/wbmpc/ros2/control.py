@@ -224,9 +224,10 @@ class ControlNode:
 
     # ------------------------------------------------------------------ before a goal
     def _follow_sensors(self) -> None:
-        """Follow the sensors while the drives are not commanded, in every state of the node."""
+        """Follow the sensors while the drives are not commanded, in every state of the node; not while a tick still runs, as after a stop."""
         unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
-        if unheard or (self.adapter.needs_imu and not self.robot_io.has_imu):
+        ticking = self.runner is not None and self.runner.ticking
+        if unheard or ticking or (self.adapter.needs_imu and not self.robot_io.has_imu):
             return
         for measurement in self.robot_io.unread():
             with suppress(SafeStop, InputError):

@@ -288,7 +288,9 @@ class BusRobot:
         self._send(self._last)
 
     def stop(self) -> None:
-        """The last commands, ramped down, then zero, brakes closed, then nothing: who else commands the robot is not disturbed.
+        """The last commands, ramped down, then zero, brakes closed, then, once disarmed, nothing: who else commands the robot is not
+        disturbed. Armed it goes on: the runner stands by for a policy, and in lockstep a simulator waits for commands, however slow
+        the machine is.
 
         To be called again and again.
         """
@@ -296,7 +298,7 @@ class BusRobot:
         if self._stopping is None:
             self._stopping = now
         ramp = self.settings.safety.ramp
-        if now - self._stopping > ramp + ZEROS:
+        if now - self._stopping > ramp + ZEROS and not self._armed:
             return
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0
         scaled = {g: left * v for g, v in self._last.items()}

@@ -230,6 +230,7 @@ class RealTimeRunner(StopControl):
             own.sample("jitter", start - due)
             self._beat = start
             self.punctuality.begin(due, start)
+            self.ticking = True
             if not self._stopped.is_set():
                 try:
                     check_held_up(start - due, 0.0, self.settings.watchdog)
@@ -239,6 +240,7 @@ class RealTimeRunner(StopControl):
                     self.halt(str(reason))
                 except (Exception, SystemExit) as error:
                     self._raised(error)
+            self.ticking = False
             if self._stopped.is_set():
                 self._stop_robot()
             end = clock.now()

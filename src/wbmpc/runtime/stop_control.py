@@ -44,6 +44,8 @@ class StopControl:
         self._halt_lock = threading.Lock()
         #: when the last tick began [s]
         self._beat = 0.0
+        #: whether a tick is under way, which a stop from another thread does not end; set before the tick asks whether it may run
+        self.ticking = False
 
     def halt(self, reason: str, error: BaseException | None = None) -> None:
         """Stop the robot for good; the first reason stays. May be called from any thread."""
