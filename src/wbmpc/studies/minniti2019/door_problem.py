@@ -55,7 +55,7 @@ class DoorScheme(Settings):
     baumgarte: Annotated[Positive, OnlyWith(row=True)] = 10.0
     door_rate: Annotated[Positive, OnlyWith(row=True)] = 1.0
     approach: Annotated[Literal["free", "limited"], OnlyWith(row=True)] = "free"
-    touch_speed: Annotated[Positive, OnlyWith(approach="limited")] = 0.006
+    touch_speed: Annotated[Positive, OnlyWith(approach="limited")] = 0.01
     approach_rate: Annotated[Positive, OnlyWith(approach="limited")] = 5.0
     known_to: Annotated[Weight, OnlyWith(approach="limited")] = 0.010
 
