@@ -22,7 +22,7 @@ from wbmpc.studies.minniti2019.door import believed
 from wbmpc.studies.minniti2019.door_control import LIGHT, DoorController
 from wbmpc.studies.minniti2019.door_model import WithDoor, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import Door
-from wbmpc.studies.minniti2019.door_problem import DoorScheme
+from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed
 from wbmpc.studies.minniti2019.touch import TIPS
 from wbmpc.studies.minniti2019.touch_figures import Touch, longest, metrics
@@ -74,14 +74,14 @@ def test_the_row_is_the_difference_of_allowed_and_true_speed() -> None:
 
 
 def test_the_way_takes_as_long_as_its_differential_equation_says() -> None:
-    scheme = DoorScheme(approach="limited", touch_speed=0.01, approach_rate=4.0)
+    scheme = DoorScheme(approach=LimitedApproach(touch_speed=0.01, growth=4.0))
     there = lambda t, left: left[0] - scheme.lead
     there.terminal = True  # type: ignore[attr-defined]
     run = solve_ivp(lambda t, left: -(0.01 + 4.0 * left), (0.0, 10.0), [0.1], events=there, rtol=1e-9, atol=1e-12)
     assert scheme.soonest(0.1) == pytest.approx(run.t_events[0][0], rel=1e-5)
     assert scheme.soonest(0.5 * scheme.lead) == 0.0 and DoorScheme().soonest(0.1) == 0.0
     # slow gaps close by g̈ + 2 λ ġ + λ² g = 0
-    assert scheme.lead * scheme.baumgarte / 2.0 == pytest.approx(0.01)
+    assert scheme.lead * DoorEquation().baumgarte / 2.0 == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize(("lead", "moves"), [(0.002, True), (0.0, False)])

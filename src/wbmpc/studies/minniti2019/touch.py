@@ -23,7 +23,7 @@ from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.door import HERE, believed, drawn_door, push_door
 from wbmpc.studies.minniti2019.door_control import RELAX
 from wbmpc.studies.minniti2019.door_plant import SOFT
-from wbmpc.studies.minniti2019.door_problem import DoorScheme
+from wbmpc.studies.minniti2019.door_problem import DoorScheme, FreeApproach, LimitedApproach
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS
 from wbmpc.studies.minniti2019.touch_figures import Touch, metrics, plots
@@ -47,8 +47,8 @@ class TouchSettings(RezeroDoorSettings):
         (0.05, 0.1, 0.2, 0.3), min_length=1, max_length=8
     )
     force: float = Field(16.0, gt=0, le=200.0)
-    compare: Annotated[bool, OnlyWith({"scheme.approach": "limited"})] = True
-    scheme: DoorScheme = DoorScheme(approach="limited")
+    compare: Annotated[bool, OnlyWith({"scheme.approach.kind": "limited"})] = True
+    scheme: DoorScheme = DoorScheme(approach=LimitedApproach())
     settle_time: float = Field(1.5, ge=0.5, le=60.0)
     rise_time: float = Field(0.3, ge=0, le=10.0)
     timeout: float = Field(7.0, ge=1.0, le=120.0)
@@ -78,7 +78,7 @@ def approach(
     settings: TouchSettings, speed: float, limited: bool, seed: int, progress: Progress | None
 ) -> tuple[Touch, Outcome]:
     """One approach with a commanded ``speed`` [m/s]."""
-    scheme = settings.scheme if limited else settings.scheme.model_copy(update={"approach": "free"})
+    scheme = settings.scheme if limited else settings.scheme.model_copy(update={"approach": FreeApproach()})
     here = settings.model_copy(update={"speed": speed, "scheme": scheme})
     plants: list[TouchPlant] = []
     trial = push_door(here, settings.force, seed, progress, partial(make_plant, plants))
@@ -93,7 +93,7 @@ def build(settings: TouchSettings, seed: int) -> Scenario:
     """An approach for each speed, with the limit and without."""
     log = Log()
     runs: dict[bool, list[Touch]] = {True: [], False: []}
-    given = settings.scheme.approach == "limited"
+    given = isinstance(settings.scheme.approach, LimitedApproach)
 
     def run(speed: float, limited: bool, progress: Progress | None) -> Outcome:
         touch, outcome = approach(settings, speed, limited, seed, progress)
