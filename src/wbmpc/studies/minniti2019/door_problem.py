@@ -83,7 +83,7 @@ class LimitedApproach(Settings):
     with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place."""
 
     kind: Literal["limited"] = "limited"
-    touch_speed: Positive = 0.006
+    touch_speed: Positive = 0.01
     growth: Positive = 5.0
     known_to: Weight = 0.010
 
