@@ -197,18 +197,40 @@ def test_what_the_sensor_does_not_measure_ends_the_push(phase: str, touching: bo
     [((2.5, 10.0, 3.0), 0.15), ((1.0, 6.0, 6.4), 0.5), ((1.0, 0.1, 50.0), 0.5)],
 )
 def test_a_door_that_was_let_go_is_taken_to_come_back(impedance: tuple[float, ...], closing: float) -> None:
-    """Half of its resistance over its damping, no faster than 0.5 rad/s, and not beyond closed; while it is pushed, where it was felt."""
+    """Half of its resistance over its damping, no faster than 0.5 rad/s, and not beyond closed; while it is pushed and runs away, as
+    far as I φ̈ + d φ̇ + c = 0 takes it."""
     controller = control.DoorController.__new__(control.DoorController)
     controller.period, controller.impedance, controller.moving = 0.01, np.array(impedance), False
     controller.contact = SimpleNamespace(touching=False)  # type: ignore[assignment]
     controller.push = SimpleNamespace(open=1.5, give_up=9.0)  # type: ignore[assignment]
     controller.sensor = ForceMonitor()
     controller._identify = lambda end_effector: None  # type: ignore[method-assign]
-    for phase, after in (("push", 1.2), ("release", 1.2 - closing)):
+    controller.geometry = control.DoorGeometry((9.0, 0.0), 0.0, 1.0, 0.05)
+    inertia, damping, resistance = impedance
+    decay, final = damping / inertia, resistance / damping
+    stop = np.log(1.0 + 0.3 / final) / decay
+    coasted = (0.3 + final) / decay * (1.0 - np.exp(-decay * stop)) - final * stop
+    end_effector = np.array([10.0, 0.0, 0.0])  # behind the panel
+    for phase, after in (("push", 1.2 + coasted), ("release", 1.2 - closing)):
         controller.phase, controller.door = phase, np.array([1.2, 0.3])
         for k in range(100):
-            controller._follow(0.01 * k, np.zeros(3), np.zeros(3))
-        assert controller.door == pytest.approx([after, 0.0])
+            controller._follow(0.01 * k, end_effector, np.zeros(3))
+        assert controller.door == pytest.approx([after, 0.0], abs=2e-3)
     for k in range(2000):
-        controller._follow(1.0 + 0.01 * k, np.zeros(3), np.zeros(3))
+        controller._follow(1.0 + 0.01 * k, end_effector, np.zeros(3))
     assert controller.door[0] == 0.0
+
+
+@pytest.mark.parametrize("opening", [1.0, -1.0])
+def test_a_panel_that_is_not_touched_is_beyond_the_end_effector(opening: float) -> None:
+    """It goes on towards where the panel was felt last, and meets nothing: the panel has gone on too, as fast at least."""
+    controller = control.DoorController.__new__(control.DoorController)
+    controller.period, controller.impedance = 0.0025, np.array([1.0, 6.0, 6.4])
+    controller.geometry = control.DoorGeometry((0.2, 0.1), 0.4, opening, 0.05)
+    controller.door = np.array([0.5, 0.0])
+    velocity = 0.8 * controller.geometry.directions(0.9)[1]
+    for angle in (0.2, 0.4, 0.9):
+        controller.door = controller._coasting(controller.geometry.place(angle, 0.7, 1.0), velocity)
+        if angle < 0.5:
+            assert controller.door == pytest.approx([0.5, 0.0])
+    assert controller.door == pytest.approx([0.9, 0.8 / 0.7])

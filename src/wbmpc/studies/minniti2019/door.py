@@ -24,7 +24,7 @@ from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, w
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, TIP_MASS, TIP_RADIUS, Door, DoorPlant
 from wbmpc.studies.minniti2019.door_problem import default_push_cost, door_problem
-from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
+from wbmpc.studies.minniti2019.door_settings import DOORS, FORCE_GOAL, RezeroDoorSettings
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_robot, record_rezero
 
 _LOG = logging.getLogger("wbmpc")
@@ -192,7 +192,7 @@ def build(settings: RezeroDoorSettings, seed: int) -> Scenario:
     names, log = LABELS[-len(settings.forces) :], Log()
     return Scenario(
         log, [Part(f"{force:g} N", partial(push, force)) for force in sorted(settings.forces)],
-        lambda run: {**metrics(trials, names), **worst_estimates(trials)},
+        lambda run: {**metrics(trials, names, FORCE_GOAL.get(settings.door, 0.08)), **worst_estimates(trials)},
         lambda run: [plot for name, t in zip(names, trials, strict=False) for plot in door_plots(name, t, settings)],
         [*HERE, *IDEALIZATIONS],
     )  # fmt: skip

@@ -205,6 +205,8 @@ class DoorController(BallController):
         if touching and self.geometry.touches(end_effector):
             angle = self.geometry.angle(end_effector)
             self.door = np.array([angle, self.geometry.rate(end_effector, velocity, angle)])
+        elif self.phase == "push":
+            self.door = self._coasting(end_effector, velocity)
         else:
             self.door = np.array([max(self.door[0] - self._closing() * self.period, 0.0), 0.0])
         limit = MOVING / 3.0 if self.moving else MOVING
@@ -214,6 +216,16 @@ class DoorController(BallController):
             self.phase, self.relaxed = "relax", t
         if self.phase != "release" and self._ends(t):
             self.phase, self.released, self._let_go = "release", t, end_effector.copy()
+
+    def _coasting(self, end_effector: Array, velocity: Array) -> Array:
+        """Angle and rate of a door that has run away from the end effector: it slows down as its impedance says, and is at least
+        as far open as the end effector is, which does not touch it."""
+        inertia, damping, resistance = self.impedance
+        rate = max(self.door[1] - (damping * self.door[1] + resistance) / inertia * self.period, 0.0)
+        angle = self.door[0] + rate * self.period
+        if self.geometry.touches(end_effector) and (reached := self.geometry.angle(end_effector)) > angle:
+            angle, rate = reached, max(rate, self.geometry.rate(end_effector, velocity, reached))
+        return np.array([angle, rate])
 
     def _closing(self) -> float:
         """How fast [rad/s] a door that was let go is taken to come back: nothing measures it any more."""

@@ -89,13 +89,14 @@ def rest(trial: Trial) -> dict[str, float]:
     }
 
 
-def metrics(trials: Sequence[Trial], names: Sequence[str]) -> dict[str, Metric]:
-    """The figures of the runs by name, those of all runs last; a run that did not happen is infinitely bad."""
+def metrics(trials: Sequence[Trial], names: Sequence[str], goal: float) -> dict[str, Metric]:
+    """The figures of the runs by name, those of all runs last; a run that did not happen is infinitely bad. ``goal``: of the
+    force's error."""
     figures = {name: trial_metrics(trial) for name, trial in zip(names, trials, strict=False)}
     out: dict[str, Metric] = {}
     for name in names:
         f = figures.get(name, {"force_error_ratio": np.inf, "contact_share": 0.0, "lean_mean": np.inf})
-        out[f"force_error_ratio_{name}"] = Metric(f["force_error_ratio"], "1", goal=0.08)
+        out[f"force_error_ratio_{name}"] = Metric(f["force_error_ratio"], "1", goal=goal)
         out[f"contact_share_{name}"] = Metric(f["contact_share"], "1")
         out[f"lean_mean_{name}"] = Metric(f["lean_mean"], "rad")
     maximum = lambda key: max(f[key] for f in figures.values())
