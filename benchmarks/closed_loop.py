@@ -52,7 +52,7 @@ class Stopwatch:
     def __init__(self, recorder: Recorder | None, profile: cProfile.Profile | None) -> None:
         self.recorder, self.profile = recorder, profile
         self.seconds: dict[str, float] = {}
-        self._ticks = 0
+        self._ticks, self._start = 0, 0.0
 
     def begin(self, running: Running) -> None:
         owners = {

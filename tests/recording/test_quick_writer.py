@@ -27,10 +27,11 @@ def written(kind: type[Writer]) -> bytes:
     for k in range(200):
         at = 1_000_000 * (k if k % 17 else k // 2) + 7
         writer.add_message(channels[k % 3], at, rng.bytes(int(rng.integers(0, 150))), at + k, sequence=k)
-        pose = {"header": {"stamp": stamp(1e-9 * at), "frame_id": "map"}, "pose": rng.normal(size=7)}
+        numbers = rng.normal(size=7)
+        pose = {"header": {"stamp": stamp(1e-9 * at), "frame_id": "map"}, "pose": numbers}
         if isinstance(writer, QuickWriter):
-            writer.add_numbers(channels[k % 2], at, TEMPLATE, pose["pose"])
-            pose["pose"][:] = 0.0  # what was given may change afterwards
+            writer.add_numbers(channels[k % 2], at, TEMPLATE, numbers)
+            numbers[:] = 0.0  # what was given may change afterwards
         else:
             writer.add_message(channels[k % 2], at, encode(POSE, pose), at)
         if k == 90:

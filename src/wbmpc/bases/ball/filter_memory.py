@@ -52,7 +52,8 @@ class FilterMemory:
 
     def __deepcopy__(self, memo: dict[int, object]) -> FilterMemory:
         """Steps of the copy work on its own arrays, and so do those of others on these."""
-        made = FilterMemory(*self._made_of, **self._constants)
+        geometry, noise, gate, backend = self._made_of
+        made = FilterMemory(geometry, noise, gate, backend, **self._constants)
         for name, array in self.arrays.items():
             made.arrays[name][:] = array
             memo[id(array)] = made.arrays[name]
