@@ -145,9 +145,9 @@ def examine(name: str, robot: str, quick: bool = False, seed: int = 1) -> Row:
     jumps = {"count": 1, "time_per_goal": 4.0, "distance": [0.3, 0.5]} if quick else {}
     runs.append(run_scenario("jumps", goals.build, goals.GoalsSettings.model_validate({**fixed, **jumps}), seed))
     tracked = [r.metrics["end_effector_error_mean"].value for r in runs[:-1]]
-    solved = [r.mpc for r in runs if r.mpc is not None]
+    solved, reached = [r.mpc for r in runs if r.mpc is not None], runs[-1].metrics["goals_reached"]
     return Row(
-        name, model.state.size, tuple(tracked), tuple(r.reason for r in runs if not r.completed), runs[-1].metrics["goals_reached"].value,
+        name, model.state.size, tuple(tracked), tuple(r.reason for r in runs if not r.completed), reached.value / (reached.least or 1.0),
         runs[-1].metrics["goal_error_max"].value, float(np.median([m.solve_ms["median"] for m in solved])), sum(m.failures for m in solved),
     )  # fmt: skip
 

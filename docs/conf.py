@@ -15,8 +15,11 @@ import plotly
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS / "_ext"))
-# kernels of executable pages inherit these
-os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(DOCS / "_ext"), os.environ.get("PYTHONPATH", "")]))
+# kernels of executable pages inherit these; code of pages is a user's, so how figures are shown is the kernel's matter
+os.environ["IPYTHONDIR"] = str(DOCS / "_build" / "ipython")
+start = DOCS / "_build" / "ipython" / "profile_default" / "startup"
+start.mkdir(parents=True, exist_ok=True)
+shutil.copy(DOCS / "_ext" / "plotly_beside.py", start)
 os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 

@@ -6,6 +6,7 @@ After a change that is meant: ``python tests/public_api.py`` writes the file ane
 from __future__ import annotations
 
 import inspect
+import re
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -53,7 +54,7 @@ def _member(member: Any) -> str:
 
 def _signature(thing: Any) -> str:
     try:
-        return str(inspect.signature(thing)).replace("'", "")
+        return re.sub(r" at 0x[0-9a-f]+", "", str(inspect.signature(thing)).replace("'", ""))
     except ValueError:
         return ""
 

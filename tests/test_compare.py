@@ -10,8 +10,12 @@ import pytest
 
 from fake_experiment import REGISTRY
 from wbmpc.cli import main
-from wbmpc.compare import Run, difference_text, overlay, wheels
+from wbmpc.compare import difference_text, load, overlay
+from wbmpc.errors import InputError
+from wbmpc.log import Log
 from wbmpc.recording.writer import McapFile
+from wbmpc.report import plots_page
+from wbmpc.run_files import read_log
 from wbmpc.units import Scale
 
 
@@ -210,21 +214,47 @@ def test_a_run_that_ended_early_is_compared_and_said_to_be(capsys: pytest.Captur
     assert notes[1].endswith("b did not complete: the solver gave up at 0.10 s")
 
 
-def test_curves_have_names_and_the_runs_the_same_colors() -> None:
-    rng = np.random.default_rng(1)
-    log = {}
-    for channel, width in (("tour.base_odometry", 3), ("hand", 3), ("leg", 4), ("other", 2)):
-        log |= {channel: rng.normal(size=(5, width)), f"{channel}.time": np.arange(5.0)}
-    modules = wheels({"settings": {"robot": "swerve-ur10"}})
-    plots = {p.title: p.series for p in overlay([Run(Path(), {}, log)] * 2, ["a", "b"], modules)}
+def test_curves_have_names_and_the_runs_the_same_colors(tmp_path: Path) -> None:
+    """Those that the log has; places of well-known channels; else numbers."""
+    rng, log = np.random.default_rng(1), Log()
+    for channel, width in (
+        ("tour.base_odometry", 3),
+        ("hand", 3),
+        ("hand_quaternion", 4),
+        ("leg", 4),
+        ("other", 2),
+        ("one", 10),
+    ):
+        for k in range(5):
+            log.add(channel, 0.1 * k, rng.normal(size=width))
+    wheels = ("LF", "RF", "</script><b>", "RB")
+    log.label("leg", wheels)
+    log.label("nothing", ("a",))
+    both = Log()
+    both.extend(log, ".twice", ["leg"])
+    assert both.names == {"leg.twice": wheels}
+    log.save(tmp_path / "log.npz")
+    (tmp_path / "metrics.json").write_text("{}")
+    run = load(tmp_path)
+    plots = {p.title: p.series for p in overlay([run] * 2, ["a", "b"])}
     names = {title: [s.name for s in series if not s.dashed] for title, series in plots.items()}
-    assert names["tour.base_odometry"] == ["a x", "a y", "a yaw"] and names["hand"] == ["a x", "a y", "a z"]
-    assert names["leg"] == [f"a {wheel}" for wheel in ("LF", "RF", "LB", "RB")] and names["other"] == ["a [0]", "a [1]"]
+    assert names["tour.base_odometry"] == ["x", "y", "yaw"] and names["hand"] == ["x", "y", "z"]
+    assert names["hand_quaternion"] == ["qw", "qx", "qy", "qz"]
+    assert names["leg"] == [*wheels] and names["other"] == ["[0]", "[1]"]
+    assert len(names["one (8 of 10)"]) == 8
     for series in plots.values():
         half = len(series) // 2
         assert [s.color for s in series[:half]] == [s.color for s in series[half:]] == list(range(half))
-        assert all(s.dashed for s in series[half:])
-    assert wheels({"settings": {"robot": "nowhere.yaml"}}) == wheels({}) == ()
+        assert all(s.dashed and s.name == f"{s.signal}, b" for s in series[half:])
+    page = plots_page("a", "b", overlay([run] * 2, ["a", "b"]))
+    assert "</script><b>" not in page.partition("<body>")[2]
+
+
+@pytest.mark.parametrize("names", [["a"], [["a", "b"]], [1.0, 2.0], [b"a", b"b"], ["a", "b", "c"]])
+def test_names_that_do_not_fit_a_channel_are_an_error(names: list[object], tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", **{"x": np.zeros((3, 2)), "x.time": np.arange(3.0), "x.names": np.array(names)})
+    with pytest.raises(InputError, match=r"log\.npz: channel 'x\.names': a text for each component"):
+        read_log(tmp_path / "log.npz")
 
 
 def test_differences_to_the_first_run_are_in_the_table_and_on_the_page(
@@ -248,6 +278,7 @@ def test_differences_to_the_first_run_are_in_the_table_and_on_the_page(
 
 @pytest.mark.parametrize(("difference", "first", "text"), [
     (0.0005, 0.002, "+0.5 (+25.0 %)"), (-0.001, 0.002, "-1 (-50.0 %)"), (0.0, 0.002, "0"), (0.001, 0.0, "+1"), (None, 0.002, ""),
+    (1e-17, 0.002, "0"),
 ])  # fmt: skip
 def test_a_difference_has_its_unit_and_share(difference: float | None, first: float, text: str) -> None:
     assert difference_text(difference, first, Scale("mm", 1e3)) == text

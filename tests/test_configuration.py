@@ -138,8 +138,8 @@ def test_keys_of_a_section_that_is_left_out_by_default_can_be_given(name: str, s
 
 
 def test_weights_of_a_push_that_are_not_given_are_those_of_the_scheme() -> None:
-    """Two keys, in either order. Without the door's row all force errors count alike and no posture does (PushCost, UNTIED)."""
-    given = ["push.force=2", "scheme.row=false"]
+    """Two keys, in either order. Without the door's equation all force errors count alike and no posture does (PushCost, UNTIED)."""
+    given = ["push.force=2", "scheme.contact=wrench"]
     model = REGISTRY["rezero-door"].config_type
     for order in (given, given[::-1]):
         push = configure(model, order, "rezero-door").push

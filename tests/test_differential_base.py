@@ -10,11 +10,12 @@ import pytest
 
 from effort import some
 from planar_driving import HEIGHT, RADIUS, drive, follow_line, ideal_plant, kinematics_error, write_robot
-from wbmpc import Observation, Reference
+from wbmpc import Observation, Reference, lie
 from wbmpc.bases import base_type
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarMeasurement
-from wbmpc.bases.planar_motion.odometry import PlanarOdometry
+from wbmpc.bases.planar_motion.odometry import GyroFilter, PlanarOdometry
+from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.default_problem import default_mpc
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
@@ -172,6 +173,27 @@ def test_a_base_that_never_stands_still_learns_the_gyros_bias_from_its_speeds():
         odometry.update(t, wheel, w + 0.01 + 3e-4 / np.sqrt(h) * rng.normal())
     assert odometry.gyro.bias == pytest.approx(0.01, abs=3e-4)
     assert odometry.pose[2] == pytest.approx(true, abs=0.006)
+
+
+def test_a_bias_that_is_found_late_turns_the_way_back():
+    """Wheels that are known: their turn is the truth, and what bias and noise of the gyro did to the pose before comes off again."""
+    known = WheelErrors(np.zeros(2), np.zeros(2), 1e-10 * np.eye(4))
+    rng, h, wheel, true = np.random.default_rng(3), 0.0025, np.zeros(2), np.zeros(3)
+    odometry = PlanarOdometry(ROBOT.base.twist, ROBOT.base.rates, np.zeros(3), known)
+    without = GyroFilter(known.of_turn(2))  # the same bias, whose errors stay in the yaw
+    turned, late = 0.0, 0.0
+    for k in range(round(30.0 / h)):
+        v, w = (0.2, 0.25) if k * h > 0.3 else (0.0, 0.0)
+        true, wheel = lie.se2_step(true, ROBOT.base.twist @ [v, w] * h), wheel + wheel_rates(v, w) * h
+        gyro = w + 0.01 + 6e-4 / np.sqrt(h) * rng.normal()
+        odometry.update(k * h, wheel, gyro)
+        share = 0.5 * w * h * np.ones(2)
+        without.update(h, gyro, share, np.ones(2), True, np.zeros(2))
+        turned += (gyro - without.bias) * h if without.std < 1e-3 else w * h
+        late = max(late, abs(turned - true[2]))
+    assert late > 2e-3
+    assert abs(odometry.pose[2] - true[2]) < 0.25 * late, (odometry.pose[2] - true[2], late)
+    np.testing.assert_allclose(odometry.pose[:2], true[:2], atol=2e-3)
 
 
 def test_a_number_that_is_not_finite_is_not_taken_in():

@@ -29,6 +29,9 @@ PRIVATE = {
     r"\bearlier version": "nothing: documents have no history",
     r"\bversion before": "nothing: documents have no history",
     r"\bno longer\b": "nothing: documents have no history",
+    r"\b(no|some)body\b|\bwhoever\b": "the user, another process; not, unknown",
+    r"\bin(to)? force\b": "active",
+    r"\bon and on\b": "continuously",
     r"\bnotebook\.md\b": "nothing",
 }
 #: The same for code: names (``told_apart``, ``Teller``, ``TOLD``), comments, docstrings and messages. A file's ``tell`` method is

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
@@ -21,7 +22,18 @@ from wbmpc.obstacles.shapes import Box, Capsule, HalfSpace, Sphere
 from wbmpc.ocp.symbols import Symbols
 from wbmpc.registry import load
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
-from wbmpc.tasks.obstacles import ENTRY, Clutter, Corridor, Extent, clutter_scene, corridor_scene
+from wbmpc.tasks.obstacles import (
+    ENTRY,
+    PERSON,
+    Clutter,
+    Corridor,
+    Extent,
+    Moving,
+    clutter_scene,
+    corridor_scene,
+    moving_scene,
+    passing,
+)  # fmt: skip
 from wbmpc.tasks.rooms import RoomSettings, draw_room
 
 BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
@@ -53,7 +65,7 @@ def test_progress_waits_for_a_wall_that_passes(driving: Path, tmp_path: Path) ->
     wall = "box: {half: [0.05, 0.5, 1]}, position: [0.45, -0.8, 0], velocity: [0, 0.5, 0]"
     path.write_text(f"obstacles:\n  wall: {{{wall}, appears: 0}}\n")
     more = (f"obstacles={path}", "settle_time=0.1", "path.length=0.5", "path.ramp=0.3", "path.speed=0.4", "mpc.rate=25")
-    result = run("end-effector-track", driving, *more, "reference=progress", "time_limit=4.2")
+    result = run("end-effector-track", driving, *more, "reference=progress", "reference.time_limit=4.2")
     m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
     assert 2.5 < m["path_time"].value < 4.1
     assert m["obstacle_clearance_min"].value > margin - 0.01
@@ -100,6 +112,29 @@ def ball_and_floor(around: SimulatedObstacles) -> tuple[mujoco.MjModel, mujoco.M
     model = spec.compile()
     around.bind(model)
     return model, mujoco.MjData(model)
+
+
+@pytest.mark.parametrize("angles", [(0.0, 0.0), (0.0, 3.14), (3.14, 3.14)])
+def test_people_from_all_sides_meet_the_robot_and_do_not_appear_in_it(
+    driving: Path, angles: tuple[float, float]
+) -> None:
+    """Truth: motions at constant velocities, of people and of a robot that nothing delays; the axle is in the middle of its box."""
+    robot, settings = wb.load_robot(driving), Moving(robot=str(driving), angles=angles, people=6)
+    e = Extent(robot, "x")
+    half = float(np.linalg.norm(np.maximum(e.high[:2] - e.base[:2], e.base[:2] - e.low[:2])))
+    for seed in range(10):
+        for k, one in enumerate(moving_scene(settings, robot, seed)):
+            velocity = np.array(one.place["velocity"])
+            along = (k + 0.5) / 6 * settings.path.length
+            meet = passing(settings, along)
+            base = lambda t, at=along, then=meet: e.base[:2] + [at - settings.path.speed * (then - t), 0.0]
+            turned = abs(np.arctan2(velocity[1], velocity[0]))
+            assert angles[0] - 1e-9 <= turned <= angles[1] + 1e-9
+            start = np.array(one.place["position"])[:2] - base(one.appears)
+            assert np.linalg.norm(start) > half + PERSON[0] - 1e-9
+            relative = velocity[:2] - [settings.path.speed, 0.0]
+            if np.linalg.norm(relative) > 1e-6:  # a straight way relative to the robot leads through its middle
+                assert abs(np.cross(relative, start)) / np.linalg.norm(relative) < 1e-6
 
 
 def test_distances_and_contacts_are_those_of_the_world() -> None:
@@ -249,22 +284,37 @@ def test_clutter_is_in_the_way_of_the_base_alone(name: str) -> None:
     assert min(places) > e.high[0] + 0.5
 
 
-def test_corridors_turn_off_and_end() -> None:
-    """Truth: MuJoCo's rays from the middle of the entry, along the corridor's axes."""
+def corridor_world(settings: Corridor) -> tuple[Extent, Callable[[list[float], list[float]], float]]:
+    """What the robot takes up, and MuJoCo's ray [m] among the corridor's walls from a place (3) in a direction (3)."""
     robot = wb.load_robot("differential-ur10")
-    e, settings = Extent(robot, "corridor"), Corridor(width=0.86, long=2.0, offset=0.05, angle=0.0873, closed=True)
-    around = SimulatedObstacles(corridor_scene(settings, robot, 0), ground=e.ground)
-    spec = mujoco.MjSpec()
+    e = Extent(robot, "corridor")
+    around, spec = SimulatedObstacles(corridor_scene(settings, robot, 0), ground=e.ground), mujoco.MjSpec()
     around.edit(spec)
     model = spec.compile()
-    data = mujoco.MjData(model)
+    data, hit = mujoco.MjData(model), np.zeros(1, np.int32)
     mujoco.mj_forward(model, data)
-    c, s, hit = np.cos(0.0873), np.sin(0.0873), np.zeros(1, np.int32)
-    inside = np.array([e.high[0] + ENTRY + 0.5 * c, e.base[1] + 0.05 + 0.5 * s, 0.5])
-    for direction, distance in (((-s, c, 0.0), 0.43), ((s, -c, 0.0), 0.43), ((c, s, 0.0), 1.5)):
-        found = mujoco.mj_ray(model, data, inside, np.array(direction), None, 1, -1, hit)
-        assert found == pytest.approx(distance, abs=1e-6)
-    assert len(corridor_scene(Corridor(), robot, 0)) == 2
+    return e, lambda place, way: mujoco.mj_ray(model, data, np.array(place), np.array(way), None, 1, -1, hit)
+
+
+def test_corridors_turn_off_and_end() -> None:
+    """Truth: MuJoCo's rays from the middle of the entry, along the corridor's axes."""
+    e, ray = corridor_world(Corridor(width=0.86, long=2.0, offset=0.05, angle=0.0873, closed=True))
+    c, s = np.cos(0.0873), np.sin(0.0873)
+    inside = [e.high[0] + ENTRY + 0.5 * c, e.base[1] + 0.05 + 0.5 * s, 0.5]
+    for direction, distance in (([-s, c, 0.0], 0.43), ([s, -c, 0.0], 0.43), ([c, s, 0.0], 1.5)):
+        assert ray(inside, direction) == pytest.approx(distance, abs=1e-6)
+    assert len(corridor_scene(Corridor(), wb.load_robot("differential-ur10"), 0)) == 2
+
+
+def test_a_chicane_leads_aside_after_a_gap() -> None:
+    """Truth: MuJoCo's rays from the middles of both corridors and of the gap."""
+    e, ray = corridor_world(Corridor(width=0.9, long=1.0, offset=0.0, chicane=-0.3))
+    gap, entry = float(e.high[0] - e.low[0]), float(e.high[0]) + ENTRY
+    for along, middle in ((0.5, 0.0), (1.0 + gap + 0.5, -0.3)):
+        for side in (1.0, -1.0):
+            assert ray([entry + along, e.base[1] + middle, 0.5], [0.0, side, 0.0]) == pytest.approx(0.45, abs=1e-6)
+    between = [entry + 1.0 + 0.5 * gap, e.base[1], 0.5]
+    assert ray(between, [0.0, 1.0, 0.0]) == ray(between, [0.0, -1.0, 0.0]) == -1.0  # nothing there
 
 
 def test_rooms_have_a_route_that_keeps_clear() -> None:

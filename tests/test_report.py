@@ -124,7 +124,7 @@ def test_page_shows_everything(html_page: str) -> None:
         "&quot;rate&quot;: 50.0",
     ):
         assert text in body
-    assert "The run completed; 2 of 3 goals reached, missed: hand_error_max_odometry." in body
+    assert "The run completed; 2 of 3 metrics reach their goal, missed: hand_error_max_odometry." in body
     assert body.count("Plotly.newPlot") == 4
     assert "there is no physics &lt;at all&gt;" in body and "Empty &lt;plot&gt;" in body
     assert "<plot>" not in re.sub(r"<script.*?</script>", "", body, flags=re.S)
@@ -297,7 +297,7 @@ def test_a_run_that_did_not_complete_reaches_no_goal() -> None:
     judged = [name for name, m in result.metrics.items() if m.met is not None]
     text = page(result)
     assert any(result.metrics[name].met for name in judged)  # as far as the run went
-    assert f"0 of {len(judged)} goals reached (a run that does not complete reaches none)" in text
+    assert f"0 of {len(judged)} metrics reach their goal (those of a run that does not complete do not)" in text
     assert '<span class="met">' not in text
 
 

@@ -17,7 +17,7 @@ from planar_driving import write_robot
 from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.configuration import configure
-from wbmpc.registry import load
+from wbmpc.registry import REGISTRY, load
 from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.tasks.path_settings import Circle, Curve, Line, Poses, Sine, Table, carried_base, timed
 from wbmpc.tasks.settings import TaskSettings
@@ -66,7 +66,7 @@ def test_a_base_that_drives_carries_the_tip_along_a_line(driving: Path) -> None:
 
 def test_progress_goes_as_fast_as_the_wheels_and_ends(driving: Path) -> None:
     """Asked for 3 m/s, wheels of 0.1 m at 12 rad/s: 1 m/s along a line, which is the planner's limit of the base."""
-    more = ("path.length=1.5", "path.speed=3", "path.ramp=1", "reference=progress", "time_limit=2.6")
+    more = ("path.length=1.5", "path.speed=3", "path.ramp=1", "reference=progress", "reference.time_limit=2.6")
     result = run("end-effector-track", driving, POSITION_ONLY, *more)
     m, base = result.metrics, result.log.array("base")
     speed = np.diff(base[:, 0]) / np.diff(result.log.times("base"))
@@ -86,7 +86,7 @@ def test_a_swerve_base_follows_a_path_at_its_own_speed() -> None:
         "path.ramp=1",
         "path.direction=1.5708",
         "reference=progress",
-        "time_limit=6",
+        "reference.time_limit=6",
     )
     m = run("end-effector-track", Path("swerve-ur10"), POSITION_ONLY, *more).metrics
     assert 0.6 < m["path_time"].value < 4.0 and m["contour_error_max_world"].value < 0.01
@@ -370,6 +370,30 @@ def test_every_setting_says_what_it_means(name: str) -> None:
     assert len(set(texts)) >= len(texts) - 6  # "of bodies, relative" and the like
     dimensional = re.compile(r"time|delay|offset|noise|bias|walk|payload|length|speed|horizon|ramp|jitter")
     assert [r.key for r in found if dimensional.search(r.key) and "spread" not in r.key and not r.unit] == []
+
+
+@pytest.mark.parametrize("name", sorted(REGISTRY))
+def test_what_a_setting_means_is_not_what_others_mean(name: str) -> None:
+    """No text goes on with another setting of its section."""
+    from wbmpc.settings_table import rows
+
+    found = list(rows(REGISTRY[name].config_type))
+    for row in found:
+        section, _, own = row.key.rpartition(".")
+        others = [
+            k for k in (r.key.rpartition(".")[2] for r in found if r.key.rpartition(".")[0] == section) if k != own
+        ]
+        mixed = [k for k in others if re.search(rf"\b{k}( \[[^\]]*\]|:)", row.help)]
+        assert not mixed, (row.key, row.help)
+
+
+def test_a_key_of_several_kinds_has_the_default_of_the_chosen_one() -> None:
+    """Truth: the experiment's own settings. All but one of the kinds have a payload, 0 kg by themselves."""
+    from wbmpc.settings_table import rows
+
+    kind = load("tip-over").config_type
+    found = {r.key: r.default for r in rows(kind)}
+    assert found["stability.payload"] == f"`{kind().stability.payload}`" == "`10.0`"
 
 
 def test_units_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:

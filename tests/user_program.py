@@ -106,4 +106,4 @@ class Robot:
         """Bring it to rest."""
 
 
-DRIVER: wb.RobotInterface = Robot()
+DRIVER: wb.RobotInterface[wb.Observation, np.ndarray] = Robot()

@@ -13,7 +13,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.json_file import parse_json
-from wbmpc.recording.quantities import channel_unit, joint_groups
+from wbmpc.recording.quantities import channel_unit
 from wbmpc.recording.reader import read_recording
 from wbmpc.report import RECORDING, named
 from wbmpc.report import table as html_table
@@ -23,20 +23,27 @@ from wbmpc.units import Scale, scale
 
 #: Runs that are compared at once.
 MAX_RUNS = 8
-#: Components of a channel, at most, that are drawn.
-MAX_LINES = 6
-#: What the components of channels are called, by the first word of their names; those of wheels are the robot's.
-_PLACES = {"base": ("x", "y", "yaw"), "hand": ("x", "y", "z", "qw", "qx", "qy", "qz"), "force": ("x", "y", "z")}
-_WHEELS = ("leg", "brake", "steer", "wheel")
+#: Components of a channel, at most, that are drawn: as many as there are colors.
+MAX_LINES = 8
+#: What the components of channels whose log has no names for them are called, by a word in the channel's name and their number; the
+#: first that fits is taken.
+_PLACES = (
+    ("quaternion", ("qw", "qx", "qy", "qz")), ("base", ("x", "y", "yaw")), ("odometry", ("x", "y", "yaw")),
+    ("hand", ("x", "y", "z")), ("end_effector", ("x", "y", "z")), ("force", ("x", "y", "z")),
+)  # fmt: skip
 #: Topics whose numbers are compared where a run left no log.
 _SIGNALS = ("/end_effector/", "/odom", "/command/", "/joint_states", "/mpc/")
+
+_NAMES = ".names"
+#: Differences that are a smaller share of the figure are of its last digits.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
 class Run:
     """What there is of a run at a ``path``: ``figures`` as in metrics.json, signals by channel, ``note``: what is missing, and why.
 
-    ``labels``: names of a channel's components, where the recording has them.
+    ``labels``: names of a channel's components, where log or recording have them.
     """
 
     path: Path
@@ -67,9 +74,11 @@ def load(path: Path) -> Run:
         return _recorded(path)
     if missing:
         raise InputError(f"{path}: is not the directory of a run: there is no {missing[0]} and no {RECORDING}")
-    figures, log = _files(directory)
+    figures, arrays = _files(directory)
+    labels = {name.removesuffix(_NAMES): tuple(a) for name, a in arrays.items() if name.endswith(_NAMES)}
+    log = {name: array for name, array in arrays.items() if not name.endswith(_NAMES)}
     reason = "" if figures.get("completed", True) else f"did not complete: {figures.get('reason', 'unknown')}"
-    return Run(path, figures, log, reason)
+    return Run(path, figures, log, reason, labels)
 
 
 def _files(directory: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -173,40 +182,37 @@ def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def wheels(run: dict[str, Any]) -> tuple[str, ...]:
-    """What the wheels of a run's robot are called; nothing where that is not known."""
-    return tuple(name.removeprefix("wheel_") for name in joint_groups(run.get("settings", {})).get("wheel", ()))
-
-
-def _components(channel: str, count: int, modules: tuple[str, ...]) -> tuple[str, ...]:
+def _components(channel: str, count: int) -> tuple[str, ...]:
     """Names of a channel's components: numbers where none are known."""
-    kind = channel.split(".")[-1].split("_")[0]
-    names = modules if kind in _WHEELS and len(modules) == count else _PLACES.get(kind, ())
-    known = len(names) == count or (kind == "hand" and count == 3)
-    return names[:count] if known else tuple(f"[{i}]" for i in range(count))
+    known = (names for word, names in _PLACES if word in channel and len(names) == count)
+    return next(known, tuple(f"[{i}]" for i in range(count)))
 
 
-def overlay(runs: Sequence[Run], names: list[str], modules: tuple[str, ...] = ()) -> list[Plot]:
-    """The channels that all runs have. ``modules``: :func:`wheels`.
+def overlay(runs: Sequence[Run], names: list[str]) -> list[Plot]:
+    """The channels that all runs have.
 
     Of two runs each channel is a plot, and the second run has the same colors, dashed; of more runs each component is a plot, and
     each run has a color.
     """
     logs = [run.log for run in runs]
-    channels = [c for c in logs[0] if all({c, f"{c}.time"} <= log.keys() for log in logs)]
-    lines = {channel: _lines(channel, runs, names, modules) for channel in channels}
-    if len(runs) == 2:
-        return [Plot(c, "time [s]", _label(c, c), [s for s, _ in by_run]) for c, by_run in lines.items()]
-    return [
-        Plot(
-            title,
-            "time [s]",
-            _label(title, channel),
-            [replace(s, name=n, dashed=False, color=k) for k, (s, n) in enumerate(group)],
-        )
-        for channel, by_run in lines.items()
-        for title, group in _by_component(channel, by_run, len(runs))
-    ]
+    plots = []
+    for channel in [c for c in logs[0] if all({c, f"{c}.time"} <= log.keys() for log in logs)]:
+        by_run, title = [_lines(run, channel) for run in runs], f"{channel}{_left_out(logs[0][channel])}"
+        if len(runs) == 2:
+            plots.append(Plot(title, "time [s]", _label(channel, channel), [*_pair(by_run, names)]))
+            continue
+        for part in [p for p in by_run[0] if all(p in lines for lines in by_run)]:
+            lines = [Series(name, *own[part], color=k) for k, (own, name) in enumerate(zip(by_run, names, strict=True))]
+            plots.append(
+                Plot(f"{title} {part}".strip(), "time [s]", _label(f"{channel} {part}".strip(), channel), lines)
+            )
+    return plots
+
+
+def _left_out(rows: np.ndarray) -> str:
+    """How many components are drawn, where not all are."""
+    width = rows.shape[1] if rows.ndim == 2 else 1
+    return f" ({MAX_LINES} of {width})" if width > MAX_LINES else ""
 
 
 def _label(title: str, channel: str) -> str:
@@ -243,29 +249,22 @@ def difference_text(difference: float | None, first: float | None, unit: Scale) 
     """A difference in ``unit``, and its share of the ``first`` figure: ``+0.2 (+12.5 %)``."""
     if difference is None or first is None:
         return ""
+    if abs(difference) < ROUNDING * abs(first):
+        return "0"
     text = f"{'+' if difference > 0 else ''}{unit.text(difference)}"
     return f"{text} ({100 * difference / abs(first):+.1f} %)" if first and difference else text
 
 
-def _by_component(
-    channel: str, lines: list[tuple[Series, str]], runs: int
-) -> Iterator[tuple[str, list[tuple[Series, str]]]]:
-    """The lines of each component, as far as every run has it."""
-    parts = [(series.name.removeprefix(name).strip(), (series, name)) for series, name in lines]
-    for part in dict.fromkeys(part for part, _ in parts):
-        group = [line for p, line in parts if p == part]
-        if len(group) == runs:
-            yield f"{channel} {part}".strip(), group
+def _pair(by_run: Sequence[dict[str, tuple[np.ndarray, np.ndarray]]], names: Sequence[str]) -> Iterator[Series]:
+    """The lines of two runs: a color for each component, the second run dashed."""
+    for k, (lines, run) in enumerate(zip(by_run, names, strict=True)):
+        for i, (part, (t, y)) in enumerate(lines.items()):
+            name = f"{part}, {run}" if part and k else part or run
+            yield Series(name, t, y, dashed=k == 1, color=i, signal=part)
 
 
-def _lines(channel: str, runs: Sequence[Run], names: list[str], modules: tuple[str, ...]) -> list[tuple[Series, str]]:
-    """The components of a channel by run, each with the run's name."""
-    lines = []
-    for k, (run, name) in enumerate(zip(runs, names, strict=True)):
-        log = run.log
-        rows = np.atleast_2d(log[channel].T)
-        parts = run.labels.get(channel) or _components(channel, len(rows), modules)
-        for i, row in enumerate(rows[:MAX_LINES]):
-            label = f"{name} {parts[i]}" if len(rows) > 1 else name
-            lines.append((Series(label, log[f"{channel}.time"], row, dashed=k == 1, color=i), name))
-    return lines
+def _lines(run: Run, channel: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Times and values of a channel's components by their names; "" where there is one."""
+    rows, t = np.atleast_2d(run.log[channel].T), run.log[f"{channel}.time"]
+    parts = run.labels.get(channel) or _components(channel, len(rows))
+    return {parts[i] if len(rows) > 1 else "": (t, row) for i, row in enumerate(rows[:MAX_LINES])}

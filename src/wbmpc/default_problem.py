@@ -26,7 +26,14 @@ from wbmpc.ocp import (
 )
 from wbmpc.ocp.scaling import scaled_weights
 from wbmpc.ocp.symbols import Residual
-from wbmpc.settings import MpcSettings, Settings, StabilitySettings, Weight
+from wbmpc.settings import (
+    MpcSettings,
+    Settings,
+    StabilitySettings,
+    SupportMarginSettings,
+    Weight,
+    WheelLoadSettings,
+)
 
 Array = NDArray[np.float64]
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a meter from where it should be.
@@ -116,20 +123,20 @@ def keep_upright(
     ocp: OptimalControlProblem, robot: RobotModel, stability: StabilitySettings | None
 ) -> OptimalControlProblem:
     """The problem on accelerations (:func:`wbmpc.ocp.with_accelerations`) with hard rows "stability" that keep the robot from tipping over,
-    and, for a coefficient of friction, "grip" that keep its tires from sliding; as it is where ``stability`` keeps nothing. Their reference
+    and, for a coefficient of friction, "grip" that keep its tires from sliding; as it is without ``stability``. Their reference
     is the world's wrench on the end effector (6), mass [kg] and center [m] of what it carries (4), and of "grip" then the coefficient: all
     may change between any two updates. Raises :class:`InputError` for a base that stands on fewer than 3 feet, or whose wheels share the
     load in an unknown way."""
-    if stability is None or stability.keep == "nothing":
+    if stability is None:
         return ocp
     ocp = with_accelerations(ocp, robot)
-    if stability.keep == "wheel_loads":
+    if isinstance(stability, WheelLoadSettings):
         rows: Residual = residuals.WheelLoads(robot, dynamics=ocp.dynamics, payload=True)
         ocp.add(Constraint("stability", rows, sets.Box(stability.min_load, np.inf), hard=True, slack=LOAD_SLACK))
         if stability.friction > 0.0:
             grip = residuals.TireFriction(robot, dynamics=ocp.dynamics, payload=True)
             ocp.add(Constraint("grip", grip, sets.NonNegative(), hard=True, slack=LOAD_SLACK))
-    else:
+    elif isinstance(stability, SupportMarginSettings):
         rows = residuals.SupportMargin(robot, dynamics=ocp.dynamics, payload=True)
         ocp.add(Constraint("stability", rows, sets.Box(stability.margin, np.inf), hard=True, slack=MARGIN_SLACK))
     return ocp
@@ -140,12 +147,12 @@ def make_mpc(
 ) -> MPC:
     """The MPC of a problem that :func:`keep_upright` made with the same ``stability``, with the real-time ``settings``; ``options`` of
     :class:`MPC`. Plans count with the payload of ``stability``."""
-    if stability is None or stability.keep == "nothing":
+    if stability is None:
         return MPC(ocp, settings.solver(), settings.rate, **options)
     mpc = SpeedMPC(ocp, settings.solver(), settings.rate, **options)
     carried = [*[0.0] * 6, stability.payload, *stability.payload_center]
     mpc.reference["stability"] = Reference.constant(carried)
-    if stability.friction > 0.0:
+    if isinstance(stability, WheelLoadSettings) and stability.friction > 0.0:
         mpc.reference["grip"] = Reference.constant([*carried, stability.friction])
     return mpc
 

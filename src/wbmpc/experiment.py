@@ -149,7 +149,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Scenario:
-    """What an experiment's settings and a seed make: parts that fill ``log``, and what is measured and drawn of it.
+    """One run of an experiment, ready to start: parts that fill ``log``, and functions that make metrics and plots of it.
 
     ``idealizations``: what the simulation leaves out, as texts.
 

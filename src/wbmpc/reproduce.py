@@ -76,7 +76,7 @@ def plan(names: Iterable[str], seeds: Iterable[int], out: Path) -> list[Job]:
 
 
 def finished(site: Path) -> list[Job]:
-    """All finished runs in a directory of :func:`plan`, whoever ordered them, by experiment and seed."""
+    """All finished runs in a directory of :func:`plan`, also of earlier calls, by experiment and seed."""
     places = [mark.parent for mark in site.glob("*/seed*/finished") if re.fullmatch("seed[0-9]+", mark.parent.name)]
     jobs = [Job(place.parent.name, int(place.name.removeprefix("seed")), place) for place in places]
     return sorted(jobs, key=lambda job: (job.name, job.seed))

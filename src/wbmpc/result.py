@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from wbmpc.log import Log
+from wbmpc.plots.motion import Motion
 from wbmpc.plots.notebook import figure, html_table
 from wbmpc.plots.series import Drawing as Drawing
 from wbmpc.plots.series import Plot as Plot
@@ -94,12 +95,12 @@ class MpcStatistics:
 
 @dataclass
 class RunResult:
-    """Everything a run leaves behind, of an ``experiment`` by name with a ``seed``; ``completed``: whether it got to its end; ``metrics`` by name;
+    """The result of a run of an ``experiment`` by name with a ``seed``; ``completed``: whether it ran to its end; ``metrics`` by name;
     ``log``: its signals; ``plots`` of its report; ``idealizations``: what the simulation leaves out, as texts; ``settings`` as plain
     values; ``reason`` says why it did not complete; ``interrupted``: by Ctrl-C; ``mpc`` is None in
     experiments without one; ``faults``: what the run found out about its robot (a stalled encoder), as messages; ``failure``: the
     ``outcome`` of a run that neither completed nor was interrupted; ``command`` repeats the run, and ``wall_time`` [s] is how long it
-    took, both of runs of the command line."""
+    took, both of runs of the command line; ``motion``: what the report's replay shows, of runs that are recorded."""
 
     experiment: str
     seed: int
@@ -116,6 +117,7 @@ class RunResult:
     failure: OutcomeName = "gave_up"
     command: str = ""
     wall_time: float | None = None
+    motion: Motion | None = None
 
     @property
     def outcome(self) -> OutcomeName:
@@ -151,6 +153,6 @@ class RunResult:
     def aborted(
         cls, experiment: str, seed: int, reason: str, settings: dict[str, Any], interrupted: bool = False
     ) -> RunResult:
-        """A run that ended before it had anything to show."""
+        """The result of a run that ended before its first tick."""
         mpc = MpcStatistics.of(1.0, [])
         return cls(experiment, seed, False, reason, {}, mpc, Log(), settings=settings, interrupted=interrupted)

@@ -77,7 +77,8 @@ def definition_in(data: dict[str, Any], metric: str) -> str:
 
 
 def read_log(path: Path) -> dict[str, np.ndarray]:
-    """The channels of a log.npz: rows of numbers, (n, width) or (n,), and their times CHANNEL.time (n,) [s].
+    """The channels of a log.npz: rows of numbers, (n, width) or (n,), and their times CHANNEL.time (n,) [s]; of some
+    CHANNEL.names (width,): texts, what the components are called.
 
     Raises :class:`InputError` naming the file, and the channel that is not so.
     """
@@ -106,6 +107,12 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
 
 def _check_channel(path: Path, name: str, values: Any, channels: dict[str, Any]) -> None:
     where = f"{path}: channel '{name}'"
+    if name.endswith(".names"):
+        rows = channels.get(name.removesuffix(".names"))
+        width = rows.shape[1] if isinstance(rows, np.ndarray) and rows.ndim == 2 else 1
+        if not isinstance(values, np.ndarray) or values.dtype.kind != "U" or values.shape != (width,):
+            raise InputError(f"{where}: a text for each component of its channel is needed")
+        return
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub":
         raise InputError(f"{where}: an array of numbers is needed")
     if name.endswith(".time"):

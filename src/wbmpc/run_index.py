@@ -132,7 +132,8 @@ filter.addEventListener("input", () => { const words = filter.value.toLowerCase(
 </script>
 <style>th[aria-sort=ascending]::after { content: " ▲" } th[aria-sort=descending]::after { content: " ▼" }
 #filter { width: 100%; padding: 10px 14px; font: inherit; color: inherit; border: 1px solid var(--line); border-radius: 8px; background: var(--card);
-  margin: 20px 0 0 } th { white-space: normal; vertical-align: bottom } main { max-width: 1400px }</style>"""
+  margin: 20px 0 0 } th { white-space: normal; vertical-align: top } th.m { min-width: 200px }
+.note { display: block; white-space: normal; min-width: 220px } main { max-width: 1400px }</style>"""
 
 
 def page(runs: Sequence[Entry], beside: Path) -> str:
@@ -155,12 +156,13 @@ def _section(name: str, runs: list[Entry], beside: Path) -> str:
     shown = list(dict.fromkeys(of_interest)) or list(dict.fromkeys(n for run in runs for n in run.metrics))
     scales = {n: _scale([run.metrics[n] for run in runs if n in run.metrics]) for n in shown}
     heads = "".join(
-        f"<th class=n>{html.escape(n).replace('_', '_<wbr>')} [{html.escape(scales[n].unit)}]</th>" for n in shown
+        f"<th class='n m'>{html.escape(n).replace('_', '_<wbr>')} [{html.escape(scales[n].unit)}]</th>" for n in shown
     )
     rows = "".join(_row(run, shown, scales, beside) for run in runs)
     title = html.escape(name) or "Unreadable"
     return f"""<section id="{title}"><h2>{title}</h2><div class="card scroll"><table>
-<tr><th>run</th><th class=n>seed</th><th>outcome</th><th class=n>goals</th><th>ended</th><th>commit</th>{heads}</tr>{rows}</table></div></section>"""
+<tr><th>run</th><th class=n>seed</th><th>outcome</th>
+<th class=n>metrics at goal</th><th>ended</th><th>commit</th>{heads}</tr>{rows}</table></div></section>"""
 
 
 def _scale(metrics: Sequence[Metric]) -> Scale:
@@ -171,9 +173,10 @@ def _row(run: Entry, shown: Sequence[str], scales: dict[str, Scale], beside: Pat
     reached, judged = run.goals
     kind = "met" if run.completed else "missed"
     seed = "" if run.seed is None else run.seed
+    note = f'<span class="note">{html.escape(run.note)}</span>' if run.note else ""
     cells = [
         f"<td>{_links(run, beside)}</td>", f'<td class=n data-v="{seed}">{seed}</td>',
-        f'<td><span class="{kind}">{html.escape(run.outcome)}</span> {html.escape(run.note)}</td>',
+        f'<td><span class="{kind}">{html.escape(run.outcome)}</span>{note}</td>',
         f'<td class=n data-v="{reached / judged if judged else ""}">{f"{reached} of {judged}" if judged else ""}</td>',
         f"<td>{run.ended:%Y-%m-%d %H:%M:%S}</td>", f"<td>{html.escape(run.commit)}</td>",
         *(_cell(run.metrics.get(n), scales[n]) for n in shown),

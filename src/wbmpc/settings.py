@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from wbmpc.configuration import OnlyWith, reject_booleans, reject_unread
+from wbmpc.configuration import kind_alone, reject_booleans, reject_unread
 from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
@@ -36,9 +36,9 @@ class Settings(BaseModel):
 
 
 class MpcSettings(Settings):
-    """``rate`` [Hz]; ``horizon`` [s] with ``intervals``; ``first_interval`` [s] of a geometric grid (0: uniform);
-    ``computation_delay`` [s]: modeled computation time; ``iterations`` per update; ``limits``: by an interior
-    point (hard) or relaxed barriers (soft), both with ``barrier_mu``; ``rollout_restart``: see
+    """``rate`` [Hz]: of its updates; ``horizon`` [s]: how far it plans; ``intervals``: of the horizon; ``first_interval`` [s]: of a geometric
+    grid (0: uniform); ``computation_delay`` [s]: modeled computation time; ``iterations``: per update; ``limits``: by an interior
+    point (hard) or relaxed barriers (soft); ``barrier_mu``: parameter of both; ``rollout_restart``: see
     :class:`wbmpc.solver.InteriorPoint`."""
 
     rate: float = Field(50.0, gt=0, ge=1e-3, le=10_000)
@@ -58,22 +58,42 @@ class MpcSettings(Settings):
 
 
 _Center = Annotated[float, Field(ge=-10, le=10)]
-_UPRIGHT = OnlyWith(keep=("wheel_loads", "support_margin"))
+
+
+class NoStability(Settings):
+    """Nothing keeps the robot from tipping over: plans know no inertia."""
+
+    kind: Literal["nothing"] = "nothing"
 
 
 class StabilitySettings(Settings):
-    """What keeps a robot on wheels from tipping over. ``keep``: "wheel_loads" (of every wheel), "support_margin" (of the zero-moment
-    point, for bases on casters too), or "nothing": plans know no inertia. ``min_load``: of the wheel that carries least, over the mean of
-    the empty robot at rest; ``friction``: coefficient for which tires hold in plans, best the least that may be (0: any force);
-    ``margin`` [m]: from the zero-moment point to the border of the support polygon. ``payload`` [kg] at the end
-    effector that plans count with, as the user states it; ``payload_center`` [m]: where it is, in the end effector's axes."""
+    """What keeps a robot on wheels from tipping over: one of its subclasses. ``payload`` [kg]: at the end effector, as plans
+    include it; ``payload_center`` [m]: where it is, in the end effector's axes."""
 
-    keep: Literal["nothing", "wheel_loads", "support_margin"] = "nothing"
-    min_load: Annotated[float, OnlyWith(keep="wheel_loads")] = Field(0.2, ge=0, lt=1)
-    friction: Annotated[float, OnlyWith(keep="wheel_loads")] = Field(0.0, ge=0, le=10)
-    margin: Annotated[float, OnlyWith(keep="support_margin")] = Field(0.05, ge=0, le=10)
-    payload: Annotated[float, _UPRIGHT] = Field(0.0, ge=0, le=1000)
-    payload_center: Annotated[tuple[_Center, _Center, _Center], _UPRIGHT] = (0.0, 0.0, 0.0)
+    payload: float = Field(0.0, ge=0, le=1000)
+    payload_center: tuple[_Center, _Center, _Center] = (0.0, 0.0, 0.0)
+
+
+class WheelLoadSettings(StabilitySettings):
+    """Every wheel carries a load. ``min_load``: of the wheel that carries least, over the mean of the empty robot at rest; ``friction``:
+    coefficient for which tires hold in plans, best the least that may be (0: any force)."""
+
+    kind: Literal["wheel_loads"] = "wheel_loads"
+    min_load: float = Field(0.2, ge=0, lt=1)
+    friction: float = Field(0.0, ge=0, le=10)
+
+
+class SupportMarginSettings(StabilitySettings):
+    """The zero-moment point stays in the support polygon, for bases on casters too. ``margin`` [m]: from the point to the border."""
+
+    kind: Literal["support_margin"] = "support_margin"
+    margin: float = Field(0.05, ge=0, le=10)
+
+
+#: What plans keep.
+Stability = Annotated[
+    NoStability | WheelLoadSettings | SupportMarginSettings, Field(discriminator="kind"), BeforeValidator(kind_alone)
+]
 
 
 class ControlSettings(Settings):
@@ -83,8 +103,8 @@ class ControlSettings(Settings):
 
 
 class LidarSettings(Settings):
-    """A simulated source of global poses, as a LIDAR with a map is: ``rate`` [Hz],
-    ``age`` [s] at delivery, noise of ``position`` [m] and ``yaw`` [rad]."""
+    """A simulated source of global poses, as a LIDAR with a map is: ``rate`` [Hz]: of the
+    poses; ``age`` [s]: at delivery; ``position`` [m]: standard deviation of each coordinate; ``yaw`` [rad]: that of the heading."""
 
     rate: float = Field(10.0, gt=0, le=1000)
     age: float = Field(0.050, ge=0, le=0.4)

@@ -32,7 +32,9 @@ def rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = No
         value = info.get_default(call_default_factory=True) if values is None else getattr(values, name)
         kinds = _kinds(info.annotation)
         if kinds:
-            own = [r for m in kinds for r in rows(m, f"{prefix}{name}.", value if type(value) is m else None)]
+            # the chosen one last: its values are the defaults of keys that several have
+            ordered = [*(m for m in kinds if m is not type(value)), *(m for m in kinds if m is type(value))]
+            own = [r for m in ordered for r in rows(m, f"{prefix}{name}.", value if type(value) is m else None)]
             chosen = ", ".join(f"`{k}`" for m in kinds for k in _kind_names(m))
             yield Row(f"{prefix}{name}.kind", chosen, f"`{value.kind}`", *texts.get(name, ("", "")))
             yield from {r.key: r for r in own if r.key != f"{prefix}{name}.kind"}.values()
@@ -54,10 +56,9 @@ def _texts(model: type[BaseModel]) -> dict[str, tuple[str, str]]:
         for name in model.model_fields:
             place = re.search(rf"``{name}``(?:\s*\[(?P<unit>[^\]]*)\])?{colon}", text)
             if place and name not in found:
-                found[name] = (
-                    place["unit"] or "",
-                    re.sub(rf"^{name}( \[[^\]]*\])?: ", "", _clause(text, place.start())),
-                )
+                # what stands before a name with a colon is of other settings
+                said = _clause(text[place.end() :], 0).strip() if colon else _clause(text, place.start())
+                found[name] = (place["unit"] or "", re.sub(rf"^{name}( \[[^\]]*\])? (?=\w)", "", said))
     return found
 
 

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Observation:
-    """State ``x`` (nx) at time ``t`` [s]: for the MPC, the state predicted for the moment its policy comes into force."""
+    """State ``x`` (nx) at time ``t`` [s]: for the MPC, the state predicted for the moment its policy becomes active."""
 
     t: float
     x: np.ndarray

@@ -160,6 +160,27 @@ def test_a_thin_wall_that_a_plan_jumps_over_keeps_it_on_its_side() -> None:
         assert float(slope[0, 0]) == pytest.approx(-1.0)  # back is out
 
 
+def test_somebody_who_walks_over_a_standing_robot_makes_it_leave_the_track() -> None:
+    """Rows of nodes that are run over point across the track. Truth: distances of the robot that is moved by what they lack, at all times."""
+    robot = wb.load_robot("differential-ur10")
+    residual = wb.residuals.Clearance(robot, ["chassis"], slots=1)
+    rows, grid = rows_of(residual), np.linspace(0.0, 4.0, 21)
+    world, states = wb.Obstacles(), np.tile(robot.home, (21, 1))
+    person = wb.shapes.Cylinder((0, 0, 0), (0, 0, 1.8), 0.2)
+    world.set("person", person, position=(0.1, 2.0, -0.3), velocity=(0, -1.0, 0), seen=0.0)
+    snapshot, function = world.snapshot(0.0), evaluate(robot, residual)
+    values = [function(x, p) for x, p in zip(states, rows.refresh(snapshot, grid, states))]
+    h, slope = np.array([float(v[0]) for v in values]), np.array([np.array(v[1])[0] for v in values])
+    lack, lateral = -h.min(), np.abs(slope[h < -0.01])
+    assert lack > 0.2 and (lateral[:, 1] < 1e-9).all() and (lateral[:, 0] > 1.0 - 1e-9).all()
+    side = slope[np.argmin(h), 0]
+    states[:, 0] += side * (lack + 1e-6)
+    assert min(distances(rows, snapshot, t, x)[0, 0] for t, x in zip(grid, states)) > -1e-6
+    # the other side takes more
+    states[:, 0] -= 2.0 * side * (lack + 1e-6)
+    assert min(distances(rows, snapshot, t, x)[0, 0] for t, x in zip(grid, states)) < -0.1
+
+
 def test_a_grid_keeps_the_robot_from_what_is_in_it() -> None:
     """Truth: the distance to the plane that the grid holds, less its error and what balls around the shapes add."""
     robot = wb.load_robot("differential-ur10")

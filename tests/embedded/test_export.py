@@ -211,7 +211,8 @@ def test_errors_name_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ({"target": "riscv64"}, r"unknown target 'riscv64'; valid: native, x86-64-v3, aarch64"),
         ({"prefix": "My-Robot"}, r"prefix 'My-Robot' is no beginning of names; valid: a lower-case letter"),
         ({"prefix": "double"}, r"prefix 'double' is a word of C or C..; valid: .*as 'my_robot'$"),
-        ({"samples": 0}, r"samples: a whole number from 1 on is needed, got 0"),
+        ({"samples": 0}, r"samples: a whole number from 1 to 100000 is needed, got 0"),
+        ({"samples": 10**20}, r"samples: a whole number from 1 to 100000 is needed, got 10000"),
     ):
         with pytest.raises(InputError, match=text):
             wb.export(mpc, tmp_path, **options)  # type: ignore[arg-type]
@@ -279,6 +280,10 @@ def test_the_command_line_reads_a_file(tmp_path: Path, capsys: pytest.CaptureFix
     ):
         assert call("export", problem, "--out", str(tmp_path / "out")) == 2
         assert text in capsys.readouterr().err
+    out = tmp_path / "not there" / "out"
+    for option in ("--prefix=1", "--target=pdp11", "--samples=0"):
+        assert call("export", f"{file}", "--out", str(out), option) == 2
+        assert not out.parent.exists(), option
 
 
 @thorough

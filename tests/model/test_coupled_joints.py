@@ -115,7 +115,7 @@ def test_the_simulated_stages_move_together(robot: RobotModel) -> None:
         ("couple: {two: wrong, three: one}", ("couple.two", "wrong", "one, pitch, wrist")),
         ("couple: {two: one, three: one, wrist: one}", ("couple.wrist", "arm.joints")),
         ("couple: {two: {joint: one, ratio: 0}, three: one}", ("couple.two.ratio", "fixed_joints")),
-        ("couple: {two: {joint: one, offset: 5}, three: one}", ("couple.two", "nothing in common")),
+        ("couple: {two: {joint: one, offset: 5}, three: one}", ("couple.two", "do not overlap")),
         ("couple: {two: one, four: one}", ("couple", "four")),
         ("couple: {two: one}", ("'three'",)),
     ],

@@ -60,6 +60,25 @@ def test_a_robot_in_front_of_a_wall_without_end_says_that_it_is_stuck(driving: P
     assert result.metrics["goal_missed"].value > 1.0
 
 
+def test_a_robot_waits_for_a_wall_that_passes_and_is_not_stuck(
+    driving: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A wall leaves a passage at 0.1 m/s; up to then nothing leads past it."""
+    scene = tmp_path / "scene.yaml"
+    wall = "box: {half: [0.05, 1.2, 2]}, position: [0.9, 0.5, 0], velocity: [0, 0.1, 0]"
+    sides = ", ".join(f"side{y}: {{box: {{half: [3, 0.05, 2]}}, position: [1, {y}, 0]}}" for y in (-0.7, 0.7))
+    scene.write_text(f"obstacles: {{wall: {{{wall}}}, {sides}}}\n")
+    keys = [f"robot={driving}", "physics=kinematic", f"obstacles={scene}", "settle_time=0.1", "mpc.rate=20"]
+    keys += ["mpc.intervals=20", "path.length=1.0", "path.speed=0.4", "path.ramp=0.3", "patience=12"]
+    experiment = load("obstacles-moving")
+    with caplog.at_level("INFO", "wbmpc"):
+        result = experiment.run(configure(experiment.config_type, keys, "x"), 0, None)
+    m = result.metrics
+    assert m["passed"].value == 1.0 and m["reference_delay"].value > 2.0
+    assert m["alternative_searches"].value == 0.0 and "stuck" not in caplog.text
+    assert m["obstacle_contacts"].value == 0.0
+
+
 def test_the_end_effector_is_carried_by_the_base(driving: Path) -> None:
     """Truth: the robot's kinematics."""
     robot = wb.load_robot(driving)

@@ -10,7 +10,7 @@ from planar_driving import write_robot
 from wbmpc.default_problem import default_mpc, default_settings
 from wbmpc.errors import InputError
 from wbmpc.mpc.speeds import SpeedMPC, SpeedPolicy
-from wbmpc.settings import StabilitySettings
+from wbmpc.settings import SupportMarginSettings
 from wbmpc.stability import StanceOf
 
 CORNERS = [((x, y), (0.0, 1.0, 0.0)) for x in (0.12, -0.12) for y in (0.2, -0.2)]
@@ -22,7 +22,7 @@ def upright(tmp_path_factory: pytest.TempPathFactory) -> tuple[wb.RobotModel, Sp
     """A short robot that keeps its zero-moment point 5 cm inside its wheels, and is asked to go half a meter aside at once."""
     path = write_robot(tmp_path_factory.mktemp("short"), CORNERS, {"type": "omnidirectional", "rollers": "mecanum"})
     robot = wb.load_robot(path)
-    stability = StabilitySettings(keep="support_margin", margin=MARGIN)
+    stability = SupportMarginSettings(margin=MARGIN)
     mpc = default_mpc(robot, default_settings(horizon=1.5, intervals=15), stability=stability)
     assert isinstance(mpc, SpeedMPC)
     position, turn = robot.pose(robot.home)

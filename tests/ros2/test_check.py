@@ -96,9 +96,9 @@ def found(node: Any, listen_for: float = 1.0) -> dict[str, tuple[str, str]]:
 
 def test_an_empty_bus(looker: Any) -> None:
     f = found(looker)
-    assert f["/joint_states"] == ("error", "nobody publishes it")
+    assert f["/joint_states"] == ("error", "no publisher")
     assert f["/imu"][0] == "warning" and f["/brake_controller/commands"][0] == "warning"
-    assert f["/wheel_controller/commands"] == ("error", "nobody listens: is the controller active?")
+    assert f["/wheel_controller/commands"] == ("error", "no subscriber: is the controller active?")
 
 
 def test_a_good_robot(robot: Any, looker: Any) -> None:
@@ -175,7 +175,7 @@ def test_a_simulation_that_is_paused_is_said(robot: Any, looker: Any) -> None:
     thread.join()
     stands = "it stands still at 7.000 s: the simulation is paused, or in lockstep waits for a controller"
     assert ("error", "/clock", stands) in by_clock and ("warning", "/clock", stands) in by_wall
-    assert ("warning", "/clock", "somebody publishes it, but time is the wall's: use --use-sim-time") in by_wall
+    assert ("warning", "/clock", "it is published, but the node runs on wall time: use --use-sim-time") in by_wall
     states = [(level, text) for level, topic, text in by_wall | by_clock if topic == "/joint_states"]
     assert any(level == "error" and "its stamps stand still at 7.000 s" in text for level, text in states)
     assert any(re.search(r"its stamps are [\d.]+ s off this machine's clock, at \d+ Hz", text) for _, text in states)
@@ -249,9 +249,7 @@ def test_the_command_says_so_with_its_status(
     assert "error   /joint_states" in capsys.readouterr().out
     assert main([*check_command, "--json", "--quiet"]) == 1
     said = capsys.readouterr()
-    assert {"level": "error", "topic": "/joint_states", "text": "nobody publishes it"} in json.loads(said.out)[
-        "findings"
-    ]
+    assert {"level": "error", "topic": "/joint_states", "text": "no publisher"} in json.loads(said.out)["findings"]
     assert said.err == ""
     assert main([*check_command, "--quiet", "--verbose"]) == 1
     assert capsys.readouterr().out == ""

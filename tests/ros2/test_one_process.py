@@ -147,3 +147,45 @@ def test_a_callback_may_not_wait_for_callbacks(caplog: pytest.LogCaptureFixture)
     with pytest.raises(RunAborted, match="/topic: node 'one' is closed"):
         publisher.publish({"data": 1.0})
     two.close()
+
+
+READERS_END_WHILE_GARBAGE_IS_COLLECTED = """
+import gc, sys, threading, time
+from wbmpc.ros2 import open_node
+one, kind, heard, ended = open_node("one", "dds"), "std_msgs/msg/Float64", [], threading.Event()
+two = open_node("two", "dds")
+publishers = [one.publisher("/count", kind) for _ in range(2)]
+def write(publisher):
+    while not ended.is_set():
+        publisher.publish({"data": 2.0})
+def collect():
+    while not ended.is_set():
+        gc.collect()
+        time.sleep(0)
+gc.freeze()
+sys.setswitchinterval(1e-5)
+threads = [threading.Thread(target=write, args=(p,)) for p in publishers] + [threading.Thread(target=collect)]
+for thread in threads:
+    thread.start()
+for _ in range(60):
+    ends = [two.subscribe("/count", kind, lambda m: heard.append(m.data)) for _ in range(5)]
+    three = open_node("three", "dds")
+    three.subscribe("/count", kind, lambda m: heard.append(m.data))
+    time.sleep(0.005)
+    for end in ends:
+        end()
+    three.close()
+ended.set()
+for thread in threads:
+    thread.join()
+print("ended" if heard else "nothing heard")
+"""
+
+
+def test_callbacks_end_while_garbage_is_collected() -> None:
+    """A callback that has begun in C and waits for the interpreter is not freed under its feet."""
+    run = subprocess.run(
+        [sys.executable, "-X", "faulthandler", "-c", READERS_END_WHILE_GARBAGE_IS_COLLECTED],
+        env=everything(), timeout=100.0, capture_output=True, text=True,
+    )  # fmt: skip
+    assert (run.returncode, run.stdout.strip(), run.stderr) == (0, "ended", "")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from needs import needs_dds, private
 from planar_driving import RADIUS, write_robot
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.ros import UNSEEN, BusMeasurement, on_bus
-from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ros2.goals import Planner
 from wbmpc.ros2.settings import Speeds, joint_groups, settings_of
@@ -36,11 +34,6 @@ def test_drives_and_encoders_are_the_files(robot: RobotModel) -> None:
     assert {n: c.joints for n, c in topics.items()} == {"wheel_controller": wheels, "arm_controller": arm}
     assert joint_groups(robot)["wheel"] == wheels and settings.joint_speeds(robot, "wheel").shape == (2,)
     assert settings.fastest(robot).shape == (3,)
-
-
-def test_what_takes_speeds_of_its_own_is_on_no_bus(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="offers no"):
-        settings_of(load_robot("pr2"))
 
 
 @pytest.mark.parametrize("goal", [(1.0, 0.5, 0.0), (-1.0, 0.0, 0.3), (0.0, 0.8, -2.0), (0.0, 0.0, 1.0)])

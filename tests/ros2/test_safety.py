@@ -159,9 +159,24 @@ def test_in_lockstep_a_busy_machine_has_time(pair: Callable[..., Any], monkeypat
     monkeypatch.setattr(p.node, "publishers", lambda topic: [])
     p.control.step()
     assert not p.control.running
-    assert re.search(r"the time on /clock has stopped for \d.\d s, nobody publishes it any more", p.control.state)
+    assert re.search(r"the time on /clock has stopped for \d.\d s, it has no publisher any more", p.control.state)
     with_wall = SwerveRosSettings(use_sim_time=True)
     assert (with_wall.patience, SwerveRosSettings(lockstep=True).patience) == (1.0, 30.0)
+
+
+def test_a_robot_that_stands_by_is_commanded_however_long_that_takes(
+    pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the wall's clock a stop falls silent after a second; a simulator in lockstep would wait for commands in vain."""
+    monkeypatch.setattr("wbmpc.ros2.robot.ZEROS", -10.0)
+    robot_io = pair().control.robot_io
+    robot_io.arm()
+    for sent in (1, 2, 3):
+        robot_io.stop()
+        assert robot_io.sent == sent
+    robot_io.disarm()
+    robot_io.stop()
+    assert robot_io.sent == 3
 
 
 def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:

@@ -3,6 +3,7 @@ period; whoever stops our robot goes on turning it."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from needs import MISSING, needs_dds, wait_until
 
 from effort import THOROUGH, some
 from wbmpc.estimation.wheel_odometry import WheelOdometry
+from wbmpc.model.wheels import rolling_inverse_kinematics
 
 pytestmark = needs_dds
 if not MISSING:
@@ -63,13 +65,19 @@ class Turned:
         assert p.until(turns), (p.control.state, p.control.request_queue.rejected)
 
     def stopped(self, seconds: float, paced: bool = False) -> None:
-        """The controller stops, and another one turns the base for some time; ``paced``: no faster than the odometry hears."""
+        """The controller stops, and another one turns the base for some time; ``paced``: no faster than the odometry hears.
+
+        A controller that is stopped on its way leaves wheels that contradict each other: first they are steered so that all roll."""
         p = self.p
         assert p.until(lambda: p.control.runner.stopped), p.control.state
         self.other = True
         if paced:
             p.run(0.05)
             self._pace()
+        leg, steer = p.standin.joints["leg"], p.standin.joints["steer"]
+        target, self._turning = rolling_inverse_kinematics(ROBOT.base.geometry, leg, steer, (0.0, 0.0, 1.0))
+        p.standin.commands["steer"] = (target - steer) / STEP
+        self.drive(0.6, STEP)
         p.standin.commands["steer"] = np.zeros(4)
         self.drive(0.6, seconds)
         self.drive(0.0, 0.3)
@@ -79,10 +87,6 @@ class Turned:
         self.p.standin.commands["wheel"] = self._turning * turn
         for _ in range(round(seconds / self._slice)):
             self.p.run(self._slice)
-
-    def keep(self) -> None:
-        """How the wheels turn for 1 rad/s, as they do now."""
-        self._turning = self.p.standin.commands["wheel"] * PERIOD / self.truth.increment[2]
 
     def _pace(self) -> None:
         """From now on the stand-in waits for the odometry, of which a controller that is stopped thinks at its steps alone: nothing
@@ -151,7 +155,6 @@ def test_odometry_goes_on_through_stops(pair: Callable[..., Any], cause: Any) ->
     t.p.ready()
     for seconds in (0.2, 1.0) if THOROUGH or cause is clock_back else (0.5,):
         t.turn()
-        t.keep()
         end = cause(t)
         t.stopped(seconds)
         end()
@@ -162,8 +165,31 @@ def test_odometry_goes_on_through_a_long_stop(pair: Callable[..., Any]) -> None:
     t = Turned(pair(rates={"control": RATE}))
     t.p.ready()
     t.turn()
-    t.keep()
     end = second_publisher(t)
     t.stopped(6.0, paced=True)
     end()
     assert t.truth.pose[2] > 3.6 and t.error().max() < 5e-3, t.error()
+
+
+def test_a_tick_that_a_stop_overtakes_has_the_estimator_to_itself(pair: Callable[..., Any]) -> None:
+    t = Turned(pair(rates={"control": RATE}))
+    p = t.p
+    p.ready()
+    t.turn()
+    controller, inside, ends, users = p.control.adapter.controller, threading.Event(), threading.Event(), []
+    measure = controller.measure
+
+    def slow(measurement: Any) -> None:
+        users.append(threading.current_thread())
+        if len(users) == 1:
+            inside.set()
+            assert ends.wait(60.0)
+        measure(measurement)
+
+    controller.measure, p.standin.answers = slow, 0.01
+    assert wait_until(lambda: p.standin.tick(wait=True) or inside.is_set())
+    second_publisher(t)
+    p.run(0.1)
+    assert p.control.runner.stopped and len(users) == 1
+    ends.set()
+    assert wait_until(lambda: p.run(STEP) or users[-1] is threading.current_thread())

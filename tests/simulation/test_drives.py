@@ -17,7 +17,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
 from wbmpc.simulation.elastic_drives import HEAD_ROOM, ElasticDrives
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import Perturbation, SeriesElasticDrives
 
 STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2
@@ -26,11 +26,7 @@ HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 #: All drives behind springs, and nothing else that differs from the model.
 ELASTIC = Perturbation.none(
     actuator_time_constant=0.0,
-    wheel_spring=40.0,
-    wheel_rotor=0.01,
-    arm_spring=300.0,
-    arm_rotor=0.05,
-    torque_gain=1.0,
+    drives=SeriesElasticDrives(spring_damping=0.0, torque_gain=1.0, torque_damping=0.0),
 )
 
 
@@ -169,14 +165,15 @@ def test_a_robot_at_rest_does_not_notice_its_springs() -> None:
     np.testing.assert_allclose(plant.state()[5:8], HOME[5:8], atol=1e-4)
 
 
-def test_springs_delay_the_wheels_and_leave_a_rigid_arm_alone() -> None:
-    elastic = Perturbation.none(actuator_time_constant=0.0, wheel_spring=40.0, wheel_rotor=0.01, torque_gain=1.0)
-    plant = BallPlant(ROBOT.description, HOME, TORQUE, elastic)
+def test_springs_delay_torques_and_rigid_drives_do_not() -> None:
+    rigid = BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(actuator_time_constant=0.0))
+    rigid.step(BallCommand(TORQUE + 1.0))
+    np.testing.assert_allclose(rigid.torque, TORQUE + 1.0, atol=1e-9)
+    plant = BallPlant(ROBOT.description, HOME, TORQUE, ELASTIC)
     command = BallCommand(TORQUE + 1.0)
     np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-9)
     plant.step(command)
-    np.testing.assert_allclose(plant.torque[3:], TORQUE[3:] + 1.0, atol=1e-9)
-    assert np.abs(plant.torque[:3] - TORQUE[:3]).max() < 0.05
+    assert np.abs(plant.torque - TORQUE).max() < 0.05
     plant.step(command, 200)
     assert plant.torque[:3].min() > 0.5
 
@@ -201,12 +198,15 @@ def test_a_dead_time_that_is_no_whole_step_is_rejected(time: float) -> None:
 
 
 def test_bad_drives() -> None:
-    with pytest.raises(InputError, match=r"plant\.wheel_rotor"):
-        BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(wheel_spring=40.0))
+    with pytest.raises(InputError, match=r"plant\.drives\.wheel_rotor"):
+        ElasticDrives([K], [0.0], ZETA, GAIN, LOOP, [1e3], [0.0], STEP)
+    for name in ("wheel_spring", "arm_spring", "wheel_rotor", "arm_rotor"):
+        with pytest.raises(ValueError, match="greater than 0"):
+            SeriesElasticDrives(**{name: 0.0})
 
 
 #: What no line of the swerve robot's plant reads, by going through it.
-OF_BALL_ROBOTS = ("actuator_dead_time", "wheel_spring", "arm_spring", "torsional_friction") + (
+OF_BALL_ROBOTS = ("actuator_dead_time", "drives", "torsional_friction") + (
     *("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"),
 )
 
@@ -214,4 +214,6 @@ OF_BALL_ROBOTS = ("actuator_dead_time", "wheel_spring", "arm_spring", "torsional
 @pytest.mark.parametrize("name", OF_BALL_ROBOTS)
 def test_swerve_robots_reject_what_their_plant_does_not_read(name: str) -> None:
     with pytest.raises(InputError, match=rf"plant\.{name}: is for ball robots only; .*'plant\."):
-        SwervePlant(load_description("swerve-ur10"), perturbation=Perturbation(**{name: 0.1}))
+        SwervePlant(
+            load_description("swerve-ur10"), perturbation=Perturbation(**{name: "elastic" if name == "drives" else 0.1})
+        )

@@ -110,9 +110,9 @@ def test_a_ball_robot_rejects_them(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["wheel_rotor", "arm_rotor", "spring_damping", "torque_gain", "torque_damping"])
 def test_rigid_drives_have_no_rotors(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name}: nothing uses it without .*_spring"):
-        Perturbation(**{name: 0.7})
-    Perturbation(wheel_spring=40.0, arm_spring=300.0, **{name: 0.7})
+    with pytest.raises(ValueError, match=rf"{name}\n.*not permitted"):
+        Perturbation(drives={"kind": "rigid", name: 0.7})
+    assert getattr(Perturbation(drives={"kind": "elastic", name: 0.7}).drives, name) == 0.7
 
 
 @pytest.mark.parametrize(("plant", "robot"), [(BallPlant, "rezero"), (SwervePlant, "swerve-ur10")])

@@ -60,14 +60,14 @@ def test_wheels_are_watched_from_the_order_on() -> None:
     ],
 )
 def test_the_model_says_what_plans_keep(model: str | None, keep: str, kept: str) -> None:
-    settings = TaskSettings.model_validate({"mpc": {"model": model}, "stability": {"keep": keep}})
-    assert settings.upright.keep == kept
+    settings = TaskSettings.model_validate({"mpc": {"model": model}, "stability": keep})
+    assert getattr(settings.upright, "kind", "nothing") == kept
 
 
 def test_the_experiment_has_both_models() -> None:
     found = load("swerve-fast")
     assert configure(found.config_type, [], "swerve-fast").upright.payload == 10.0
-    assert configure(found.config_type, ["mpc.model=kinematic"], "swerve-fast").upright.keep == "nothing"
+    assert configure(found.config_type, ["mpc.model=kinematic"], "swerve-fast").upright is None
     assert SwerveFastSettings().mpc == TaskMpcSettings(model="dynamic", horizon=2.0)
     with pytest.raises(InputError, match="kinematic robots do not tip"):
         build(SwerveFastSettings(physics="kinematic"), 0)

@@ -130,7 +130,11 @@ def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> N
 def test_without_the_row_the_force_is_missed() -> None:
     """The paper's free wrench: the same door, the same force."""
     paper = SHORT.model_copy(
-        update={"scheme": DoorScheme(row=False, identify=False, cone=False), "timeout": 4.0, "final_hold_time": 0.2}
+        update={
+            "scheme": DoorScheme(contact="wrench", identify=False, cone="none"),
+            "timeout": 4.0,
+            "final_hold_time": 0.2,
+        }
     )
     trial = rezero_door.push_door(paper, 8.0, 1)
     figures = trial_metrics(trial)

@@ -36,7 +36,7 @@ def test_filters_halve_the_torque_error(both) -> None:  # type: ignore[no-untype
 
 @thorough
 def test_rigid_drives_do_what_they_are_asked_for() -> None:
-    rigid = {"wheel_spring": 0.0, "arm_spring": 0.0, "actuator_time_constant": 0.0}
+    rigid = {"drives": "rigid", "actuator_time_constant": 0.0}
     settings = RezeroFrequencySettings(
         **{**SHORT, "settle_time": 1.3, "hold_time": 1.0}, variants=("shaped",), plant=rigid
     )

@@ -129,7 +129,7 @@ def test_swerve_brakes_makes_its_faults_itself(kind: str) -> None:
     with pytest.raises(InputError, match=rf"plant: brake_fault={kind}: this experiment makes brakes fail itself"):
         configure(
             swerve_brakes.SwerveBrakesSettings,
-            [f"plant.brake_fault={kind}", "plant.brake_fault_leg=2"],
+            [f"plant.brake_fault={kind}", "plant.brake_fault.leg=2"],
             "swerve-brakes",
         )
 
@@ -139,10 +139,11 @@ def test_a_ball_robot_has_no_brakes() -> None:
         BallPlant(load_description("rezero"), perturbation=Perturbation(brake_fault="open"))
 
 
-@pytest.mark.parametrize("name", ["brake_fault_leg=2", "brake_fault_time=5"])
+@pytest.mark.parametrize("name", ["leg=2", "time=5"])
 def test_a_fault_that_no_brake_has_is_rejected(name: str) -> None:
     """Nothing would come of it."""
     settings = swerve_track.SwerveTrackSettings
-    with pytest.raises(InputError, match=rf"plant.{name[:-2]}: nothing uses it without plant.brake_fault=open"):
-        configure(settings, [f"plant.{name}"], "swerve-track")
-    assert configure(settings, [f"plant.{name}", "plant.brake_fault=open"], "swerve-track").plant.brake_fault == "open"
+    with pytest.raises(InputError, match=rf"plant.brake_fault.{name[:-2]}: nothing uses it without .*kind=open"):
+        configure(settings, [f"plant.brake_fault.{name}"], "swerve-track")
+    given = [f"plant.brake_fault.{name}", "plant.brake_fault=open"]
+    assert configure(settings, given, "swerve-track").plant.brake_fault.kind == "open"

@@ -1,4 +1,4 @@
-"""Base types: one table of plug-ins. A base type is a folder here, or a package of somebody else's that names an entry point.
+"""Base types: one table of plug-ins. A base type is a folder here, or another package with an entry point.
 
 ``base_type(name)`` gives the plug-in of a robot file's ``base.type``. What generic code may ask of it is in
 :mod:`wbmpc.bases.base`. A package adds a base type through the entry-point group ``wbmpc.bases``::
@@ -67,12 +67,16 @@ def _offering(part: str) -> list[str]:
     found = []
     for name in available_base_types():
         try:
-            plugin = type(base_type(name))
+            found += [name] if offers(name, part) else []
         except InputError:
             continue
-        if getattr(plugin, part, None) not in (None, getattr(BaseType, part)):
-            found.append(name)
     return found
+
+
+def offers(name: str, part: str) -> bool:
+    """Whether the base type ``name`` defines a ``part`` of the plug-in (:data:`wbmpc.bases.base.PARTS`). Raises :class:`InputError` as
+    :func:`base_type`."""
+    return getattr(type(base_type(name)), part, None) not in (None, getattr(BaseType, part))
 
 
 base.offering = _offering

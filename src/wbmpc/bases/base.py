@@ -47,6 +47,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+#: What is known of a base's wheels: arrays by name, which only its base type reads.
+Calibration = Mapping[str, Array]
+
+
 class Section(BaseModel):
     """A mapping of a robot file: its keys are the fields, unknown keys are errors."""
 
@@ -84,7 +88,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Proposal:
-    """How a base type reads a file that nobody has described yet.
+    """How a base type would describe a robot model that has no robot file yet.
 
     ``section``: keys of its ``base`` section, without ``type`` and ``body``; ``fit``: from 0 (hardly) to 1 (nothing else is possible);
     ``reason``: what it saw, for a user; ``joints``: those that the section names; ``held``: others of the base, which stand still;
@@ -114,6 +118,8 @@ class BaseDescription(Section):
     uses_inertia: ClassVar[bool] = True
     #: Whether it describes wheels beside their steering axes, and steering axes that point down.
     describes_offsets: ClassVar[bool] = False
+    #: Whether a driver of its own takes the base's speeds and says how far it went: nobody else moves its wheels.
+    takes_twist: ClassVar[bool] = False
     #: The key of the section that names joints; "" where none does. Error messages say it.
     joint_key: ClassVar[str] = ""
     #: Keys of other base types that do not apply to this one, and why: the error of a file that has them.
@@ -273,7 +279,7 @@ class Reshaping(Protocol):
     """What adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`)."""
 
     def update(self, t: float) -> None:
-        """Set references and modes of its MPC for updates from ``t`` [s] on, after whoever sets the reference "state"."""
+        """Set references and modes of its MPC for updates from ``t`` [s] on, after the reference "state" is set."""
 
 
 class Calibrator(Protocol):
@@ -335,10 +341,18 @@ class BaseType(Protocol):
         perturbation: Perturbation | None = None,
         mpc: MPC | None = None,
         edit: Edit | None = None,
+        calibration: Calibration | None = None,
     ) -> System:
         """Plant, controller and MPC: what views and general experiments start from. ``perturbation`` of the plant and ``mpc``: the default
-        ones where they are left out; another MPC has the robot's own dynamics. ``edit`` adds to MuJoCo's scene."""
+        ones where they are left out; another MPC has the robot's own dynamics. ``edit`` adds to MuJoCo's scene; ``calibration``: what
+        :meth:`calibrate` found."""
         reject_missing_part(robot.description, "system")
+
+    def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
+        """What a log with global poses shows of the wheels, for :meth:`system`. ``channels``: "wheel", "steer" and "gyro" as measured,
+        "place" of rows (x, y, yaw, their standard deviations), each with its times (as "wheel.time"); ``source``: its name in errors.
+        Raises :class:`InputError` for a log that does not show them."""
+        reject_missing_part(robot.description, "calibrate")
 
     def reshaping(self, robot: RobotModel, mpc: MPC, controller: Controller) -> Reshaping | None:
         """What makes the base as wide or narrow as the obstacles of ``mpc`` allow where its reference leads, and commands what that needs
@@ -368,7 +382,7 @@ PARTS = {
     "check": "check of its mechanics", "propose": "proposal for a new robot", "reshaping": "change of shape", "diagnose": "diagnosis",
     "model": "model", "plant": "simulated robot", "mpc": "problem with default weights", "system": "simulated robot with a controller",
     "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
-    "calibrator": "calibration of steered wheels",
+    "calibrator": "calibration of steered wheels", "calibrate": "calibration of its wheels",
 }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""One measure for all: how far a point is from the optimality conditions, whoever has found it and by whatever scaling.
+"""One measure for all: how far a point is from the optimality conditions, for any solver and scaling.
 
 Multipliers are not asked for, since every solver scales its own. They are those of least squares: for equalities g = 0 with
 multipliers λ and inequalities h ≥ 0 with ν ≥ 0 they make ∇f − g_xᵀ λ − h_xᵀ ν and the products h ν as small as can be (Nocedal

@@ -52,7 +52,7 @@ class Poses:
 
 
 class Finder:
-    """Nearest points between one robot and any obstacles. ``reach`` [m]: what is farther away is not looked at; ``pairs``: how many pairs
+    """Nearest points between one robot and any obstacles. ``reach`` [m]: what is farther away is not checked; ``pairs``: how many pairs
     of solids the last call compared one by one, the others were too far by their bounding spheres; ``deep``: whether it measures how deep
     convex solids overlap (else their distance is 0)."""
 

@@ -48,7 +48,7 @@ def place_solids(
 def bound(
     solids: Solids, a: int, b: int, place: Floats, pa: int, axes: Floats, ra: int, others: Floats, pb: int, limit: float
 ) -> float:
-    """At most the distance [m] of solids ``a`` and ``b`` by their enclosing spheres; of ``a`` itself against the
+    """A lower bound of the distance [m] of solids ``a`` and ``b`` by their enclosing spheres; of ``a`` itself against the
     sphere of ``b`` where that is less than ``limit``."""
     x, y, z = others[pb] - place[pa], others[pb + 1] - place[pa + 1], others[pb + 2] - place[pa + 2]
     around, reach = solids.around[b], solids.around[a] + solids.around[b] + limit

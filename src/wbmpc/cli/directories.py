@@ -70,8 +70,8 @@ def _try_to_write(option: str, path: Path) -> None:
         raise InputError(f"{option}: '{path}' cannot be written ({error.strerror})") from error
 
 
-def writable_directory(option: str, path: Path) -> None:
-    """Make it if it is not there. Raises :class:`InputError` naming the option if that, or writing into it, is impossible."""
+def _make(option: str, path: Path) -> None:
+    """A directory, if it is not there. Raises :class:`InputError` naming the option if that, or writing into it, is impossible."""
     if path.exists() and not path.is_dir():
         raise InputError(f"{option}: '{path}' is a file; give a directory")
     try:
@@ -80,6 +80,26 @@ def writable_directory(option: str, path: Path) -> None:
         raise InputError(f"{option}: '{path}' cannot be made ({error.strerror})") from error
     if not os.access(path, os.W_OK | os.X_OK):
         raise InputError(f"{option}: cannot write into '{path}'")
+
+
+@contextmanager
+def writable_directory(option: str, path: Path) -> Iterator[None]:
+    """Make it before the work, if it is not there; what was made for it and stays empty is removed again. Raises as :func:`_make`."""
+    with _empty_ones_removed(path, *path.parents):
+        _make(option, path)
+        yield
+
+
+@contextmanager
+def _empty_ones_removed(*paths: Path) -> Iterator[None]:
+    """Directories, the innermost first, that are not there yet and are empty at the end are removed again."""
+    missing = [path for path in paths if not path.exists()]
+    try:
+        yield
+    finally:
+        for path in missing:
+            with suppress(OSError):
+                path.rmdir()  # succeeds only if nothing was written
 
 
 def new_directory(option: str, chosen: Path | None, default: Path, force: bool) -> Path:
@@ -123,21 +143,21 @@ def run_directory(out: Path | None, name: str, seed: int) -> Iterator[Path]:
     What was made for it and stays empty is removed again.
     """
     target = out or Path("runs") / f"{name}-seed{seed}"
-    missing = [path for path in (target, *target.parents) if not path.exists()]
-    directory = _chosen(out, target)
-    try:
-        yield directory
-    finally:
-        for path in dict.fromkeys((directory, *missing) if directory != target else missing):
-            with suppress(OSError):
-                path.rmdir()  # succeeds only if nothing was written
+    with _empty_ones_removed(target, *target.parents):
+        directory = _chosen(out, target)
+        try:
+            yield directory
+        finally:
+            if directory != target:  # made under another name
+                with suppress(OSError):
+                    directory.rmdir()
 
 
 def _chosen(out: Path | None, target: Path) -> Path:
     from wbmpc.report import RUN_FILES
 
     if out is not None:
-        writable_directory("--out", out)
+        _make("--out", out)
         if not any((out / file).exists() for file in RUN_FILES):
             return out
     try:

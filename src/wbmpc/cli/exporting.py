@@ -44,9 +44,9 @@ def export(
         tools(target)
     reject_existing("--out", [out / name for name in files(prefix, check)], force)
     mpc = load_mpc(problem)
-    writable_directory("--out", out)
-    done = write(mpc, out, prefix=prefix, target=target, samples=samples)
-    compared = compare(done, mpc) if check else None
+    with writable_directory("--out", out):
+        done = write(mpc, out, prefix=prefix, target=target, samples=samples)
+        compared = compare(done, mpc) if check else None
     if as_json:
         found = {
             "object": str(out / f"{prefix}.o"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -104,11 +105,13 @@ def export(
     recording = read_recording(file)
     directory = new_directory("--out", out, recording.path.with_name("export"), force)
 
-    def check(files: list[Path]) -> None:
-        reject_existing("--out", files, force)
-        writable_directory("--out", directory)
+    with ExitStack() as made:
 
-    paths = write(recording, to, directory, topics or (), check)
+        def check(files: list[Path]) -> None:
+            reject_existing("--out", files, force)
+            made.enter_context(writable_directory("--out", directory))
+
+        paths = write(recording, to, directory, topics or (), check)
     if as_json:
         typer.echo(json.dumps({"files": [str(p) for p in paths]}))
     else:
@@ -149,7 +152,7 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare runs: their metrics in a table, their signals over each other in a page."""
-    from wbmpc.compare import differences, experiments, figures_table, load_all, outcomes, overlay, table, wheels
+    from wbmpc.compare import differences, experiments, figures_table, load_all, outcomes, overlay, table
     from wbmpc.report import plots_page
 
     out = new_file("--out", out, Path("compare.html"), force)
@@ -165,7 +168,7 @@ def compare(
     notes = [note for note in (experiments(figures), *notes) if note]
     shown = f"{paths[0]} (solid) and {paths[1]} (dashed)" if len(paths) == 2 else ", ".join(map(str, paths))
     about = "; ".join([shown, *notes])
-    plots = overlay(runs, names, wheels(figures[0]))
+    plots = overlay(runs, names)
     before = f"<h2>Figures</h2>{figures_table(rows, names, outcomes(figures))}" if rows else ""
     write_text(out, plots_page(" and ".join(names), about, plots, before))
     if as_json:

@@ -35,9 +35,8 @@ def reproduce(
 
     names = [context.obj.find(name).name for name in only] if only else list(context.obj.registry)
     jobs = plan(names, parse_seeds(seeds), out)
-    writable_directory("--out", out)
     verbose = not (as_json or context.obj.quiet)
-    with progress_bar("reproduce", verbose) as bar:
+    with writable_directory("--out", out), progress_bar("reproduce", verbose) as bar:
         # hours go by: in a pipe every finished run is a line
         progress = bar or (lambda _, note: typer.echo(note, err=True) if verbose else None)
         try:

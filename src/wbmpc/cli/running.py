@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from wbmpc.view.live import View
 
 _LOG = logging.getLogger("wbmpc")
-#: What is said of a run that somebody has steered.
+#: What is said of a run that a user has steered.
 STEERED = (
     "goals, weights, legs or forces were changed by hand in the view: the figures are of that, not of the experiment"
 )
@@ -115,6 +115,7 @@ def _attempt(
                     result.idealizations = [*result.idealizations, STEERED]
                 result.command = command
                 recorder.close(outcome(result))
+                result.motion = recorder.motion
                 files = write_run(result, directory)
                 if view is not None and "weights" in type(settings).model_fields:
                     files |= write_weights(view.factors, plain["weights"], directory)

@@ -23,7 +23,7 @@ def runs(
     force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
-    """List runs, the newest first: experiment, seed, outcome, goals."""
+    """List runs, the newest first: experiment, seed, outcome, how many metrics reach their goals."""
     from wbmpc.output_file import write_text
     from wbmpc.run_index import find_runs
     from wbmpc.run_index import page as page_of
@@ -49,8 +49,8 @@ def runs(
 
 def _print(found: list[Entry]) -> None:
     table = plain_table()
-    for column in ("run", "experiment", "seed", "goals", "ended", "outcome"):
-        table.add_column(column, justify="right" if column in ("seed", "goals") else "left", overflow="fold")
+    for column in ("run", "experiment", "seed", "metrics at goal", "ended", "outcome"):
+        table.add_column(column, justify="right" if column in ("seed", "metrics at goal") else "left", overflow="fold")
     for run in found:
         reached, judged = run.goals
         cells = (run.directory, run.experiment, "" if run.seed is None else run.seed, f"{reached} of {judged}" if judged else "",

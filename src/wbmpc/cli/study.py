@@ -49,7 +49,8 @@ Scheduler = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
-def _open(name: str, out: Path | None) -> Study:
+@contextmanager
+def _opened(name: str, out: Path | None) -> Iterator[Study]:
     """The study of a file, or of a name."""
     from wbmpc.study.study import Study
 
@@ -59,8 +60,8 @@ def _open(name: str, out: Path | None) -> Study:
             raise unknown_name("study", name, known)
         path = known[name]
     study = Study.load(path, out)
-    writable_directory("--out", study.out)
-    return study
+    with writable_directory("--out", study.out):
+        yield study
 
 
 @contextmanager
@@ -84,8 +85,8 @@ def study(
     as_json: AsJson = False,
 ) -> None:
     """Run an experiment over settings, seeds and robots; one row per run, statistics and a page."""
-    opened = _open(name, out)
-    with _progress(opened, opened.definition.title, not (as_json or context.obj.quiet)) as progress:
+    talks = not (as_json or context.obj.quiet)
+    with _opened(name, out) as opened, _progress(opened, opened.definition.title, talks) as progress:
         found = opened.report() if report else opened.run(workers, scheduler, progress)
     useless = _warn(opened, found)
     if as_json:
@@ -106,8 +107,8 @@ def tune(
     as_json: AsJson = False,
 ) -> None:
     """Search settings on tuning seeds; write the best for --config, and the reporting seeds before and after."""
-    opened = _open(name, out)
-    with _progress(opened, opened.definition.title, not (as_json or context.obj.quiet)) as progress:
+    talks = not (as_json or context.obj.quiet)
+    with _opened(name, out) as opened, _progress(opened, opened.definition.title, talks) as progress:
         found = opened.tune(workers, scheduler, progress)
     best = opened.out / "best.yaml"
     if as_json:

@@ -50,7 +50,7 @@ class Request:
 
 
 def _send_again(number: int, frame: FrameType | None) -> None:
-    """To whoever handles it by now."""
+    """To its present handler."""
     waiting = sorted(_WAITING)
     _WAITING.clear()
     for each in waiting:
@@ -94,7 +94,7 @@ class _Printable(logging.Formatter):
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Handle Ctrl-C, SIGTERM and SIGHUP, but for those that somebody else handles, in the main thread."""
+    """Handle Ctrl-C, SIGTERM and SIGHUP, but for those that have other handlers, in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -222,7 +222,7 @@ def open_streams() -> None:
 
 @contextmanager
 def unread_allowed() -> Iterator[None]:
-    """Standard output and error may be pipes that nobody reads to their end: no command stops or fails for that."""
+    """Standard output and error may be pipes that are closed early: no command stops or fails for that."""
     with redirect_stdout(_Tolerant(sys.stdout)), redirect_stderr(_Tolerant(sys.stderr)):  # type: ignore[type-var]
         yield
         sys.stdout.flush()

@@ -36,7 +36,7 @@ def warn(host: str) -> None:
     """Say what an address beyond this machine means."""
     if not is_loopback(host):
         typer.echo(
-            f"warning: the view listens on {host}, unencrypted: whoever has its address with the token steers the run",
+            f"warning: the view listens on {host}, unencrypted: anyone with its address and token can steer the run",
             err=True,
         )
 

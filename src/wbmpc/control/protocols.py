@@ -6,7 +6,7 @@ A controller is assembled from parts: an estimator, monitors, the prediction ove
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,23 +21,28 @@ if TYPE_CHECKING:
 __all__ = ["Controller", "Estimator", "Fault", "Monitor", "RobotController"]
 
 
-class Controller(Protocol):
+#: Messages of one robot: what its controller reads and what it returns.
+MeasurementT = TypeVar("MeasurementT", contravariant=True)
+CommandT = TypeVar("CommandT", covariant=True)
+
+
+class Controller(Protocol[MeasurementT, CommandT]):
     """What stands between measurements, MPC and commands of one robot. Times in s."""
 
-    def measure(self, measurement: Any) -> None:
-        """Take in the measurement of this tick."""
+    def measure(self, measurement: MeasurementT) -> None:
+        """Process the measurement of this tick."""
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """The state for which the next policy is computed: at ``until`` [s], under the policies that are in force until then."""
+        """The state for which the next policy is computed: at ``until`` [s], under the policies that are active until then."""
 
-    def command(self, t: float, plans: PolicyQueue) -> Any:
+    def command(self, t: float, plans: PolicyQueue) -> CommandT:
         """The command for the tick at ``t`` [s]."""
 
-    def stop(self) -> Any:
+    def stop(self) -> CommandT:
         """The command that brings the robot to rest."""
 
 
-class RobotController(Controller, Protocol):
+class RobotController(Controller[MeasurementT, CommandT], Protocol):
     """A controller of a ``robot`` whose state views and experiments show."""
 
     robot: RobotModel
@@ -47,10 +52,10 @@ class RobotController(Controller, Protocol):
 
 
 @runtime_checkable
-class Estimator(Protocol):
+class Estimator(Protocol[MeasurementT]):
     """From measurements to the state of the model."""
 
-    def update(self, measurement: Any) -> NDArray[np.float64]:
+    def update(self, measurement: MeasurementT) -> NDArray[np.float64]:
         """The state x (nx) after the newest measurement."""
 
     @property

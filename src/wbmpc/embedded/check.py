@@ -61,7 +61,7 @@ def check(done: Export, mpc: MPC, updates: int = 50) -> Check:
     found = np.array([[float(a), *map(float.fromhex, b)] for a, *b in (line.split() for line in printed)])
     if found.shape != expected.shape or (found[:, 0] != expected[:, 0]).any():
         raise InputError(
-            f"export: the example printed {len(found)} updates, or other results, than {len(expected)} of Python"
+            f"export: the C example printed {len(found)} updates, Python {len(expected)}, or their values differ"
         )
     apart = np.abs(found - expected)[:, 1:] / (1.0 + np.abs(expected[:, 1:]))
     return Check(updates, float(apart.max()), float(np.median(apart)), done.target == "native")

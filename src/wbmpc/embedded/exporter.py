@@ -7,6 +7,7 @@ import platform
 from dataclasses import dataclass
 from pathlib import Path
 
+from wbmpc.checks import whole_number
 from wbmpc.embedded.image import Image, check_exportable, make_image
 from wbmpc.embedded.interface import interface, public_names
 from wbmpc.embedded.prefix import check_prefix
@@ -44,6 +45,10 @@ ALLOWED = frozenset(
 )
 
 
+#: Samples of a reference at most: the block of memory has room for all of them.
+MOST_SAMPLES = 100_000
+
+
 @dataclass(frozen=True)
 class Export:
     """What :func:`export` wrote: the object file, what it defines and needs, and what it has room for."""
@@ -70,14 +75,13 @@ def export(
     observation to input: :meth:`MPC.update` and :class:`Policy`, weights, references and the mode schedule as they are in ``mpc``,
     and the trajectories of :meth:`MPC.reset` to start from. It allocates nothing and keeps its state in one block of the caller's.
     Its only symbols are the functions of the header, which begin with ``prefix``. ``target``: "native", "x86-64-v3" or
-    "aarch64". ``samples``: of each reference, and events, that there is room for.
+    "aarch64". ``samples`` (1 to 100 000): of each reference, and events, that there is room for.
 
     Raises :class:`InputError` for another target or prefix, and for an MPC of which a part runs in Python alone.
     """
     check_prefix(prefix, public_names(prefix).values())
     check_exportable(mpc)
-    if samples < 1:
-        raise InputError(f"export: samples: a whole number from 1 on is needed, got {samples}")
+    whole_number("export: samples", samples, 1, MOST_SAMPLES)
     chosen, folder = find_target(target), Path(directory)
     image = make_image(mpc, samples)
     code = _object(mpc, image, chosen, prefix)

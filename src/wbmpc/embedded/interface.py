@@ -42,7 +42,7 @@ CALLS = (
     ),
     Call(
         "update", controller.update, (_T, ("const double", "x[NX]")),
-        "A new plan from the state x at time t [s]. OK, KEPT (no usable plan came of it, the last one stays in force), or an error.",
+        "A new plan from the state x at time t [s]. OK, KEPT (no usable plan came of it, the last one stays active), or an error.",
         solves=True,
     ),
     Call(

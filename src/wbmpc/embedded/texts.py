@@ -204,7 +204,7 @@ def _readme(done: Export, target: Target) -> str:
 | from elsewhere | {needs} (libm and the C library's copies of memory) |
 
 `{p}_create`, then in every period `{p}_update` with the measured state, and `{p}_policy` as often as inputs are needed. A result
-below zero means that nothing was done; `KEPT` that the last plan stays in force, whose time runs out at `FIGURE_END`. What a robot
+below zero means that nothing was done; `KEPT` that the last plan stays active, whose time runs out at `FIGURE_END`. What a robot
 does then is for the program to decide: stop it safely.
 
 `cmake -B build . && cmake --build build`, or what stands at the top of `example.c`. `wbmpc export … --check` compares the example's

@@ -14,7 +14,7 @@ from wbmpc.estimation.calibration_file import ARM_KEYS, read_calibration, read_r
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
-#: Standard deviation [rad] of a zero that nobody calibrated; step [rad] of derivatives; Gauss-Newton steps.
+#: Standard deviation [rad] of an uncalibrated zero; step [rad] of derivatives; Gauss-Newton steps.
 ZERO_STD, STEP, PASSES = 2e-3, 1e-6, 5
 #: Positions that miss by more than this many standard deviations, root mean square, contradict the arm.
 CONTRADICTS = 5.0

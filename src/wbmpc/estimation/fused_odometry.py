@@ -172,7 +172,7 @@ class FusedOdometry:
         self._started = False
 
     def bridge(self, t: float) -> None:
-        """The clock jumped: the next message, of time ``t`` [s] or later, ends a gap whose length nobody knows; it counts as one
+        """The clock jumped: the next message, of time ``t`` [s] or later, ends a gap of unknown length; it counts as one
         of :data:`UNKNOWN_GAP`. Raises :class:`InputError` for a time that is not finite."""
         finite("odometry", t=t)
         if self._started:

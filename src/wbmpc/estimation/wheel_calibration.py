@@ -18,7 +18,7 @@ from wbmpc.output_file import write_text
 
 Array = NDArray[np.float64]
 
-#: Standard deviations of a base that nobody calibrated: steering zero (with the leg's, which turns the wheel as well)
+#: Standard deviations of an uncalibrated base: steering zero (with the leg's, which turns the wheel as well)
 #: [rad], radius of one wheel and of all of them, relative.
 ZERO_STD, RADIUS_STD, COMMON_RADIUS_STD = 2e-3, 1e-3, 2e-3
 

@@ -4,6 +4,7 @@ An MPC finds local optima: in front of a wall that stands head-on it waits, thou
 the same problem runs ahead of time on the model, with one solve for each update of the first: once with the references as they are, if
 they did not wait (what is in the way may leave), and along other ways to behind what is in the way: left, right, back and on again. A way
 counts if the robot gets on along it and keeps clear; the one that leaves the least to go wins. Where none counts, the robot is stuck.
+What moves past the robot is waited for.
 """
 
 from __future__ import annotations
@@ -70,9 +71,9 @@ class Alternatives:
     """Tries other ways for ``mpc`` of ``robot``, whose base moves and can turn in place, when its references, kept by ``pace``, wait for it.
 
     Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: how many searches in a row found nothing
-    while the references waited; ``searches``: how many have ended; ``taken``: times [s] and names of the winners; ``computation`` [s]: of
-    all of it. While the robot goes another way, its base has a weight in the cost "state". Raises :class:`InputError` for an MPC without
-    obstacles or with progress along a path, and a base that does not move or balances.
+    while the references waited for something that stands; ``searches``: how many have ended; ``taken``: times [s] and names of the
+    winners; ``computation`` [s]: of all of it. While the robot goes another way, its base has a weight in the cost "state". Raises
+    :class:`InputError` for an MPC without obstacles or with progress along a path, and a base that does not move or balances.
     """
 
     def __init__(self, mpc: MPC, robot: RobotModel, pace: PacedReferences) -> None:
@@ -117,6 +118,9 @@ class Alternatives:
             self._waits_since, self.failed = None, 0
             self._ways = []
             return
+        if not self.searching and self._pace.waits_for(t):  # it passes by; another way would be one for where it is now
+            self._waits_since = None
+            return
         if self._waits_since is None:
             self._waits_since = t
         if self.searching:
@@ -131,9 +135,14 @@ class Alternatives:
         snapshot = self._mpc.obstacles.snapshot(t)
         still = Snapshot(tuple(o for o in snapshot.obstacles if not o.velocity.any()), snapshot.frames)
         footprint = Footprint(self._robot, still, self._robot.description.collision.margin, t)
+        times, places = self._carried()
+        clear = footprint.clear(places)
+        if clear.all():  # nothing that stands is in its way: its arm lags behind, and time helps
+            self._not_before = t + AGAIN
+            return
         self._found, self._solves = [], 0
         self._ways = [_Way("wait", np.zeros((0, 3)), self._pace.time)]
-        target = self._behind(footprint)
+        target = _behind(footprint, times, places, int(np.argmin(clear)))
         start = self._now(t)[base_part(self._robot)]
         back = self._off(footprint, start)
         if target is None or back is None:
@@ -161,23 +170,11 @@ class Alternatives:
                 return place
         return None
 
-    def _behind(self, footprint: Footprint) -> tuple[float, Array, Array] | None:
-        """When [s, of the references] the robot, carried along, can turn again after what is in its way; where its base (3) is then; and
-        where it is blocked (n, 3). None: up to their end it cannot."""
+    def _carried(self) -> tuple[Array, Array]:
+        """Times (n) [s] of the references, and where the base (n, 3) is then that carries the end effector along."""
         pace = self._pace
         times = np.arange(pace.time, min(pace.end, pace.time + AHEAD) + SAMPLED, SAMPLED)
-        places = np.array([carrying_base(self._robot, pace.pose(float(at))) for at in times])
-        places = unwrapped(places)
-        clear = footprint.clear(places)
-        if clear.all():  # what waits there is another part of the robot, or something that moves
-            k = min(int(np.searchsorted(times, pace.time + self._mpc.ocp.horizon)), len(times) - 1)
-            return float(times[k]), places[k], places[:1]
-        first = int(np.argmin(clear))
-        after = np.flatnonzero(_can_turn(footprint, places[first:]))
-        if not after.size:
-            return None
-        k = first + int(after[0])
-        return float(times[k]), places[k], places[first:k]
+        return times, unwrapped(np.array([carrying_base(self._robot, pace.pose(float(at))) for at in times]))
 
     def _past(
         self, footprint: Footprint, places: tuple[Array, Array, Array], blocked: Array, side: float
@@ -263,7 +260,10 @@ class Alternatives:
     # ------------------------------------------------------------------ the winner
     def _end(self, t: float) -> None:
         self.searches += 1
-        self._not_before, self.failed = t + AGAIN, 0 if self._found else self.failed + 1
+        self._not_before = t + AGAIN
+        if not self._found and self._pace.waits_for(t):  # something has come since
+            return
+        self.failed = 0 if self._found else self.failed + 1
         if self.failed:
             _LOG.warning("alternatives at %.3f s: nothing leads on, the robot is stuck", t)
             return
@@ -307,6 +307,16 @@ def _can_turn(footprint: Footprint, places: Array) -> NDArray[np.bool_]:
     turned = np.repeat(places, HEADINGS, axis=0)
     turned[:, 2] += np.tile(np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS, len(places))
     return np.asarray(footprint.clear(turned).reshape(-1, HEADINGS).all(axis=1))
+
+
+def _behind(footprint: Footprint, times: Array, places: Array, first: int) -> tuple[float, Array, Array] | None:
+    """When [s] the robot, carried to places (n, 3) at ``times`` (n) [s] of which the ``first`` blocked one is given, can turn again after
+    that; where its base (3) is then; and where it is blocked (m, 3). None: it cannot."""
+    after = np.flatnonzero(_can_turn(footprint, places[first:]))
+    if not after.size:
+        return None
+    k = first + int(after[0])
+    return float(times[k]), places[k], places[first:k]
 
 
 def _rest(way: Array, pose: Array) -> Array:

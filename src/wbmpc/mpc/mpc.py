@@ -113,7 +113,7 @@ class MPC:
 
     @property
     def guess(self) -> Guess | None:
-        """Where solves start from: see :class:`Guess`; None: from the last plan."""
+        """Initial guess of solves: see :class:`Guess`; None: the last plan."""
         return self._guess
 
     @guess.setter
@@ -223,7 +223,7 @@ class MPC:
 
     @property
     def clearance(self) -> Clearance:
-        """Of the last plan, where the problem has clearance rows: the pair that lacks most of its margin."""
+        """The pair with the largest margin violation in the last plan, where the problem has clearance constraints."""
         return self._clear.last
 
     @property
@@ -329,7 +329,7 @@ class MPC:
             _LOG.warning("mode schedule: from %.3f s on, %d %s", t, self.events_without_node, consequence)
 
     def _continue_from(self, t: float, delta: float) -> None:
-        """The input that is in force at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
+        """The input that is active at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
         plan, horizon = self.solver.trajectory(copy=False), self.ocp.horizon
         k = bisect_right(plan.grid, delta + 1e-9) - 1  # type: ignore[type-var]
         current = plan.u[min(k, len(plan.u) - 1)]
@@ -352,7 +352,7 @@ class MPC:
 
         An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs. So does one
         that misses a hard limit, from the fourth pass without a plan in a row on; it is not used as long as it does.
-        A plan from which two passes in a row ended with numbers that are not finite is given up: the next one starts anew, from
+        A plan from which two passes in a row ended with numbers that are not finite is discarded: the next one starts from
         the observation.
         """
         from wbmpc.solver.controller import RESTART, RESUME, recovery

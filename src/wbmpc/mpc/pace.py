@@ -27,7 +27,7 @@ WAITS, STANDS = 0.1, 0.02
 
 
 class PacedReferences:
-    """References ``names`` of an MPC, as they are when this is made, along a time of their own: ``time`` [s], which is the clock's at
+    """The present references ``names`` of an MPC on a time scale of their own: ``time`` [s], which is the clock's at
     ``start`` [s] and goes on at ``rate`` (0 to 1) times the clock.
 
     A robot that evades something or waits would leave its reference far behind, and a far reference pulls it through what it evades. The
@@ -58,8 +58,15 @@ class PacedReferences:
         """When [s] the end effector's reference ends, in its own time."""
         return float(self._path.times[-1])
 
+    def waits_for(self, t: float) -> str:
+        """The obstacle that the last plan is nearest to, if it moves at ``t`` [s]: who waits for it goes on by and by. Empty: it stands."""
+        world, name = self._mpc.obstacles, self._mpc.clearance.other
+        if world is None or not name:
+            return ""
+        return name if any(o.name == name and o.velocity.any() for o in world.snapshot(t).obstacles) else ""
+
     def pose(self, time: float) -> Array:
-        """The end effector's reference (7) at ``time`` [s] of its own."""
+        """The end effector's reference pose (7) at ``time`` [s] of the paced references."""
         return self._path.at(time)
 
     def running(self, t: float) -> dict[str, Reference]:

@@ -1,4 +1,4 @@
-"""Policies in force and on their way."""
+"""The active policy and those that become active later."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from wbmpc.mpc.policy import Policy
 
 
 class PolicyQueue:
-    """A queue of policies with the time at which each comes into force (several when computing takes long). ``current``: the one
-    in force; None before the first."""
+    """A queue of policies with the time at which each becomes active (several when computing takes long). ``current``: the one
+    active; None before the first."""
 
     def __init__(self) -> None:
         self.current: Policy | None = None
         self._queue: deque[tuple[float, Policy]] = deque()
 
     def add(self, t: float, policy: Policy) -> None:
-        """``policy`` comes into force at time ``t`` [s]; the very first one at once."""
+        """``policy`` becomes active at time ``t`` [s]; the very first one at once."""
         if self.current is None:
             self.current = policy
         else:
@@ -28,7 +28,7 @@ class PolicyQueue:
             self.current = self._queue.popleft()[1]
 
     def at(self, t: float) -> Policy | None:
-        """The policy that will be in force at time ``t``."""
+        """The policy that will be active at time ``t``."""
         found = self.current
         for start, policy in self._queue:
             if start <= t + 1e-9:

@@ -42,7 +42,7 @@ class SpeedPolicy(Policy):
 class SpeedMPC(MPC):
     """An :class:`MPC` of a problem with accelerations as inputs (:func:`wbmpc.ocp.with_accelerations`), as controllers use one on speeds.
 
-    An observation that has the robot's own state (nx) gets the speeds that the plan in force has at its time (before the first plan and
+    An observation that has the robot's own state (nx) gets the speeds that the active plan has at its time (before the first plan and
     after the end of the last one: none), and its policy gives speeds (:class:`SpeedPolicy`). Measured speeds would feed drive lag and
     noise into the accelerations. One with the problem's state gives the problem's policy. Its guess is one of the robot's own states and
     inputs. :meth:`advance`, and with it the real-time runner, takes the problem's state alone.

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 class Statistics:
     """Solve times [s] of all updates but the first; how many solves there were, and how many did not help.
 
-    ``failures``: solves without a usable plan (the last one stayed in force); ``no_step``: solves in which no step length
-    was accepted, so that the plan is the last one moved on; ``limit_violations``: plans in force whose states are outside
+    ``failures``: solves without a usable plan (the last one stayed active); ``no_step``: solves in which no step length
+    was accepted, so that the plan is the last one moved on; ``limit_violations``: active plans whose states are outside
     hard limits by more than 0.1 % of the range, ``worst_limit_violation``: by how much at most, as a share of it, and
     ``worst_limit_violation_message``: which row; ``initial_state_mismatches``: plans that start elsewhere than in the
     observed state, ``worst_initial_state_mismatch``: by how much at most (:attr:`Solver.initial_state_mismatch`); ``braking_plans``:

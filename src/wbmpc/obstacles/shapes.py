@@ -1,4 +1,4 @@
-"""Shapes of obstacles, in axes of their own: :meth:`wbmpc.obstacles.world.Obstacles.set` says where these are. Lengths in m."""
+"""Shapes of obstacles in their own axes, which :meth:`wbmpc.obstacles.world.Obstacles.set` places in the world. Lengths in m."""
 
 from __future__ import annotations
 

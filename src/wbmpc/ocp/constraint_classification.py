@@ -21,7 +21,7 @@ from wbmpc.ocp.terms import Constraint
 
 #: Of the proximal multipliers of equality rows that cannot enter the Riccati recursion.
 EQUALITY_RHO = 1e4
-#: Where a row's gradient is looked at, to see how large it is.
+#: Where a row's gradient is evaluated, to find its magnitude.
 POINTS = 5
 
 
@@ -309,7 +309,7 @@ def row_scales(r: ca.SX, z: ca.SX) -> np.ndarray:
     """For every row the length of its gradient, where that is far from 1 everywhere (a thousandth, a thousand); else 1.
 
     Rows in unlucky units (mm², GPa) are divided by it: every tolerance of the solver is absolute. A gradient that is not constant
-    is looked at in a few points, and counts with its power of ten.
+    is evaluated at a few points, and counts with its power of ten.
     """
     jacobian = ca.jacobian(r, z)
     lengths = _gradient_lengths(jacobian)

@@ -49,7 +49,7 @@ class OptimalControlProblem:
     or ``grid``: the times of the N + 1 nodes from 0 [s]. ``integrator``: "rk2" (midpoint) or "rk4" steps.
     ``align_events``: move the nearest node onto every event of the mode schedule, so that no interval sees two modes.
     ``modes``: names of all modes that schedules may have, for problems whose schedule changes; left out, the modes that a term
-    names have to be in the schedule that is in force.
+    names have to be in the active schedule.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class OptimalControlProblem:
 
     @property
     def costs(self) -> list[Cost]:
-        """Terms that are costs, in their order."""
+        """The costs, in the order in which they were added."""
         return [t for t in self.terms.values() if isinstance(t, Cost)]
 
     @property
@@ -116,7 +116,7 @@ class OptimalControlProblem:
         return other
 
     def on(self, dynamics: SystemDynamics) -> OptimalControlProblem:
-        """A problem without terms on other ``dynamics``, with this one's grid, integrator and modes."""
+        """A problem for other ``dynamics`` with the same grid, integrator and modes, and no terms."""
         return self._anew(dynamics, [float(t) for t in self.grid])
 
     def _anew(self, dynamics: SystemDynamics, grid: Sequence[float]) -> OptimalControlProblem:

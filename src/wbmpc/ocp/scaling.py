@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
-#: Half range [rad] of a joint that turns on and on; largest speed [rad/s] of one without a limit.
+#: Half range [rad] of a continuous joint; largest speed [rad/s] of one without a limit.
 _TURNS, _FAST = np.pi, 2.0
 #: Random postures of the arm whose spread is its reach.
 _POSTURES = 400

@@ -54,6 +54,8 @@ def template() -> dict[str, Any]:
 
 def _signal(line: Series) -> str:
     """What a line is of: "x" of "x, reference"."""
+    if line.signal:
+        return line.signal
     signal, _, kind = line.name.rpartition(", ")
     return signal if signal and kind in _KINDS else line.name
 

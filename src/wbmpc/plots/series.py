@@ -12,7 +12,8 @@ class Series:
     """One line of a plot: its ``name``, ``x`` (n) and ``y`` (n) in the units of the plot's labels, whether it is ``dashed``.
 
     Lines of the same ``color`` (a number) look alike; left out: each has its own, and "NAME, reference", "NAME, planned" and the like
-    have that of "NAME". ``limits``: lowest and highest value that ``y`` may have (infinite: none), drawn dotted.
+    have that of "NAME". ``signal``: what the line is of, where that is not in its name: lines of one signal share an entry of the
+    legend. ``limits``: lowest and highest value that ``y`` may have (infinite: none), drawn dotted.
     """
 
     name: str
@@ -21,6 +22,7 @@ class Series:
     dashed: bool = False
     color: int | None = None
     limits: tuple[float, float] | None = None
+    signal: str = ""
 
 
 @dataclass(frozen=True)

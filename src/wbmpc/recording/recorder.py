@@ -17,6 +17,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.plots.motion import Motion, picture_points
 from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
 from wbmpc.recording.template import Template
@@ -42,12 +43,14 @@ class Recorder:
 
     ``about``: tables of texts by name, written as metadata (what ran, settings, versions). ``limit``: see :class:`McapFile`.
     Where the file cannot be written any more (a full disk) recording ends, ``failure`` says why, and the run goes on.
+    ``motion``: what the replay of the run's report shows.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Mapping[str, Any]], limit: int = LIMIT) -> None:
         self.path, self.about, self.limit = path, about, limit
         self.file: McapFile | None = None
         self.failure = ""
+        self.motion = Motion()
         self._start = self._last = 0.0
         self._templates: dict[Any, Template] = {}
         self._scene: Scene | None = None
@@ -105,6 +108,7 @@ class Recorder:
             self._scene, self._scenes = scene, self._scenes + 1
             name = "scene.json" if self._scenes == 1 else f"scene-{self._scenes}.json"
             self.file.attach(name, scene.plain(), self._start)
+        self.motion.begin(self.running.name, scene.plain())
         if self.running.name:
             self._put("/mode", "std_msgs/String", {"data": f"begins: {self.running.name}"}, latched=True)
 
@@ -119,7 +123,7 @@ class Recorder:
         tick = round(t / self.running.timing.period)
         self._solver()
         states, links, plan = (tick % self._every[name] == 0 for name in ("states", "links", "plans"))
-        if states or links:
+        if states or links or plan:
             moment = self._observer.see()
         if states:
             self._states(moment)
@@ -128,7 +132,9 @@ class Recorder:
         if links:
             self._links(moment)
         if plan:
-            self._plans(plans)
+            paths = self._plans(plans)
+            if self.motion.due(t):
+                self._picture(t, moment, paths)
 
     def end(self, ending: Ending) -> None:
         """Note how the loop ended; more loops may follow."""
@@ -259,17 +265,27 @@ class Recorder:
         for name in ("failures", "no_step"):
             self._number(f"/mpc/{name}", float(getattr(mpc.statistics, name)))
 
-    def _plans(self, plans: PolicyQueue) -> None:
+    def _picture(self, t: float, moment: Moment, paths: tuple[Array, Array]) -> None:
+        goal = self._observer.end_effector_goal(t)
+        in_map = lambda points: points @ lie.quaternion_to_rotation(moment.drift[3:]).T + moment.drift[:3]
+        base, end_effector = (in_map(path[:, :3]) for path in paths)
+        reference = None if goal is None else in_map(goal[:3])
+        self.motion.add(t, moment.bodies, picture_points(moment.end_effector[:3], reference, (end_effector, base)))
+
+    def _plans(self, plans: PolicyQueue) -> tuple[Array, Array]:
+        """Write the predicted paths of base and end effector, which are returned."""
         if self.running.mpc is None:
-            return
+            return np.zeros((0, 7)), np.zeros((0, 7))
         schedule = self.running.mpc.solver.schedule
         mode = schedule.modes[schedule.index(self._last - self._start)].name
         if mode != self._mode:
             self._mode = mode
             self._put("/mode", "std_msgs/String", {"data": mode}, latched=True)
-        for topic, path in zip(("/plan", "/plan/end_effector"), self._observer.plan(plans), strict=True):
+        paths = self._observer.plan(plans)
+        for topic, path in zip(("/plan", "/plan/end_effector"), paths, strict=True):
             if len(path):
                 self._fill(topic, "nav_msgs/Path", len(path), ros_pose(path), partial(self._path_message, path))
+        return paths
 
     def _path_message(self, path: Array) -> Message:
         poses = [{"header": self._header(ODOM), "pose": ros_pose(pose)} for pose in path]

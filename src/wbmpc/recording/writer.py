@@ -18,7 +18,7 @@ from wbmpc.recording.template import Template
 
 #: Bytes of a chunk before compression: what a killed run loses at most.
 CHUNK = 128 * 1024
-#: Bytes that a run's recording may have on the disk, unless somebody says otherwise: some hours of a robot with a dozen joints.
+#: Bytes that a run's recording may have on the disk, by default: some hours of a robot with a dozen joints.
 LIMIT = 2_000_000_000
 #: Quality of service for topics whose last message latecomers get, and for the others (rosbag2's form).
 _QOS = """- history: keep_last

@@ -27,7 +27,7 @@ def named(name: str, definition: str) -> str:
 
 
 @cache
-def _beside(name: str) -> str:
+def beside(name: str) -> str:
     """The text of a file of this package."""
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
@@ -45,8 +45,8 @@ def document(title: str, body: str, plots: bool = True) -> str:
         library = f"<script>{get_plotlyjs()}</script>"
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{html.escape(title)}</title><style>{_beside("page.css")}</style>
+<title>{html.escape(title)}</title><style>{beside("page.css")}</style>
 {library}</head><body><main>
 {body}
-</main><script>addEventListener("load", () => {{ {_beside("page.js")} }})</script></body></html>
+</main><script>addEventListener("load", () => {{ {beside("page.js")} }})</script></body></html>
 """

@@ -37,7 +37,10 @@
     plot.on("plotly_relayout", change => follow(plot, change));
     plot.on("plotly_hover", event => point(plot, event.xvals?.[0] ?? event.points[0]?.x));
     plot.on("plotly_unhover", () => point(plot, undefined));
+    plot.on("plotly_click", event => document.dispatchEvent(new CustomEvent("replay-seek", { detail: event.xvals?.[0] ?? event.points[0]?.x })));
   }
+
+  document.addEventListener("replay-time", event => point(null, event.detail));
 
   const tip = document.createElement("div");
   tip.id = "tip";

@@ -11,6 +11,7 @@ from wbmpc.plots.figures import figure
 from wbmpc.report.document import document, named, table
 from wbmpc.report.plain import plain
 from wbmpc.report.provenance import commit, versions
+from wbmpc.report.replay import replay
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 from wbmpc.units import Scale, number, scale
 
@@ -72,9 +73,9 @@ def _summary(result: RunResult) -> str:
     ended = f"The run did not complete: {html.escape(result.reason)} (outcome: {result.outcome})"
     text = "The run completed" if result.completed else ended
     if judged:
-        text += f"; {len(judged) - len(missed)} of {len(judged)} goals reached"
+        text += f"; {len(judged) - len(missed)} of {len(judged)} metrics reach their goal"
     if judged and not result.completed:
-        text += " (a run that does not complete reaches none)"
+        text += " (those of a run that does not complete do not)"
     elif missed:
         text += f", missed: {', '.join(missed)}"
     kind = "bad" if not result.completed else "fair" if missed else ""
@@ -89,16 +90,16 @@ def solve_lines(result: RunResult) -> list[str]:
         return []
     period, lines = f"{number(1e3 / mpc.rate_hz)} ms", []
     if mpc.failures:
-        lines.append(f"{mpc.failures} of {mpc.solves} solves failed: the plan before them stayed in force.")
+        lines.append(f"{mpc.failures} of {mpc.solves} solves failed: the plan before them stayed active.")
     if mpc.no_step:
         lines.append(
-            f"{mpc.no_step} of {mpc.solves} solves found no step: the plan before them, moved on in time, stayed in force."
+            f"{mpc.no_step} of {mpc.solves} solves found no step: the plan before them, moved on in time, stayed active."
         )
     if mpc.deadline_misses:
         lines.append(
             f"{mpc.deadline_misses} of {mpc.solves} solves took longer than the period of {period} on this machine "
-            f"({number(mpc.solve_ms['max'])} ms at most). In virtual time this changes nothing: every plan comes into force after the "
-            f"same delay{_delay(result)}. In real time the plan before would have stayed in force until then."
+            f"({number(mpc.solve_ms['max'])} ms at most). In virtual time this changes nothing: every plan becomes active after the "
+            f"same delay{_delay(result)}. In real time the plan before would have stayed active until then."
         )
     return lines or [f"All {mpc.solves} solves gave a plan, each within the period of {period}."]
 
@@ -140,6 +141,7 @@ def page(result: RunResult) -> str:
 {_summary(result)}
 <h2>Figures</h2>{_metrics(result)}{notes}
 {_solve_times(result.mpc)}
+{replay(result.motion)}
 <h2 id="plots">Plots</h2>{_plots(result.plots)}
 <h2>What is idealized</h2><ul class="card">{ideal}</ul>
 <h2>How it was made</h2>{_origin(result)}

@@ -87,7 +87,7 @@ def limits_of_leaders(description: RobotDescription, spec: mujoco.MjSpec) -> Lim
         low, high = max(low, ends[0]), min(high, ends[1])
         if not low < high:
             raise InputError(
-                f"{description.source}: key 'couple.{follower}': its range and that of '{c.joint}' have nothing in common"
+                f"{description.source}: key 'couple.{follower}': its range and that of '{c.joint}' do not overlap"
             )
         if np.isfinite([low, high]).all():
             position[c.joint] = (low, high)

@@ -319,7 +319,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
 def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.MjSpec:
     """The robot's file as an editable MuJoCo specification of its mechanics, with its locked joints removed.
 
-    ``meshes``: with those meshes of a URDF that are there, for display.
+    ``meshes``: with the meshes of a URDF that exist, for display.
     """
     file = file_of(description)
     spec = _parse(description, file, meshes)

@@ -1,4 +1,4 @@
-"""A description of a robot that nobody has described yet: what its model shows, made into a robot's YAML."""
+"""A first robot file (YAML) from what a robot's model shows."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from wbmpc.robots.mechanism import Mechanism
 Array = NDArray[np.float64]
 #: Postures that are tried, of which so many of the best are checked for collisions.
 TRIED, LOOKED_AT = 2000, 40
-#: Share of each range, at both ends, that a home keeps away from; half range [rad] of a joint that turns on and on.
+#: Share of each range, at both ends, that a home keeps away from; half range [rad] of a continuous joint.
 MARGIN, TURNS = 0.15, np.pi
 #: Rotation counts as so much [m] per radian in manipulability; spread [m] about the working height; fastest joint [rad/s or m/s] that counts.
 LEVER, SPREAD, FAST = 0.4, 0.3, 2.0

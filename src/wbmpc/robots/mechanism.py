@@ -24,7 +24,7 @@ _KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "sl
 @dataclass(frozen=True)
 class Joint:
     """A hinge or slide: ``body`` that it moves; ``position`` (3) [m] and unit ``axis`` (3) in the world at zero; ``range`` [rad or m], None
-    where it turns on and on; ``above``: joints between the world and it."""
+    for a continuous joint; ``above``: joints between the world and it."""
 
     name: str
     kind: str
@@ -97,7 +97,7 @@ class Mechanism:
         return (*self.joints_of(int(m.body_parentid[body])), *self._named(same))
 
     def _named(self, joints: range) -> list[str]:
-        """Names of hinges and slides: a body that floats is nobody's joint."""
+        """Names of hinges and slides: without free joints."""
         m = self.model
         return [m.joint(j).name for j in joints if mujoco.mjtJoint(int(m.jnt_type[j])) in _KINDS and m.joint(j).name]
 

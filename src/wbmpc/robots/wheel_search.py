@@ -51,7 +51,7 @@ class Wheel:
 
 
 def find_wheels(mechanism: Mechanism) -> list[Wheel]:
-    """Hinges with a horizontal axis that turn on and on, near the ground, with at most vertical axes and suspensions above them."""
+    """Continuous hinges with a horizontal axis, near the ground, with at most vertical axes and suspensions above them."""
     found = [w for j in mechanism.joints.values() if (w := _wheel(mechanism, j)) is not None]
     lowest = min((w.center[2] for w in found), default=0.0)
     low = [w for w in found if w.center[2] <= lowest + _LOW]

@@ -153,7 +153,7 @@ def obstacles_of(settings: RosSettings) -> Obstacles | None:
 
 
 class PendingChanges:
-    """A guess for the MPC that first puts new references, weights and modes into force: in its own thread, between two solves."""
+    """A guess for the MPC that first applies new references, weights and modes: in its own thread, between two solves."""
 
     def __init__(self, then: Guess | None = None) -> None:
         self._then = then
@@ -171,17 +171,17 @@ class PendingChanges:
             self._then.bind(mpc)
 
     def set(self, references: dict[str, Reference]) -> None:
-        """In force from the next solve on."""
+        """Takes effect at the next solve."""
         with self._lock:
             self._references = references
 
     def schedule(self, schedule: ModeSchedule) -> None:
-        """In force from the next solve on."""
+        """Takes effect at the next solve."""
         with self._lock:
             self._schedule = schedule
 
     def reweigh(self, weights: Weights) -> None:
-        """In force from the next solve on."""
+        """Takes effect at the next solve."""
         with self._lock:
             self._weights = {**self._weights, **weights}
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
+from wbmpc.ros2.base_driver import BaseWay
 from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Endpoint, Node
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
@@ -77,6 +78,8 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     target: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", reader.read)}
     if topics.imu and robot.description.base.moves:
         target[topics.imu] = "sensor_msgs/msg/Imu", read_imu
+    if robot.description.base.takes_twist:
+        target[topics.base_odom] = "nav_msgs/msg/Odometry", BaseWay(robot).read
     target["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
     ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in target.items()}
     poses = PoseSource(node, settings, time.monotonic, time.time) if topics.pose else None
@@ -153,7 +156,7 @@ def _balancing(topic: str, rate: float, target: float) -> list[Finding]:
 
 
 def _brakes(robot: RobotModel, controllers: dict[str, Controller]) -> list[Finding]:
-    """Of legs with brakes, which nobody has to move."""
+    """Of legs with brakes, which need no commands."""
     legs = robot.input.groups.get("leg", ())
     left = [n for n in legs if not any(f"brake/{n}" in c.joints for c in controllers.values())]
     if not left:
@@ -174,10 +177,10 @@ def _other_odometry(node: Node, topic: str, ours: str) -> list[Finding]:
 
 
 def _needless_clock(node: Node, ear: _Ear) -> list[Finding]:
-    """Of a clock that nobody asked for."""
+    """Of a clock that is not used."""
     if not node.publishers("/clock"):
         return []
-    findings = [Finding(WARNING, "/clock", "somebody publishes it, but time is the wall's: use --use-sim-time")]
+    findings = [Finding(WARNING, "/clock", "it is published, but the node runs on wall time: use --use-sim-time")]
     return findings + ([Finding(WARNING, "/clock", _stands(ear))] if ear.stands else [])
 
 
@@ -190,7 +193,7 @@ def _source(node: Node, topic: str, kind: str, ear: _Ear, settings: RosSettings,
     publishers = node.publishers(topic)
     if not publishers:
         without = "" if needed else " (the odometry is then of the wheels alone)"
-        return [Finding(level, topic, f"nobody publishes it{without}")]
+        return [Finding(level, topic, f"no publisher{without}")]
     wrong = _wrong_types(topic, publishers, (kind,))
     if wrong or not ear.times:
         return wrong or [Finding(level, topic, "it has a publisher but no message came")]
@@ -239,7 +242,7 @@ def _sink(node: Node, controller: Controller, ours: str, needed: bool) -> list[F
     if len(who) > 1:
         return [Finding(ERROR, topic, f"{len(who)} nodes called '{ours}' publish on it: they stop each other")]
     if not subscribers:
-        return [Finding(ERROR if needed else WARNING, topic, "nobody listens: is the controller active?")]
+        return [Finding(ERROR if needed else WARNING, topic, "no subscriber: is the controller active?")]
     wrong = _wrong_types(topic, subscribers, (controller.type,))
     if wrong:
         return wrong
@@ -249,7 +252,7 @@ def _sink(node: Node, controller: Controller, ours: str, needed: bool) -> list[F
 
 
 def _order(node: Node, topic: str, kind: str) -> list[Finding]:
-    """Of who sends goals or orders; nobody has to."""
+    """Of optional publishers of goals and requests."""
     publishers = [e for e in node.publishers(topic) if not e.own] if topic else []
     found = _wrong_types(topic, publishers, (kind,))
     offers = [DEFAULT.incompatible(e.qos) for e in publishers if e.type == kind]
@@ -259,7 +262,7 @@ def _order(node: Node, topic: str, kind: str) -> list[Finding]:
 def _several_types(node: Node, topic: str, kinds: tuple[str, ...], needed: bool) -> list[Finding]:
     publishers = node.publishers(topic) if topic else []
     if not publishers:
-        return [Finding(ERROR, topic, "nobody publishes it")] if topic and needed else []
+        return [Finding(ERROR, topic, "no publisher")] if topic and needed else []
     return _wrong_types(topic, publishers, kinds) or [Finding(OK, topic, publishers[0].type)]
 
 

@@ -74,7 +74,7 @@ class BusClock:
             return ""
         silent = time.monotonic() - self.heard
         gone = silent > min(GONE, limit) and not published()
-        who = ", nobody publishes it any more" if gone else ""
+        who = ", it has no publisher any more" if gone else ""
         return f"the time on /clock has stopped for {silent:.1f} s{who}" if gone or silent > limit else ""
 
     def restart(self) -> None:

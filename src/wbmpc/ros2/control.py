@@ -224,9 +224,11 @@ class ControlNode:
 
     # ------------------------------------------------------------------ before a goal
     def _follow_sensors(self) -> None:
-        """Follow the sensors while nobody commands the drives, whatever it waits for, or stopped for."""
+        """Follow the sensors while the drives are not commanded, in every state of the node; a tick that a stop overtakes has them to
+        itself."""
         unheard = isinstance(self.clock, BusClock) and self.clock.heard is None
-        if unheard or (self.adapter.needs_imu and not self.robot_io.has_imu):
+        ticking = self.runner is not None and self.runner.ticking
+        if unheard or ticking or (self.adapter.needs_imu and not self.robot_io.has_imu):
             return
         for measurement in self.robot_io.unread():
             with suppress(SafeStop, InputError):
@@ -258,7 +260,7 @@ class ControlNode:
         return self._hold_reason if self.running else self.waiting_reason()
 
     def _activate(self, planned: Planned) -> None:
-        """Put a planned task into force, if that is still right. Raises :class:`InputError`."""
+        """Start a planned task, if that is still right. Raises :class:`InputError`."""
         seen, why = self.adapter.snapshot(), self._rejection_reason()
         if planned.moving and not self.running:
             why = "the robot has stopped meanwhile"
@@ -352,14 +354,14 @@ class ControlNode:
             self.robot_io.stop()  # the runner's loop waits for a time that does not come
 
     def _check_graph(self) -> None:
-        """Somebody else on our command topics: two controllers on one drive are worse than none."""
+        """Another publisher on our command topics: two controllers on one drive are worse than none."""
         commands = self.settings.command_topics(self.robot).values()
         others = [c.topic for c in commands if any(not e.own for e in self.node.publishers(c.topic))]
         self._other_commander = f"another node publishes on {others[0]}" if others else ""
 
     @property
     def _other_publisher(self) -> str:
-        """Who else commands the drives, or sends what has one source; empty if nobody does."""
+        """Who else commands the drives, or sends what has one source; empty if there is no other."""
         clock = self.clock.source.conflict if isinstance(self.clock, BusClock) else ""
         return self._other_commander or clock or self.robot_io.conflict or self.source.source.conflict
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
-from cyclonedds.core import DDSException, InstanceState, Listener, Policy
+from cyclonedds.core import DDSException, InstanceState, Policy
 from cyclonedds.core import Qos as DdsQos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
@@ -32,6 +32,7 @@ from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
+from wbmpc.ros2.dds_listener import Take, Watch, silence
 from wbmpc.ros2.dds_qos import POLICIES, dds_qos, ros_qos, ros_type
 from wbmpc.ros2.dds_source import DdsWriter, FilteredTopic
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
@@ -48,7 +49,6 @@ _HEADER = {"client": idl_types.uint64, "number": idl_types.int64}
 _HEADER_SIZE = 16
 #: A node announces its endpoints when it has made them; in this time [s] that has come.
 _ANNOUNCED = 1.0
-Take = Callable[[DataReader], None]
 #: The package reads the QoS of endpoints through buffers that all threads of the process share.
 _GRAPH_LOCK = threading.Lock()
 #: Nodes that nobody has closed. A reader that Python collects lives on in DDS, which then calls a listener that is gone: the
@@ -103,7 +103,7 @@ class DdsNode:
         name = full_name(topic)
         place = self._topic(f"rt{name}", kind)
         ours = OwnEndpoint("publisher", name, kind, qos)
-        listener = _Watch(lambda policy: self._mismatch(ours, policy))
+        listener = Watch(lambda policy: self._mismatch(ours, policy))
         writer = DataWriter(self._participant, place, qos=self._qos(qos, kind), listener=listener)
         self._own(self._writers, writer)
         return DdsPublisher(writer, self.types, kind, self._where(place), self)
@@ -214,7 +214,7 @@ class DdsNode:
         end = time.monotonic() + timeout
         try:
             while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
-                _wait(end, f"{name}: nobody serves it")
+                _wait(end, f"{name}: no server")
             write(writer, body[:4] + head + body[4:], self._where(requests), self, threading.RLock())
             while True:
                 for data, _ in _taken(reader):
@@ -298,7 +298,7 @@ class DdsNode:
             entities = [*self._readers, *self._writers]
             self._readers, self._writers = [], []
         for entity in entities:
-            entity.set_listener(None)
+            silence(entity)
         self._participant.__del__()  # deletes all that belongs to it; the package has no other way
         for reader in list(self._unregister):
             self._unregister.pop(reader)()
@@ -312,18 +312,19 @@ class DdsNode:
         self, topic: Any, qos: DdsQos, take: Take, of: DdsNode | None, mismatch: Callable[[int], None] | None = None
     ) -> DataReader:
         """A reader that calls ``take``; ``of``: the node that it does not hear, None for a service. The package calls listeners
-        before the reader is complete: what came then is taken as soon as it is."""
-        complete, where = threading.Event(), self._where(topic)
+        before the reader is complete, with None for a reader: what came then is taken as soon as it is."""
+        complete: list[DataReader] = []
+        where = self._where(topic)
 
-        def call(reader: DataReader) -> None:
-            if complete.is_set():
+        def call(_: DataReader | None) -> None:
+            if complete:
                 with LOCAL.callback(where, of):
-                    take(reader)
+                    take(complete[0])
 
         unregister = LOCAL.add(where, of)
-        reader = DataReader(self._participant, topic, qos=qos, listener=_Watch(mismatch, call))
+        reader = DataReader(self._participant, topic, qos=qos, listener=Watch(mismatch, call))
         self._unregister[reader] = unregister
-        complete.set()
+        complete.append(reader)
         self._own(self._readers, reader)
         take(reader)
         return reader
@@ -334,7 +335,7 @@ class DdsNode:
             if reader not in self._readers:
                 return
             self._readers.remove(reader)
-        reader.set_listener(None)  # without the lock: it waits for callbacks
+        silence(reader)  # without the lock: it waits for callbacks
         reader.__del__()
         self._unregister.pop(reader, lambda: None)()
         self._announce()
@@ -366,18 +367,6 @@ class DdsNode:
 
     def _mismatch(self, ours: OwnEndpoint, policy: int) -> None:
         self._mismatches.notice(ours, POLICIES.get(policy, f"policy {policy}"))
-
-
-class _Watch(Listener):  # type: ignore[misc]
-    """``take`` for new data; ``mismatch`` with the number of the policy in which two endpoints do not agree."""
-
-    def __init__(self, mismatch: Callable[[int], None] | None, take: Take | None = None) -> None:
-        super().__init__()
-        if take is not None:
-            self.set_on_data_available(take)
-        if mismatch is not None:
-            notice = lambda _, status: mismatch(int(status.last_policy_id))
-            (self.set_on_offered_incompatible_qos if take is None else self.set_on_requested_incompatible_qos)(notice)
 
 
 def _taken(reader: DataReader) -> list[tuple[bytes, int]]:

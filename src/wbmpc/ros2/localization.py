@@ -59,7 +59,7 @@ class PoseSource:
         return self._wrong or self.jumped or self._messages.fault
 
     def update(self) -> None:
-        """Subscribe in the type in which somebody publishes it."""
+        """Subscribe in the type that is published."""
         self._messages.update()
 
     def take(self) -> tuple[float, Array, Array] | None:
@@ -70,7 +70,7 @@ class PoseSource:
         return self.newest()
 
     def newest(self) -> tuple[float, Array, Array] | None:
-        """What is new: age now [s], pose (x, y, yaw), covariance (3, 3), zero if it was not given. Once."""
+        """The latest pose, returned once: age now [s], pose (x, y, yaw), covariance (3, 3), zero where the message has none."""
         fix, self._fix = self._fix, None
         return None if fix is None else (max(self.now() - fix[0], 0.0), *fix[1:])
 

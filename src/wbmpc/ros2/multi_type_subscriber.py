@@ -24,7 +24,7 @@ class MultiTypeSubscriber:
             self._take_in([next(iter(takes))])
 
     def update(self) -> None:
-        """Subscribe in the types in which somebody publishes; the others' subscriptions end: a middleware may have room for
+        """Subscribe in the types that are published; the others' subscriptions end: a middleware may have room for
         one type only."""
         kinds = {e.type for e in self._node.publishers(self._topic)} & self._takes.keys() if self._topic else set()
         for kind in [k for k in self._ends if kinds and k not in kinds]:

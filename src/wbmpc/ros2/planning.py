@@ -14,7 +14,7 @@ from wbmpc.ros2.request_queue import Request
 
 Array = np.ndarray
 References = dict[str, Reference]
-#: Most tasks are ready within this time [s]: they come into force in the step in which their goal was taken.
+#: Most tasks are ready within this time [s]: they become active in the step in which their goal was taken.
 PROMPT = 0.01
 
 

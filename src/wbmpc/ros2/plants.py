@@ -23,12 +23,14 @@ _GAIN, AT_REST = 10.0, float(np.finfo(np.float32).eps)
 
 @dataclass(frozen=True)
 class Reading:
-    """Encoders [rad] by group, gyro (3) [rad/s], accelerometer (3) [m/s²], read ``age`` [s] ago."""
+    """Encoders [rad] by group, gyro (3) [rad/s], accelerometer (3) [m/s²], read ``age`` [s] ago. ``way`` (m) [m, rad]: of a base that
+    takes speeds, along each of them."""
 
     joints: dict[str, Array]
     gyro: Array
     accel: Array
     age: float = 0.0
+    way: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class RosPlant(ABC):
 
     @abstractmethod
     def rest(self) -> dict[str, Array]:
-        """Commands by group of a robot that rests, brakes closed."""
+        """Commands by group that keep the robot at rest, brakes closed."""
 
     @abstractmethod
     def command(self, groups: dict[str, Array]) -> Any:

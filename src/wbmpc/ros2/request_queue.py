@@ -120,7 +120,7 @@ class RequestQueue:
         return self._speeds.fault
 
     def detect_speed_inputs(self) -> None:
-        """Subscribe to speeds in the types in which somebody publishes them (Twist, TwistStamped)."""
+        """Subscribe to speeds in the types that are published (Twist, TwistStamped)."""
         self._speeds.update()
 
     # ------------------------------------------------------------------ messages
@@ -221,7 +221,7 @@ class RequestQueue:
         return str(header.frame_id)
 
     def _check_floor(self, frame: str, positions: Array) -> None:
-        """The base stays on the floor: a goal (n, 3) far over or under it was meant for somebody else."""
+        """The base stays on the floor: a goal (n, 3) far over or under it is meant for another robot."""
         height = self.planner.base_height
         low = -_OFF_FLOOR if frame == self.settings.frames.world else -_OFF_FLOOR - height
         high, far = low + height + 2.0 * _OFF_FLOOR, positions[:, 2]

@@ -1,4 +1,4 @@
-"""A robot behind a bus, as the real-time runner wants it: newest checked measurement, commands, a ramp to rest."""
+"""A robot behind a bus, as the real-time runner needs it: newest checked measurement, commands, a ramp to rest."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.base_adapter import BaseAdapter, Groups
+from wbmpc.ros2.base_driver import BaseWay
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.joints import Inertial, JointReader, JointSample, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
-from wbmpc.ros2.trajectory_client import Sender, senders
+from wbmpc.ros2.trajectory_client import senders
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.safety import SafeStop
 
@@ -80,7 +81,12 @@ class BusRobot:
             listen(topics.imu, "sensor_msgs/msg/Imu", self._take_imu)
         elif adapter.needs_imu:
             raise InputError("topics.imu: this robot needs an inertial unit")
-        self._senders: list[Sender] = senders(node, adapter.robot, settings)
+        self._way = BaseWay(adapter.robot) if adapter.robot.description.base.takes_twist else None
+        self._way_source = OneSource(topics.base_odom, self._forget_way)
+        self._went = -np.inf  # when the base's driver last said how far it went
+        if self._way is not None:
+            listen(topics.base_odom, "nav_msgs/msg/Odometry", partial(self._take_way, self._way))
+        self._senders = senders(node, adapter.robot, settings)
 
     # ------------------------------------------------------------------ from the bus
     def _take_joints(self, message: Any, source: Source | None = None) -> None:
@@ -124,6 +130,24 @@ class BusRobot:
             self._fresh.append((at, taken))
             del self._fresh[:-_WAITING]
 
+    def _take_way(self, way: BaseWay, message: Any, source: Source | None = None) -> None:
+        if not self._way_source.takes(source):
+            return
+        try:
+            way.read(message)
+        except InputError as error:
+            self._note("way", error_message(error))
+            if not self._armed:
+                way.reset()
+            return
+        self._good("way")
+        self._went = time.perf_counter()
+
+    def _forget_way(self) -> None:
+        """The next message is another driver's, whose way begins where the last one's ended."""
+        if self._way is not None:
+            self._way.reset()
+
     def _forget_joints(self) -> None:
         """The next joint states are another publisher's: of another clock, and wherever they are."""
         self._reader.reset()
@@ -139,7 +163,7 @@ class BusRobot:
     @property
     def conflict(self) -> str:
         """That sensors have more than one publisher; empty if they have not."""
-        return self._joint_source.conflict or self._imu_source.conflict
+        return self._joint_source.conflict or self._imu_source.conflict or self._way_source.conflict
 
     @property
     def fault(self) -> str:
@@ -175,7 +199,18 @@ class BusRobot:
             return f"the joint states on {self.settings.topics.joint_states} have stopped for more than {limit:g} s"
         if self.adapter.needs_imu and self._inertial is None:
             return f"nothing on {self.settings.topics.imu} yet"
-        return ""
+        return self._without_way()
+
+    def _without_way(self) -> str:
+        """Why it is not known how far a base that takes speeds goes; empty where it is."""
+        topic, limit = self.settings.topics.base_odom, self.settings.safety.watchdog
+        if self._way is None:
+            return ""
+        at = self._way.stamp
+        if at is None:
+            return f"nothing on {topic} yet"
+        silent = self.clock.stamp() - at if isinstance(self.clock, BusClock) else time.perf_counter() - self._went
+        return f"the messages on {topic} stopped {silent:.3g} s ago" if silent > limit else ""
 
     def age(self) -> float:
         """Of the last joint states [s]; infinite before the first."""
@@ -188,8 +223,8 @@ class BusRobot:
     def arm(self) -> None:
         """From now on faults count; the robot is at rest."""
         self._wrong, self._stopping, self._armed, self.sent = {}, None, True, 0
-        self._joint_source.settle()
-        self._imu_source.settle()
+        for source in (self._joint_source, self._imu_source, self._way_source):
+            source.settle()
         self._last = self.adapter.rest()
 
     def disarm(self) -> None:
@@ -202,7 +237,8 @@ class BusRobot:
         """The newest measurement, its time on the runner's clock."""
         if self.fault and self._armed and not self.adapter.must_keep_running:
             raise SafeStop(self.fault)
-        replaced = self._joint_source.replaced or self._imu_source.replaced
+        replaced = self._joint_source.replaced or self._imu_source.replaced or self._way_source.replaced
+        replaced = replaced or self._without_way()
         if replaced and self._armed:
             raise SafeStop(replaced)
         joints = self._joints
@@ -235,6 +271,8 @@ class BusRobot:
 
     def _measurement(self, sample: JointSample, arrival: float, imu: Inertial | None) -> Any:
         origin = self.clock.origin
+        if self._way is not None and self._way.stamp is not None:
+            sample = self._way.with_way(sample)
         return self.adapter.measurement(self.clock.now(), self._when(sample, arrival) - origin, sample, imu, origin)
 
     def _when(self, sample: JointSample, arrival: float) -> float:
@@ -288,7 +326,9 @@ class BusRobot:
         self._send(self._last)
 
     def stop(self) -> None:
-        """The last commands, ramped down, then zero, brakes closed, then nothing: who else commands the robot is not disturbed.
+        """The last commands, ramped down, then zero, brakes closed, then, once disarmed, nothing: who else commands the robot is not
+        disturbed. Armed it goes on: the runner stands by for a policy, and in lockstep a simulator waits for commands, however slow
+        the machine is.
 
         To be called again and again.
         """
@@ -296,7 +336,7 @@ class BusRobot:
         if self._stopping is None:
             self._stopping = now
         ramp = self.settings.safety.ramp
-        if now - self._stopping > ramp + ZEROS:
+        if now - self._stopping > ramp + ZEROS and not self._armed:
             return
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0
         scaled = {g: left * v for g, v in self._last.items()}

@@ -22,6 +22,7 @@ from wbmpc.yaml_file import load_yaml
 GROUPS = ("wheel", "steer", "arm", "brake")
 #: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
 NUMBERS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
+TYPES = {"numbers": NUMBERS, "trajectory": TRAJECTORY, "twist": "geometry_msgs/msg/TwistStamped"}
 #: Types of goals and orders, by the keys of their topics.
 REQUEST_TYPES = {
     "goal_pose": "geometry_msgs/msg/PoseStamped", "end_effector_goal": "geometry_msgs/msg/PoseStamped",
@@ -33,7 +34,7 @@ OBSTACLE_TYPES = {
     "detections": "vision_msgs/msg/Detection3DArray", "occupancy_grid": "nav_msgs/msg/OccupancyGrid",
     "points": "sensor_msgs/msg/PointCloud2",
 }  # fmt: skip
-#: How long [s of the wall] simulated time may stand: in lockstep, and if nobody publishes it, or else.
+#: How long [s of the wall] simulated time may stand: in lockstep, and without a publisher, or else.
 LOCKSTEP_PATIENCE, GONE = 30.0, 1.0
 #: Topics of ROS whose names and types are fixed: nothing else may be there.
 FIXED = {
@@ -62,11 +63,13 @@ class Topics(Settings):
 
     ``pose``: another localization's pose of the base in the world frame; it corrects the odometry. ``legs``, ``brakes`` and
     ``leg_configuration`` are what the service ``set_legs`` does, as topics. ``wrench``: what the end effector is to exert.
+    ``base_odom``: how far a base that takes speeds went, as its driver says.
     ``detections``, ``occupancy_grid``, ``points``: obstacles, which plans keep clear of; needed once they are named.
     """
 
     joint_states: str = "/joint_states"
     imu: str = "/imu"
+    base_odom: str = "/base_controller/odom"
     pose: str = ""
     detections: str = ""
     occupancy_grid: str = ""
@@ -93,7 +96,7 @@ class Topics(Settings):
     def _valid(cls, name: str) -> str:
         return name and _topic(name)
 
-    @field_validator("joint_states")
+    @field_validator("joint_states", "base_odom")
     @classmethod
     def _needed(cls, name: str) -> str:
         if not name:
@@ -143,7 +146,7 @@ class VelocityLimits(Settings):
 
 class WrenchLimits(Settings):
     """The most that the end effector of a balancing robot may be asked to exert: force [N], moment [N m]. Its plan leans on the world's
-    answer, and where there is none it has to stand all the same: 20 N that nobody answers fell it."""
+    answer, and where there is none it has to stand all the same: an unanswered push of 20 N makes it fall."""
 
     force: float = Field(10.0, ge=1e-3, le=200)
     moment: float = Field(2.0, ge=1e-3, le=20)
@@ -160,7 +163,7 @@ class Safety(Settings):
     """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
     ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: as long
     as the watchdog, of a slower simulator's time, at most 1 s; in lockstep 30 s, for a busy machine takes its time, or 1 s when
-    nobody publishes it any more). ``jump`` [m, rad]: how far a pose of another localization may be off from what the robot's own
+    no publisher is left). ``jump`` [m, rad]: how far a pose of another localization may be off from what the robot's own
     motion says, beyond three standard deviations."""
 
     watchdog: float = Field(0.1, ge=1e-3, le=1)
@@ -174,12 +177,13 @@ class Safety(Settings):
 class Controller(Settings):
     """A controller of ros2_control: ``topic`` of its commands, our ``joints`` in its order.
 
-    ``takes``: ``numbers`` (Float64MultiArray: speeds, or efforts where the robot's drives take these) or ``trajectory`` (JointTrajectory).
+    ``takes``: ``numbers`` (Float64MultiArray: speeds, or efforts where the robot's drives take these) or ``trajectory`` (JointTrajectory), or
+    ``twist`` (TwistStamped) of a base that takes speeds, whose "joints" are these (base/NAME).
     """
 
     topic: str
     joints: tuple[str, ...]
-    takes: Literal["numbers", "trajectory"] = "numbers"
+    takes: Literal["numbers", "trajectory", "twist"] = "numbers"
 
     @field_validator("topic")
     @classmethod
@@ -189,7 +193,7 @@ class Controller(Settings):
     @property
     def type(self) -> str:
         """Of its messages."""
-        return TRAJECTORY if self.takes == "trajectory" else NUMBERS
+        return TYPES[self.takes]
 
 
 class RosSettings(Settings):
@@ -273,12 +277,15 @@ class RosSettings(Settings):
         drives = drive_groups(robot)
         brakes = {n: f"brake/{n}" for n in drives["brake"]}
         drives["brake"] = list(brakes.values())
+        twist = drives["wheel"] if robot.description.base.takes_twist else []
         if not self.controllers:
-            return {
+            found = {
                 f"{g}_controller": Controller(topic=f"/{g}_controller/commands", joints=tuple(drives[g]))
                 for g in GROUPS
-                if drives[g]
+                if drives[g] and not (twist and g == "wheel")
             }
+            base = Controller(topic="/base_controller/cmd_vel", joints=tuple(twist), takes="twist")
+            return {"base_controller": base, **found} if twist else found
         known = [n for names in drives.values() for n in names]
         seen: dict[str, str] = {}
         for name, controller in self.controllers.items():
@@ -286,6 +293,9 @@ class RosSettings(Settings):
                 where = f"key 'controllers.{name}.joints'"
                 if joint not in known:
                     raise unknown_name("joint", joint, known, where=where)
+                if (controller.takes == "twist") != (joint in twist):
+                    valid = f"{', '.join(twist)} with 'takes: twist'" if twist else "numbers, trajectory"
+                    raise InputError(f"{where}: '{joint}' is not commanded by '{controller.takes}'; valid: {valid}")
                 if controller.takes == "trajectory" and joint not in drives["arm"]:
                     raise InputError(
                         f"{where}: '{joint}' cannot be led by a trajectory; valid: {', '.join(drives['arm'])}"
@@ -313,8 +323,10 @@ def joint_groups(robot: RobotModel) -> dict[str, tuple[str, ...]]:
 
 
 def drive_groups(robot: RobotModel) -> dict[str, list[str]]:
-    """Our names of the drives by :data:`GROUPS`; brakes are called like their legs."""
+    """Our names of the drives by :data:`GROUPS`; brakes are called like their legs, and the speeds of a base that takes them base/NAME."""
     drives = {g: list(robot.input.groups.get("leg" if g == "brake" else g, ())) for g in GROUPS}
+    if robot.description.base.takes_twist:
+        return drives | {"wheel": [f"base/{n}" for n in robot.input.groups["base"]]}
     return drives | {"wheel": drives["wheel"] or robot.description.base.wheel_joints()}
 
 

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots.frames import FixedFrame, fixed_frames
 from wbmpc.robots.urdf import to_urdf
+from wbmpc.ros2.base_driver import SimulatedDriver, ordered_speeds
 from wbmpc.ros2.bus import DEFAULT, LATCHED, Node, Qos
 from wbmpc.ros2.convert import header, pose, quaternion, stamp, vector
 from wbmpc.ros2.plants import plant_of
@@ -89,6 +91,9 @@ class SimNode:
         sensors = Qos(depth=5)  # reliable, as the joint_state_broadcaster's
         self._joints = self.node.publisher(topics.joint_states, "sensor_msgs/msg/JointState", sensors)
         self._imu = self.node.publisher(topics.imu or "/imu", "sensor_msgs/msg/Imu", sensors)
+        self._driver = None
+        if self.robot.description.base.takes_twist:
+            self._driver = SimulatedDriver(self.node, topics.base_odom, self.robot, frames.world, frames.base)
         self._clock = self.node.publisher("/clock", "rosgraph_msgs/msg/Clock", Qos(depth=1))
         self._odom = self.node.publisher(TRUTH_ODOM, "nav_msgs/msg/Odometry")
         self._end_effector = self.node.publisher(TRUTH_END_EFFECTOR, "geometry_msgs/msg/PoseStamped")
@@ -99,9 +104,8 @@ class SimNode:
         described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
         for name, controller in self._controllers.items():
             target = [places[j] for j in controller.joints]
-            take = lambda message, n=name, w=target: self._take(n, w, message)
-            if controller.takes == "trajectory":
-                take = lambda message, n=name, w=target: self._take_trajectory(n, w, message)
+            follow = {"trajectory": self._take_trajectory, "twist": self._take_twist}.get(controller.takes, self._take)
+            take = partial(follow, name, target)
             self.node.subscribe(controller.topic, controller.type, take, DEFAULT)
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
@@ -126,6 +130,18 @@ class SimNode:
         with self._changed:
             for (group, i), value in zip(places, values, strict=True):
                 self._groups[group][i] = value
+            self._answered(name)
+
+    def _take_twist(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
+        """As a base's own driver does."""
+        topic = self._controllers[name].topic
+        try:
+            speeds = ordered_speeds(self.robot, message)
+        except InputError as error:
+            self._limit.log(_LOG, logging.ERROR, topic, f"{topic}: {error}")
+            return
+        with self._changed:
+            self._groups["wheel"][:] = speeds
             self._answered(name)
 
     def _take_trajectory(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
@@ -256,6 +272,8 @@ class SimNode:
             "angular_velocity": vector(reading.gyro), "linear_acceleration": vector(reading.accel),
         }  # fmt: skip
         self._imu.publish(imu)
+        if self._driver is not None and reading.way is not None:
+            self._driver.publish(sampled, reading.way)
         positions = np.concatenate([reading.joints[g] for g in self._order])
         self._joints.publish({"header": header(sampled, ""), "name": self._names, "position": positions})
         if self.ticks % 8 == 0:

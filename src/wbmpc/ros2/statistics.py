@@ -27,7 +27,7 @@ def collect_statistics(controller: ControlNode) -> dict[str, Any]:
         **({} if c.adapter.brakes is None else {"legs held": getattr(c.adapter.controller, "holds", 0)}),
         "constraint violation": f"{c.adapter.mpc.solve_info['violation']:.2e}",
         "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
-        "observation to policy in force: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
+        "observation to active policy: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
         "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: median [ms]": _ms(r.tick.median),
         "tick takes: 99 % [ms]": _ms(r.tick.p99), "command after its tick's time: median [ms]": _ms(r.sent.median),
         "command after its tick's time: 99 % [ms]": _ms(r.sent.p99),

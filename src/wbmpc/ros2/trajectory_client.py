@@ -8,6 +8,7 @@ import numpy as np
 
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
+from wbmpc.ros2.base_driver import TwistSender
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import header, stamp
 from wbmpc.ros2.settings import Controller, RosSettings, drive_groups
@@ -39,14 +40,14 @@ def places_of(robot: RobotModel) -> dict[str, Place]:
     return {n: (g, i) for g, part in names.items() for i, n in enumerate(part)}
 
 
-def senders(node: Node, robot: RobotModel, settings: RosSettings) -> list[Sender]:
-    """One for each controller that takes numbers."""
-    places = places_of(robot)
-    return [
-        Sender(node, c.topic, c.type, [places[j] for j in c.joints])
-        for c in settings.command_topics(robot).values()
-        if c.takes == "numbers"
+def senders(node: Node, robot: RobotModel, settings: RosSettings) -> list[Sender | TwistSender]:
+    """One for each controller that takes numbers or a twist."""
+    places, controllers = places_of(robot), settings.command_topics(robot).values()
+    found: list[Sender | TwistSender] = [
+        Sender(node, c.topic, c.type, [places[j] for j in c.joints]) for c in controllers if c.takes == "numbers"
     ]
+    base = settings.frames.base
+    return found + [TwistSender(node, c.topic, c.type, robot, base) for c in controllers if c.takes == "twist"]
 
 
 class TrajectorySender:

@@ -24,7 +24,7 @@ _OF_WEIGHTS = list(get_args(Weight)[1].metadata)
 class Tuning:
     """``parameters``: ``robot``, ``use_sim_time``, ``rates.*``, ``frames.*`` read-only; the weights ``cost.*`` settable.
 
-    They are set in any thread, cheaply; :meth:`update`, in the node's own, puts what was set last into force.
+    They are set in any thread, cheaply; :meth:`update`, in the node's own, applies what was set last.
     """
 
     def __init__(self, adapter: BaseAdapter, settings: RosSettings) -> None:

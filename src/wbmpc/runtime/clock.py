@@ -1,6 +1,6 @@
 """Time for the real-time runner: the wall's, or a virtual one in which the same loops run repeatably without sleeping.
 
-A loop is a generator that yields the time [s] at which it wants to go on. A thread follows one loop by the wall clock; in
+A loop is a generator that yields the time [s] at which it resumes. A thread follows one loop by the wall clock; in
 virtual time :func:`interleave` takes the loops in turns, always the one that is due first.
 """
 

@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable
-from typing import Any
+from multiprocessing.process import BaseProcess
 
 from wbmpc.errors import InputError
 from wbmpc.mpc.mpc import MPC
@@ -26,7 +26,7 @@ def start_process(
     worker_commands: Board,
     offset: float,
     setup: Callable[[], None] | None,
-) -> Any:
+) -> BaseProcess:
     """Begin a process that serves an MPC, see :func:`wbmpc.runtime.worker.serve`."""
     arguments = (make, observations, policies, board, worker_commands, offset, setup)
     context = multiprocessing.get_context("spawn")
@@ -35,7 +35,7 @@ def start_process(
     return process
 
 
-def await_ready(process: Any, board: Board) -> None:
+def await_ready(process: BaseProcess, board: Board) -> None:
     """Wait until such a process is ready. Raises :class:`InputError` with its reason if it does not come up."""
     waiting = WallClock()
     while not board["ready"] and process.is_alive() and waiting.now() < _READY:

@@ -1,7 +1,7 @@
 """The real-time runner: a control thread at a fixed rate beside an MPC in a thread or a process of its own.
 
-A tick: read the robot, update the estimator, put the policies that are due into force, hand the predicted observation to the
-MPC, command the robot. The observation is predicted over the latency that was measured, so that its policy comes into force
+A tick: read the robot, update the estimator, activate the policies that are due, hand the predicted observation to the
+MPC, command the robot. The observation is predicted over the latency that was measured, so that its policy becomes active
 at the state that it was computed for. Whatever goes wrong ends in a safe stop: ``stop()`` of the robot at every tick until the
 runner is shut down, and a message that says why.
 """
@@ -15,7 +15,8 @@ import sys
 import threading
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from multiprocessing.process import BaseProcess
+from typing import TypeVar
 
 import numpy as np
 
@@ -40,6 +41,9 @@ from wbmpc.runtime.statistics import Punctuality, Report
 from wbmpc.runtime.stop_control import RobotInterface, StopControl
 from wbmpc.runtime.worker import NUMBERS, RECORDS, WORKER_COMMANDS, Worker
 
+#: Commands and measurements of one robot.
+C = TypeVar("C")
+M = TypeVar("M")
 _LOG = logging.getLogger("wbmpc")
 #: For how long [s] at most a tick may end by itself before a shutdown stops the robot; then for how long each loop may end.
 _TICK_ENDS, _LOOP_ENDS = 0.5, 5.0
@@ -55,7 +59,7 @@ class RealTimeRunner(StopControl):
     dropped when it fails. ``state`` says in a message what the runner does, or why it stopped; ``error`` is the
     exception behind it. In virtual time use :meth:`run`.
 
-    ``settings`` and ``clock`` (None: defaults, the wall clock). To read: ``plans``: policies in force and on their way; ``punctuality`` of
+    ``settings`` and ``clock`` (None: defaults, the wall clock). To read: ``plans``: the active policy and the next ones; ``punctuality`` of
     the ticks, which ``ticker`` counts; ``latency``: from measurement to policy [s]; ``kept``: why the last policy is kept beyond its time,
     ``""`` when it is not; ``remote``: whether the MPC is in another process; ``own``: counts and times of the control thread,
     ``board``: those of the MPC. Between both: ``observations``, ``policies``, ``worker_commands``.
@@ -63,8 +67,8 @@ class RealTimeRunner(StopControl):
 
     def __init__(
         self,
-        robot: RobotInterface,
-        controller: Controller,
+        robot: RobotInterface[M, C],
+        controller: Controller[M, C],
         mpc: MPC | Callable[[], MPC],
         settings: RealTimeSettings | None = None,
         clock: Clock | None = None,
@@ -94,7 +98,7 @@ class RealTimeRunner(StopControl):
         self.kept = ""
         self._current: TimedPolicy | None = None
         self._worker: Worker | None = None
-        self._process: Any = None
+        self._process: BaseProcess | None = None
         self._threads: list[threading.Thread] = []
 
     # ------------------------------------------------------------------ life
@@ -183,7 +187,7 @@ class RealTimeRunner(StopControl):
     @property
     def process_id(self) -> int:
         """Of the process in which the MPC runs."""
-        return os.getpid() if self._process is None else int(self._process.pid)
+        return os.getpid() if self._process is None else self._process.pid or 0
 
     def _begin(self) -> list[Loop]:
         self.clock.restart()
@@ -226,6 +230,7 @@ class RealTimeRunner(StopControl):
             own.sample("jitter", start - due)
             self._beat = start
             self.punctuality.begin(due, start)
+            self.ticking = True
             if not self._stopped.is_set():
                 try:
                     check_held_up(start - due, 0.0, self.settings.watchdog)
@@ -235,6 +240,7 @@ class RealTimeRunner(StopControl):
                     self.halt(str(reason))
                 except (Exception, SystemExit) as error:
                     self._raised(error)
+            self.ticking = False
             if self._stopped.is_set():
                 self._stop_robot()
             end = clock.now()
@@ -276,7 +282,7 @@ class RealTimeRunner(StopControl):
             self._show(due)
 
     def _cuts(self) -> int:
-        """How often the policy in force has cut an input to its hard bounds."""
+        """How often the active policy has cut an input to its hard bounds."""
         policy = self.plans.current
         return 0 if policy is None or policy.limits is None else policy.limits.count
 
@@ -287,7 +293,7 @@ class RealTimeRunner(StopControl):
             self.watch(due, self._beat - due, self.plans)
         except (Exception, SystemExit) as error:
             self.watch = None
-            _LOG.error("nobody watches from here on: %s: %s", type(error).__name__, error, exc_info=error)
+            _LOG.error("the watchdog has ended: %s: %s", type(error).__name__, error, exc_info=error)
 
     def _check_worker(self) -> None:
         if self.board["failed"]:

@@ -26,7 +26,7 @@ class SafeStop(RunAborted):
 class RealTimeSettings:
     """Settings of the real-time runner; times in s, rates in Hz.
 
-    ``control_rate``; ``max_policy_age`` after a policy came into force (left out: its horizon), ``max_observation_age`` of what
+    ``control_rate``; ``max_policy_age`` after a policy became active (left out: its horizon), ``max_observation_age`` of what
     the robot measured, ``patience``: for the first policy; beyond any of them the robot is stopped. ``watchdog``: a tick that
     hangs longer than this stops the robot from another thread. Latency: the ``percentile`` of the last ``window`` delays from
     observation to finished policy, plus ``margin``, in whole ticks, at most ``max_latency``. ``offset``: by how much the MPC's

@@ -182,7 +182,7 @@ class Sizes:
 
     def observation(self) -> Fields:
         """An observation: measured at ``observed`` [s]; state ``x`` (nx) predicted for time ``t`` [s] of the plan's clock,
-        for a policy that comes into force at ``valid_from`` [s]; model parameters."""
+        for a policy that becomes active at ``valid_from`` [s]; model parameters."""
         return {"observed": (), "valid_from": (), "t": (), "x": (self.nx,), "parameters": (self.parameters,)}
 
     def policy(self) -> Fields:

@@ -75,12 +75,12 @@ class Report:
 
     ``ticks`` of the controller, ``misses``: how many of them were not over at their deadline, ``skipped``: deadlines that passed
     meanwhile; ``updates`` of the MPC, ``mpc_misses`` and ``mpc_skipped`` as for ticks, ``failures`` to solve,
-    ``repeated``: updates without a new observation; ``policies`` that came into force, ``late``: after the time they were
+    ``repeated``: updates without a new observation; ``policies`` that became active, ``late``: after the time they were
     planned for; ``limit_violations``: plans with states outside hard limits by more than 0.1 % of the range,
     ``worst_limit_violation``: by how much of it at most, ``worst_limit_violation_message``: a message that names the row;
     ``initial_state_mismatches``: plans that start elsewhere than in the state they were asked to,
     ``worst_initial_state_mismatch``: by how much of 1 + |x| at most; ``clamped``: ticks at which the policy asked for more than the drives
-    give. ``latency``: from observation to policy in force; ``ready``: to finished policy; ``jitter``: by how much ticks begin
+    give. ``latency``: from observation to active policy; ``ready``: to finished policy; ``jitter``: by how much ticks begin
     late; ``tick``: their duration; ``sent``: from a tick's time to its command; ``late_commands``: by part of the tick, see
     :class:`Punctuality`.
     """
@@ -159,7 +159,7 @@ class Report:
                 f"MPC: {self.updates} updates, {self.mpc_misses} missed, {self.failures} failed; solve {ms(self.solve)}"
                 + (outside if self.limit_violations else "")
                 + (mismatches if self.initial_state_mismatches else ""),
-                f"policies: {self.policies} in force, {self.late} late; {self.clamped} ticks clamped; latency {ms(self.latency)}",
+                f"policies: {self.policies} used, {self.late} late; {self.clamped} ticks clamped; latency {ms(self.latency)}",
             ]
         )
 

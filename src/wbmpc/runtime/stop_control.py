@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from wbmpc.runtime.clock import Clock
 from wbmpc.runtime.safety import RealTimeSettings
@@ -12,16 +12,21 @@ from wbmpc.runtime.safety import RealTimeSettings
 _LOG = logging.getLogger("wbmpc")
 
 
-class RobotInterface(Protocol):
+#: Messages of one robot: what it measures and what it is commanded.
+MeasurementT = TypeVar("MeasurementT", covariant=True)
+CommandT = TypeVar("CommandT", contravariant=True)
+
+
+class RobotInterface(Protocol[MeasurementT, CommandT]):
     """A robot. None of the calls may block for long; ``stop`` may come from another thread while ``read`` hangs.
 
     ``read`` returns a measurement with its ``time`` [s] on the runner's clock: numbers, arrays or a dataclass of them.
     """
 
-    def read(self) -> Any:
+    def read(self) -> MeasurementT:
         """The newest measurement. What it raises stops the robot."""
 
-    def write(self, command: Any) -> None:
+    def write(self, command: CommandT) -> None:
         """Send the controller's ``command`` to the drives."""
 
     def stop(self) -> None:
@@ -31,7 +36,7 @@ class RobotInterface(Protocol):
 class StopControl:
     """Stops a ``robot`` for good. ``state`` says what it does, or why it stopped; ``error``: the exception behind that."""
 
-    def __init__(self, robot: RobotInterface, settings: RealTimeSettings, clock: Clock) -> None:
+    def __init__(self, robot: RobotInterface[Any, Any], settings: RealTimeSettings, clock: Clock) -> None:
         self.robot, self.settings, self.clock = robot, settings, clock
         self.state, self.error = "not started", None  # type: str, BaseException | None
         self._stopped, self._ended = threading.Event(), threading.Event()
@@ -39,6 +44,8 @@ class StopControl:
         self._halt_lock = threading.Lock()
         #: when the last tick began [s]
         self._beat = 0.0
+        #: whether a tick is under way, which a stop from another thread does not end; set before the tick asks whether it may run
+        self.ticking = False
 
     def halt(self, reason: str, error: BaseException | None = None) -> None:
         """Stop the robot for good; the first reason stays. May be called from any thread."""

@@ -115,7 +115,7 @@ class ArmPlant(WorldAccess):
         self._carry()
 
     def _carry_unloaded(self) -> None:
-        """Feed the arm's weight forward to its joints without that of a payload, which nobody knows of."""
+        """Feed the arm's weight forward to its joints without that of an unknown payload."""
         d, m, dofs = self.data, self.model, self._arm_dofs
         jacobian = np.zeros((3, m.nv))
         mujoco.mj_jacBody(m, d, jacobian, None, self._payload)

@@ -36,7 +36,7 @@ ALLOWED = frozenset({(FLOOR, ROLLS), (TOUCHES, TOUCHED)})
 _ALLOWED_EITHER_WAY = ALLOWED | {(second, first) for first, second in ALLOWED}
 #: Hulls that come nearer than this [m] to the floor under the standing robot are drawn wheels and casters: they do not touch it.
 DRAGS = 0.002
-#: Two parts that have been apart for less than this [s] touch in the same event; the clearance is looked at every so often [s].
+#: Two parts that have been apart for less than this [s] touch in the same event; the clearance is checked every so often [s].
 APART, INTERVAL = 0.1, 0.01
 #: Distances beyond this [m] are not looked for.
 FAR = 1.0

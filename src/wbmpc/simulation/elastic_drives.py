@@ -51,7 +51,7 @@ class ElasticDrives:
         self.stiffness, self.rotor = np.asarray(stiffness, float), np.asarray(rotor, float)
         if not ((self.stiffness > 0.0).all() and (self.rotor > 0.0).all()):
             raise InputError(
-                "elastic drives: stiffness and rotor inertia must be positive (plant.wheel_rotor, .arm_rotor)"
+                "elastic drives: stiffness and rotor inertia must be positive (plant.drives.wheel_rotor, .arm_rotor)"
             )
         self.gain, self.limit, self._h = gain, np.asarray(limit, float), timestep
         self.damping = 2.0 * spring_damping * np.sqrt(self.stiffness * self.rotor)

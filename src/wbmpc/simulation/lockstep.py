@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from wbmpc.simulation.contacts import Contacts
 from wbmpc.simulation.simulated_robot import SimulatedRobot
 from wbmpc.types import Plant
 
+#: Commands and measurements of one robot.
+C = TypeVar("C")
+M = TypeVar("M")
 _LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]
 #: How long [s] the robot is held at a stop after a run that ended early, at least, and until it rests, at most.
@@ -67,7 +70,7 @@ def contacts_of(*plants: Plant[Any, Any]) -> tuple[Contacts, ...]:
 @dataclass(frozen=True)
 class Timing:
     """``period`` [s] of the controller, which is ``steps`` physics steps; the MPC is called at every ``mpc_every``-th tick, and its policies
-    come into force ``delay`` ticks later."""
+    become active ``delay`` ticks later."""
 
     period: float
     steps: int
@@ -116,7 +119,7 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class Watch:
-    """A progress function that brings watchers along: what experiments hand on to the loop unseen. ``name``: of the loop."""
+    """A progress function with watchers: experiments pass it on to the loop, which calls them. ``name``: of the loop."""
 
     progress: Progress | None
     watchers: tuple[Watcher, ...] = ()
@@ -145,7 +148,7 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
     that it stays whole.
 
     The same holds for every signal whose handler has an attribute ``noted``, which is called then. A second signal acts at once.
-    Nothing is changed outside the main thread, or where somebody else handles the signals.
+    Nothing is changed outside the main thread, or where the signals have other handlers.
     """
     pressed = threading.Event()
     previous: dict[int, Any] = {}
@@ -215,12 +218,12 @@ def watched(
 
 
 def run_lockstep(
-    plant: Plant[Any, Any],
-    controller: Controller,
+    plant: Plant[C, M],
+    controller: Controller[M, C],
     mpc: MPC | None,
     timing: Timing,
     duration: float,
-    record: Callable[[float, Any, PolicyQueue], None],
+    record: Callable[[float, C, PolicyQueue], None],
     progress: Progress | None = None,
     done: Callable[[], bool] | None = None,
 ) -> Ending:
@@ -262,7 +265,7 @@ def run_lockstep(
     return ending
 
 
-def _come_to_rest(plant: Plant[Any, Any], controller: Controller, timing: Timing, longest: float) -> None:
+def _come_to_rest(plant: Plant[C, M], controller: Controller[M, C], timing: Timing, longest: float) -> None:
     """Stop the robot, which nothing pushes any more, until it rests: for :data:`STOP_TIME` at least, and the ``longest`` time [s] at most."""
     plant.end_pushes()
     for _ in range(max(round(longest / STOP_TIME), 1)):
@@ -272,13 +275,13 @@ def _come_to_rest(plant: Plant[Any, Any], controller: Controller, timing: Timing
 
 
 def _tick(
-    plant: Plant[Any, Any],
-    controller: Controller,
+    plant: Plant[C, M],
+    controller: Controller[M, C],
     mpc: MPC | None,
     timing: Timing,
     i: int,
     plans: PolicyQueue,
-    record: Callable[[float, Any, PolicyQueue], None],
+    record: Callable[[float, C, PolicyQueue], None],
     watchers: tuple[Watcher, ...],
 ) -> Ending:
     """One controller period: measure, plan when it is time, command, step. An ending with a reason if it was the last."""

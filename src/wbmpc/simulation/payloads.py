@@ -1,4 +1,4 @@
-"""What a robot carries and where it stands: masses at the tool and on the body, a sloping floor, cables on it. Nobody reports them to the
+"""What a robot carries and where it stands: masses at the tool and on the body, a sloping floor, cables on it. They are not reported to the
 planner."""
 
 from __future__ import annotations

@@ -4,22 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
-from wbmpc.configuration import POSITIVE, OnlyWith, reject_unread
+from wbmpc.configuration import kind_alone
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
-#: Of the torque loop of series elastic drives.
-_ELASTIC = OnlyWith(wheel_spring=POSITIVE, arm_spring=POSITIVE)
-
-
 _Friction = Annotated[float, Field(ge=0, le=100)]
+
+
+class _Choice(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class RigidDrives(_Choice):
+    """Drives without springs."""
+
+    kind: Literal["rigid"] = "rigid"
+
+
+class SeriesElasticDrives(_Choice):
+    """Torque drives behind springs (:mod:`wbmpc.simulation.elastic_drives`). ``wheel_spring`` [N m/rad]: stiffness at the wheels;
+    ``arm_spring`` [N m/rad]: stiffness at the arm's joints; ``wheel_rotor`` [kg m²]: a wheel drive's rotor, at the joint; ``arm_rotor``
+    [kg m²]: an arm drive's rotor, at the joint; ``spring_damping``: damping ratio of the springs; ``torque_gain``: of the torque loop;
+    ``torque_damping``: of the torque loop. Their figures are assumed: none are published."""
+
+    kind: Literal["elastic"] = "elastic"
+    wheel_spring: float = Field(default=40.0, gt=0, le=1e9)
+    arm_spring: float = Field(default=300.0, gt=0, le=1e9)
+    wheel_rotor: float = Field(default=0.010, gt=0, le=1000)
+    arm_rotor: float = Field(default=0.050, gt=0, le=1000)
+    spring_damping: float = Field(default=0.02, ge=0, le=2)
+    torque_gain: float = Field(default=1.0, ge=0, le=20)
+    torque_damping: float = Field(default=0.2, ge=0, le=2)
+
+
+class SoundBrakes(_Choice):
+    """Brakes that do what they are commanded to."""
+
+    kind: Literal["none"] = "none"
+
+
+class StuckBrake(_Choice):
+    """A brake that stays open or closed. ``leg``: whose brake, the leg's place in the description, from 0; ``time`` [s]: from when on, of
+    the plant, which stands for ``settle_time`` first."""
+
+    kind: Literal["open", "closed"]
+    leg: int = Field(default=0, ge=0, le=1000)
+    time: float = Field(default=0.0, ge=0, le=1e6)
+
+
+Drives = Annotated[RigidDrives | SeriesElasticDrives, Field(discriminator="kind"), BeforeValidator(kind_alone)]
+BrakeFaults = Annotated[SoundBrakes | StuckBrake, Field(discriminator="kind"), BeforeValidator(kind_alone)]
 
 
 class Perturbation(BaseModel):
@@ -44,16 +85,12 @@ class Perturbation(BaseModel):
     ``state_age`` [s]: age of its message; ``position_noise`` [m]: noise of its positions; ``angle_noise`` [rad]: noise of its angles;
     ``speed_noise`` [m/s]: noise of its speeds; ``rate_noise`` [rad/s]: noise of its angular rates.
 
-    Torque drives, and not spreads: ``actuator_dead_time`` [s]: of the drives, whole physics steps; series elastic drives
-    (:mod:`wbmpc.simulation.elastic_drives`) have ``wheel_spring`` [N m/rad]: stiffness at the wheels, 0: rigid; ``arm_spring`` [N m/rad]:
-    stiffness at the arm's joints, 0: rigid; ``wheel_rotor`` [kg m²]: a wheel drive's rotor, at the joint; ``arm_rotor`` [kg m²]: an arm
-    drive's rotor, at the joint; ``spring_damping``: damping ratio of the springs; ``torque_gain``: of the torque loop; ``torque_damping``:
-    of the torque loop. Their figures are assumed: none are published.
+    Torque drives, and not spreads: ``actuator_dead_time`` [s]: of the drives, whole physics steps; ``drives``: rigid, or elastic
+    (:class:`SeriesElasticDrives`).
 
     Not spreads but values that the planner does not know of: ``payload`` [kg]: at the tool, its weight is not fed forward to the arm's
-    drives; ``body_payload`` [kg]: on the body; ``slope`` [rad]: of the floor, its direction is drawn; ``brake_fault``: a brake that stays
-    open or closed; ``brake_fault_leg``: whose brake, the leg's place in the description, from 0; ``brake_fault_time`` [s]: from when on, of
-    the plant, which stands for ``settle_time`` first; ``floor_cables`` [m]: height of a grid of cables on the floor.
+    drives; ``body_payload`` [kg]: on the body; ``slope`` [rad]: of the floor, its direction is drawn; ``brake_fault``: none, or a
+    brake that stays open or closed (:class:`StuckBrake`); ``floor_cables`` [m]: height of a grid of cables on the floor.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -68,13 +105,7 @@ class Perturbation(BaseModel):
     actuator_time_constant: float = Field(default=0.020, ge=0, le=10)
     actuator_time_constant_spread: float = Field(default=0.30, ge=0, lt=1)
     actuator_dead_time: float = Field(default=0.0, ge=0, le=0.5)
-    wheel_spring: float = Field(default=0.0, ge=0, le=1e9)
-    arm_spring: float = Field(default=0.0, ge=0, le=1e9)
-    wheel_rotor: Annotated[float, OnlyWith(wheel_spring=POSITIVE)] = Field(default=0.010, ge=0, le=1000)
-    arm_rotor: Annotated[float, OnlyWith(arm_spring=POSITIVE)] = Field(default=0.050, ge=0, le=1000)
-    spring_damping: Annotated[float, _ELASTIC] = Field(default=0.02, ge=0, le=2)
-    torque_gain: Annotated[float, _ELASTIC] = Field(default=1.0, ge=0, le=20)
-    torque_damping: Annotated[float, _ELASTIC] = Field(default=0.2, ge=0, le=2)
+    drives: Drives = RigidDrives()
     dry_friction: float = Field(default=2.0, ge=0, le=10000)
     brake_delay: float = Field(default=0.10, ge=0, le=100)
     friction: tuple[_Friction, _Friction] = (0.6, 0.9)
@@ -97,9 +128,7 @@ class Perturbation(BaseModel):
     payload: float = Field(default=0.0, ge=0, le=50)
     body_payload: float = Field(default=0.0, ge=0, le=500)
     slope: float = Field(default=0.0, ge=0, le=0.5)
-    brake_fault: Literal["none", "open", "closed"] = "none"
-    brake_fault_leg: Annotated[int, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0, ge=0, le=1000)
-    brake_fault_time: Annotated[float, OnlyWith(brake_fault=("open", "closed"))] = Field(default=0.0, ge=0, le=1e6)
+    brake_fault: BrakeFaults = SoundBrakes()
     floor_cables: float = Field(default=0.0, ge=0, le=0.02)
 
     @field_validator("friction", mode="before")
@@ -114,17 +143,12 @@ class Perturbation(BaseModel):
             raise ValueError("one number, or two with 0 ≤ lower ≤ upper ≤ 100, are needed")
         return value
 
-    @model_validator(mode="after")
-    def _read(self) -> Self:
-        reject_unread(self)
-        return self
-
     def is_set(self, name: str) -> bool:
-        """Whether somebody wants this of the plant: it is neither as usual nor 0, nothing of it."""
+        """Whether a setting is given: it is neither its default nor 0."""
         return getattr(self, name) not in (0, type(self).model_fields[name].default)
 
     def check_read(self, reads: Collection[str], reason: str, reasons: Mapping[str, str]) -> None:
-        """Raise :class:`InputError` for the first setting that somebody wants (:meth:`is_set`) and that a plant does not read, with the
+        """Raise :class:`InputError` for the first setting that is given (:meth:`is_set`) and that a plant does not read, with the
         reason of this setting, or the one of all others."""
         for name in type(self).model_fields:
             if name not in reads and self.is_set(name):
@@ -133,8 +157,9 @@ class Perturbation(BaseModel):
     @classmethod
     def none(cls, **changes: Any) -> Perturbation:
         """A plant like the model, with perfect sensors; drives keep a lag of 20 ms. ``changes`` replace fields."""
-        kept = {"actuator_time_constant": 0.020, "friction": 0.8, "torsional_friction": 0.01, "brake_fault": "none"}
-        return cls(**{**{name: 0 for name in cls.model_fields}, **kept, **changes})
+        kept = {"actuator_time_constant": 0.020, "friction": 0.8, "torsional_friction": 0.01}
+        zero = {name: 0 for name, info in cls.model_fields.items() if not isinstance(info.default, BaseModel)}
+        return cls(**{**zero, **kept, **changes})
 
     def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> PlantSample:
         """One plant: numbers for the named bodies, ``wheels`` driven wheels (modules) and ``arm`` joints."""

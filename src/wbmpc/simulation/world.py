@@ -313,7 +313,7 @@ class World:
         return np.concatenate([velocity[3:], velocity[:3]])
 
     def frames(self, height: float) -> dict[str, Array]:
-        """Base and tool as :class:`Truth` wants them; ``height`` [m] of the planner's z = 0 above the floor."""
+        """Base and tool as :class:`Truth` has them; ``height`` [m] of the planner's z = 0 above the floor."""
         self.refresh()
         a = self._frames
         a["tool"][:], a["tool_rotation"][:] = self._tool_now

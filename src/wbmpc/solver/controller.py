@@ -1,7 +1,7 @@
 """Compiled code of a whole receding-horizon controller: what :class:`wbmpc.mpc.mpc.MPC` does with numbers, for exported code.
 
 It works on the solver's memory, on tables of references and modes with room for as many samples as was decided when they were made,
-and on arrays of its own: the plan in force, ``count`` and ``value`` (:class:`Count`, :class:`Value`).
+and on arrays of its own: the active plan, ``count`` and ``value`` (:class:`Count`, :class:`Value`).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Result(IntEnum):
     """What the functions of a controller return: 0 or 1, or why nothing was done."""
 
     OK = 0
-    KEPT = 1  # no plan came of this update: the last one stays in force
+    KEPT = 1  # no plan came of this update: the last one stays active
     WRONG_SIZE = -1
     NOT_ALIGNED = -2
     WRONG_PROCESSOR = -3
@@ -81,7 +81,7 @@ class Count(IntEnum):
 
 
 class Value(IntEnum):
-    """Entries of the numbers that a controller keeps; all but the first are of the plan in force."""
+    """Entries of the numbers that a controller keeps; all but the first are of the active plan."""
 
     START = 0  # of the last solve's horizon [s]
     COST = 1
@@ -135,7 +135,7 @@ def reset(m: Floats, o: Integers, count: Integers, x: Floats, u: Floats) -> int:
 @compiled
 def follow_last(m: Floats, o: Integers, numbers: Floats, integers: Integers, follow: Integers, t: float, since: float,
                 delta: float) -> None:  # fmt: skip
-    """The input in force at ``t``, ``delta`` after the last plan's start, as the reference of the terms that limit its change.
+    """The active input at ``t``, ``delta`` after the last plan's start, as the reference of the terms that limit its change.
     ``follow``: how many, then of each its slot, how many inputs, which. ``since`` [s]: when they were commanded."""
     k = min(count_until(m, o[GRID], o[N] + 1, delta + 1e-9) - 1, o[N] - 1)
     at = 1
@@ -155,7 +155,7 @@ def follow_last(m: Floats, o: Integers, numbers: Floats, integers: Integers, fol
 def take_plan(
     m: Floats, o: Integers, value: Floats, x: Floats, t: float, times: Floats, states: Floats, inputs: Floats, gains: Floats
 ) -> None:  # fmt: skip
-    """The solver's iterate becomes the plan in force from ``t`` on."""
+    """The solver's iterate becomes the active plan from ``t`` on."""
     n, nx, nu = o[N], o[NX], o[NU]
     for k in range(n + 1):
         times[k] = t + m[o[GRID] + k]
@@ -199,7 +199,7 @@ def fall_back(
     m: Floats, o: Integers, count: Integers, value: Floats, x: Floats, times: Floats, states: Floats, inputs: Floats,
     room: Floats,
 ) -> int:  # fmt: skip
-    """After an update without a plan: the last one stays in force, and the next solve starts where :func:`recovery` says."""
+    """After an update without a plan: the last one stays active, and the next solve starts where :func:`recovery` says."""
     count[Count.FAILURES] += 1
     if count[Count.PLANNED] == 0:
         return Result.NO_PLAN

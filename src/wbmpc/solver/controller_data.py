@@ -20,7 +20,7 @@ class Figure(IntEnum):
     UPDATES = 2
     FAILURES = 3  # updates without a plan
     CUT = 4  # how often feedback was cut to the limits of the inputs
-    COST = 5  # of the plan in force, here and below
+    COST = 5  # of the active plan, here and below
     VIOLATION = 6  # of its constraints
     LIMIT_VIOLATION = 7  # of planned states' limits [their ranges]
     INITIAL_STATE_MISMATCH = 8  # how far it starts from the measured state

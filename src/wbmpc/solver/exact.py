@@ -210,7 +210,7 @@ def exact_end(m: Floats, o: Integers, end: int) -> None:
 
 @compiled
 def clear_second(m: Floats, o: Integers) -> None:
-    """Zeros: the functions write their own non-zeros only, and share the buffer."""
+    """Set second derivatives to zero: the functions write their own non-zeros only, and share the buffer."""
     for i in range((o[NX] + 1 + o[NU]) * o[LZ]):
         m[o[SECOND] + i] = 0.0
 

@@ -140,7 +140,7 @@ def initial_violation(m: Floats, o: Integers) -> float:
 
 @compiled
 def record_violations(m: Floats, o: Integers, k: int) -> None:
-    """As :func:`record_input_violations` and :func:`record_state_violations`, of a node of which most often nothing is outside."""
+    """As :func:`record_input_violations` and :func:`record_state_violations`, for nodes that rarely violate anything."""
     first, boxes, general = node_rows(o, k)
     inputs, states = np.full(LANES, 0.0), np.full(LANES, 0.0)
     for j in range(0, boxes + general, LANES):

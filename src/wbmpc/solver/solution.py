@@ -29,9 +29,9 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Solution:
-    """A trajectory with its feedback policy and its certificate: its ``status``, after so many ``iterations`` in ``solve_time`` [s].
+    """A trajectory with its feedback policy and its certificate: ``status``, number of ``iterations``, ``solve_time`` [s].
 
-    ``violations``: the worst of each constraint by name, in its own unit; ``detail``: which term, node or entry the status is about.
+    ``violations``: the worst of each constraint by name, in its own unit; ``detail``: the term, node or entry that the status refers to.
     ``times`` (N + 1,) [s, from the start of the horizon]; ``x`` (N + 1, nx); ``u`` (N, nu), held over each interval;
     ``gain`` (N, nu, nx): u = u_k + K_k (x − x_k). ``cost`` and ``violation`` (1-norm of gaps, equalities, rows and start)
     are those of this trajectory; ``kkt`` (largest component of the Lagrangian's gradient; NaN when it was not asked for) is that

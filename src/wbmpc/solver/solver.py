@@ -157,7 +157,7 @@ class Solver(SolverResults):
             overwrite(self._tables, [n for n in slices if n in self.references].index(name), reference)
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
-        """The modes over absolute time."""
+        """Set the modes over absolute time."""
         self.problem.mode_tables(schedule)
         self.problem.check_schedule(schedule)
         with self.exclusive:
@@ -205,7 +205,7 @@ class Solver(SolverResults):
 
     @contextmanager
     def barrier(self, value: float) -> Iterator[None]:
-        """While it lasts, solves have a barrier parameter of the interior point of at least ``value`` (compiled only)."""
+        """Context manager: solves in it have a barrier parameter of at least ``value`` (compiled back end only)."""
         numbers = self.numbers.copy()
         places = [SETTINGS.index(n) for n in ("initial_barrier", "max_barrier", "barrier", "min_barrier")]
         self.numbers[places] = np.maximum(numbers[places], value)

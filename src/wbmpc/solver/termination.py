@@ -42,7 +42,7 @@ CONTINUE, RETRY = -1, -2
 
 @compiled
 def moved(m: Floats, o: Integers) -> float:
-    """The largest part of the step beside 1 + |x| or 1 + |u|.
+    """The largest relative step: of each entry over 1 + |x| or 1 + |u|.
 
     Where only a logarithm depends on a variable its gradient fades towards infinity, and every step doubles it.
     """

@@ -18,6 +18,7 @@ from wbmpc.stability.geometry import (
     triangle_margins,
 )
 from wbmpc.stability.robot import Stance, StanceOf, Support, counter_clockwise, standing
+from wbmpc.stability.stances import best_stance
 from wbmpc.stability.zmp import GRAVITY, Load, slope_gravity, zero_moment_point
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "Triangle",
     "area",
     "assess",
+    "best_stance",
     "corners",
     "counter_clockwise",
     "draw",

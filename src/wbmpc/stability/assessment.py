@@ -142,7 +142,7 @@ def assess(
     if configuration is not None:
         angles = leg_angles(robot, configuration)
         leg, steer = robot.state["leg"], robot.state["steer"]
-        x[steer] += x[leg] - angles  # the wheels keep their headings
+        x[steer] += robot.base.geometry.leg_angles(x[leg] - angles)  # the wheels keep their headings
         x[leg] = angles
         name = configuration.upper() if isinstance(configuration, str) and len(configuration) == 1 else "angles"
     if arm is not None:

@@ -40,7 +40,9 @@ def _hinged(robot: RobotModel) -> ModuleGeometry:
     """The legs of a robot, if they can turn."""
     geometry = standing(robot).modules
     if geometry is None or not geometry.legs_move:
-        raise InputError(f"{robot.description.name}: its legs are fixed, it has no configurations")
+        raise InputError(
+            f"{robot.description.name}: its legs are fixed, so it has no leg configurations; valid: robots with hinged legs"
+        )
     return geometry
 
 

@@ -55,7 +55,7 @@ def parquet() -> Any:
 
 
 class Store:
-    """Rows of a study in ``folder``; a context, in which nobody else may write there. Raises :class:`InputError` if somebody does."""
+    """Rows of a study in ``folder``; a context, with a lock on the folder. Raises :class:`InputError` if another process has it."""
 
     def __init__(self, folder: Path) -> None:
         parquet()

@@ -76,7 +76,7 @@ class Summary:
         return self.targets.get(experiment, {}).get(metric, _NONE)
 
     def large_is_bad(self, experiment: str, metric: str) -> bool:
-        """Whether a large figure is a bad one: but for those that are named, and for goals that are a smallest value alone."""
+        """Whether large values are bad: not those of ``larger_is_better``, nor those whose only goal is a minimum."""
         target = self.target(experiment, metric)
         return metric not in self.larger_is_better and (target["least"] is None or target["goal"] is not None)
 

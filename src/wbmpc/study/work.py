@@ -77,6 +77,7 @@ def _result(task: Mapping[str, Any], directory: Path | None) -> dict[str, Any]:
     try:
         result = experiment.run(settings, task["seed"], Watch(None, (recorder,)))
         recorder.close(outcome(result))
+        result.motion = recorder.motion
         write_run(result, directory)
     finally:
         recorder.close({"completed": "false", "reason": "an error of the program"})

@@ -20,7 +20,7 @@ DEFINITIONS: Definitions = {
     "grasp_error_mean": ("m", "mean distance of the second end effector, seen from the first, from where it was when they began to hold; true"),
     "grasp_error_max": ("m", "largest distance of the second end effector, seen from the first, from where it was when they began to hold; true"),
     "grasp_rotation_max": ("rad", "largest angle of the second end effector, seen from the first, to how it was when they began to hold; true"),
-    "goals_reached": ("1", "share of the goals that the end effector is at for the last half second"),
+    "goals_reached": ("1", "how many of the goals the end effector is at for the last half second"),
     "goal_error_max": ("m", "largest distance from a goal in its last half second; estimated"),
     "base_error_mean": ("m", "mean distance of the estimated base from where its orders lead"),
     "base_error_mean_world": ("m", "mean distance of the base from where its orders lead; true"),

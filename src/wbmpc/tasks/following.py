@@ -6,14 +6,15 @@ from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from wbmpc.configuration import OnlyWith
+from wbmpc.configuration import kind_alone
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Path, Reference
 from wbmpc.result import Metric
+from wbmpc.settings import Settings
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base, duration, follow, timed
 from wbmpc.tasks.paths import nearest_distance
 from wbmpc.tasks.settings import TaskSettings
@@ -25,28 +26,42 @@ THERE, DENSE, TABLE = 0.01, 4001, 501
 PATIENCE = 2.0
 
 
+class ClockReference(Settings):
+    """The reference moves at the path's speed whatever the robot does."""
+
+    kind: Literal["clock"] = "clock"
+
+
+class ProgressReference(Settings):
+    """The path's speed is the desired one, and the robot goes as fast as limits and obstacles allow. ``time_limit`` [s]: of the path (left
+    out: twice the time at the desired speed)."""
+
+    kind: Literal["progress"] = "progress"
+    time_limit: float | None = Field(None, gt=0, le=3600)
+
+
 class PathTaskSettings(TaskSettings):
-    """``path``: a line, circle, sine, poses, or the table of a csv file. ``reference``: of a clock, which goes on with the path's speed
-    whatever happens; or progress: the speed is what is asked for, and the robot goes as fast as limits and obstacles allow, never
-    behind a clock. ``time_limit`` [s] for that (left out: twice the clock's)."""
+    """``path``: a line, circle, sine, poses, or the table of a csv file; ``reference``: of a clock (:class:`ClockReference`), or the
+    progress along the path (:class:`ProgressReference`)."""
 
     path: AnyPath = Line()
-    reference: Literal["clock", "progress"] = "clock"
-    time_limit: Annotated[float | None, OnlyWith(reference="progress")] = Field(None, gt=0, le=3600)
+    reference: Annotated[
+        ClockReference | ProgressReference, Field(discriminator="kind"), BeforeValidator(kind_alone)
+    ] = ClockReference()
 
 
 class Task:
     """A path from the robot's home on, set as the task of an MPC: ``end`` [s] of the run."""
 
     def __init__(self, settings: PathTaskSettings, obstacles: bool = False) -> None:
-        progress = settings.reference == "progress"
+        progress = isinstance(settings.reference, ProgressReference)
         self.robot, self.mpc = robot, mpc = settings.prepare(obstacles, progress=progress)
         given, self._since = settings.path, settings.settle_time
         start = mpc.path.pose(0.0) if progress else mpc.reference["end_effector"].at(0.0)
         self.path = given.smooth(robot, start[:3], start[3:])
         self._least = duration(self.path.length, given.speed)  # no robot is earlier
-        if progress:
-            self.end = self._since + (settings.time_limit or PATIENCE * (self._least + given.ramp))
+        if isinstance(settings.reference, ProgressReference):
+            self.end = self._since + (settings.reference.time_limit or PATIENCE * (self._least + given.ramp))
             speed = Reference(np.array([0.0, self._since]), np.array([[0.0], [given.speed]]), "hold")
             along = {"state": beside(robot, self.path)} if _base_goes_along(robot, mpc) else None
             mpc.path.follow(self.path, speed, given.speed / given.ramp, along=along)

@@ -36,9 +36,17 @@ class JointRecord:
             model = system.plant.model
             known = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
             self._driven = {n: known[n] for n in robot.description.limits.effort if n in known}
+        for channel, names in (
+            ("state_planned", own.names), ("input", system.mpc.dynamics.input.names),
+            ("joint_speed", self._named), ("drive_force", list(self._driven)),
+        ):  # fmt: skip
+            log.label(channel, names)
 
     def tick(self, t: float, truth: Truth, plans: Any) -> None:
         """Record time t [s]."""
+        if "state" not in self._log.names:  # with the model alone it is that of the planner's dynamics
+            whole = self._mpc.dynamics.state
+            self._log.label("state", whole.names if truth.state.size == whole.size else self._robot.state.names)
         self._log.add("state_planned", t, plans.current.state(t)[self._own])
         self._log.add("plan_violation", t, self._mpc.solve_info["violation"])
         if self._named and set(self._named) <= truth.joint_speeds.keys():

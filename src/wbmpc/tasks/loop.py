@@ -29,6 +29,7 @@ from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
 from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.tasks.perception import Perception, PerceptionSettings
+from wbmpc.tasks.reference_drive import calibration
 from wbmpc.tasks.scene import SceneWatch, believed
 from wbmpc.tasks.settings import SimulationSettings
 from wbmpc.types import Truth
@@ -62,8 +63,11 @@ def make_system(
         raise InputError(
             "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
         )
-    scene = {} if edit is None else {"edit": edit}
-    made = base_type(robot.description.base.type).system(robot, seed, settings.plant, mpc, **scene)
+    more: dict[str, Any] = {} if edit is None else {"edit": edit}
+    if settings.calibration == "drive":
+        known = calibration(robot, settings.plant, seed)
+        more |= {} if known is None else {"calibration": known}
+    made = base_type(robot.description.base.type).system(robot, seed, settings.plant, mpc, **more)
     steps = made.timing
     timing = Timing.of(made.plant.timestep, 1.0 / steps.period, mpc.rate, settings.computation_delay)
     return System(made.plant, made.controller, mpc, timing)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.configuration import OnlyWith
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -24,7 +25,7 @@ from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
 from wbmpc.tasks.definitions import DEFINITIONS
-from wbmpc.tasks.following import PathTaskSettings, Task
+from wbmpc.tasks.following import ClockReference, PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
 from wbmpc.tasks.perception import PerceptionSettings
@@ -55,19 +56,23 @@ class Among(PathTaskSettings):
     does not."""
 
     path: AnyPath = Line(length=4.0)
-    patience: float = Field(6.0, ge=0.0, le=600.0)
+    patience: Annotated[float, OnlyWith({"reference.kind": "clock"})] = Field(6.0, ge=0.0, le=600.0)
     when_stuck: Literal["alternatives", "wait"] = "alternatives"
 
 
-#: Of somebody who crosses [m/s].
+#: Speed of a person who crosses [m/s].
 Speed = Annotated[float, Field(ge=0.01, le=10)]
+#: Of somebody's direction to the path's [rad].
+Angle = Annotated[float, Field(ge=0.0, le=3.15)]
 
 
 class Moving(Among):
-    """``people`` that cross at ``speeds`` [m/s], between the smallest and the largest."""
+    """``people``: how many walk; ``speeds`` [m/s]: the smallest and the largest of theirs; ``angles`` [rad]: the smallest and the largest to the
+    path, to its left or right; 0 comes from behind, pi head-on."""
 
     people: int = Field(4, ge=1, le=50)
     speeds: tuple[Speed, Speed] = (0.2, 1.5)
+    angles: tuple[Angle, Angle] = (0.25 * np.pi, 0.75 * np.pi)
 
 
 class Sudden(Among):
@@ -78,8 +83,9 @@ class Sudden(Among):
 
 
 class Corridor(Among):
-    """``width`` [m] between walls that are ``long`` [m]; its middle is ``offset`` [m] to the left of where the robot would go, and it turns off to
-    the left by ``angle`` [rad]; ``closed``: a dead end. The end effector swings ahead of the base before it enters."""
+    """``width`` [m]: between the walls; ``long`` [m]: length of the walls; ``offset`` [m]: of its middle, to the left of where the robot would
+    go; ``angle`` [rad]: by which it turns off to the left; ``closed``: a dead end; ``chicane`` [m]: after a gap as long as the robot another
+    corridor goes on so far to the left (negative: right). The end effector swings ahead of the base before it enters."""
 
     path: AnyPath = Line(length=5.0, speed=0.25)
     width: float = Field(0.9, ge=0.1, le=100.0)
@@ -87,6 +93,7 @@ class Corridor(Among):
     offset: float = Field(0.05, ge=-10.0, le=10.0)
     angle: float = Field(0.0, ge=-0.8, le=0.8)
     closed: bool = False
+    chicane: float = Field(0.0, ge=-10.0, le=10.0)
 
 
 class Clutter(Among):
@@ -145,22 +152,32 @@ def static_scene(settings: Among, robot: RobotModel, seed: int) -> list[SceneObs
 def moving_scene(settings: Moving, robot: RobotModel, seed: int) -> list[SceneObstacle]:
     """People who walk straight over the robot's path, from both sides and at any angle, each where the robot would then be."""
     e, rng = Extent(robot, "obstacles-moving"), np.random.default_rng(seed)
-    length, (low, high) = settings.path.size(robot), sorted(settings.speeds)
+    length, (low, high), (least, most) = settings.path.size(robot), sorted(settings.speeds), sorted(settings.angles)
+    apart = float(np.linalg.norm(np.maximum(e.high[:2] - e.base[:2], e.base[:2] - e.low[:2]))) + PERSON[0]
     people = []
     for k in range(settings.people):
         along = np.array([(k + 0.5) / settings.people * length, 0.0, 0.0])
         meet = passing(settings, float(along[0]))
-        angle = rng.choice([-1.0, 1.0]) * rng.uniform(0.25, 0.75) * np.pi
-        people.append(person(f"person{k}", [*e.base[:2], e.ground] + along, meet, rng.uniform(low, high), angle))
+        angle = rng.choice([-1.0, 1.0]) * rng.uniform(least, most)
+        place, pace = [*e.base[:2], e.ground] + along, rng.uniform(low, high)
+        people.append(person(f"person{k}", place, meet, pace, angle, settings.path.speed, apart))
     return people
 
 
-def person(name: str, place: Array, meet: float, pace: float, angle: float) -> SceneObstacle:
-    """Somebody who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s]."""
+def person(
+    name: str, place: Array, meet: float, pace: float, angle: float, speed: float = 0.0, apart: float = 0.0
+) -> SceneObstacle:
+    """A person who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s], as is a robot
+    with ``speed`` [m/s] along x; or later: nobody appears within ``apart`` [m] of that robot."""
     velocity = pace * np.array([np.cos(angle), np.sin(angle), 0.0])
-    appears = max(meet - max(SEEN_FROM / pace, SEEN_FOR), 0.0)
-    motion = {"position": place - (meet - appears) * velocity, "velocity": velocity}
-    return SceneObstacle(name, Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0]), {**motion, **SEEN_AS}, appears)
+    lead = min(max(SEEN_FROM / pace, SEEN_FOR), meet)
+    ahead = np.array([speed, 0.0, 0.0])
+    off = lead * (ahead - velocity)  # from the robot to the person who appears
+    distance = float(np.linalg.norm(off))
+    if distance < apart:
+        off = apart * (off / distance if distance > 1e-9 else -velocity / pace)
+    motion = {"position": place - lead * ahead + off, "velocity": velocity}
+    return SceneObstacle(name, Cylinder((0, 0, 0), (0, 0, PERSON[1]), PERSON[0]), {**motion, **SEEN_AS}, meet - lead)
 
 
 def passing(settings: Among, way: float) -> float:
@@ -186,8 +203,14 @@ def corridor_scene(settings: Corridor, robot: RobotModel, seed: int) -> list[Sce
     turn, quaternion = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), lie.quaternion_about(UP, settings.angle)
     aside, along = 0.5 * settings.width + 0.1, 0.5 * settings.long
     parts = {"left": ((along, aside), (along, 0.1)), "right": ((along, -aside), (along, 0.1))}
+    end, middle = settings.long, 0.0
+    if settings.chicane:
+        begin, middle = end + float(e.high[0] - e.low[0]), settings.chicane
+        for side, off in (("left", aside), ("right", -aside)):
+            parts[f"next_{side}"] = ((begin + along, middle + off), (along, 0.1))
+        end = begin + settings.long
     if settings.closed:
-        parts["end"] = ((settings.long + 0.1, 0.0), (0.1, aside + 0.1))
+        parts["end"] = ((end + 0.1, middle), (0.1, aside + 0.1))
     return [
         SceneObstacle(
             name, Box((*half, high)), {"position": entry + turn @ np.array([*place, 0.0]), "orientation": quaternion}
@@ -243,7 +266,7 @@ def build(scene: SceneOf, settings: Among, seed: int) -> Scenario:
     task = Task(settings, obstacles=True)
     robot, mpc, end = task.robot, task.mpc, task.end
     metrics: Callable[[Log], dict[str, Metric]] | None = task.metrics
-    if settings.reference == "clock":
+    if isinstance(settings.reference, ClockReference):
         end += settings.patience
         if isinstance(settings, Corridor):
             mpc.reference["end_effector"], metrics = swung_ahead(robot, mpc.reference["end_effector"]), None

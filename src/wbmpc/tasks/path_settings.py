@@ -233,7 +233,7 @@ AnyPath = Annotated[
 
 
 def duration(length: float, speed: float) -> float:
-    """Time [s] along a path of ``length`` [m] at ``speed`` [m/s]; :class:`InputError` for one that nobody waits for."""
+    """Time [s] along a path of ``length`` [m] at ``speed`` [m/s]; :class:`InputError` for more than :data:`LONGEST`."""
     if length > LONGEST * speed:
         raise InputError(
             f"path.speed: {length:.4g} m with {speed:g} m/s take {length / speed:.4g} s; at most {LONGEST:g} s are planned"

@@ -38,7 +38,8 @@ class SensorSettings(Settings):
 
 
 class LidarSensor(SensorSettings):
-    """``channels`` from elevation ``low`` to ``high`` [rad], each of ``columns`` rays around."""
+    """``channels``: how many elevations have rays; ``columns``: rays around, of each; ``low`` [rad]: the lowest elevation; ``high`` [rad]: the
+    highest."""
 
     channels: int = Field(24, ge=1, le=256)
     columns: int = Field(240, ge=4, le=4096)
@@ -47,7 +48,7 @@ class LidarSensor(SensorSettings):
 
 
 class DepthCamera(SensorSettings):
-    """``width`` and ``height`` in pixels, ``field`` of view [rad], ``pitch`` [rad] down."""
+    """``width``: in pixels; ``height``: in pixels; ``field`` [rad]: of view; ``pitch`` [rad]: downwards."""
 
     width: int = Field(64, ge=2, le=640)
     height: int = Field(48, ge=2, le=480)
@@ -56,7 +57,8 @@ class DepthCamera(SensorSettings):
 
 
 class MapSettings(Settings):
-    """``size`` (3) [m] of the window, ``cell`` [m]; ``max_age`` [s]: what is older ends in a stop; ``padding`` [m] about the robot's own body."""
+    """``size`` [m]: of the window (3); ``cell`` [m]: length of a cell's edge; ``max_age`` [s]: what is older ends in a
+    stop; ``padding`` [m]: about the robot's own body."""
 
     size: tuple[_Side, _Side, _Side] = (5.0, 5.0, 1.6)
     cell: float = Field(0.04, ge=0.01, le=1)

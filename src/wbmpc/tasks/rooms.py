@@ -45,8 +45,8 @@ KINDS = ("pillar", "box", "shelf", "niche")
 
 
 class RoomSettings(TaskSettings):
-    """``things``: how many stand in the room besides the wall with the door; ``length`` [m] from the start of the base to its goal, ``width``
-    [m] of the room and ``door`` [m] of the door; ``method``: "mpc" alone, with "alternatives", or along the route of a "planner", which
+    """``things``: how many stand in the room besides the wall with the door; ``length`` [m]: from the start of the base to its goal; ``width``
+    [m]: of the room; ``door`` [m]: width of the door; ``method``: "mpc" alone, with "alternatives", or along the route of a "planner", which
     knows all things; ``speed`` [m/s] of the references; ``patience`` [s]: how long they may wait in all."""
 
     things: int = Field(4, ge=0, le=40)

@@ -121,11 +121,11 @@ class SceneWatch:
             return
         others = self._alternatives
         tries = others is not None and others.searching
-        if others is not None and others.failed >= FAILED and not self._blocked_for_now(t):
+        if others is not None and others.failed >= FAILED:
             raise RobotStuck(
                 f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal, no other way was found"
             )
-        if not self._pace.waits or self._blocked_for_now(t) or tries:
+        if not self._pace.waits or self._pace.waits_for(t) or tries:
             self._places.clear()
         self._places.append((t, tool.copy()))
         recent = next(place for since, place in self._places if since > t - WINDOW - 1e-9)
@@ -133,13 +133,6 @@ class SceneWatch:
         stays = waited > WINDOW and np.linalg.norm(tool - recent) < STAYS
         if stays or waited > HOPELESS:
             raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal")
-
-    def _blocked_for_now(self, t: float) -> bool:
-        """Whether what the plan is nearest to goes on by itself."""
-        world, name = self._system.mpc.obstacles, self._system.mpc.clearance.other
-        if world is None:
-            return False
-        return any(o.name == name and o.velocity.any() for o in world.snapshot(t).obstacles)
 
     def metrics(self) -> dict[str, Metric]:
         """Least true distance, contacts, and how long the robot stood away from its goal."""

@@ -14,20 +14,22 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Cost
-from wbmpc.settings import Positive, Settings, StabilitySettings
+from wbmpc.settings import NoStability, Positive, Settings, Stability, StabilitySettings, WheelLoadSettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import standing
 
 
 class SimulationSettings(Settings):
     """``physics``: mujoco with the perturbed ``plant``, noise and lag, or kinematic: the planner's own model, exact and fast;
-    ``computation_delay`` [s]: modeled time of a solve; ``settle_time`` [s]: before the task begins, at rest; ``obstacles``: a YAML file of
+    ``computation_delay`` [s]: modeled time of a solve; ``settle_time`` [s]: before the task begins, at rest; ``calibration``: what
+    is known of the wheels, "none", or what a reference "drive" with global poses shows before the run; ``obstacles``: a YAML file of
     what stands and moves in the simulated world (docs/how-to/obstacles.md)."""
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"
     plant: Annotated[Perturbation, OnlyWith(physics="mujoco")] = Perturbation()
     computation_delay: float = Field(0.010, ge=0, le=1.0)
     settle_time: float = Field(1.0, ge=0, le=60)
+    calibration: Annotated[Literal["none", "drive"], OnlyWith(physics="mujoco")] = "none"
     obstacles: Path | None = None
 
 
@@ -56,16 +58,16 @@ class TaskSettings(SimulationSettings):
     mpc: TaskMpcSettings = TaskMpcSettings()
     weights: dict[str, Positive] = Field(default={})
     avoid: Literal["obstacles", "nothing"] = "obstacles"
-    stability: StabilitySettings = StabilitySettings()
+    stability: Stability = NoStability()
 
     @property
-    def upright(self) -> StabilitySettings:
+    def upright(self) -> StabilitySettings | None:
         """What plans keep: ``stability`` as far as the model of the MPC knows of loads."""
         if self.mpc.model == "kinematic":
-            return StabilitySettings()
-        if self.mpc.model == "dynamic" and self.stability.keep == "nothing":
-            return StabilitySettings(keep="wheel_loads")
-        return self.stability
+            return None
+        if isinstance(self.stability, StabilitySettings):
+            return self.stability
+        return WheelLoadSettings() if self.mpc.model == "dynamic" else None
 
     def prepare(
         self, obstacles: bool = False, robot: RobotModel | None = None, progress: bool = False
@@ -78,13 +80,13 @@ class TaskSettings(SimulationSettings):
         }
         if self.avoid == "obstacles" and (obstacles or self.obstacles is not None):
             changes["obstacles"] = Obstacles()
-        if self.upright.keep != "nothing":
+        if self.upright is not None:
             standing(robot)
             changes["stability"] = self.upright
         if progress:
-            if self.upright.keep != "nothing":
+            if self.upright is not None:
                 raise InputError(
-                    "stability.keep, mpc.model: plans with progress along a path have no stability rows; valid: nothing, kinematic"
+                    "stability, mpc.model: plans with progress along a path have no stability rows; valid: nothing, kinematic"
                 )
             changes["progress"] = True
         mpc = base_type(robot.description.base.type).mpc(robot, **changes)

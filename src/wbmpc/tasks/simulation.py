@@ -66,6 +66,7 @@ def simulate(
         result = run_scenario(name, build, chosen, seed, Watch(None, tuple(watchers)), DEFINITIONS)
         if directory is not None and recorder is not None:
             recorder.close(outcome(result))
+            result.motion = recorder.motion
             write_run(result, directory)
     return result
 

@@ -14,7 +14,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.settings import Positive, StabilitySettings
+from wbmpc.settings import Positive, Stability, WheelLoadSettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
@@ -31,14 +31,14 @@ LIFTED, STANDS, REST = 1.0, 0.02, 0.2
 
 
 class TipOverSettings(TaskSettings):
-    """``direction`` [rad] from straight ahead, in which the robot drives and reaches; ``speed`` [m/s], which it has after ``ramp`` [s], and
-    keeps for ``cruise`` [s] until the order to stop comes: the end effector is to be where its reference is then (by a low weight, or the
-    arm would swing); ``after`` [s]: how long it is watched from then on; ``legs``: configuration of hinged legs (H, X or A), or as at
+    """``direction`` [rad] from straight ahead, in which the robot drives and reaches; ``speed`` [m/s]: before it stops; ``ramp`` [s]: until it
+    has the speed; ``cruise`` [s]: from then to the order to stop, after which the end effector is to be where its reference is (by a low
+    weight, or the arm would swing); ``after`` [s]: how long it is watched from then on; ``legs``: configuration of hinged legs (H, X or A), or as at
     home. Wheels are of one size: a stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever is planned."""
 
     robot: str = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
-    stability: StabilitySettings = StabilitySettings(keep="wheel_loads", payload=10.0)
+    stability: Stability = WheelLoadSettings(payload=10.0)
     weights: dict[str, Positive] = Field(default={"end_effector": 0.05})
     settle_time: float = Field(0.5, ge=0, le=60)
     direction: float = Field(np.pi / 2, ge=-6.3, le=6.3)
@@ -139,7 +139,7 @@ def stopping(log: Log, ordered: float) -> dict[str, Metric]:
 def build(settings: TipOverSettings, seed: int) -> Scenario:
     """One run."""
     if settings.physics != "mujoco":
-        raise InputError("tip-over: physics: kinematic robots do not tip; valid: mujoco")
+        raise InputError("tip-over: physics=kinematic: kinematic robots do not tip; valid: mujoco")
     robot = load_robot(settings.robot)
     moving_base(robot, "tip-over")
     robot, mpc = settings.prepare(robot=reaching(robot, settings.direction, settings.legs))

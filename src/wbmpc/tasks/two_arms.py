@@ -80,7 +80,7 @@ def grasp_errors(robot: RobotModel, states: Array) -> tuple[Array, Array]:
 
 
 def build(settings: TwoArmsSettings, seed: int) -> Scenario:
-    """One run; the thing is grasped when the path begins, as the end effectors are then."""
+    """One run; the object is grasped when the path begins, with the end effectors where they are then."""
     robot = load_robot(settings.robot)
     grasp_of(robot)  # a robot with one arm is rejected before anything is compiled
     mpc, since = holding_mpc(settings, robot), settings.settle_time

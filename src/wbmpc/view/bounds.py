@@ -12,7 +12,7 @@ Array = np.ndarray
 REACH, HEIGHTS = 5.0, (-0.5, 3.0)
 #: The largest push [N] and how long it may last [s]; factors of weights; speeds of a run against the clock.
 PUSH, PUSH_TIME, FACTORS, SPEEDS = 1000.0, 2.0, (1e-3, 1e3), (0.05, 1.0)
-#: Edges of a cube that somebody puts in the robot's way [m].
+#: Edges of a cube that a user puts in the robot's way [m].
 EDGES = (0.05, 2.0)
 #: How far a quaternion's norm may be from 1.
 _UNIT = 1e-3

@@ -91,7 +91,7 @@ def _check_camera(frame: _Camera) -> None:
     frame.wxyz = _unit("the camera", frame.wxyz)
     scale = max(1.0, *(abs(v) for v in (*frame.position, *frame.look_at)))
     if not math.dist(frame.position, frame.look_at) >= _APART * scale:
-        raise InputError("the camera: it is where it looks at, so it has no direction")
+        raise InputError("the camera: position and target are the same point")
     if not math.hypot(*frame.up_direction) >= _APART:
         raise InputError("the camera: its upward direction has the length 0")
 
@@ -127,4 +127,4 @@ def _check_input(frame: _Gui, handle: Any) -> None:
         if not isinstance(value, bool):
             raise InputError(f"{label}: must be true or false, got {str(value)[:40]}")
     else:
-        raise InputError("a message of the page changes what nobody can change")
+        raise InputError("a message of the page changes what is read-only")

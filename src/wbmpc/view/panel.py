@@ -211,7 +211,7 @@ class Panel:
 
     # ------------------------------------------------------------------ snapshots
     def show(self, s: dict[str, Array]) -> None:
-        """Show the numbers of a snapshot; move the goals that nobody holds."""
+        """Show the numbers of a snapshot; move the goals that no user drags."""
         numbers = s["numbers"]
         self._history.add(numbers)
         self._count += 1

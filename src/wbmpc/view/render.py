@@ -100,7 +100,7 @@ def _write_mp4(path: Path, pictures: list[np.ndarray]) -> None:
 
 
 def _write_gif(path: Path, pictures: list[np.ndarray]) -> None:
-    """Few colors and no dither: a third of the size, and surfaces stay calm."""
+    """Few colors and no dither: a third of the size, and surfaces do not flicker."""
     from PIL import Image
 
     frames = [Image.fromarray(p).quantize(GIF_COLORS, dither=Image.Dither.NONE) for p in pictures]

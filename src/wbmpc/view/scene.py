@@ -39,7 +39,7 @@ _SETTLING = 1.5
 class ViewScene:
     """Draws snapshots (see :mod:`wbmpc.view.snapshot`) of one scene on a server.
 
-    ``carried``: the world moves, so that the robot stays where it is: for pages, whose cameras nobody can move.
+    ``carried``: the world moves, so that the robot stays where it is: for pages, whose cameras are fixed.
     """
 
     def __init__(self, server: viser.ViserServer, scene: Scene, carried: bool = False) -> None:

@@ -106,7 +106,7 @@ class Guard:
 
     def admit(self, connection: Any, transport: Any) -> bool:
         """Count a connection; False, and it is closed, if there are too many. Instead of it the oldest one is closed that has not
-        yet made its request: whoever opens many and says nothing keeps out nobody who has the token."""
+        yet made its request: many idle connections do not lock out a client with the token."""
         if len(self.connections) >= MAX_CONNECTIONS:
             self.log.warning("view: a connection was closed: there are %d, the most that are served", MAX_CONNECTIONS)
             silent = next((c for c in self.connections if c.state is State.CONNECTING), None)

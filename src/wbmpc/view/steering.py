@@ -52,7 +52,7 @@ def no_requests() -> dict[str, Array]:
 class Controls:
     """What there is to control: a title, names of weights, whether legs, a base goal; ``groups`` of drives whose shares of
     their limits are plotted (:data:`~wbmpc.view.actuator_load.GROUPS`); ``paced``: whether time can be
-    held, ``pushes``: whether somebody can push, ``obstacle``: whether plans keep clear of a box that somebody puts there."""
+    held, ``pushes``: whether a user can push, ``obstacle``: whether plans keep clear of a box that a user places."""
 
     title: str
     weights: tuple[str, ...]

@@ -41,7 +41,7 @@ class BallController:
     state from the sensors (left out: the measurement's own, idealized one). ``forecast``: ends the run when the plans, or the lean
     that is felt, say that the robot will fall. Raises :class:`InputError` for numbers that cannot be.
     ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
-    ``shoves``: feels pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
+    ``shoves``: detects pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
     against forces that it has learned (None: as if there were none).
     """
 
@@ -171,7 +171,7 @@ class BallController:
         return 0.0 if self.payload is None else self.payload.mass
 
     def _pushed(self) -> np.ndarray:
-        """The horizontal force (2) [N] that is felt at the end effector."""
+        """The estimated horizontal force (2) [N] at the end effector."""
         return np.zeros(2)
 
     def _answered(self) -> np.ndarray:
@@ -181,7 +181,7 @@ class BallController:
         return self.lean_control.shift(self.disturbance, float(self.measured.state[2]))
 
     def _detect_pushes(self, x: np.ndarray, h: float) -> None:
-        """Feel a push in the state x, ``h`` [s] after the one before."""
+        """Estimate a push from the state x, ``h`` [s] after the one before."""
         if self.shoves is not None:
             self.shoves.update(x, self._acted(), h, self._step)
 
@@ -232,7 +232,7 @@ class BallController:
         return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
     def _room(self) -> np.ndarray:
-        """What (2) [m] the limit of the lean counts beside the lean: pushes that are felt, forces that have been learned."""
+        """What (2) [m] the limit of the lean counts beside the lean: detected pushes, estimated forces."""
         pushed = None if self.shoves is None else self.shoves.room
         if self.lean_control is None or self.measured is None:
             return np.zeros(2) if pushed is None else pushed
@@ -275,7 +275,7 @@ class BallController:
         return known[2].copy()
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """The state at time ``until`` under the policies that will be in force, through the drives' lag."""
+        """The state at time ``until`` under the policies that will be active, through the drives' lag."""
         x, torque, dead = self.ahead(), self.sent.last, self.sent.dead * self.period
         for k in range(round((until - t) / self.period)):
             policy = plans.at(t + k * self.period)

@@ -27,9 +27,11 @@ from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 
 
 class EndEffectorCost(Settings):
-    """Weights of the end effector: position [1/m²]; orientation [1/rad²] about its x and y axes, and about the forearm (``roll``),
-    which the arm cannot control at rest; linear and angular velocity. Errors beyond ``limit`` [m] and ``turn_limit`` [rad]
-    pull no harder (SmoothL1): a sudden large goal must not ask for more than the wheels' torque."""
+    """Weights of the end effector. ``weight`` [1/m²]: of its position; ``orientation`` [1/rad²]: about its x and y axes; ``roll`` [1/rad²]:
+    about the forearm, which the arm cannot control at rest; ``twist`` [s²/m²]: of linear velocity; ``angular`` [s²/rad²]: of angular
+    velocity; ``limit`` [m]: larger position
+    errors pull no harder (SmoothL1), so that a sudden goal does not ask for more than the wheels' torque; ``turn_limit`` [rad]: the same
+    of orientations."""
 
     weight: Weight = 300.0
     orientation: Weight = 60.0
@@ -41,7 +43,8 @@ class EndEffectorCost(Settings):
 
 
 class BodyCost(Settings):
-    """Weights of ball position and speed, yaw and its rate, tilt rate, arm posture (against home) and arm rate, per second."""
+    """Weights per second. ``ball``: of the ball's position; ``ball_speed``: of its speed; ``yaw``: of the heading; ``yaw_rate``: of its rate;
+    ``tilt_rate``: of the lean's rate; ``arm``: of the arm's posture (against home); ``arm_rate``: of its joint speeds."""
 
     ball: Weight = 0.0
     ball_speed: Weight = 1.0
@@ -53,8 +56,8 @@ class BodyCost(Settings):
 
 
 class TorqueCost(Settings):
-    """Weights of wheel torques, of arm torques beyond what holds the arm where it is, and of force and moment of contacts
-    that are inputs."""
+    """Weights. ``wheel``: of the wheels' torques; ``arm``: of arm torques beyond what holds the arm where it is; ``force``: of contact forces
+    that are inputs; ``moment``: of their moments."""
 
     wheel: Weight = 0.05
     arm: Weight = 0.005
@@ -63,7 +66,7 @@ class TorqueCost(Settings):
 
 
 class RezeroCost(Settings):
-    """All weights; the end of the horizon counts like one second (``terminal``) of it. ``lean``: a hard limit of the lean's
+    """All weights. ``terminal`` [s]: the end of the horizon counts like so long of it. ``lean``: a hard limit of the lean's
     divergent component, as a share of what the wheels can stop (:class:`wbmpc.bases.ball.balance.Balance`); 0: none.
     ``speed_slack``: penalty of arm speeds beyond their limit, where that cannot be held [per range and second]."""
 

@@ -78,7 +78,7 @@ class FallPredictor:
         self.seen: Policy | None = None
 
     def update_plan(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> list[Fall]:
-        """What follows from the plan in force (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
+        """What follows from the active plan (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
         ``shift`` (2) [m] of the divergent component."""
         if policy is self.seen:
             return []

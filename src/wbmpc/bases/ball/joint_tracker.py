@@ -89,7 +89,7 @@ class JointTracker:
         self._first = False
 
     def _restart(self, reading: Array) -> None:
-        """After a gap joints are where they are read, and nobody knows how fast."""
+        """After a gap the joints are at their measured positions, and their speeds are unknown."""
         a = self.arrays
         for name in ("angle", "reading", "raw"):
             a[name][:] = reading

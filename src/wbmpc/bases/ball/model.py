@@ -149,7 +149,7 @@ class BallBase:
         ).T
 
     def wheel_torque_map(self) -> NDArray[np.float64]:
-        """Torque (3, wheels) on the ball in base axes per unit wheel torque; the base feels the opposite."""
+        """Torque (3, wheels) on the ball in base axes per unit wheel torque; the opposite acts on the base."""
         return -self.radius / self.base.wheels.radius * self.wheel_axes()
 
     def wheel_speeds(self, q: ca.SX, v: ca.SX) -> ca.SX:

@@ -1,6 +1,6 @@
 """A mass in the end effector, compiled: see :mod:`wbmpc.bases.ball.payload`.
 
-One that comes into it, or leaves it, at once is felt by the arm within a tenth of a second: the acceleration of the arm that the
+One that comes into it, or leaves it, at once is detected by the arm within a tenth of a second: the acceleration of the arm that the
 model does not explain, times its inertia, is a force; where that is the weight of a mass in all joints alike, it is one. To weigh
 is more exact, and takes seconds: meanwhile the arm would fall.
 Arrays: ``weight`` (n) [N, N m] of 1 kg, ``force`` (n) [N, N m] that is learned, ``load`` and ``rule``.
@@ -17,10 +17,10 @@ from wbmpc.kernel.ir import Floats
 
 #: Gain [1/s] of the arm's speed under the model; of the mass [1/s]; masses [kg] from which on it counts, and until when.
 SPEED_GAIN, MASS_GAIN, BEGINS, ENDS = 60.0, 40.0, 0.25, 0.05
-#: A robot that has been calm for so long [s] feels a load that comes until so long after it [s]: in fast motions the model's errors
+#: A robot that moves slowly for so long [s] detects a load that comes until so long after it [s]: in fast motions the model's errors
 #: look like one.
 CALM, AFTER = 0.3, 0.1
-#: What counts as calm: see ``learning`` of the disturbance observer.
+#: What counts as slow: see ``learning`` of the disturbance observer.
 STILL = 0.7
 #: Coordinates of ball and base, before those of the arm.
 BASE = 5
@@ -29,7 +29,7 @@ UNLIKE, UNEXPLAINED = 0.5, 0.5
 
 
 class Load(IntEnum):
-    """Entries of the array ``load``: the mass [kg], for how long [s] the robot has been calm and will count as calm, whether a mass
+    """Entries of the array ``load``: the mass [kg], for how long [s] the robot has moved slowly and will count as slow, whether a mass
     is coming or going, whether a speed is known."""
 
     MASS = 0
@@ -92,7 +92,7 @@ def detect_change(
 ) -> tuple[float, float]:  # fmt: skip
     """By how much [kg] the mass changes over ``h`` [s], and which share of that is in the ``force`` already. ``velocity`` (n) as
     measured, ``model`` (n): the accelerations that the model explains, ``believed`` (n): the speed under it; ``mass`` (n, n):
-    the inertia; ``learning``: how calm the robot is, from 0 to 1."""
+    the inertia; ``learning``: from 0 (fast motion) to 1 (at rest)."""
     for i in range(n):
         if load[Load.STARTED] == 0.0:
             believed[i] = velocity[i]

@@ -8,8 +8,7 @@ from wbmpc.simulation.perturbation import Perturbation
 READS = frozenset(
     {
         "mass", "inertia", "com_offset", "joint_offset", "wheel_radius", "wheel_radius_each", "actuator_time_constant",
-        "actuator_time_constant_spread", "actuator_dead_time", "wheel_spring", "arm_spring", "wheel_rotor", "arm_rotor",
-        "spring_damping", "torque_gain", "torque_damping", "friction", "torsional_friction", "encoder_jitter",
+        "actuator_time_constant_spread", "actuator_dead_time", "drives", "friction", "torsional_friction", "encoder_jitter",
         "arm_counts", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise", "accel_bias", "accel_walk",
         "state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise", "floor_cables",
     }

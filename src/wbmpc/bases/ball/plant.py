@@ -28,7 +28,7 @@ from wbmpc.robots.checks import named
 from wbmpc.simulation.contacts import GROUND, ROLLING
 from wbmpc.simulation.elastic_drives import ElasticDrives
 from wbmpc.simulation.payloads import add_payload, lay_cables
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import Perturbation, RigidDrives, SeriesElasticDrives
 from wbmpc.simulation.world import (
     TIMESTEP,
     Array,
@@ -90,7 +90,6 @@ class BallPlant(WorldAccess):
         check_perturbation(p)
         draw_rng, self._noise, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
         arm, spec = list(description.arm.joints), load_spec(description)
-        self._elastic = [p.wheel_spring > 0.0] * len(self.base.wheels.azimuths) + [p.arm_spring > 0.0] * len(arm)
         bodies = [b.name for b in spec.bodies if b.name != "world"]
         self.draw = p.draw(draw_rng, bodies, len(self.base.wheels.azimuths), len(arm))
         with named(description.model):
@@ -122,8 +121,8 @@ class BallPlant(WorldAccess):
         )
         self._history: deque[Array] = deque(maxlen=1 + max(self._late + jitter, self.servo.steps))
         self._last: BallMeasurement | None = None
-        #: what the elastic drives do; none where all are rigid
-        self.drives = self._drives() if any(self._elastic) else None
+        #: what elastic drives do; none where they are rigid
+        self.drives = None if isinstance(p.drives, RigidDrives) else self._drives(p.drives)
         dead = whole("plant.actuator_dead_time", p.actuator_dead_time, timestep, "physics steps", minimum=0)
         self._commands: deque[Array] = deque(maxlen=1 + dead)
         self.weight = float(self.model.body_mass.sum() * np.linalg.norm(self.model.opt.gravity))
@@ -151,25 +150,27 @@ class BallPlant(WorldAccess):
             z, ratio = base.wheels.zenith, base.ball_radius / (base.wheels.radius * float(draw.radius[i]))
             axis = np.array([np.cos(z) * np.cos(b), np.cos(z) * np.sin(b), -np.sin(z)])
             kind, gear = mujoco.mjtTrn.mjTRN_JOINTINPARENT, [*(-ratio * axis), 0, 0, 0]
-            lag, rigid = draw.wheel_lag[i], not self._elastic[i]
-            self._motor(spec, f"wheel_{i}", self._ball_joint, kind, gear, limits.wheel_effort, lag, rigid)
+            self._motor(spec, f"wheel_{i}", self._ball_joint, kind, gear, limits.wheel_effort, draw.wheel_lag[i])
         for k, name in enumerate(self.description.arm.joints):
             kind, gear = mujoco.mjtTrn.mjTRN_JOINT, [1.0, 0, 0, 0, 0, 0]
-            self._motor(
-                spec, name, name, kind, gear, limits.effort.get(name, np.inf), draw.arm_lag[k], not self._elastic[-1]
-            )
+            self._motor(spec, name, name, kind, gear, limits.effort.get(name, np.inf), draw.arm_lag[k])
         if payload > 0.0:
             add_payload(spec, self.description.arm.tool, payload)
         if edit is not None:
             edit(spec)
 
-    @staticmethod
     def _motor(
-        spec: mujoco.MjSpec, name: str, joint: str, kind: mujoco.mjtTrn, gear: list[float], limit: float, lag: float,
-        rigid: bool,
-    ) -> None:  # fmt: skip
-        """``rigid``: the drive's limit and lag are MuJoCo's; else its control is the torque of a spring."""
-        if not rigid:
+        self,
+        spec: mujoco.MjSpec,
+        name: str,
+        joint: str,
+        kind: mujoco.mjtTrn,
+        gear: list[float],
+        limit: float,
+        lag: float,
+    ) -> None:
+        """Limit and lag of a rigid drive are MuJoCo's; the control of an elastic one is the torque of its spring."""
+        if not isinstance(self.perturbation.drives, RigidDrives):
             add_drive(spec, name, joint, kind, np.inf, 0.0).gear = gear
             return
         actuator = add_drive(spec, name, joint, kind, limit, lag)
@@ -183,15 +184,15 @@ class BallPlant(WorldAccess):
         arm = {name: limits.velocity.get(name, np.inf) for name in self.description.arm.joints}
         return {**{f"wheel_{i}": limits.wheel_velocity for i in wheels}, **arm}
 
-    def _drives(self) -> ElasticDrives:
-        p, limits, wheels = self.perturbation, self.description.limits, len(self.base.wheels.azimuths)
+    def _drives(self, s: SeriesElasticDrives) -> ElasticDrives:
+        limits, wheels = self.description.limits, len(self.base.wheels.azimuths)
         arm = self.description.arm.joints
         effort = np.array([limits.wheel_effort] * wheels + [limits.effort.get(name, np.inf) for name in arm])
         lag = np.concatenate([self.draw.wheel_lag, self.draw.arm_lag])
-        each = lambda wheel, joint: np.array([wheel] * wheels + [joint] * len(arm))[self._elastic]
+        each = lambda wheel, joint: np.array([wheel] * wheels + [joint] * len(arm))
         return ElasticDrives(
-            each(p.wheel_spring, p.arm_spring), each(p.wheel_rotor, p.arm_rotor), p.spring_damping, p.torque_gain,
-            p.torque_damping, effort[self._elastic], lag[self._elastic], self.timestep,
+            each(s.wheel_spring, s.arm_spring), each(s.wheel_rotor, s.arm_rotor), s.spring_damping, s.torque_gain,
+            s.torque_damping, effort, lag, self.timestep,
             each(limits.wheel_effort, np.inf),  # the wheels' limit is their traction on the ball, the arm's its motors'
         )  # fmt: skip
 
@@ -230,7 +231,7 @@ class BallPlant(WorldAccess):
         self._commands.extend([d.ctrl.copy()] * (self._commands.maxlen or 1))
         if self.drives is not None:
             mujoco.mj_fwdVelocity(self.model, d)
-            self.drives.reset(d.ctrl[self._elastic], d.actuator_velocity[self._elastic])
+            self.drives.reset(d.ctrl, d.actuator_velocity)
         self.world.restart()
         self.sensors.restart()
         self._history.clear()
@@ -302,9 +303,7 @@ class BallPlant(WorldAccess):
     def _drive(self) -> None:
         """Controls of one physics step: the command of a dead time ago, or what elastic drives make of it."""
         command, d = self._commands[0], self.data
-        self._ctrl[:] = command
-        if self.drives is not None:
-            self._ctrl[self._elastic] = self.drives.step(command[self._elastic], d.actuator_velocity[self._elastic])
+        self._ctrl[:] = command if self.drives is None else self.drives.step(command, d.actuator_velocity)
 
     @property
     def torque(self) -> Array:

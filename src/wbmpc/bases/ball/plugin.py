@@ -9,7 +9,7 @@ import mujoco
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.mechanics import check_ball
 from wbmpc.bases.ball.model import BallBase
-from wbmpc.bases.base import BaseType, System
+from wbmpc.bases.base import BaseType, Calibration, System
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import read_tree
@@ -68,8 +68,9 @@ class BallBaseType(BaseType):
         perturbation: Perturbation | None = None,
         mpc: MPC | None = None,
         edit: Edit | None = None,
+        calibration: Calibration | None = None,
     ) -> System:
-        """A perturbed plant in its equilibrium, whose controller brings the end effector to goals that come by and by."""
+        """A perturbed plant in its equilibrium, whose controller brings the end effector to goals that are set while it runs."""
         from wbmpc.bases.ball.system import make_system
 
         return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))

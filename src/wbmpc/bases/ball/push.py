@@ -44,7 +44,7 @@ class PushEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was felt."""
+        """Reset the estimate."""
         self.drift = np.zeros(2)
         self._previous: tuple[Array, Array] | None = None
 

@@ -35,7 +35,7 @@ Array = np.ndarray
 HOLD_AFTER = 0.3
 #: Time that goes back by more than this [s] is of another clock: a simulator that was started anew, or a clock that was set.
 BACK = 0.02
-#: A robot that nobody holds turns a joint by the first [rad] within milliseconds, or its base at the second [rad/s].
+#: A robot that is not held turns a joint by the first [rad] within milliseconds, or its base at the second [rad/s].
 TURNED, TURNING = 1e-3, 0.05
 #: Postures are solved for (some 20 ms each) before and after at most so many changes of the end effector's pose; on ways with more of
 #: them in so many poses.
@@ -102,7 +102,7 @@ class BusBallController(BallController):
         return self._let_go
 
     def follow(self, message: BallMessage) -> None:
-        """A message while nobody commands the drives moves the estimator only."""
+        """A message while the drives are not commanded updates the estimator only."""
         assert self.estimator is not None
         if self._sampled is not None and message.time - self._sampled <= 1e-6:
             return
@@ -355,7 +355,7 @@ class BallRosAdapter:
         }  # fmt: skip
 
     def follow(self, references: dict[str, Reference]) -> None:
-        """Put a task into force."""
+        """Start a task."""
         self.pending.set({**references, "torque": Reference.constant(self._torque)})
 
     # ------------------------------------------------------------------ what is reported

@@ -20,7 +20,7 @@ WHEEL_SPEED = 50.0
 
 class BallRosSettings(RosSettings):
     """Torques, their own problem; rate and weights of :class:`BallControllerSettings`. ``estimate_disturbance``: of constant disturbances;
-    ``expected_push_time`` [s]: how much longer a push that is felt is expected to last, for which the lean leaves room (0: it is not felt);
+    ``expected_push_time`` [s]: how much longer a detected push is expected to last, for which the lean leaves room (0: pushes are ignored);
     ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run."""
 
     mpc: MpcSettings = _DEFAULT.mpc

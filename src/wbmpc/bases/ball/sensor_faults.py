@@ -71,11 +71,11 @@ class EncoderMonitor:
 
     A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) for ``min_standstill`` [s] while the joint should
     have turned by ``expected`` [rad]: by its speed at the last reading that moved, less ``crawl`` [rad/s], and by how much more
-    the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (A load that nobody knows of makes the model
+    the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (An unknown load makes the model
     accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)
     At its ``stops``, lower and upper (n) [rad], a joint is not judged, nor one whose
     turn would bring the robot against itself (``contact``; None: that is not known). A reading after a gap counts as a third of
-    ``min_standstill`` (:data:`IN_A_ROW`): nobody knows what the torques were meanwhile. Wheels, the inertial unit and jumps are judged by the
+    ``min_standstill`` (:data:`IN_A_ROW`): the torques in between are unknown. Wheels, the inertial unit and jumps are judged by the
     estimator; what it says of wheels counts once it has said so for ``patience`` [s], of the others at once; what of it lasts as
     long as :data:`ENDS` has it ends the run. ``faults``: all that were reported, each part once.
     """

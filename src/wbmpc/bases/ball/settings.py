@@ -36,11 +36,12 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
 
 
 class BallControllerSettings(Settings):
-    """``estimate_disturbance``: whether constant disturbances are estimated, and of them (``estimate_payload``), for the MPC, its end effector;
-    ``expected_push_time`` [s]: how much longer a push that is felt is expected to last, for the MPC's limit of the lean (0: it is not felt);
+    """``estimate_disturbance``: whether constant disturbances are estimated; ``estimate_payload``: whether a load at the end effector is one of
+    them, of which the MPC knows;
+    ``expected_push_time`` [s]: how much longer a detected push is expected to last, for the MPC's limit of the lean (0: pushes are ignored);
     ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
-    ``actuator_time_constant`` [s] that the controller assumes, and ``actuator_dead_time`` [s] that the MPC's policy and the regulators do, in the
-    middle of what may be."""
+    ``actuator_time_constant`` [s]: that the controller assumes, in the middle of what may be; ``actuator_dead_time`` [s]: that the MPC's
+    policy and the regulators assume, the same."""
 
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from wbmpc.bases.base import BaseType, Proposal, System
+from wbmpc.bases.base import BaseType, Calibration, Proposal, System
 from wbmpc.bases.fixed.description import FixedBaseDescription
 from wbmpc.bases.fixed.model import FixedBase
 from wbmpc.model.robot import RobotModel
@@ -16,6 +16,7 @@ from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
     from wbmpc.bases.fixed.plant import FixedPlant
+    from wbmpc.bases.fixed.ros import FixedRosAdapter
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
@@ -73,6 +74,7 @@ class FixedBaseType(BaseType):
         perturbation: Perturbation | None = None,
         mpc: MPC | None = None,
         edit: Edit | None = None,
+        calibration: Calibration | None = None,
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.control.direct import DirectController
@@ -89,7 +91,7 @@ class FixedBaseType(BaseType):
 
         return FixedRosSettings
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> FixedRosAdapter:
         """The adapter that reads joint states and publishes speeds."""
         from wbmpc.bases.fixed.ros import FixedRosAdapter
 

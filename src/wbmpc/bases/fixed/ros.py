@@ -60,7 +60,7 @@ class FixedRosAdapter(BaseAdapter):
         return StateMeasurement(at, sample.groups["arm"])
 
     def stand(self, measurement: StateMeasurement) -> None:
-        """Know the joints while nobody commands them."""
+        """Follow the joints while they are not commanded."""
         self.controller.measure(measurement)
 
     def snapshot(self) -> tuple[float, Array] | None:

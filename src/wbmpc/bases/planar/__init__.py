@@ -1,1 +1,1 @@
-"""A base that takes speeds, whatever is under it: skid steering, tracks, the driver of somebody else."""
+"""A base that takes speeds, of any drive: skid steering, tracks, a vendor's driver."""

@@ -1,4 +1,4 @@
-"""A base that takes speeds in MuJoCo: nobody knows its wheels, so a force between floor and body drives it, within friction.
+"""A base that takes speeds in MuJoCo: its wheels are not described, so a force between floor and body drives it, within friction.
 
 The body stands on feet without friction. Its driver is a servo of the body's speeds with a lag; what it reports of its own motion has
 its scale errors, and does not see how far skidding wheels or tracks turn less than they roll.
@@ -78,7 +78,7 @@ class MobilePlant(PlanarPlant):
         mujoco.mj_kinematics(self.model, self.data)
 
     def carry_arm(self) -> None:
-        """Also the force that drives the body."""
+        """Apply the arm's drives, and the force that drives the body."""
         super().carry_arm()
         m, d, velocity = self.model, self.data, np.zeros(6)
         self._speeds = self._speeds + (1.0 - np.exp(-self.timestep / self.draw.wheel_lag)) * (

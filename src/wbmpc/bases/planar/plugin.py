@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.base import Base, BaseType, Proposal, Question
+from wbmpc.bases.base import Base, Proposal, Question
 from wbmpc.bases.planar_motion.description import Place, PlanarBaseDescription
 from wbmpc.bases.planar_motion.model import PlanarBase, PointFootprint, standing_on
 from wbmpc.bases.planar_motion.plugin import PlanarBaseType
@@ -43,6 +43,7 @@ class MobileBaseDescription(PlanarBaseDescription):
     square about its center of mass."""
 
     joint_key: ClassVar[str] = ""
+    takes_twist: ClassVar[bool] = True
 
     type: Literal["planar"]
     wheels: tuple[str, ...] = Field((), max_length=0)
@@ -77,7 +78,7 @@ class MobileBase(PlanarBase):
 
 
 class MobileBaseType(PlanarBaseType):
-    """Planning, and a simulated base that is driven by a force: what is under it is not known."""
+    """Planning, and a simulated base that is driven by a force: its wheels are not described."""
 
     Description = MobileBaseDescription
 
@@ -135,6 +136,3 @@ class MobileBaseType(PlanarBaseType):
         from wbmpc.bases.planar.plant import MobilePlant
 
         return MobilePlant(robot, perturbation=perturbation, seed=seed, edit=edit)
-
-    # nobody knows its drives: what its driver takes and says on a bus is not described
-    ros_settings, ros, ros_plant = BaseType.ros_settings, BaseType.ros, BaseType.ros_plant

@@ -9,6 +9,7 @@ from wbmpc import lie
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
+from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -21,17 +22,25 @@ class PlanarController:
     """Estimation, prediction and tracking of a robot on fixed wheels at the controller's rate.
 
     ``pose`` (x, y, yaw) at the start; ``period`` [s] of the controller; ``lag`` [s] of the drives, first order: the plan leads the
-    measured state by it; ``use_gyro``: whether the odometry has one. ``target`` (nu): what the plan asks for; ``sent`` (nu): what of
+    measured state by it; ``use_gyro``: whether the odometry has one; ``wheels``: what is known of the wheels' errors.
+    ``target`` (nu): what the plan asks for; ``sent`` (nu): what of
     it the last command was, after limits; ``clamped``: whether wheels were slowed down to their limits.
     """
 
     def __init__(
-        self, robot: RobotModel, pose: Array, period: float, lag: float = 0.0, *, use_gyro: bool = True
+        self,
+        robot: RobotModel,
+        pose: Array,
+        period: float,
+        lag: float = 0.0,
+        *,
+        use_gyro: bool = True,
+        wheels: WheelErrors | None = None,
     ) -> None:
         positive("controller", period=period)
         not_negative("controller", lag=lag)
         self.robot, self.period, self.lag, self.use_gyro = robot, period, lag, use_gyro
-        self.odometry = PlanarOdometry(robot.base.twist, robot.base.rates, pose)
+        self.odometry = self.make_odometry(robot, pose, wheels)
         footprint = robot.base.footprint
         soft = use_gyro and footprint is not None and not footprint.even
         self.tilt: TiltFilter | None = TiltFilter() if soft else None
@@ -43,12 +52,17 @@ class PlanarController:
         self.clamped = False
         self.target, self.sent = np.zeros((2, robot.input.size))
 
+    @classmethod
+    def make_odometry(cls, robot: RobotModel, pose: Array, wheels: WheelErrors | None = None) -> PlanarOdometry:
+        """What finds the way of this base by its wheels, from ``pose`` (3) on."""
+        return PlanarOdometry(robot.base.twist, robot.base.rates, pose, wheels)
+
     # ------------------------------------------------------------------ estimation
     def measure(self, measurement: PlanarMeasurement) -> None:
-        """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
+        """Process the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
         numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
         previous, self.measured = self.measured or measurement, measurement
-        self.odometry.update(measurement.time, measurement.wheel, self.turning(previous, measurement))
+        self.odometry.turn(measurement.time, measurement.wheel, measurement.steer, self.turning(previous, measurement))
         self.note_lean(previous, measurement)
 
     def note_lean(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> None:
@@ -142,7 +156,7 @@ class PlanarController:
 
     def wheel_matrix(self) -> Array:
         """(n, m): wheel rates by the inputs that turn wheels."""
-        return np.asarray(self.robot.base.rates)
+        return self.odometry.wheels.corrected(self.robot.base.rates)
 
     def _note(self, sent: Array) -> None:
         self.sent = sent

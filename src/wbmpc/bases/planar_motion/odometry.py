@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
+from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.checks import finite, numbers
 
 Array = NDArray[np.float64]
@@ -13,78 +14,114 @@ Array = NDArray[np.float64]
 STANDS, STANDS_FOR = 1e-3, 0.25
 #: The gyro's bias counts as known below this doubt [rad/s]; its doubt at the start, its walk [rad/s/√s], the gyro's noise [rad/s/√Hz].
 KNOWN, BIAS, WALK, NOISE = 1e-3, 0.05, 3e-5, 3e-4
-#: What wheels show of turns: doubt of a radius (relative), slip that comes and goes (share of what a wheel rolls in an interval), error of
+#: What wheels show of turns: slip that comes and goes (share of what a wheel rolls in an interval), error of
 #: an encoder [rad] and of its time [s]; interval [s] of comparisons with the gyro; so many
 #: standard deviations beside it are a slip.
-RADIUS, SLIP, COUNT, JITTER, INTERVAL, SLIPS = 0.002, 0.003, 4e-4, 1e-3, 0.2, 4.0
+SLIP, COUNT, JITTER, INTERVAL, SLIPS = 0.002, 4e-4, 1e-3, 0.2, 4.0
 
 
-class GyroBias:
-    """Kalman filter for the ``bias`` [rad/s] of a gyro, by comparing its turn with that of n wheels.
+#: Where the base is (x, y), its yaw and the gyro's bias in the filter's state; errors of wheels follow.
+YAW, GYRO, WHEELS = 2, 3, 4
+
+
+class GyroFilter:
+    """Kalman filter for the ``bias`` [rad/s] of a gyro, by comparing its turn with that of n wheels, and for what the bias that was believed
+    before has done to the pose.
 
     Wheels whose radii are wrong turn with the distance, a bias turns with the time: both are states, so that a base which stands, or
-    whose speed changes, shows the bias, and one that rolls steadily leaves it as it is. Wheels that slip further than that beside the
-    gyro say nothing. ``std`` [rad/s]: its doubt.
+    whose speed changes, shows the bias, and one that rolls steadily leaves it as it is. Errors of the pose are states too: a bias that is
+    found late turns the way back that was driven with another one. Wheels that slip further than that beside the
+    gyro say nothing. ``doubt`` (n, n): covariance of the wheels' relative errors; ``std`` [rad/s]: doubt of the bias.
     """
 
-    def __init__(self, wheels: int, radius_std: float = RADIUS) -> None:
-        self._mean = np.zeros(1 + wheels)  # bias, relative errors of the radii
-        self._covariance = np.diag([BIAS**2, *[radius_std**2] * wheels])
-        self._time = self._turn = 0.0
-        self._shares = np.zeros(wheels)
+    def __init__(self, doubt: Array) -> None:
+        n = WHEELS + len(doubt)
+        self._mean, self._covariance = np.zeros(n), np.zeros((n, n))
+        self._covariance[GYRO, GYRO], self._covariance[WHEELS:, WHEELS:] = BIAS**2, doubt
+        self._clear()
+
+    def _clear(self) -> None:
+        self._time = self._turn = self._led = 0.0  # led: time in which the turn was the gyro's
+        self._shares, self._believed = np.zeros((2, self._mean.size - WHEELS))  # believed: where it was the wheels'
+        self._way = np.zeros(2)
 
     @property
     def bias(self) -> float:
         """[rad/s]."""
-        return float(self._mean[0])
+        return float(self._mean[GYRO])
 
     @property
     def std(self) -> float:
         """[rad/s]."""
-        return float(np.sqrt(self._covariance[0, 0]))
+        return float(np.sqrt(self._covariance[GYRO, GYRO]))
 
-    def update(self, h: float, yaw_rate: float, shares: Array, weights: Array) -> None:
+    def place(self) -> None:
+        """The pose comes from elsewhere: nothing that is found of the bias changes what was before."""
+        self._covariance[:GYRO, :] = self._covariance[:, :GYRO] = 0.0
+        self._way = np.zeros(2)
+
+    def update(self, h: float, yaw_rate: float, shares: Array, weights: Array, led: bool, way: Array) -> Array | None:
         """Over h [s] the gyro had a mean ``yaw_rate`` [rad/s] and each wheel turned the base by its share (n) [rad], ``weights`` (n) times
-        what it rolled [rad]."""
+        what it rolled [rad]; the pose went on by ``way`` (2) [m], and turned as the gyro said (``led``) or the wheels. Gives the
+        correction (3) of the pose where there is one."""
         self._time += h
         self._turn += yaw_rate * h
         self._shares = self._shares + shares
-        if self._time >= INTERVAL:
-            self._compare(weights)
-            self._time = self._turn = 0.0
-            self._shares = np.zeros(len(self._shares))
+        self._way = self._way + way
+        if led:
+            self._led += h
+        else:
+            self._believed = self._believed + shares
+        if self._time < INTERVAL:
+            return None
+        found = self._compare(weights)
+        self._clear()
+        return found
 
-    def _compare(self, weights: Array) -> None:
+    def _compare(self, weights: Array) -> Array | None:
         """One update of the filter with what came together."""
-        t, wheels = self._time, self._shares
-        row = np.concatenate([[t], wheels])
-        noise = NOISE**2 * t + (COUNT**2 + (JITTER * self._turn / t) ** 2) * float(weights @ weights)
-        noise += SLIP**2 * float(wheels @ wheels)
-        self._covariance[0, 0] += WALK**2 * t
-        gain = self._covariance @ row
+        t, led, wheels, n = self._time, self._led, self._shares, self._mean.size
+        step = np.eye(n)
+        step[0, YAW], step[1, YAW] = -self._way[1], self._way[0]
+        step[YAW, GYRO], step[YAW, WHEELS:] = -led, self._believed
+        p = step @ self._covariance @ step.T
+        p[GYRO, GYRO] += WALK**2 * t
+        row = np.concatenate([np.zeros(GYRO), [t], wheels])
+        rolling = SLIP**2 * float(wheels @ wheels)
+        slip = SLIP**2 * float(self._believed @ self._believed)
+        p[YAW, YAW] += NOISE**2 * led + slip
+        noise = NOISE**2 * t + (COUNT**2 + (JITTER * self._turn / t) ** 2) * float(weights @ weights) + rolling
+        gain = p @ row
         variance = float(row @ gain) + noise
+        gain[YAW] -= NOISE**2 * led + slip  # the same noise is in the yaw
         off = self._turn - float(wheels.sum()) - float(row @ self._mean)
         rolls = float(np.abs(wheels).max(initial=0.0)) > COUNT
+        self._covariance = p
         if rolls and off**2 > SLIPS**2 * variance:
-            return
+            return None
         self._mean = self._mean + gain * (off / variance)
-        self._covariance -= np.outer(gain, gain / variance)
+        self._covariance = p - np.outer(gain, gain / variance)
+        correction = self._mean[:GYRO].copy()
+        self._mean[:GYRO] = 0.0
+        return correction
 
 
 class PlanarOdometry:
     """Pose (x, y, yaw) of the body's frame, yaw not wrapped.
 
     ``twist`` (3, m) and ``rates`` (n, m): as in :class:`wbmpc.bases.planar_motion.model.PlanarBase`, the last column is the turn;
-    ``pose0`` (3). ``gyro``: its bias; until it is known, and while the base stands, the
-    turn is the wheels'. ``residual`` (n) [rad]: what the wheels of the last update contradict each other.
+    ``pose0`` (3); ``wheels``: what is known of the wheels' errors (left out: nothing). ``gyro``: its bias; until it is known, and while
+    the base stands, the turn is the wheels'. ``residual`` (n) [rad]: what the wheels of the last update contradict each other.
     Raises :class:`InputError` for numbers that are not finite or of another length.
     """
 
-    def __init__(self, twist: Array, rates: Array, pose0: ArrayLike) -> None:
+    def __init__(self, twist: Array, rates: Array, pose0: ArrayLike, wheels: WheelErrors | None = None) -> None:
+        self.wheels = wheels or WheelErrors.unknown(*rates.shape)
+        rates = self.wheels.corrected(rates)
         self._twist, self._rates = twist, rates
         self._fit, self._fit_linear = np.linalg.pinv(rates), np.linalg.pinv(rates[:, :-1])
         self.pose = numbers("odometry", "pose0", pose0, 3).copy()
-        self.gyro = GyroBias(len(rates))
+        self.gyro = GyroFilter(self.wheels.of_turn(len(rates)))
         self.residual: Array = np.zeros(len(rates))
         self._last: tuple[float, Array] | None = None
         self._anchor: tuple[float, Array] = (0.0, np.zeros(len(rates)))  # since when the wheels are where they are
@@ -101,16 +138,28 @@ class PlanarOdometry:
         if last is None or time <= last[0]:
             return self.pose
         h, rolled = time - last[0], now - last[1]
-        moved = self._fit @ rolled
-        if yaw_rate is not None:
-            self.gyro.update(h, yaw_rate, self._fit[-1] * rolled, self._fit[-1])
-            if time - self._anchor[0] < STANDS_FOR and self.gyro.std < KNOWN:
-                turn = (yaw_rate - self.gyro.bias) * h
-                moved = np.append(self._fit_linear @ (rolled - self._rates[:, -1] * turn), turn)
+        moved, before = self._fit @ rolled, self.pose
+        led = time - self._anchor[0] < STANDS_FOR and self.gyro.std < KNOWN
+        if yaw_rate is not None and led:
+            turn = (yaw_rate - self.gyro.bias) * h
+            moved = np.append(self._fit_linear @ (rolled - self._rates[:, -1] * turn), turn)
         self.residual = rolled - self._rates @ moved
-        self.pose = lie.se2_step(self.pose, self._twist @ moved)
+        self.pose = lie.se2_step(before, self._twist @ moved)
+        if yaw_rate is not None:
+            way = (self.pose - before)[:2]
+            correction = self.gyro.update(h, yaw_rate, self._fit[-1] * rolled, self._fit[-1], led, way)
+            self.pose = self.pose if correction is None else self.pose + correction
         return self.pose
 
+    def place(self, pose: Array) -> None:
+        """The base is at ``pose`` (3), as somebody else knows."""
+        self.pose = pose
+        self.gyro.place()
+
+    def turn(self, time: float, wheel: ArrayLike, steer: ArrayLike, yaw_rate: float | None) -> Array:
+        """:meth:`update` with angles of steering joints, of which there are none."""
+        return self.update(time, wheel, yaw_rate)
+
     def restart(self) -> None:
-        """The encoders begin anew: the next update moves nobody."""
+        """The encoders start again: the next update moves nothing."""
         self._last = None

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
-from wbmpc.bases.base import Base, BaseType, System
+from wbmpc.bases.base import Base, BaseType, Calibration, System
 from wbmpc.bases.planar_motion.model import PlanarBase
+from wbmpc.bases.planar_motion.wheel_errors import WheelErrors, fit_errors
 from wbmpc.bases.planar_motion.wheels import FixedWheels, check_wheels, read_wheels, wheel_radius
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Tree, read_tree
@@ -18,12 +22,14 @@ if TYPE_CHECKING:
     from wbmpc.bases.planar_motion.controller import PlanarController
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
+    from wbmpc.ros2.base_adapter import BaseAdapter
     from wbmpc.ros2.plants import RosPlant
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.settings import StabilitySettings
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
+Array = NDArray[np.float64]
 #: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modeled to take [s].
 CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
 #: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
@@ -71,14 +77,22 @@ class PlanarBaseType(BaseType):
         perturbation: Perturbation | None = None,
         mpc: MPC | None = None,
         edit: Edit | None = None,
+        calibration: Calibration | None = None,
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.simulation.lockstep import Timing
 
         plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
-        controller = self.controller()(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG)
+        wheels = None if calibration is None else WheelErrors(**calibration)
+        controller = self.controller()(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG, wheels=wheels)
         return System(plant, controller, mpc, timing)
+
+    def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
+        """Radii, and what the base's speeds are by them."""
+        odometry = lambda wheels: self.controller().make_odometry(robot, np.zeros(3), wheels)
+        size = robot.base.wheel_upper.size, robot.base.twist.shape[1]
+        return vars(fit_errors(odometry, size, channels, source))
 
     def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
         """Weights that scale with the robot, and the gyro."""
@@ -86,7 +100,7 @@ class PlanarBaseType(BaseType):
 
         return PlanarRosSettings
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> BaseAdapter:
         """The adapter that reads joint states and publishes speeds."""
         from wbmpc.bases.planar_motion.ros import PlanarRosAdapter
 

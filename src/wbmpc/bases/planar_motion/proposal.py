@@ -1,4 +1,4 @@
-"""What base types on fixed wheels have in common when they read a file that nobody has described."""
+"""What base types on fixed wheels have in common when they propose a description of a model."""
 
 from __future__ import annotations
 

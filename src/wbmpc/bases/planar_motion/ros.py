@@ -111,7 +111,7 @@ def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
             sure = exact or not self.placed
             gain = np.eye(3) if sure else self.covariance @ np.linalg.pinv(self.covariance + covariance)
             self.placed = True
-            self.odometry.pose = ours + gain @ error
+            self.odometry.place(ours + gain @ error)
             self.covariance = covariance.copy() if sure else (np.eye(3) - gain) @ self.covariance
 
     return BusController
@@ -179,7 +179,7 @@ class PlanarRosAdapter(BaseAdapter):
         return BusMeasurement(at, wheel, arm, imu.gyro, imu.accel, steer, turning, origin)
 
     def stand(self, measurement: BusMeasurement) -> None:
-        """Follow the wheels, and the gyro's bias, while nobody commands them."""
+        """Follow the wheels, and the gyro's bias, while the drives are not commanded."""
         self.controller.fix = self.fix
         self.controller.measure(measurement)
 
@@ -217,7 +217,7 @@ class PlanarRosAdapter(BaseAdapter):
         return found
 
     def follow(self, references: dict[str, Reference]) -> None:
-        """Put a task into force."""
+        """Start a task."""
         self.pending.reweigh(self._led[getattr(references, "carried", False)])
         self.pending.set(references)
 

@@ -27,7 +27,10 @@ class PlanarRosPlant(RosPlant):
     def read(self) -> Reading:
         """What the sensors say."""
         m = self.plant.measure()
-        self.last = Reading({"leg": np.zeros(0), "steer": m.steer, "wheel": m.wheel, "arm": m.arm}, m.gyro, m.accel)
+        counted = self.robot.description.base.takes_twist  # by the base's own driver
+        wheel, way = (np.zeros(0), m.wheel) if counted else (m.wheel, None)
+        joints = {"leg": np.zeros(0), "steer": m.steer, "wheel": wheel, "arm": m.arm}
+        self.last = Reading(joints, m.gyro, m.accel, way=way)
         return self.last
 
     def base(self, truth: Truth) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from wbmpc.ocp import Mode, ModeSchedule
 Array = NDArray[np.float64]
 #: Legs hold the base by less than this where it counts as floating; how long [s] it may float on the way to other angles.
 FLOATING, PASS = 0.05, 1.0
-#: Time [s] that brakes take which nobody has measured.
+#: Time [s] that brakes take by default.
 BRAKE_DELAY = 0.1
 #: Length [m] that turns a yaw rate into a speed.
 _LEVER = 0.5

@@ -53,7 +53,7 @@ class WheelRecord:
         Raises :class:`InputError`."""
         for name in ("steer", "wheel", "place"):
             if name not in channels or f"{name}.time" not in channels:
-                known = sorted(c for c in channels if not c.endswith(".time"))
+                known = sorted(c for c in channels if not c.endswith((".time", ".names")))
                 raise InputError(
                     f"{where}: there is no channel '{name}' with its '{name}.time'; a calibration needs steer, wheel and place "
                     f"(global poses: of a localization or a survey); this one has: {', '.join(known)}"

@@ -24,14 +24,15 @@ ROLLING_SOFTNESS = 1e-6
 
 
 class EndEffectorCost(Settings):
-    """Weights of the end effector: position [1/m²], orientation [1/rad²], per second."""
+    """Weights of the end effector, per second. ``weight`` [1/m²]: of its position; ``orientation`` [1/rad²]: of its orientation."""
 
     weight: Weight = 1000.0
     orientation: Weight = 200.0
 
 
 class StateCost(Settings):
-    """Weights of base position, base yaw, leg angles, steering angles and arm posture, per second."""
+    """Weights per second. ``position``: of the base's; ``yaw``: of its heading; ``leg``: of leg angles; ``steer``: of steering angles; ``arm``: of
+    the arm's posture."""
 
     position: Weight = 1.0
     yaw: Weight = 5.0
@@ -41,7 +42,8 @@ class StateCost(Settings):
 
 
 class InputCost(Settings):
-    """Weights of the body twist (against the reference), leg, steering, wheel and arm rates, per second."""
+    """Weights per second. ``base``: of the twist (against the reference); ``leg``: of leg rates; ``steer``: of steering rates; ``wheel``: of wheel
+    rates; ``arm``: of joint speeds."""
 
     base: Weight = 0.5
     leg: Weight = 1.0

@@ -1,4 +1,4 @@
-"""What a swerve robot's drives make of commands: their first-order lag, and the arm's sag under loads that nobody fed forward."""
+"""What a swerve robot's drives make of commands: their first-order lag, and the arm's sag under loads that are not fed forward."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wheels turn first: a guess for swerve bases that are sent to goals nobody could foresee.
+"""Wheels turn first: a guess for swerve bases with goals that are not known in advance.
 
 At standstill the linearized rolling rows do not see the steering angles, so a base whose wheels point across its way would stay
 where it is (see :mod:`wbmpc.bases.swerve.steering_planner`, which needs a preview of the motion: here it is the straight way to the goal).

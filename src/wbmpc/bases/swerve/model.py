@@ -135,11 +135,13 @@ def _check_wheel_turns(description: RobotDescription, tree: Tree, wheel: str) ->
     key = "limits.position"
     in_key, (low, high) = description.limits.position.get(wheel), tree.links[tree.joint(wheel)].range
     if in_key is not None:
-        raise InputError(f"{description.source}: key '{key}.{wheel}': a wheel turns on and on, it can have no range")
+        raise InputError(
+            f"{description.source}: key '{key}.{wheel}': a wheel is a continuous joint and can have no range"
+        )
     if np.isfinite([low, high]).any():
         raise InputError(
             f"{description.model}: joint '{wheel}' has a range, {low:g} to {high:g} rad; it is a wheel (base.modules of "
-            f"{description.source}), which turns on and on: take the range away (in a URDF: type continuous)"
+            f"{description.source}), which is a continuous joint: take the range away (in a URDF: type continuous)"
         )
 
 
@@ -264,7 +266,7 @@ class SwerveBase:
         return ca.vertcat(c * u[0] - s * u[1], s * u[0] + c * u[1], u[2], rates)
 
     def acceleration(self, limits: Limits) -> Array:
-        """(3) [m/s², m/s², rad/s²]: how the twist may change where wheels keep their ``limits`` in whatever direction they point."""
+        """(3) [m/s², m/s², rad/s²]: bounds of the twist's rate for which wheels keep their ``limits`` in any steering direction."""
         g = self.geometry
         slowest = float(np.min(limits.input_rate[Layout(self.input)["wheel"]])) * g.wheel_radius
         lever = float(np.max(np.linalg.norm(g.hinge, axis=1) + g.leg_length))

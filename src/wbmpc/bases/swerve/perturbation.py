@@ -10,8 +10,7 @@ READS = frozenset(
         "mass", "inertia", "com_offset", "joint_offset", "steer_offset", "wheel_radius", "wheel_radius_each",
         "actuator_time_constant", "actuator_time_constant_spread", "dry_friction", "brake_delay", "friction", "encoder_jitter",
         "encoder_counts", "arm_counts", "steer_noise", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise",
-        "accel_bias", "accel_walk", "payload", "body_payload", "slope", "brake_fault", "brake_fault_leg",
-        "brake_fault_time",
+        "accel_bias", "accel_walk", "payload", "body_payload", "slope", "brake_fault",
     }
 )  # fmt: skip
 _SENSORS = (
@@ -23,7 +22,7 @@ _DRIVES = "is for ball robots only; a swerve robot's drives have 'plant.actuator
 INSTEAD = {
     "floor_cables": "is for ball robots only; swerve-drive and swerve-plaster have their own",
     "torsional_friction": "is for ball robots only; a swerve robot's wheels hold the floor by 'plant.friction' alone",
-    **dict.fromkeys(("actuator_dead_time", "wheel_spring", "arm_spring"), _DRIVES),
+    **dict.fromkeys(("actuator_dead_time", "drives"), _DRIVES),
     **dict.fromkeys(("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"), _SENSORS),
 }
 

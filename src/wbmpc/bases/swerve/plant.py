@@ -28,7 +28,7 @@ from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import span
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localization
-from wbmpc.simulation.perturbation import Perturbation, clipped
+from wbmpc.simulation.perturbation import Perturbation, StuckBrake, clipped
 from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant, let_tires_slide
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
@@ -108,11 +108,11 @@ class SwervePlant(WheeledPlant):
         self._place(self._groups(state), lift, settle)
 
     def _reject_brake_fault(self) -> None:
-        p, legs = self.perturbation, [m.leg for m in self.base.modules if m.leg]
-        if p.brake_fault != "none" and p.brake_fault_leg >= len(legs):
+        fault, legs = self.perturbation.brake_fault, [m.leg for m in self.base.modules if m.leg]
+        if isinstance(fault, StuckBrake) and fault.leg >= len(legs):
             valid = ", ".join(f"{i} ({n})" for i, n in enumerate(legs)) or "a robot with legs that move"
             raise InputError(
-                f"plant.brake_fault_leg: {self.description.name} has no leg {p.brake_fault_leg} with a brake; valid: {valid}"
+                f"plant.brake_fault.leg: {self.description.name} has no leg {fault.leg} with a brake; valid: {valid}"
             )
 
     # ------------------------------------------------------------------ building
@@ -249,9 +249,9 @@ class SwervePlant(WheeledPlant):
         control[self._control["steer"]] = clipped(steer, STEER_SPEED)
         control[self._control["arm"]] = clipped(arm, self._arm_speed)
         self.brakes.command(brake)
-        p = self.perturbation
-        if p.brake_fault != "none" and self.time >= p.brake_fault_time:
-            self.brakes.fail(p.brake_fault_leg, p.brake_fault)
+        fault = self.perturbation.brake_fault
+        if isinstance(fault, StuckBrake) and self.time >= fault.time:
+            self.brakes.fail(fault.leg, fault.kind)
         rest = self.brakes.rests and self.brakes.held is self._held
         for part in (steps,) if rest else (1,) * steps:
             self._advance_brakes()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from wbmpc.bases.base import BaseType, Proposal, System
+from wbmpc.bases.base import BaseType, Calibration, Proposal, System
 from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.model import SwerveBase
 from wbmpc.model.robot import RobotModel
@@ -15,9 +15,13 @@ from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from wbmpc.bases.swerve.calibrator import SwerveCalibrator
     from wbmpc.bases.swerve.leg_folding import LegFolding
     from wbmpc.bases.swerve.plant import SwervePlant
+    from wbmpc.bases.swerve.ros import SwerveRosAdapter
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.control.protocols import Controller
@@ -28,6 +32,8 @@ if TYPE_CHECKING:
     from wbmpc.settings import StabilitySettings
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
+
+    Array = NDArray[np.float64]
 
 
 class SwerveBaseType(BaseType):
@@ -74,11 +80,20 @@ class SwerveBaseType(BaseType):
         perturbation: Perturbation | None = None,
         mpc: MPC | None = None,
         edit: Edit | None = None,
+        calibration: Calibration | None = None,
     ) -> System:
-        """A perturbed plant at home, whose controller brings end effector, base and legs to goals that come by and by."""
+        """A perturbed plant at home, whose controller brings end effector, base and legs to goals set while it runs."""
         from wbmpc.bases.swerve.system import make_system
 
-        return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))
+        plant = self.plant(robot, perturbation, seed, edit)
+        return make_system(robot, plant, mpc or self.mpc(robot), calibration)
+
+    def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
+        """Steer zeros and radii."""
+        from wbmpc.estimation.wheel_calibration import WheelCalibration
+
+        calibrator = self.calibrator(robot)
+        return vars(calibrator.fit(channels, WheelCalibration.unknown(calibrator.geometry), source).calibration)
 
     def reshaping(self, robot: RobotModel, mpc: MPC, controller: Controller) -> LegFolding | None:
         """Hinged legs fold where it is narrow; None for fixed legs."""
@@ -96,7 +111,7 @@ class SwerveBaseType(BaseType):
 
         return SwerveRosSettings
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> SwerveRosAdapter:
         """The adapter that reads joint states and publishes speeds."""
         from wbmpc.bases.swerve.ros import SwerveRosAdapter
 

@@ -1,4 +1,4 @@
-"""How a swerve base is seen in a file that nobody has described."""
+"""How a swerve base is found in a model without a robot file."""
 
 from __future__ import annotations
 

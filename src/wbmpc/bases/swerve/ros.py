@@ -253,7 +253,7 @@ class SwerveRosAdapter(BaseAdapter):
         )  # fmt: skip
 
     def stand(self, m: SwerveMeasurement) -> None:
-        """Follow the wheels, and the gyro's bias, while nobody commands them."""
+        """Follow the wheels, and the gyro's bias, while the drives are not commanded."""
         controller = self.controller
         controller.estimator.use_gyro = self.settings.use_gyro and self._has_imu
         controller.estimator.fix = self.fix
@@ -293,7 +293,7 @@ class SwerveRosAdapter(BaseAdapter):
         return references_of(task, self.robot, x, self.legs)
 
     def follow(self, references: dict[str, Reference]) -> None:
-        """Put a task into force."""
+        """Start a task."""
         self._twists = references["input"]
         self.pending.set(references)
 

@@ -27,7 +27,7 @@ class SwerveRosPlant(RosPlant):
         return {g: np.zeros(n) for g, n in self._sizes.items()}
 
     def command(self, groups: dict[str, Array]) -> SwerveCommand:
-        """What the drives get; four brakes for fixed legs, as the plant wants them."""
+        """Commands of the drives; four brakes for fixed legs, as the plant expects them."""
         return SwerveCommand(**groups)
 
     def read(self) -> Reading:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-from wbmpc.bases.base import System
+from wbmpc.bases.base import Calibration, System
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
+from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.goal_guess import GoalGuess
 from wbmpc.bases.swerve.path_guess import PathGuess
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.default_problem import stay_at_home
+from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
@@ -40,8 +42,15 @@ def make_mpc(
     return mpc
 
 
-def make_system(robot: RobotModel, plant: SwervePlant, mpc: MPC) -> System:
-    """Controller of a plant that stands at home."""
+def make_system(robot: RobotModel, plant: SwervePlant, mpc: MPC, calibration: Calibration | None = None) -> System:
+    """Controller of a plant that stands at home; ``calibration`` of its wheels (:class:`WheelCalibration`)."""
     timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
-    controller = SwerveController(robot, plant.truth().pose, timing.period, tracking=TrackingSettings(lag=DRIVE_LAG))
+    wheels = None if calibration is None else WheelCalibration(**calibration)
+    controller = SwerveController(
+        robot,
+        plant.truth().pose,
+        timing.period,
+        tracking=TrackingSettings(lag=DRIVE_LAG),
+        estimation=EstimatorSettings(calibration=wheels),
+    )
     return System(plant, controller, mpc, timing)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -9,6 +11,7 @@ from wbmpc import lie
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
+from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.bases.wheels.model import WheelsBase
 from wbmpc.checks import numbers
 from wbmpc.model.robot import RobotModel
@@ -25,11 +28,12 @@ class WheelsOdometry(PlanarOdometry):
     """Least squares for the motion over all wheels: driven ones show how far they rolled, tires that they did not slip sideways.
     ``covariance`` (3, 3) of the pose, by the wheels' slip."""
 
-    def __init__(self, base: WheelsBase, pose0: ArrayLike) -> None:
-        rows = base.twist.shape[1]
+    def __init__(self, base: WheelsBase, pose0: ArrayLike, wheels: WheelErrors | None = None) -> None:
         driven = sum(c.driven for c in base.wheel_contacts)
         tires = sum(c.roller is None for c in base.wheel_contacts)
-        super().__init__(base.twist, np.zeros((driven + tires, rows)), pose0)
+        speeds = base.twist.shape[1]
+        wheels = wheels or WheelErrors.unknown(driven, speeds)
+        super().__init__(base.twist, np.zeros((driven + tires, speeds)), pose0, wheels)
         self._base, self._driven = base, driven
         self._shown = np.zeros(driven + tires)
         self._before: tuple[Array, Array] | None = None
@@ -44,10 +48,11 @@ class WheelsOdometry(PlanarOdometry):
         w0, s0 = self._before or (w, s)
         self._before = (w.copy(), s.copy())
         roll, side = self._base.matrices(0.5 * (s + s0))
-        rows = np.vstack([roll, side])
+        speeds = self._twist.shape[1]
+        rows = self.wheels.corrected(self._base.by_input(np.vstack([roll, side])))
         # what the wheels did without what steering alone moved them by
-        self._shown = self._shown + np.concatenate([w - w0, np.zeros(len(side))]) - rows[:, 3:] @ (s - s0)
-        self._rates = rows[:, :3] @ self._base.twist
+        self._shown = self._shown + np.concatenate([w - w0, np.zeros(len(side))]) - rows[:, speeds:] @ (s - s0)
+        self._rates = rows[:, :speeds]
         self._fit, self._fit_linear = np.linalg.pinv(self._rates), np.linalg.pinv(self._rates[:, :-1])
         rolled = float(np.abs(w - w0).max(initial=0.0))
         if rolled > 0.0:
@@ -67,24 +72,24 @@ class WheelsController(PlanarController):
     """The MPC's state has the **planned** steering angles, so that its rows agree with each other; a loop closes the difference to the
     measured ones."""
 
-    def __init__(
-        self, robot: RobotModel, pose: Array, period: float, lag: float = 0.0, *, use_gyro: bool = True
-    ) -> None:
-        super().__init__(robot, pose, period, lag, use_gyro=use_gyro)
-        self.odometry: WheelsOdometry = WheelsOdometry(robot.base, pose)
+    odometry: WheelsOdometry
+
+    def __init__(self, robot: RobotModel, pose: Array, period: float, lag: float = 0.0, **options: Any) -> None:
+        super().__init__(robot, pose, period, lag, **options)
         self._size = robot.base.twist.shape[1] + robot.base.steering
         self._moving = slice(0, self._size)
         self._steer = robot.input["steer"] if robot.base.steering else slice(0, 0)
         self.planned: Array = np.zeros(robot.base.steering)
         self._placed = False  # whether planned angles have begun from measured ones
 
+    @classmethod
+    def make_odometry(cls, robot: RobotModel, pose: Array, wheels: WheelErrors | None = None) -> WheelsOdometry:
+        """What finds the way of this base by its wheels, from ``pose`` (3) on."""
+        return WheelsOdometry(robot.base, pose, wheels)
+
     def measure(self, measurement: PlanarMeasurement) -> None:
         """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
-        numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
-        previous, self.measured = self.measured or measurement, measurement
-        turning = self.turning(previous, measurement)
-        self.odometry.turn(measurement.time, measurement.wheel, measurement.steer, turning)
-        self.note_lean(previous, measurement)
+        super().measure(measurement)
         if not self._placed:
             self.planned, self._placed = np.array(measurement.steer, float), True
 
@@ -100,7 +105,8 @@ class WheelsController(PlanarController):
 
     def wheel_matrix(self) -> Array:
         """(n, m + s): rates of driven wheels by the base's input and the steering rates, at the planned steering angles."""
-        return np.asarray(self.robot.base.by_input(self.robot.base.matrices(self.planned)[0]))
+        rows = np.asarray(self.robot.base.by_input(self.robot.base.matrices(self.planned)[0]))
+        return self.odometry.wheels.corrected(rows)
 
     def stop(self) -> PlanarCommand:
         """Everything at rest."""

@@ -60,7 +60,7 @@ class WheelsBaseType(PlanarBaseType):
         return Proposal(section, 0.7, reason, tuple(names), held, speed, acceleration)
 
     def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
-        """Also wheels that carry nobody alone."""
+        """Also wheels that do not support the robot alone."""
         found = super().diagnose(description, base)
         if base.footprint is None:
             text = "its wheels stand on one line: in the simulator the robot falls over"

@@ -100,6 +100,16 @@ _DOOR: Definitions = {
     "rest_hand_error": ("m", f"rms distance of the end effector from its place in the last second; {_OWN}"),
     **_COMMON,
 }  # fmt: skip
+_TOUCH: Definitions = {
+    "touch_peak_ratio": ("1", "largest normal force of the tip at any physics step, touch and push, over the wanted one; worst of all speeds; true"),
+    "touch_peak_ratio_plain": ("1", "the same without the limit of the approach's speed"),
+    "contact_lost_max": ("s", "longest time without contact between touch and release; worst of all speeds; true"),
+    "contact_lost_max_plain": ("s", "the same without the limit of the approach's speed"),
+    "touch_speed_max": ("m/s", "speed of the tip towards the surface in the 5 ms before the touch; largest of all speeds; true"),
+    "touch_time_max": ("s", "time from the start of the approach until the touch; worst of all speeds; true"),
+    "touch_time_extra": ("s", "how much later the tip touches than without the limit of the approach's speed; worst of all speeds; true"),
+    "fell": ("1", "whether the robot fell: 1 if it did"),
+}  # fmt: skip
 
 #: By experiment.
 DEFINITIONS: dict[str, Definitions] = {
@@ -113,4 +123,5 @@ DEFINITIONS: dict[str, Definitions] = {
     "rezero-taskspace": _TASKSPACE,
     "rezero-frequency": _FREQUENCY,
     "rezero-door": _DOOR,
+    "touch": _TOUCH,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -97,18 +98,24 @@ def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tu
     return maximum, fault
 
 
-def push_door(settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None) -> Trial:
-    """One run with the reference ``force`` [N]."""
+#: Of settings, robot, state and torques at the start, and seed.
+PlantOf = Callable[[RezeroDoorSettings, RobotModel, np.ndarray, np.ndarray, int], DoorPlant]
+
+
+def push_door(
+    settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None, made: PlantOf = make_plant
+) -> Trial:
+    """One run with the reference ``force`` [N], before a door that is ``made``."""
     robot = ball_robot(settings, settings.estimate_payload and settings.estimate_disturbance, contact="force")
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
-    geometry = believed(robot.pose(home)[0])
+    geometry = believed(robot.pose(home)[0]).moved(-settings.scheme.nearer)
     push = settings.push or default_push_cost(settings.scheme)
     mpc = MPC(
         door_problem(robot, settings.mpc, settings.cost, push, settings.scheme, geometry.opening),
         settings.mpc.solver(), settings.mpc.rate,
         plan_only_limits=True,  # the friction cone, whose axes are the door's
     )  # fmt: skip
-    plant = make_plant(settings, robot, home, torque, seed)
+    plant = made(settings, robot, home, torque, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     possible, fault = bounded(settings, robot, force)
     controller = make_controller(settings, possible, robot, mpc, home, torque, timing.period, geometry)
@@ -133,6 +140,7 @@ def make_controller(
     push = Push(
         target, end_effector, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
         back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
+        soonest=settings.scheme.soonest, lead=settings.scheme.lead,
     )  # fmt: skip
     for body in ("body", "push_body"):
         mpc.reference[body] = Reference.constant(home)

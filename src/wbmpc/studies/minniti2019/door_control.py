@@ -59,6 +59,9 @@ FAR = 5.0
 #: How much of the resistance that was estimated is taken for a closer's, which brings the door back, and not for dry friction.
 #: A door is taken to come back no faster than at the last [rad/s], however it was estimated.
 CLOSER_SHARE, MAX_CLOSING = 0.5, 0.5
+#: Forces [N] at which a contact begins, at once, and ends that the end effector comes to slowly, and after how long [s] without a force: what
+#: inertia the sensor carries hardly counts, and a hard tip bounces until the plan presses it on.
+LIGHT = {"on": 0.8, "off": 0.4, "debounce": 0.0, "release": 0.06}
 #: Points of the references over the horizon.
 POINTS = 27
 
@@ -77,7 +80,9 @@ def modes(door: bool) -> dict[str, Mode]:
 class Push:
     """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the end effector starts from ``start`` (3) [m] at time
     ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``opening_angle`` [rad] or, touch or not, at time ``give_up`` [s]
-    and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries."""
+    and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries;
+    ``soonest`` (gap [m]) [s]: how long the way to the panel takes at least; ``lead`` [m]: how far ahead
+    of an end effector that has not touched the panel is believed to be at least, 0: it stays where it was."""
 
     force: Callable[[float], float]
     start: Array
@@ -89,6 +94,8 @@ class Push:
     back: float
     reach: float
     tip_weight: float
+    soonest: Callable[[float], float]
+    lead: float
 
 
 class DoorController(BallController):
@@ -106,7 +113,7 @@ class DoorController(BallController):
         self.impedance, self.identify = self.filter.impedance, identify
         self.with_door = "door" in mpc.ocp.dynamics.state
         self.modes = modes(self.with_door)
-        self.contact, self.sensor = ContactMonitor(), ForceMonitor()
+        self.contact, self.sensor = (ContactMonitor(**LIGHT) if push.lead > 0.0 else ContactMonitor()), ForceMonitor()
         self.phase = "approach"
         self.force = np.zeros(3)  # of the world on the end effector, world axes [N]
         self.door = np.zeros(2)
@@ -202,6 +209,8 @@ class DoorController(BallController):
             self.fit.first = end_effector.copy()
         if touching and self.phase == "push":
             self._place_door(end_effector)
+        elif self.phase == "approach" and not touching:
+            self._not_there(end_effector)
         if touching and self.geometry.touches(end_effector):
             angle = self.geometry.angle(end_effector)
             self.door = np.array([angle, self.geometry.rate(end_effector, velocity, angle)])
@@ -241,6 +250,13 @@ class DoorController(BallController):
         self.lever = self.fit.lever
         hinge = self.fit.first - self.lever * along + self.geometry.offset * normal
         self.geometry = replace(self.geometry, hinge=(float(hinge[0]), float(hinge[1])))
+
+    def _not_there(self, end_effector: Array) -> None:
+        """An end effector (3) [m] that touches nothing is before the panel: one that comes slowly would else stop where the panel is believed to
+        be."""
+        past = self.geometry.gap(end_effector, 0.0) + self.push.lead
+        if self.push.lead > 0.0 and past > 0.0:
+            self.geometry = self.geometry.moved(past)
 
     def _ends(self, t: float) -> bool:
         """Whether the end effector lets go, or turns back: it has stopped pushing, it took too long, or its force sensor is not believed."""
@@ -301,7 +317,7 @@ class DoorController(BallController):
         normal = self.geometry.directions(float(self.door[0]))[1]
         speed = max(float(normal @ velocity), 0.5 * self.push.speed)
         gap = -self.geometry.gap(end_effector, float(self.door[0]))
-        return max(now + SOON, self.push.begin, self.measured.time + gap / speed)
+        return max(now + SOON, self.push.begin, self.measured.time + max(gap / speed, self.push.soonest(gap)))
 
     def _look_ahead(self, until: float, plans: PolicyQueue) -> None:
         mpc, schedule = self.mpc, self.schedule(until)

@@ -9,7 +9,7 @@ state-input equality keeps at zero (:class:`wbmpc.studies.minniti2019.door_resid
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -44,6 +44,11 @@ class DoorGeometry:
         heading = self.closed + self.opening * angle
         along = np.array([np.cos(heading), np.sin(heading), 0.0])
         return along, self.opening * np.array([-along[1], along[0], 0.0])
+
+    def moved(self, distance: float) -> DoorGeometry:
+        """The same door, ``distance`` [m] farther in the direction in which it opens when closed."""
+        x, y = np.array(self.hinge) + distance * self.directions(0.0)[1][:2]
+        return replace(self, hinge=(float(x), float(y)))
 
     def lever(self, end_effector: ArrayLike, angle: float) -> float:
         """Distance [m] of the end effector (3) [m] from the hinge along the panel."""

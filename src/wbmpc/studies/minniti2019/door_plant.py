@@ -24,7 +24,7 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import Array
 
 #: The rubber tip: radius [m], mass [kg], softness of its contact (time constant [s], damping ratio).
-TIP_RADIUS, TIP_MASS, TIP_CONTACT = 0.02, 0.05, [0.02, 1.0]
+TIP_RADIUS, TIP_MASS, SOFT = 0.02, 0.05, (0.02, 1.0)
 #: Half the thickness [m] of the panel, its height [m], and how far [m] its lower edge is above the floor.
 HALF_THICKNESS, HEIGHT, CLEARANCE = 0.02, 1.8, 0.01
 #: A door that sticks is free once it has opened so far [rad].
@@ -37,10 +37,11 @@ WIDE_OPEN = 2.2
 class Door:
     """Where a door is, and how hard it is to open.
 
-    ``hinge`` (2) [m] in the world; ``closed`` [rad]: heading of the closed panel as seen from its hinge; ``opening``: +1 when
-    the panel turns counter-clockwise as it opens, −1 when clockwise. ``width`` [m], ``mass`` [kg] of the homogeneous panel,
-    ``friction`` [N m] (Coulomb), ``closer`` [N m], ``damping`` [N m s/rad] of the hinge, ``grip``: friction coefficient of
-    the tip on it. ``breakaway`` [N m]: dry friction until it has once opened by half a degree. ``locked``: no hinge at all.
+    ``hinge`` (2) [m] in the world; ``closed`` [rad]: heading of the closed panel as seen from its hinge; ``opening``: +1 when the panel turns
+    counter-clockwise as it opens, −1 when clockwise. ``width`` [m], ``mass`` [kg] of the homogeneous panel, ``friction`` [N m] (Coulomb),
+    ``closer`` [N m], ``damping`` [N m s/rad] of the hinge, ``grip``: friction coefficient of the tip on it, ``contact``: time constant [s]
+    and damping ratio of that contact. ``breakaway`` [N m]: dry friction until it has once opened by half a degree. ``locked``: no hinge at
+    all.
     """
 
     hinge: tuple[float, float]
@@ -53,6 +54,7 @@ class Door:
     damping: float = 12.0
     grip: float = 0.5
     breakaway: float = 0.0
+    contact: tuple[float, float] = SOFT
     locked: bool = False
 
     def __post_init__(self) -> None:
@@ -88,7 +90,7 @@ class Door:
             joint.solref_limit = [0.01, 1.0]
         body.add_geom(
             name="door", type=mujoco.mjtGeom.mjGEOM_BOX, size=[self.width / 2.0, HALF_THICKNESS, HEIGHT / 2.0],
-            pos=[self.width / 2.0, 0, 0], mass=0, condim=3, friction=[self.grip, 0.005, 1e-4], solref=TIP_CONTACT,
+            pos=[self.width / 2.0, 0, 0], mass=0, condim=3, friction=[self.grip, 0.005, 1e-4], solref=self.contact,
             rgba=[0.72, 0.53, 0.34, 0.9], **HANDLE,
         )  # fmt: skip
 
@@ -102,8 +104,8 @@ class ForceSensor:
     bias: float = 0.1
 
 
-def add_tip(spec: mujoco.MjSpec, tool: str, grip: float) -> None:
-    """A rubber tip at the site ``tool`` with a force sensor in the end effector's axes."""
+def add_tip(spec: mujoco.MjSpec, tool: str, grip: float, contact: tuple[float, float] = SOFT) -> None:
+    """A tip at the site ``tool`` with a force sensor in the end effector's axes."""
     site = next((s for s in spec.sites if s.name == tool), None)
     if site is None:
         raise InputError(f"door: the end effector '{tool}' must be a site of the robot's file")
@@ -113,7 +115,7 @@ def add_tip(spec: mujoco.MjSpec, tool: str, grip: float) -> None:
     tip.add_site(name="hand_force")
     tip.add_geom(
         name="hand_tip", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[TIP_RADIUS, 0, 0], mass=0, condim=3,
-        friction=[grip, 0.005, 1e-4], solref=TIP_CONTACT, rgba=[0.1, 0.1, 0.1, 1], **TOOL,
+        friction=[grip, 0.005, 1e-4], solref=contact, rgba=[0.1, 0.1, 0.1, 1], **TOOL,
     )  # fmt: skip
     kind, site_type = mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtObj.mjOBJ_SITE
     spec.add_sensor(name="hand_force", type=kind, objtype=site_type, objname="hand_force")
@@ -137,7 +139,7 @@ class DoorPlant(BallPlant):
 
         def edit(spec: mujoco.MjSpec) -> None:
             door.add(spec)
-            add_tip(spec, description.arm.tool, door.grip)
+            add_tip(spec, description.arm.tool, door.grip, door.contact)
 
         super().__init__(description, state, torque, perturbation, seed, payload=payload, edit=edit)
         self._tip, self._panel = self.model.geom("hand_tip").id, self.model.geom("door").id

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
 from wbmpc.bases.ball.residuals import JointEffort
-from wbmpc.configuration import OnlyWith
+from wbmpc.configuration import OnlyWith, kind_alone
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 from wbmpc.studies.minniti2019.door_model import WithDoor
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
-from wbmpc.studies.minniti2019.door_residuals import BodyClearance, PanelContact
+from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed, BodyClearance, PanelContact
 
 PUSHING = ("held", "moving")
 #: What base and elbow keep away from a panel [m], whose angle is known to 0.05 rad.
@@ -41,23 +42,92 @@ class PushCost(Settings):
 UNTIED = PushCost(force=1.0, tangential=1.0, arm=0.0)
 
 
-class DoorScheme(Settings):
-    """``row``: the door's states and equation in the problem; ``identify``: its impedance is estimated as it moves;
-    ``cone``: the end effector can only push, within the friction cone of coefficient ``friction``, as hard limits;
-    ``baumgarte`` [1/s]: how fast planned gaps close; ``door_rate`` [rad/s]: no faster is the door to move (with ``row``)."""
+class FreeWrench(Settings):
+    """The paper's problem: a free wrench at the end effector, and no door."""
 
-    row: bool = True
+    kind: Literal["wrench"] = "wrench"
+
+
+class DoorEquation(Settings):
+    """The door's states and equation of motion are in the problem. ``baumgarte`` [1/s]: how fast planned gaps close; ``max_rate`` [rad/s]:
+    of the door in plans."""
+
+    kind: Literal["door"] = "door"
+    baumgarte: Positive = 10.0
+    max_rate: Positive = 1.0
+
+
+class NoCone(Settings):
+    """Planned wrenches have any direction."""
+
+    kind: Literal["none"] = "none"
+
+
+class PushCone(Settings):
+    """The end effector can only push, within a friction cone, as hard limits. ``friction``: its coefficient; ``min_push`` [N]: along the
+    door's normal."""
+
+    kind: Literal["cone"] = "cone"
+    friction: Positive = 0.35
+    min_push: Weight = 0.5
+
+
+class FreeApproach(Settings):
+    """The end effector comes as its reference does."""
+
+    kind: Literal["free"] = "free"
+
+
+class LimitedApproach(Settings):
+    """A touch at a speed that is limited, wherever the panel is. ``touch_speed`` [m/s]: the limit at the panel; ``growth`` [1/s]: of the limit
+    with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place."""
+
+    kind: Literal["limited"] = "limited"
+    touch_speed: Positive = 0.006
+    growth: Positive = 5.0
+    known_to: Weight = 0.010
+
+
+class DoorScheme(Settings):
+    """``contact``: what the problem knows of it, a :class:`FreeWrench` or the :class:`DoorEquation`; ``identify``: the door's impedance is
+    estimated as it moves; ``cone``: none, or a :class:`PushCone`; ``approach``: a :class:`FreeApproach` or a :class:`LimitedApproach`."""
+
+    contact: Annotated[FreeWrench | DoorEquation, Field(discriminator="kind"), BeforeValidator(kind_alone)] = (
+        DoorEquation()
+    )
     identify: bool = True
-    cone: bool = True
-    friction: Annotated[Positive, OnlyWith(cone=True)] = 0.35
-    min_push: Annotated[Weight, OnlyWith(cone=True)] = 0.5
-    baumgarte: Annotated[Positive, OnlyWith(row=True)] = 10.0
-    door_rate: Annotated[Positive, OnlyWith(row=True)] = 1.0
+    cone: Annotated[NoCone | PushCone, Field(discriminator="kind"), BeforeValidator(kind_alone)] = PushCone()
+    approach: Annotated[
+        FreeApproach | LimitedApproach,
+        Field(discriminator="kind"), BeforeValidator(kind_alone), OnlyWith({"contact.kind": "door"}),
+    ] = FreeApproach()  # fmt: skip
+
+    @property
+    def lead(self) -> float:
+        """How far [m] ahead of an end effector that has not touched the panel is believed to be at least. The plan closes a gap by
+        g̈ + 2 λ ġ + λ² g = 0, slow ones at λ g / 2: at this distance with the speed of the touch."""
+        if isinstance(self.approach, FreeApproach) or isinstance(self.contact, FreeWrench):
+            return 0.0
+        return 2.0 * self.approach.touch_speed / self.contact.baumgarte
+
+    @property
+    def nearer(self) -> float:
+        """How far [m] before its probable place a panel is believed to be until it is touched: as near as it may be."""
+        return 0.0 if isinstance(self.approach, FreeApproach) else self.approach.known_to
+
+    def soonest(self, gap: float) -> float:
+        """Time [s] in which an end effector comes from ``gap`` [m] before the believed panel to :attr:`lead` before it, at the limit of the
+        approach's speed."""
+        if isinstance(self.approach, FreeApproach) or gap <= self.lead:
+            return 0.0
+        touch_speed, growth = self.approach.touch_speed, self.approach.growth
+        speed = lambda left: touch_speed + growth * left
+        return float(np.log(speed(gap) / speed(self.lead)) / growth)
 
 
 def default_push_cost(scheme: DoorScheme) -> PushCost:
     """The weights while the end effector pushes that suit a scheme."""
-    return PushCost() if scheme.row else UNTIED
+    return PushCost() if isinstance(scheme.contact, DoorEquation) else UNTIED
 
 
 def door_problem(
@@ -65,30 +135,37 @@ def door_problem(
 ) -> OptimalControlProblem:
     """Costs of Minniti et al. 2019, sections III-A and IV-D, by modes; ``scheme`` adds what they leave out."""
     first = settings.first_interval or None
-    dynamics: Any = WithDoor(robot, opening) if scheme.row else robot.dynamics()
+    contact, cone = scheme.contact, scheme.cone
+    dynamics: Any = WithDoor(robot, opening) if isinstance(contact, DoorEquation) else robot.dynamics()
     ocp = OptimalControlProblem(dynamics, settings.horizon, settings.intervals, first_interval=first)
     _costs(ocp, robot, cost, push)
-    if scheme.row:
-        ocp.add(Constraint("door", PanelContact(dynamics, scheme.baumgarte), modes=PUSHING))
+    if isinstance(contact, DoorEquation):
+        ocp.add(Constraint("door", PanelContact(dynamics, contact.baumgarte), modes=PUSHING))
         rate = residuals.Expression(1, lambda s: s.all_x[dynamics.state["door"]][1])
-        fast = sets.Box(-scheme.door_rate, scheme.door_rate)
+        fast = sets.Box(-contact.max_rate, contact.max_rate)
         hard, barrier = settings.limits == "hard", RelaxedBarrier(settings.barrier_mu, 0.02)
         ocp.add(
             Constraint(
                 "door_rate", rate, fast, at="path+terminal", penalty=RelaxedBarrier(settings.barrier_mu, 0.1), hard=hard
             )
         )
+        if isinstance(scheme.approach, LimitedApproach):
+            slow = ApproachSpeed(dynamics, scheme.approach.touch_speed, scheme.approach.growth)
+            near = RelaxedBarrier(settings.barrier_mu, 0.1)
+            ocp.add(Constraint("approach", slow, sets.NonNegative(), modes=("free",), penalty=near, hard=hard))
         apart = BodyClearance(dynamics, HALF_THICKNESS, KEPT)
         free = sets.NonNegative()
         ocp.add(Constraint("panel", apart, free, at="path+terminal", penalty=barrier, hard=hard, slack=PANEL_SLACK))
     ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], reference=None), modes=("free",)))
     limit_arm(ocp, robot, settings, cost)
     limit_torques(ocp, robot, settings, cost, ["wheel", "arm"])
-    if scheme.cone:
-        cone = residuals.FrictionCone(robot, scheme.friction, scheme.min_push)
+    if isinstance(cone, PushCone):
+        within = residuals.FrictionCone(robot, cone.friction, cone.min_push)
         penalty = RelaxedBarrier(settings.barrier_mu, 0.1)
         ocp.add(
-            Constraint("cone", cone, sets.NonNegative(), modes=PUSHING, penalty=penalty, hard=settings.limits == "hard")
+            Constraint(
+                "cone", within, sets.NonNegative(), modes=PUSHING, penalty=penalty, hard=settings.limits == "hard"
+            )
         )
     return ocp
 

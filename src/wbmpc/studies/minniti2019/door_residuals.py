@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from wbmpc.checks import finite, not_negative
+from wbmpc.checks import finite, not_negative, positive
 from wbmpc.errors import InputError
 from wbmpc.ocp.symbols import Symbols
 
@@ -40,6 +40,31 @@ class PanelContact:
         place, speed, acceleration = self.dynamics.contact_motion(s.all_x, s.all_u, s.parameters, s.mode)
         pull = ca.vertcat(self.rate**2 * place[0], 0.0, 0.0)
         return acceleration + 2.0 * self.rate * speed + pull
+
+
+@dataclass(frozen=True)
+class ApproachSpeed:
+    """How much slower than it may an end effector comes to the panel: ``least`` + ``rate`` · d − ġ, over ``least``, for the distance d = −g [m]
+    that is left, and none beyond the panel.
+
+    A touch is then no faster than ``least`` [m/s], and an impact of a hard tip, whose force grows with its speed, no harder. ``rate`` [1/s]:
+    how fast the speed falls on the way. ``dynamics``: a :class:`wbmpc.studies.minniti2019.door_model.WithDoor`.
+    """
+
+    dynamics: Any
+    least: float
+    rate: float
+
+    size, reference = 1, 0
+    groups = {"approach": slice(0, 1)}  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        positive("approach speed", least=self.least, rate=self.rate)
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        place, speed, _ = self.dynamics.contact_motion(s.all_x, s.all_u, s.parameters, s.mode)
+        left = ca.fmax(-place[0], 0.0)
+        return (self.least + self.rate * left - speed[0]) / self.least
 
 
 @dataclass(frozen=True)

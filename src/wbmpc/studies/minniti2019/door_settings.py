@@ -25,10 +25,11 @@ FORCE_GOAL = {"light": 0.15}
 
 
 class RezeroDoorSettings(RezeroSettings):
-    """``forces`` [N] along the normal, a run each, reached ``rise_time`` [s] after the touch; ``door``: its kind; ``settle_time`` [s] before
-    the end effector starts, with ``speed`` [m/s]; it lets go at ``opening_angle`` [rad], or ``timeout`` [s] after it started; the run ends
-    ``final_hold_time`` [s] after the latest of that. ``scheme``: what of the door the problem knows; ``push``: weights while it pushes
-    (what is left out: as suits the scheme); ``door_position_error`` [m]: the door's place is not known better;
+    """``forces`` [N]: along the normal, a run each; ``rise_time`` [s]: from the touch until a force is reached; ``door``: its kind;
+    ``settle_time`` [s]: before the end effector starts; ``speed`` [m/s]: with which it starts; ``opening_angle`` [rad]: at which it lets go;
+    ``timeout`` [s]: from its start, after which it lets go too; ``final_hold_time`` [s]: from then to the end of the run.
+    ``scheme``: what of the door the problem knows; ``push``: weights while it pushes (what is left out: as suits the scheme);
+    ``door_position_error`` [m]: the door's place is not known better;
     ``door_spread``: width, mass, hinge, friction, closer and damping of the door differ by up to this share from those of its kind;
     ``lean_share``: a force beyond this share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and
     it is reported."""

@@ -30,7 +30,7 @@ class FrequencyAwareController(BallController):
         return memory.input(policy.law(t, memory.state(x)))[: self.limit.size]
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """State and filters at time ``until`` under the policies that will be in force, through the drives' lag."""
+        """State and filters at time ``until`` under the policies that will be active, through the drives' lag."""
         x, torque, memory = self.state(), self.sent.last, self.memory.copy()
         for k in range(round((until - t) / self.period)):
             now = t + k * self.period

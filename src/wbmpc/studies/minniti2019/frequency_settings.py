@@ -11,22 +11,22 @@ from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
 from wbmpc.configuration import OnlyWith, Rules, unused
 from wbmpc.settings import Positive, Settings, Weight
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import Perturbation, SeriesElasticDrives
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 VARIANTS = ("plain", "shaped")
 #: Shorter steps [m] cannot be distinguished from the noise.
 MIN_STEP = 0.01
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
-ELASTIC = Perturbation(wheel_spring=40.0, arm_spring=300.0, actuator_time_constant=0.0)
+ELASTIC = Perturbation(drives=SeriesElasticDrives(), actuator_time_constant=0.0)
 
 
 _Step = Annotated[float, Field(ge=-1, le=1)]
 
 
 class FilterSettings(Settings):
-    """ν = (pole / zero) (s + zero) / (s + pole) u in rad/s for wheels and arm; ``wheel_weight`` and ``arm_weight``: factors of the
-    torques' weights with the filter, so that the end effector rises as fast as without."""
+    """ν = (pole / zero) (s + zero) / (s + pole) u in rad/s for wheels and arm; ``wheel_weight``: factor of the wheels' torques'
+    weight with the filter, so that the end effector rises as fast as without; ``arm_weight``: that of the arm's torques."""
 
     wheel_zero: Positive = 20.0
     wheel_pole: Positive = 160.0
@@ -37,7 +37,7 @@ class FilterSettings(Settings):
 
 
 class RezeroFrequencySettings(RezeroSettings):
-    """``step`` (3) [m] of the end effector and back, ``settle_time`` [s] before it, ``hold_time`` [s] of each; ``filters`` of the shaped variant;
+    """``step`` [m]: of the end effector (3), and back; ``settle_time`` [s]: before it; ``hold_time`` [s]: of each; ``filters`` of the shaped variant;
     ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
 
     plant: Perturbation = ELASTIC

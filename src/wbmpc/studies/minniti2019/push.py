@@ -29,8 +29,8 @@ IDEALIZATIONS = ["pushes are exact forces at the base's center of mass"]
 
 
 class RezeroPushSettings(RezeroSettings):
-    """``forces`` [N], each along x and then along y, for ``push_duration`` [s], whole controller periods; ``gap`` [s] from the first push of
-    such a pair to the second (left out: as long as the pause), ``pause`` [s] from then to the next pair. The robot must be back before
+    """``forces`` [N]: each along x and then along y; ``push_duration`` [s]: of each push, whole controller periods; ``gap`` [s]: from the first
+    push of such a pair to the second (left out: as long as the pause); ``pause`` [s]: from then to the next pair. The robot must be back before
     each push that comes at least :data:`RECOVERY` after the one before."""
 
     forces: tuple[Annotated[float, Field(ge=0, le=5000.0)], ...] = Field((50.0, 100.0, 200.0), min_length=1)

@@ -34,8 +34,8 @@ SUMMARY = "the impulse from which the ball robot recovers while it holds its {},
 
 
 class _Limit(RezeroPushSettings):
-    """``direction`` [deg] of pushes of ``push_duration`` [s], after 1 s; ``criterion``: what is asked of the robot; the bisection ends at
-    ``resolution`` [N s]."""
+    """``direction`` [deg]: of the pushes, which come after 1 s; ``push_duration`` [s]: of each; ``criterion``: what is asked of the
+    robot; ``resolution`` [N s]: the bisection ends at it."""
 
     direction: float = Field(0.0, ge=-360, le=360)
     criterion: Literal["recovers", "stands"] = "recovers"

@@ -192,6 +192,8 @@ def task_scenario(
 def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallController, torque: np.ndarray) -> None:
     """The channels of every experiment: truth, torques, disturbance and, with an estimator, what it believes."""
     truth = plant.truth()
+    if not log.names:
+        _label(log, controller.robot)
     log.add("state", t, truth.state)
     log.add("hand", t, truth.tool)
     log.add("hand_quaternion", t, lie.rotation_to_quaternion(truth.tool_rotation))
@@ -202,6 +204,14 @@ def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallControll
         log.add("payload", t, controller.payload.mass)
     if controller.estimator is not None:
         _record_estimate(log, t, controller.state()[: truth.state.size], truth, controller.estimator.filter)
+
+
+def _label(log: Log, robot: RobotModel) -> None:
+    own, driven = robot.state.names, [*robot.input.groups["wheel"], *robot.input.groups["arm"]]
+    for channel, names in (
+        ("state", own), ("estimate", own), ("torque", driven), ("feedback", driven), ("disturbance", robot.base.parameters["disturbance"]),
+    ):  # fmt: skip
+        log.label(channel, names)
 
 
 def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estimator: BallFilter) -> None:

@@ -32,7 +32,7 @@ IDEALIZATIONS = ["the load is unknown to the controller"]
 
 
 class RezeroWholebodySettings(AccurateSettings):
-    """``move_time`` [s] from corner to corner, ``hold_time`` [s] there, ``settle_time`` [s] at home before."""
+    """``move_time`` [s]: from corner to corner; ``hold_time`` [s]: at a corner; ``settle_time`` [s]: at home before."""
 
     payload: float = Field(1.0, ge=0, le=5.0)
     move_time: float = Field(1.5, gt=0, le=60.0)

@@ -18,7 +18,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.settings import ControlSettings, Settings
 from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Progress, watched
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import Perturbation, StuckBrake
 from wbmpc.stability import CONFIGURATIONS, assess, corners, leg_angles
 from wbmpc.studies.pankert2022.rolling import RollingController
 
@@ -44,9 +44,9 @@ class SwerveBrakesSettings(Settings):
     @field_validator("plant")
     @classmethod
     def _sound(cls, plant: Perturbation) -> Perturbation:
-        if plant.brake_fault != "none":
+        if isinstance(plant.brake_fault, StuckBrake):
             raise ValueError(
-                f"brake_fault={plant.brake_fault}: this experiment makes brakes fail itself, in its last two tests"
+                f"brake_fault={plant.brake_fault.kind}: this experiment makes brakes fail itself, in its last two tests"
             )
         return plant
 

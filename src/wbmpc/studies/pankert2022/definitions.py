@@ -121,6 +121,15 @@ _DRIVE: Definitions = {
     "baseline_ratio_world": ("1", f"position error of the MPC over that of rolling inverse kinematics; {_WORLD}"),
     "baseline_ratio": ("1", "position error of the MPC over that of rolling inverse kinematics; in the estimated frame"),
 }  # fmt: skip
+_TOUR: Definitions = {
+    **_BASE,
+    "wheel_off_ground_share": ("1", "share of the time in which a wheel is in the air"),
+    "planned_speed_ratio_max": ("1", "largest planned speed of legs, steering and wheels over its limit"),
+    "foot_error_rms": ("m", "rms distance of the steer axes from where the legs' references have them, while brakes are open; in the body; true"),
+    "foot_error_end": ("m", "largest distance of a steer axis from where the legs' references have it, at the end; in the body; true"),
+    "stance_width_min": ("m", "twice the largest distance of a steer axis from the body's axis, where that is least; true"),
+    "stance_width_max": ("m", "twice the largest distance of a steer axis from the body's axis, where that is largest; true"),
+}  # fmt: skip
 _UNIFIED: Definitions = {
     **_both("hand_error_rms", "m", "rms distance of the end effector from where it is held, since the base starts"),
     **_both("hand_error_max", "m", "largest distance of the end effector from where it is held, since the base starts"),
@@ -146,5 +155,6 @@ DEFINITIONS: dict[str, Definitions] = {
     "swerve-plaster": _PLASTER,
     "swerve-wobble": _WOBBLE,
     "swerve-drive": _DRIVE,
+    "legs": _TOUR,
     "swerve-unified": _UNIFIED,
 }

@@ -19,11 +19,16 @@ BUMP_HEIGHT, BUMP_RADIUS, CABLES, CABLE_RADIUS = 0.015, 0.30, (9.0, 12.0), 0.010
 
 def terrain(spec: mujoco.MjSpec) -> None:
     """Bumps and cables on the floor, and the door's posts."""
+    uneven_floor(spec)
     for side in (-1.0, 1.0):
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX, size=POST, pos=[DOOR, side * (0.5 * DOOR_WIDTH + POST[1]), POST[2]],
             rgba=POST_COLOR, **OBSTACLE,
         )  # fmt: skip
+
+
+def uneven_floor(spec: mujoco.MjSpec) -> None:
+    """Bumps and cables."""
     common = {"friction": [0.75, 0.005, 1e-4], "solref": [0.01, 1.0], **GROUND}
     for x, y in BUMPS:
         spec.worldbody.add_geom(

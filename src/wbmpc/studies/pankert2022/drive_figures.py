@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from wbmpc.bases.swerve.plant import STEER_SPEED, WHEEL_SPEED
@@ -67,6 +69,20 @@ def recovery(t: np.ndarray, error: np.ndarray, end: float) -> float:
     return float(max(t[late[-1] + 1] - end, 0.0)) if late.size else 0.0
 
 
+def tour_metrics(log: Log, robot: RobotModel, faults: list[str], held: int, near: float) -> dict[str, Metric]:
+    """Of any base that drives the tour; ``near`` [m]: the goal of its error in the world."""
+    position, yaw = _errors(log, "tour")
+    return {
+        **in_both_frames("base_position_error_rms", rms, position, "m", goal=near),
+        **in_both_frames("base_yaw_error_rms", rms, yaw, "rad", goal=float(np.radians(0.8))),
+        "wheel_slip_max": Metric(float(log.array("tour.wheel_slip").max()), "m/s"),
+        "wheel_off_ground_share": Metric(float(in_the_air(log, "tour").any(axis=1).mean()), "1"),
+        "planned_speed_ratio_max": Metric(_planned_ratio(log, robot), "1", goal=1.001),
+        "brake_faults": Metric(float(len(faults)), "1", goal=0.0),
+        "legs_held": Metric(float(held), "1"),
+    }
+
+
 def metrics(
     log: Log, robot: RobotModel, faults: list[str], held: int, knocked: float | None, baseline: Ending | None,
     lidar: bool = False,
@@ -74,20 +90,14 @@ def metrics(
     """All of them; ``held``: how often the guard held a leg on the tour; ``knocked``: when [s] the knock was over, None if there
     was none; ``baseline``: how it ended, None if it did not run. The errors of one that did not get to the end are infinite, their
     ratio is no number: the part before says nothing. ``lidar``: with global poses, which the goals depend on."""
-    position, yaw = _errors(log, "tour")
     near = WITH_LIDAR if lidar else ODOMETRY_ALONE
+    position, angle = _errors(log, "tour")[0], _leg_error(log, "tour")
     found = {
-        **in_both_frames("base_position_error_rms", rms, position, "m", goal=near),
-        **in_both_frames("base_yaw_error_rms", rms, yaw, "rad", goal=float(np.radians(0.8))),
-        "leg_angle_error_rms": Metric(_leg_error(log, "tour"), "rad", goal=float(np.radians(1.5))),
-        "wheel_slip_max": Metric(float(log.array("tour.wheel_slip").max()), "m/s"),
+        **tour_metrics(log, robot, faults, held, near),
+        "leg_angle_error_rms": Metric(angle, "rad", goal=float(np.radians(1.5))),
         "door_clearance": Metric(clearance(robot, log.array("tour.base"), log.array("tour.leg")), "m", least=0.0),
         "leg_angle_error_rms_on_ground": Metric(_leg_error_on_ground(log, "tour"), "rad", goal=float(np.radians(1.5))),
-        "wheel_off_ground_share": Metric(float(in_the_air(log, "tour").any(axis=1).mean()), "1"),
-        "planned_speed_ratio_max": Metric(_planned_ratio(log, robot), "1", goal=1.001),
         "joint_speed_ratio_max": Metric(_speed_ratio(log), "1", goal=1.0, goal_note=SPEED_NOTE),
-        "brake_faults": Metric(float(len(faults)), "1", goal=0.0),
-        "legs_held": Metric(float(held), "1"),
     }
     if baseline is not None and not baseline.interrupted:
         found |= _of_baseline(log, position, not baseline.reason, 0.5 if lidar else 1.0)
@@ -137,16 +147,15 @@ def _speed_ratio(log: Log) -> float:
     return float((speed / np.repeat([HINGE_SPEED, STEER_SPEED, WHEEL_SPEED], n)).max())
 
 
-def _story(log: Log, robot: RobotModel) -> Drawing:
-    """The tour from above (Fig. 8)."""
+def story(log: Log, robot: RobotModel, title: str, posts: Sequence[tuple[float, float, float, float]] = ()) -> Drawing:
+    """The tour from above, with ``posts`` beside it (x, y, half length, half width) [m]."""
     t, base = log.times("tour.base"), log.array("tour.base")
     legs, steers, brakes = (log.array(f"tour.{n}") for n in ("leg", "steer", "brake"))
     far = np.maximum.accumulate(base[:, 0])
     indices = np.searchsorted(far, np.arange(far[0], far[-1] + 1e-9, STORY))
     shots = [Snapshot(float(t[k]), base[k], legs[k], steers[k], brakes[k] > 0.5) for k in indices]
-    posts = [(DOOR, side * (0.5 * DOOR_WIDTH + POST[1]), *POST[:2]) for side in (-1.0, 1.0)]
     ground = Ground(posts, [(x, y, BUMP_RADIUS) for x, y in BUMPS], CABLES)
-    return Drawing("The tour from above (Fig. 8)", storyboard(robot.base.geometry, BODY, base[::20, :2], shots, ground))
+    return Drawing(title, storyboard(robot.base.geometry, BODY, base[::20, :2], shots, ground))
 
 
 def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
@@ -154,12 +163,13 @@ def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
     t, base, target = log.times("tour.base"), log.array("tour.base"), log.array("tour.base_reference")
     names = [n.removeprefix("leg_") for n in robot.state.groups["leg"]]
     legs, goals = np.degrees(log.array("tour.leg")), np.degrees(log.array("tour.leg_reference"))
+    posts = [(DOOR, side * (0.5 * DOOR_WIDTH + POST[1]), *POST[:2]) for side in (-1.0, 1.0)]
     size = lambda name, frame: 1e3 * np.linalg.norm(_errors(log, name)[0][frame], axis=1)
     runs = [
         (n, label) for n, label in (("tour", "MPC"), ("baseline", "inverse kinematics")) if f"{n}.base" in log.channels
     ]
     drawn: list[Plot | Drawing] = [
-        _story(log, robot),
+        story(log, robot, "The tour from above (Fig. 8)", posts),
         Plot("Base from above", "x [m]", "y [m]", [
             Series("true", base[:, 0], base[:, 1]), Series("reference", target[:, 0], target[:, 1], dashed=True),
         ], equal_axes=True),

@@ -17,18 +17,16 @@ from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
 
 #: Along the way [m]: where the turn by 180° begins, where it has been made, the end. Speed [rad/s] at which the arm folds.
 WAY, FOLDING = (9.0, 11.0, 15.0), 0.3
+#: Duration [s] of the tour.
+TOUR = 65.0
 #: When [s] the brakes open (1) and close (0).
 BRAKES = ((15.0, 1.0), (19.5, 0.0), (32.0, 1.0), (46.8, 0.0), (54.0, 1.0), (58.5, 0.0))
 #: A knock [rad] of the left front leg by a torque [N m] up to a speed [rad/s].
 KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
 
-class SwerveDriveSettings(DrivingSettings):
-    """``baseline_only``: nothing but the tour with the baseline, for the search of its gains.
-    ``leg_guard`` (MPC): see :class:`wbmpc.bases.swerve.controller.SwerveController`.
-    ``baseline_…``: gains [1/s] for base, legs and steering; by how much
-    [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
-    :class:`wbmpc.studies.pankert2022.rolling.RollingController`). The other settings are those of all experiments that drive."""
+class MissionSettings(DrivingSettings):
+    """``leg_guard``: see :class:`wbmpc.bases.swerve.controller.SwerveController`."""
 
     # by runs on seed 0, looked at on seed 5
     cost: SwerveCost = SwerveCost(
@@ -38,6 +36,14 @@ class SwerveDriveSettings(DrivingSettings):
     )
     robot: str = "swerve-ur10"
     leg_guard: bool = True
+
+
+class SwerveDriveSettings(MissionSettings):
+    """``baseline_only``: nothing but the tour with the baseline, for the search of its gains. ``leg_guard``: of the MPC.
+    ``baseline_…``: gains [1/s] for base, legs and steering; by how much
+    [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
+    :class:`wbmpc.studies.pankert2022.rolling.RollingController`). The other settings are those of all experiments that drive."""
+
     baseline_only: bool = False
     baseline_base_gain: float = Field(8.0, ge=0, le=50)
     baseline_leg_gain: float = Field(8.0, ge=0, le=50)
@@ -46,13 +52,12 @@ class SwerveDriveSettings(DrivingSettings):
     baseline_look_ahead: float = Field(0.0, ge=0, le=5)
 
 
-def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
-    """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
-    h, x, a = (leg_angles(robot, name) for name in "HXA")
+def tour_way() -> tuple[Leg, ...]:
+    """15 m ahead within :data:`TOUR` [s], sideways in the middle part, with a turn by 180°.
+
+    The base never stops while legs turn: at rest the wheels would have to turn before anything can move."""
     quarter, (begin, after, end) = 0.5 * np.pi, WAY
-    # The base never stops while its brakes are open: at rest the wheels would have to turn before anything can move. Brakes are open
-    # while legs turn, and closed where wheels have to turn round (the base turns faster than it drives): they would swing the legs.
-    way = (
+    return (
         Leg(1.0, 30.5, (begin, 0.0, 0.0)),
         Leg(20.0, 10.0, (begin, 0.0, -quarter)),
         Leg(30.0, 19.5, (after, 0.0, -quarter)),
@@ -60,6 +65,13 @@ def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
         Leg(48.0, 14.5, (end, 0.0, quarter)),
         Leg(48.0, 10.0, (end, 0.0, 0.0)),
     )
+
+
+def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
+    """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
+    h, x, a = (leg_angles(robot, name) for name in "HXA")
+    # Brakes are open while legs turn, and closed where wheels have to turn round (the base turns faster than it drives): they would
+    # swing the legs.
     turns = (
         Reconfiguration(15.0 + delay, x),
         Reconfiguration(32.0 + delay, a),
@@ -67,7 +79,7 @@ def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
         Reconfiguration(54.0 + delay, h),
     )
     home = robot.home[robot.state["arm"]]
-    return Mission(way, h, turns, BRAKES, folding(robot, home)), 65.0
+    return Mission(tour_way(), h, turns, BRAKES, folding(robot, home)), TOUR
 
 
 def folding(robot: RobotModel, home: np.ndarray) -> tuple[Reconfiguration, ...]:

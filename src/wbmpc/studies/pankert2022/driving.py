@@ -22,8 +22,8 @@ class DrivingSettings(ExperimentSettings):
     """``localization``: none (odometry alone) or lidar (poses of a simulated ``lidar`` too), for the MPC and for baselines alike;
     ``calibration`` of the wheels: drive (a reference drive with a ``lidar`` first), none, or a file that 'wbmpc calibrate' wrote;
     ``tracked_poses``: at so many poses of the arm its end effector is tracked first, for the zeros of its encoders (0: a file's, or
-    none); ``use_gyro``, whose bias shows over ``settle_time`` [s] of standing (0: it shows under way, and the pose is corrected late);
-    ``actuator_time_constant`` [s] that the controller assumes."""
+    none); ``use_gyro``: whether the odometry has it; ``settle_time`` [s]: of standing, which shows the gyro's bias (0: it shows under way, and
+    the pose is corrected late); ``actuator_time_constant`` [s]: that the controller assumes."""
 
     use_gyro: bool = True
     calibration: str = "drive"

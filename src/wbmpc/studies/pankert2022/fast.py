@@ -17,7 +17,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.settings import Positive, StabilitySettings
+from wbmpc.settings import Positive, Stability, WheelLoadSettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
@@ -42,7 +42,7 @@ class SwerveFastSettings(TaskSettings):
     robot: str = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
     mpc: TaskMpcSettings = TaskMpcSettings(model="dynamic", horizon=2.0)
-    stability: StabilitySettings = StabilitySettings(keep="wheel_loads", min_load=0.1, payload=10.0)
+    stability: Stability = WheelLoadSettings(min_load=0.1, payload=10.0)
     weights: dict[str, Positive] = Field(default={"end_effector": 0.2, "input": 12.0})
     settle_time: float = Field(2.0, ge=0, le=60)
     length: float = Field(2.0, ge=0.1, le=100)

@@ -45,7 +45,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Reconfiguration:
-    """From ``start`` [s] the legs, or the arm's joints, turn to ``angles`` (n) [rad] by ramps of ``rate`` [rad/s]."""
+    """From ``start`` [s] the legs, or the arm's joints, go to ``angles`` (n) [rad, or m of those that slide] by ramps of ``rate`` [per s]."""
 
     start: float
     angles: np.ndarray
@@ -113,7 +113,7 @@ class Mission:
         reject_directions(robot, t, twist, leg, rate)
         velocity = np.array([wheel_velocities(g, a, v, r) for a, v, r in zip(leg, twist, rate, strict=True)])
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
-        angle = np.arctan2(velocity[..., 1], velocity[..., 0]) - g.wheel_heading - leg
+        angle = np.arctan2(velocity[..., 1], velocity[..., 0]) - g.wheel_heading - leg * (1.0 - g.slides)
         part = robot.state["steer"]
         low, high = robot.limits.state_lower[part], robot.limits.state_upper[part]
         columns = [branches(angle[:, i], speed[:, i], low[i], high[i]) for i in range(g.modules)]
@@ -161,9 +161,9 @@ class Mission:
 
 
 def at_home(robot: RobotModel, legs: np.ndarray) -> np.ndarray:
-    """The robot's home with its legs at ``legs`` (n) [rad], the wheels along the same directions of the body."""
+    """The robot's home with its legs at ``legs`` (n) [rad, or m of those that slide], the wheels along the same directions of the body."""
     home, leg, part = robot.home.copy(), robot.state["leg"], robot.state["steer"]
-    steer = home[part] + home[leg] - legs
+    steer = home[part] + robot.base.geometry.leg_angles(home[leg] - legs)
     low, high = robot.limits.state_lower[part], robot.limits.state_upper[part]
     # a wheel rolls alike the other way round, which may be within its range
     steer += np.pi * (steer < low) - np.pi * (steer > high)

@@ -27,9 +27,9 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LidarSettings, Settings
+from wbmpc.simulation.kept_calibration import kept
 from wbmpc.simulation.lockstep import Progress, watched
-from wbmpc.simulation.perturbation import Perturbation, quantize
-from wbmpc.studies.pankert2022.calibration_cache import kept
+from wbmpc.simulation.perturbation import Perturbation, SoundBrakes, quantize
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 
@@ -162,7 +162,7 @@ def drive(
     controller = SwerveController(robot, plant.truth().pose, period)
     phases = _phases(robot, settings)
     swings = any(p.brake.any() for p in phases)
-    wheels, total = WheelLog(log), sum(p.length for p in phases)
+    wheels, total = WheelLog(log, robot.description.base.joint_groups()["wheel"]), sum(p.length for p in phases)
     home, arm = robot.state.split(robot.home), np.zeros(len(robot.input.groups["arm"]))
     legs, brake = home.get("leg", np.zeros(geometry.modules)), phases[0].brake
     with watched(plant, period, total, progress, controller) as tick:
@@ -217,7 +217,7 @@ def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSet
     if how == "none":
         return WheelCalibration.unknown(geometry)
     if how == "drive":
-        sound = plant.model_copy(update={"brake_fault": "none"})  # a brake fails in the run, not before it
+        sound = plant.model_copy(update={"brake_fault": SoundBrakes()})  # a brake fails in the run, not before it
         settings = SwerveCalibrateSettings(plant=sound, lidar=lidar)
-        return kept(robot, settings, seed, lambda: _driven(robot, settings, seed))
+        return WheelCalibration(**kept(robot, settings, seed, lambda: vars(_driven(robot, settings, seed))))
     return WheelCalibration.load(how, geometry, steer_joints(robot), robot.description.name)

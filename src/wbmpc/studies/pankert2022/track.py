@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.metrics import in_frame, rotation_about_z
@@ -36,6 +38,17 @@ IDEALIZATIONS = [
     "the wheels are calibrated with a reference drive with independent normal noise of its poses and hinges that turn freely",
     "the computation takes a constant 10 ms; the arm's encoder offsets are not calibrated",
 ]
+
+
+def _label(log: Log, robot: RobotModel, driven: Sequence[str]) -> WheelLog:
+    """Names of what is recorded; the part of the log that is of the wheels."""
+    wheels = robot.description.base.joint_groups()["wheel"]
+    for channel, names in (
+        ("state", robot.state.names), ("input", robot.input.names), ("arm", robot.input.groups["arm"]), ("joint_speed", driven),
+        ("wheel_command", wheels), ("wheel_slip", wheels),
+    ):  # fmt: skip
+        log.label(channel, names)
+    return WheelLog(log, wheels)
 
 
 def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
@@ -62,7 +75,8 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     log = Log()
     every = timing.period * np.arange(round(references.duration / timing.period))
     positions, turns = references.pose(every[::ROWS])
-    wheels, driven = WheelLog(log), [n for g in SPEEDS for n in robot.input.groups.get(g, ())]
+    driven = [n for g in SPEEDS for n in robot.input.groups.get(g, ())]
+    wheels = _label(log, robot, driven)
 
     def record(t: float, command: Any, plans: Any) -> None:
         m = controller.measured

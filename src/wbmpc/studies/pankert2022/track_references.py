@@ -27,10 +27,11 @@ END_EFFECTOR_ORIENTATION = lie.rotation_to_quaternion(END_EFFECTOR_ROTATION)
 
 
 class SwerveTrackSettings(DrivingSettings):
-    """``periods`` of the sine (6 periods are the paper's 15.96 m), its ``amplitude`` [m] and ``variant`` (``vertical``: upright;
-    ``peaks``: horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` along it [m/s]
-    (an end effector that is elsewhere at home comes to its start first); ``friction``, ``smoothing``: see
-    :class:`wbmpc.bases.swerve.controller.SwerveController`. The other settings are those of all experiments that drive."""
+    """``periods``: of the sine (6 are the paper's 15.96 m); ``amplitude`` [m]: of the sine; ``variant``: vertical (upright), or
+    peaks (horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` [m/s]: along it
+    (an end effector that is elsewhere at home comes to its start first); ``friction``: see
+    :class:`wbmpc.bases.swerve.controller.SwerveController`; ``smoothing``: see the same class.
+    The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(end_effector=EndEffectorCost(weight=4000.0))
     robot: str = "swerve-ur10"

@@ -25,8 +25,8 @@ class TargetLegs(Settings):
 
 
 class SupportLegs(Settings):
-    """The legs have no goal: the objective is the zero-moment point's margin in the support triangles over the two rearmost feet, of
-    ``weight`` per second (a logarithmic barrier, quadratic below ``reserve`` [m])."""
+    """The legs have no goal: the objective is the zero-moment point's margin in the support triangles over the two rearmost feet.
+    ``weight``: of the margin, per second (a logarithmic barrier); ``reserve`` [m]: below it the barrier is quadratic."""
 
     kind: Literal["support"] = "support"
     weight: Weight = 0.05

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from wbmpc.bases.swerve.calibration import WheelRecord
@@ -25,11 +27,13 @@ def record_of(log: Log) -> WheelRecord:
 
 
 class WheelLog:
-    """Writes the channels that a calibration reads: one row for ``every`` messages."""
+    """Writes the channels that a calibration reads: one row for ``every`` messages. ``wheels``: what they are called."""
 
-    def __init__(self, log: Log, every: int = 4) -> None:
+    def __init__(self, log: Log, wheels: Sequence[str], every: int = 4) -> None:
         self.log, self.every = log, every
         self._count, self._gyro = 0, list[float]()
+        for channel in ("steer", "wheel", "leg", "brake"):
+            log.label(channel, wheels)
 
     def add(self, t: float, m: SwerveMeasurement, brake: np.ndarray | None = None) -> None:
         """Take in the message of time ``t`` [s] on the log's clock, and what brakes (n, 1 = open) were commanded before it."""

@@ -3,33 +3,37 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from io import BytesIO
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel
 
 import wbmpc
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.kernel import cache
 from wbmpc.kernel.codegen_target import target_text
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 
+Array = NDArray[np.float64]
 
-def kept(robot: RobotModel, settings: BaseModel, seed: int, make: Callable[[], WheelCalibration]) -> WheelCalibration:
+
+def kept(
+    robot: RobotModel, settings: BaseModel, seed: int, make: Callable[[], Mapping[str, Array]]
+) -> dict[str, Array]:
     """What ``make`` gives, which depends on nothing but the robot, the settings, the seed and the programs: from the cache of compiled code
     where it has been made before."""
-    key, n = _key(robot, settings, seed), robot.base.geometry.modules
+    key = _key(robot, settings, seed)
     found = cache.load(key)
     if found is not None:
-        values = np.frombuffer(found[0])
-        steer, leg, radius = (part.copy() for part in np.split(values[: 3 * n], 3))
-        return WheelCalibration(steer, leg, radius, values[3 * n :].reshape(2 * n, 2 * n).copy())
-    made = make()
-    parts = (made.steer_offset, made.leg_offset, made.wheel_radius, made.covariance.ravel())
-    cache.save(key, np.concatenate(parts).tobytes(), {"calibration": robot.description.name, "seed": seed})
+        with np.load(BytesIO(found[0]), allow_pickle=False) as arrays:
+            return dict(arrays)
+    made, file = dict(make()), BytesIO()
+    np.savez(file, allow_pickle=False, **made)
+    cache.save(key, file.getvalue(), {"calibration": robot.description.name, "seed": seed})
     return made
 
 

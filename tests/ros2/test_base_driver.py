@@ -1,0 +1,124 @@
+"""A base that takes speeds, on a bus. Truth: rigid motion by hand, the simulated robot's own pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from needs import needs_dds, private
+
+from planar_driving import HEIGHT, write_robot
+from wbmpc import lie
+from wbmpc.errors import InputError
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.ros2.base_driver import HELD, BaseWay, ordered_speeds
+from wbmpc.ros2.joints import JointSample
+from wbmpc.ros2.settings import Controller, joint_groups, settings_of
+
+#: How far ahead of its frame [m] the base turns.
+CENTER = 0.1
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
+    """A base that skids, with an arm of two joints."""
+    wheels = [((x, y), (0.0, 1.0, 0.0)) for x in (0.2, -0.2) for y in (0.2, -0.2)]
+    path = write_robot(tmp_path_factory.mktemp("skid"), wheels, {"type": "planar"})
+    data = yaml.safe_load(path.read_text())
+    data["base"] = {"type": "planar", "body": "chassis", "drive": "skid", "center": CENTER, "height": HEIGHT}
+    data["fixed_joints"] = {f"w{i}": 0.0 for i in range(4)}
+    data["limits"]["velocity"] = {"pan": 2.0, "lift": 2.0}
+    path.write_text(yaml.safe_dump(data))
+    return load_robot(path)
+
+
+def odometry(stamp: float, pose: Any, twist: Any = (0.0, 0.0, 0.0)) -> Any:
+    """A nav_msgs/Odometry."""
+    xyz = lambda *v: SimpleNamespace(x=v[0], y=v[1], z=v[2])
+    w, _, _, z = lie.quaternion_about((0.0, 0.0, 1.0), float(pose[2]))
+    at = SimpleNamespace(position=xyz(pose[0], pose[1], 0.0), orientation=SimpleNamespace(x=0.0, y=0.0, z=z, w=w))
+    moves = SimpleNamespace(linear=xyz(twist[0], twist[1], 0.0), angular=xyz(0.0, 0.0, twist[2]))
+    sec = int(stamp)
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=round(1e9 * (stamp - sec))))
+    return SimpleNamespace(
+        header=header, pose=SimpleNamespace(pose=at), twist=SimpleNamespace(twist=moves, linear=moves.linear, angular=moves.angular)
+    )  # fmt: skip
+
+
+def way_at(way: BaseWay, stamp: float) -> np.ndarray:
+    return way.with_way(JointSample(stamp, {"wheel": np.zeros(0), "arm": np.ones(2)})).groups["wheel"]
+
+
+def test_the_way_is_that_of_the_turning_point_from_wherever_the_driver_counts(robot: RobotModel) -> None:
+    """0.3 m/s ahead and 0.5 rad/s for 2 s about a point 0.1 m ahead of the frame, in a world that the driver turned by 0.7 rad."""
+    way, pose, twist = BaseWay(robot), np.array([3.0, -1.0, 0.7]), np.array([0.3, -CENTER * 0.5, 0.5])
+    for k in range(101):
+        way.read(odometry(10.0 + 0.02 * k, pose, twist))
+        pose = lie.se2_step(pose, twist * 0.02)
+    np.testing.assert_allclose(way_at(way, 12.0), [0.6, 1.0], atol=1e-9)
+    # between two messages it goes on; not for ever
+    np.testing.assert_allclose(way_at(way, 12.05), [0.615, 1.025], atol=1e-9)
+    np.testing.assert_allclose(way_at(way, 20.0), np.array([0.6, 1.0]) + HELD * np.array([0.3, 0.5]), atol=1e-9)
+    with pytest.raises(InputError, match=r"its time went back by 1\.000 s"):
+        way.read(odometry(11.0, pose))
+    with pytest.raises(InputError, match="base odometry"):
+        way.read(odometry(13.0, [np.nan, 0.0, 0.0]))
+    way.reset()  # another driver, which counts from elsewhere
+    way.read(odometry(1.0, [0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(way_at(way, 1.0), [0.6, 1.0], atol=1e-9)
+
+
+def test_the_driver_gets_what_the_base_does(robot: RobotModel) -> None:
+    message = odometry(0.0, np.zeros(3), [0.3, -CENTER * 0.5, 0.5])
+    np.testing.assert_allclose(ordered_speeds(robot, message), [0.3, 0.5])
+
+
+def test_its_speeds_go_to_a_controller_of_their_own(robot: RobotModel) -> None:
+    settings = settings_of(robot)
+    topics = settings().command_topics(robot)
+    assert [(c.type, c.joints) for c in topics.values()] == [
+        ("geometry_msgs/msg/TwistStamped", ("base/v", "base/wz")),
+        ("std_msgs/msg/Float64MultiArray", ("pan", "lift")),
+    ]
+    assert joint_groups(robot)["wheel"] == ()
+    arm = Controller(topic="/arm", joints=("pan", "lift"))
+    for base, words in (
+        (Controller(topic="/base", joints=("base/v", "base/wz")), "'base/v' is not commanded by 'numbers'"),
+        (Controller(topic="/base", joints=("pan",), takes="twist"), "'pan' is not commanded by 'twist'"),
+        (Controller(topic="/base", joints=("base/v",), takes="twist"), "no controller commands joint 'base/wz'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            settings(controllers={"base": base, "arm": arm}).command_topics(robot)
+
+
+@needs_dds
+def test_a_goal_over_the_bus(robot: RobotModel, tmp_path: Path) -> None:
+    """The base's frame drives 0.3 m ahead, by twists out and odometry in."""
+    from simulated import Simulated
+
+    from wbmpc.ros2.network import Network
+
+    s = Simulated(robot, Network.of(private()))
+    try:
+        s.ready()
+        start = s.truth()
+        s.end_effector(dx=0.3)
+        s.run(3.0)
+        assert s.control.running, s.control.state
+        assert s.truth().tool[0] - start.tool[0] == pytest.approx(0.3, abs=0.02)
+        assert s.truth().pose[0] > 0.05
+        np.testing.assert_allclose(s.control.adapter.estimate().position[:2], s.truth().pose[:2], atol=0.01)
+        s.sim._driver = None  # its driver goes silent
+        assert s.until(lambda: not s.control.running)
+        assert any(
+            "/base_controller/odom" in v.value
+            for m in s.said
+            for st in m.status
+            for v in [*st.values, SimpleNamespace(value=st.message)]
+        )
+    finally:
+        s.close()

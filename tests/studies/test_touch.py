@@ -1,0 +1,144 @@
+"""`touch`: contact at physics steps, its figures, the plan's limit of the speed. Truth: the momentum of a door that MuJoCo moves, differences
+of plane geometry, SciPy's integration, series on paper."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from wbmpc.bases.ball.messages import BallCommand
+from wbmpc.configuration import configure
+from wbmpc.errors import InputError
+from wbmpc.model.robot import load_robot
+from wbmpc.registry import load
+from wbmpc.simulation.lockstep import Ending
+from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.studies.minniti2019.contact import ContactMonitor
+from wbmpc.studies.minniti2019.door import believed
+from wbmpc.studies.minniti2019.door_control import LIGHT, DoorController
+from wbmpc.studies.minniti2019.door_model import WithDoor, end_effector_motion, place_of
+from wbmpc.studies.minniti2019.door_plant import Door
+from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, LimitedApproach
+from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed
+from wbmpc.studies.minniti2019.touch import TIPS
+from wbmpc.studies.minniti2019.touch_figures import Touch, longest, metrics
+from wbmpc.studies.minniti2019.touch_plant import TouchPlant
+
+ROBOT = load_robot("rezero", contact="force")
+HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
+HAND = ROBOT.pose(HOME)[0]
+
+
+@pytest.mark.parametrize("tip", ["hard", "soft"])
+def test_the_force_at_physics_steps_is_what_turns_the_door(tip: str) -> None:
+    """A door without friction that swings into the tip: its angular momentum changes by the moment of the recorded force."""
+    door = Door(
+        (HAND[0] + 0.043, HAND[1] + 0.7), closed=-np.pi / 2 - 0.3, friction=0.0, closer=0.0, damping=0.0, grip=0.0, contact=TIPS[tip]
+    )  # fmt: skip
+    p = TouchPlant(ROBOT.description, door, HOME, TORQUE, Perturbation.none(actuator_time_constant=0.0))
+    p.data.qpos[p._q], p.data.qvel[p._dof] = 0.3, -0.1
+    for _ in range(160):
+        p.step(BallCommand(TORQUE))
+    steps = p.record()
+    moment = float(np.sum(steps[:, 1]) * p.timestep * 0.7)
+    assert steps[0, 1] == 0.0 and steps[:, 1].max() > 1.0
+    assert door.inertia * (p.rate + 0.1) == pytest.approx(moment, rel=0.01)
+    assert (
+        np.abs(steps[:, 2]).max() < 1e-3 * steps[:, 1].max()
+    )  # no grip, no force across, but for a turn within a step
+    # before the touch the tip rests and the panel comes at 0.07 m/s
+    first = int(np.flatnonzero(steps[:, 1] > 0.0)[0])
+    assert steps[first - 2, 3] == pytest.approx(0.07, abs=0.01)
+
+
+def test_the_row_is_the_difference_of_allowed_and_true_speed() -> None:
+    dynamics, geometry = WithDoor(ROBOT, 1.0), believed(HAND)
+    row = ApproachSpeed(dynamics, 0.01, 4.0)
+    x, u, m = (ca.SX.sym(n, k) for n, k in (("x", dynamics.state.size), ("u", dynamics.input.size), ("m", 1)))
+    w = ca.DM(dynamics.parameters.vector({"place": place_of(geometry), "impedance": [2.5, 10.0, 3.0]}))
+    value = ca.Function("row", [x, u, m], [row(SimpleNamespace(all_x=x, all_u=u, parameters=w, mode=m))])
+    motion, rng = end_effector_motion(ROBOT), np.random.default_rng(2)
+    for moved in (0.0, 0.12):  # before the panel, and beyond it
+        for _ in range(5):
+            state = HOME + 0.02 * rng.normal(size=HOME.size)
+            state[0] += moved
+            place, velocity = motion(state)
+            gap, normal = geometry.gap(place, 0.0), geometry.directions(0.0)[1]
+            allowed = 0.01 + 4.0 * max(-gap, 0.0)
+            found = float(value(np.concatenate([state, [0.0, 0.0]]), np.zeros(u.numel()), 1.0))
+            assert 0.01 * found == pytest.approx(allowed - normal @ velocity, abs=1e-9)
+
+
+def test_the_way_takes_as_long_as_its_differential_equation_says() -> None:
+    scheme = DoorScheme(approach=LimitedApproach(touch_speed=0.01, growth=4.0))
+    there = lambda t, left: left[0] - scheme.lead
+    there.terminal = True  # type: ignore[attr-defined]
+    run = solve_ivp(lambda t, left: -(0.01 + 4.0 * left), (0.0, 10.0), [0.1], events=there, rtol=1e-9, atol=1e-12)
+    assert scheme.soonest(0.1) == pytest.approx(run.t_events[0][0], rel=1e-5)
+    assert scheme.soonest(0.5 * scheme.lead) == 0.0 and DoorScheme().soonest(0.1) == 0.0
+    # slow gaps close by g̈ + 2 λ ġ + λ² g = 0
+    assert scheme.lead * DoorEquation().baumgarte / 2.0 == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(("lead", "moves"), [(0.002, True), (0.0, False)])
+def test_a_panel_that_is_not_touched_is_ahead(lead: float, moves: bool) -> None:
+    controller = DoorController.__new__(DoorController)
+    controller.geometry, controller.push = believed(HAND), SimpleNamespace(lead=lead)  # type: ignore[assignment]
+    normal = controller.geometry.directions(0.0)[1]
+    before = controller.geometry.gap(HAND, 0.0)
+    for way in (0.05, 0.12, 0.11):
+        controller._not_there(HAND + way * normal)
+    farthest = controller.geometry.gap(HAND + 0.12 * normal, 0.0)
+    assert farthest == pytest.approx(-lead if moves else 0.12 + before)
+
+
+def test_a_light_contact_begins_at_once_and_outlasts_a_bounce() -> None:
+    monitor, seen = ContactMonitor(**LIGHT), []
+    for k in range(100):
+        hit = k in (10, 11, 25) or 40 <= k < 60
+        seen.append(monitor.update(0.0025 * k, 3.0 if hit else 0.0))
+    assert not any(seen[:10]) and all(seen[10:83]) and not any(seen[85:])
+    with pytest.raises(InputError, match="release"):
+        ContactMonitor(release=-1.0)
+
+
+def touch(force: np.ndarray, reason: str = "", speed: float = 0.1) -> Touch:
+    """Forces at steps of 1 ms from 1 s on, before which the tip comes with 0.03 m/s."""
+    t = np.arange(0.0, 3.0, 0.001)
+    steps = np.zeros((t.size, 4))
+    steps[:, 0], steps[t < 1.0, 3] = t, 0.03
+    steps[1000 : 1000 + force.size, 1] = force
+    return Touch(speed, 10.0, 0.5, 2.5, steps, Ending(reason))
+
+
+def test_figures_of_a_touch_on_paper() -> None:
+    force = np.full(1501, 10.0)
+    force[:2], force[2:17], force[400:405] = 14.0, 0.0, 0.0
+    good = touch(force)
+    assert good.peak == 14.0 and good.lost == pytest.approx(0.015) and good.impact == pytest.approx(0.03)
+    assert good.touched == pytest.approx(0.5)
+    late = np.concatenate([np.zeros(300), force[:1000]])
+    found = metrics([good, touch(late)], [touch(2.0 * force), touch(force)])
+    assert found["touch_peak_ratio"].value == pytest.approx(1.4)
+    assert found["touch_peak_ratio_plain"].value == pytest.approx(2.8)
+    assert found["touch_time_extra"].value == pytest.approx(0.3)
+    # from the last force to the end of the push it is lost
+    assert found["contact_lost_max"].value == pytest.approx(2.5 - 2.299, abs=0.003)
+    assert np.isinf(touch(force, "the robot fell").peak) and np.isinf(touch(np.zeros(5)).touched)
+    assert np.isinf(metrics([good], [touch(np.zeros(5))])["touch_time_extra"].value)
+
+
+def test_the_longest_loss() -> None:
+    t = 0.1 * np.arange(8)
+    assert longest(t, np.array([1, 0, 0, 1, 0, 0, 0, 1], bool)) == pytest.approx(0.3)
+    assert longest(t, np.ones(8, bool)) == 0.0
+
+
+@pytest.mark.parametrize("given", ["forces=[8]", "door=heavy", "speed=0.2"])
+def test_settings_that_nothing_reads_are_rejected(given: str) -> None:
+    with pytest.raises(InputError):
+        configure(load("touch").config_type, [given], "touch")
