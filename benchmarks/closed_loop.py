@@ -1,9 +1,9 @@
 """Closed loops of both robots: simulated seconds per CPU second, and microseconds of a controller's tick, part by part.
 
-Usage: python benchmarks/closed_loop.py [--only swerve ball] [--repeat 3] [--no-recording] [--json FILE] [--profile FILE]. Times are CPU
-times of the whole process, so that other programs do not count, but threads of a linear algebra library do. Of the repeats the fastest counts.
-"Undisturbed" is the tenth percentile of a part's calls. On a machine that others use a core's own speed changes too: a fixed piece of work
-is timed now and then, and "corrected" figures are those at the speed at which it was fastest.
+Usage: python benchmarks/closed_loop.py [--only swerve ball] [--against SRC] [--no-recording] [--json FILE] [--profile FILE]. Times are CPU
+times of the whole process, so that other programs do not count, but threads of a linear algebra library do: medians of turns of 0.2 s.
+A core's own speed changes while others use the machine, so two versions are compared in one run only: ``--against`` runs the package
+in SRC (another checkout's ``src``) beside this one, in turns.
 """
 
 from __future__ import annotations
@@ -13,13 +13,18 @@ import cProfile
 import gc
 import hashlib
 import json
+import os
+import statistics
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import wraps
 from pathlib import Path
 from typing import Any
 
+import wbmpc
 from wbmpc.configuration import configure
 from wbmpc.recording.recorder import Recorder
 from wbmpc.registry import REGISTRY
@@ -36,138 +41,156 @@ PARTS = {
     "watcher": ("tick",),
 }  # fmt: skip
 SEED = 200
-#: The fixed piece of work: so long a sum, every so many ticks.
-WORK, EVERY = 3000, 10
+#: Ticks of a turn: two plans at 10 Hz, and a chunk of a recording.
+TURN = 80
 
 
 class Stopwatch:
-    """A watcher that times the parts of the last loop of a run, which is its task; ``seconds`` by part, ``loop`` its whole."""
+    """A watcher that times the parts of a loop: after every turn it writes their times per tick [µs] as a line of JSON, and waits for a
+    line before the next."""
 
     def __init__(self, recorder: Recorder | None, profile: cProfile.Profile | None) -> None:
         self.recorder, self.profile = recorder, profile
-        self.seconds: dict[str, list[float]] = {}
-        self.simulated = self.loop = 0.0
-        self.work: list[float] = []
+        self.seconds: dict[str, float] = {}
+        self._ticks, self._start = 0, 0.0
 
     def begin(self, running: Running) -> None:
-        objects = {
+        owners = {
             "controller": running.controller,
             "mpc": running.mpc,
             "plant": running.plant,
             "watcher": self.recorder,
         }
-        for name, owner in objects.items():
-            for method in PARTS[name] if owner is not None else ():
+        for name, owner in owners.items():
+            for method in PARTS[name] if owner is not None and self.profile is None else ():
+                self.seconds[f"{name}.{method}"] = 0.0
                 setattr(owner, method, self._timed(f"{name}.{method}", getattr(owner, method)))
-        self.simulated, self._ticks = running.duration, 0
+        self._period = running.timing.period
         gc.collect()
         if self.profile is not None:
             self.profile.enable()
-        self._start = time.process_time()
+        else:
+            self._turn()
 
     def _timed(self, part: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        clock, note = time.process_time, self.seconds.setdefault(part, []).append
-        if self.profile is not None:
-            return call
+        clock, seconds = time.process_time, self.seconds
 
         @wraps(call)
         def timed(*arguments: Any) -> Any:
             start = clock()
             found = call(*arguments)
-            note(clock() - start)
+            seconds[part] += clock() - start
             return found
 
         return timed
 
+    def _turn(self) -> None:
+        if self._ticks:
+            whole = time.process_time() - self._start
+            parts = {**self.seconds, "rest": whole - sum(self.seconds.values()), "whole": whole}
+            parts["controller"] = sum(v for k, v in parts.items() if k.startswith("controller."))
+            per_tick = {part: 1e6 * seconds / TURN for part, seconds in parts.items()}
+            print(json.dumps(per_tick | {"speed": TURN * self._period / whole}), flush=True)
+        sys.stdin.readline()
+        self.seconds.update(dict.fromkeys(self.seconds, 0.0))
+        self._start = time.process_time()
+
     def tick(self, t: float, command: Any, plans: Any) -> None:
         self._ticks += 1
-        if self._ticks % EVERY == 0 and self.profile is None:
-            start = time.process_time()
-            sum(k * k % 7 for k in range(WORK))
-            self.work.append(time.process_time() - start)
+        if self._ticks % TURN == 0 and self.profile is None:
+            self._turn()
 
     def end(self, ending: Ending) -> None:
-        self.loop = time.process_time() - self._start - sum(self.work)
         if self.profile is not None:
             self.profile.disable()
 
 
-def measured(name: str, recording: bool, profile: cProfile.Profile | None = None) -> dict[str, Any]:
-    """Figures of one run."""
+def run(name: str, recording: bool, profile: cProfile.Profile | None = None) -> str:
+    """Run a loop; a hash of its metrics, which are the same of versions that do the same."""
     experiment, settings = RUNS[name]
     kind = REGISTRY[experiment]
     with tempfile.TemporaryDirectory() as folder:
         recorder = Recorder(Path(folder) / "run.mcap", {}, 2**31) if recording else None
         watch = Stopwatch(recorder, profile)
         watchers = (watch,) if recorder is None else (recorder, watch)
-        begun = time.process_time()
         result = kind.run(configure(kind.config_type, settings, experiment), SEED, Watch(None, watchers))
-        whole = time.process_time() - begun
         if recorder is not None:
             recorder.close({})
-    slow = sum(watch.work) / len(watch.work) if watch.work else 1.0
-    ticks = max(len(watch.seconds.get("controller.measure", ())), 1)
-    parts = {part: 1e6 * sum(calls) / ticks for part, calls in watch.seconds.items()}
-    # of the tenth of its calls that were fastest, the slowest: what a part takes where nobody disturbs it
-    quick = {
-        part: 1e6 * sorted(calls)[len(calls) // 10] * len(calls) / ticks
-        for part, calls in watch.seconds.items()
-        if calls
-    }
     metrics = {k: m.value for k, m in result.metrics.items()}
-    return {
-        "experiment": experiment, "settings": settings, "completed": result.completed, "simulated_s": watch.simulated,
-        "simulated_per_cpu_second": watch.simulated / watch.loop, "with_preparation": watch.simulated / whole,
-        "controller_us": sum(v for k, v in parts.items() if k.startswith("controller.")),
-        "controller_undisturbed_us": sum(v for k, v in quick.items() if k.startswith("controller.")), "undisturbed_us_per_tick": quick,
-        "work_s": slow, "fastest_work_s": min(watch.work, default=1.0),
-        "parts_us_per_tick": {**parts, "rest": 1e6 * watch.loop / ticks - sum(parts.values())}, "metrics": metrics,
-        "digest": hashlib.sha256(json.dumps(metrics, sort_keys=True).encode()).hexdigest()[:16],
-    }  # fmt: skip
+    return hashlib.sha256(json.dumps(metrics, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def turns(name: str, sources: list[str], recording: bool, most: float) -> Iterator[list[Any]]:
+    """The turns of the packages in ``sources``, one after the other: times per tick of each; in the end, where they are not more than
+    ``most``, the hashes of their metrics."""
+    command = [sys.executable, __file__, "--only", name, "--child", *([] if recording else ["--no-recording"])]
+    runs = [
+        subprocess.Popen(
+            command, env=os.environ | {"PYTHONPATH": s}, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        for s in sources
+    ]
+    answers: list[Any] = [None]
+    try:
+        while not isinstance(answers[0], str) and most > 0:
+            answers, most = [], most - 1
+            for child in runs:
+                assert child.stdin is not None and child.stdout is not None
+                child.stdin.write("\n")
+                child.stdin.flush()
+                answers.append(json.loads(child.stdout.readline()))
+            yield answers
+    finally:
+        for child in runs:
+            child.kill()
+            child.communicate()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="*", default=list(RUNS), choices=list(RUNS))
-    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--against", metavar="SRC", help="a package to compare with, turn by turn")
+    parser.add_argument("--turns", type=float, default=float("inf"), help="so many at most, instead of a whole run")
     parser.add_argument("--no-recording", action="store_true", help="without run.mcap, as in tests")
-    parser.add_argument(
-        "--work", type=float, help="time [s] of the fixed piece of work on the idle machine, if it is known"
-    )
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("--profile", type=Path, help="write cProfile's statistics of the loops there; no times")
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
+    if given.child:
+        print(json.dumps(run(given.only[0], not given.no_recording)))
+        return
     if given.profile is not None:
         profile = cProfile.Profile(time.process_time)
         for name in given.only:
-            measured(name, not given.no_recording, profile)
+            run(name, not given.no_recording, profile)
         profile.dump_stats(given.profile)
         return
     found: dict[str, Any] = {}
+    here = str(Path(wbmpc.__file__).parents[1])
+    sources = [here] if given.against is None else [given.against, here]
     for name in given.only:
-        runs = [measured(name, not given.no_recording) for _ in range(given.repeat)]
-        best = found[name] = max(runs, key=lambda run: run["simulated_per_cpu_second"])
-        for key in ("controller_us", "controller_undisturbed_us"):
-            best[key] = min(run[key] for run in runs)
-        fastest = given.work or min(run["fastest_work_s"] for run in runs)
-        best["corrected"] = {
-            "simulated_per_cpu_second": max(run["simulated_per_cpu_second"] * run["work_s"] for run in runs) / fastest,
-            "controller_us": min(run["controller_us"] / run["work_s"] for run in runs) * fastest,
+        *rows, hashes = turns(name, sources, not given.no_recording, given.turns + 1)
+        if not isinstance(hashes[0], str):
+            hashes = ["(not the whole run)"]
+        parts = {
+            key: [statistics.median(row[i][key] for row in rows) for i in range(len(sources))] for key in rows[0][0]
+        }
+        ratios = {key: statistics.median(row[-1][key] / max(row[0][key], 1e-9) for row in rows) for key in rows[0][0]}
+        found[name] = {
+            "run": RUNS[name],
+            "seed": SEED,
+            "sources": sources,
+            "medians": parts,
+            "ratios": ratios,
+            "metrics": hashes,
         }
         print(
-            f"{name}: {best['experiment']} {' '.join(best['settings'])}: {best['simulated_per_cpu_second']:.2f} simulated s per CPU s "
-            f"({best['with_preparation']:.2f} with preparation), controller {best['controller_us']:.0f} µs per tick, "
-            f"undisturbed {best['controller_undisturbed_us']:.0f}"
+            f"{name}: {RUNS[name][0]} {' '.join(RUNS[name][1])}, {len(rows)} turns; medians; metrics {' '.join(hashes)}"
         )
-        corrected = best["corrected"]
-        print(
-            f"  corrected: {corrected['simulated_per_cpu_second']:.2f} simulated s per CPU s, controller {corrected['controller_us']:.0f} µs "
-            f"per tick; the machine was {best['work_s'] / fastest:.2f} times slower than at its fastest ({1e6 * fastest:.0f} µs)"
-        )
-        for part, us in best["parts_us_per_tick"].items():
-            quick = best["undisturbed_us_per_tick"].get(part)
-            print(f"  {part:20s}{us:8.1f} µs per tick" + ("" if quick is None else f", undisturbed {quick:8.1f}"))
-        print(f"  metrics {best['digest']}", flush=True)
+        for key, values in parts.items():
+            unit = "simulated s per CPU s" if key == "speed" else "µs per tick"
+            ratio = "" if len(values) == 1 else f"   ratio {ratios[key]:.3f}"
+            print(f"  {key:20s}" + "".join(f"{v:9.2f}" for v in values) + f" {unit}{ratio}", flush=True)
     if given.json is not None:
         given.json.write_text(json.dumps(found, indent=1) + "\n")
 

@@ -14,12 +14,18 @@ from wbmpc.bases.ball.filter_solve import solve_robust
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState, rotation_of
 from wbmpc.bases.ball.filter_step import linearize
 from wbmpc.bases.ball.joint_tracker import JointTracker
+from wbmpc.bases.base import InertialDescription
+from wbmpc.estimation.inertial import gate_arrays
 
 H, GRAVITY = 0.0025, np.array([0.0, 0.0, 9.81])
 
 
 def geometry(rng: np.random.Generator) -> BallGeometry:
     return BallGeometry(0.12, rng.normal(size=(3, 3)), np.array([0.01, -0.02, 0.3]))
+
+
+def memory_of(g: BallGeometry, noise: BallNoise) -> FilterMemory:
+    return FilterMemory(g, noise, gate_arrays(InertialDescription(), GRAVITY), "compiled", still=1e-4, most=1e-2)
 
 
 def rolling(g: BallGeometry, rng: np.random.Generator, count: int):  # type: ignore[no-untyped-def]
@@ -58,6 +64,22 @@ def test_both_back_ends_say_the_same() -> None:
     assert {"wheel_0 slips", "imu exceeds"} <= seen
 
 
+def test_messages_that_jump_are_judged_the_same() -> None:
+    """A turn that comes and goes is a jump where it goes against the wheels; one that stays counts."""
+    rng = np.random.default_rng(0)
+    g = geometry(rng)
+    one, other = (BallFilter(g, np.zeros(2), np.eye(3), BallNoise(), backend=b) for b in ("compiled", "interpreted"))
+    jumps = []
+    for k, (wheel, gyro, accel) in enumerate(rolling(g, rng, 9)):
+        gyro = gyro + 1.5 * (k == 4 or k > 6)
+        for filter in (one, other):
+            filter.update(H, wheel, gyro, accel)
+        assert one.faults == other.faults
+        np.testing.assert_allclose(one.rate, other.rate, atol=1e-9)
+        jumps += [k] * ("imu jumps" in one.faults)
+    assert jumps == [5, 6] and np.linalg.norm(one.rate) > 2.0
+
+
 def residuals(g: BallGeometry, s: BallNoise, x: BallState, y: BallState, wheel, gyro, accel) -> np.ndarray:  # type: ignore[no-untyped-def]
     """As docs/explanation/ball-robot.md has them."""
     turned = lie.quaternion_log(lie.rotation_to_quaternion(x.rotation.T @ y.rotation))
@@ -84,7 +106,7 @@ def test_slopes_are_the_derivatives_of_the_residuals() -> None:
         *(0.1 * rng.normal(size=(2, 3))), rotation_of(0.3 * rng.normal(size=3)), *(0.01 * rng.normal(size=(3, 3))), 0.02
     )
     wheel, gyro, accel = x.wheel + 0.01, rng.normal(size=3), GRAVITY + rng.normal(size=3)
-    memory = FilterMemory(g, s, "compiled")
+    memory = memory_of(g, s)
     memory.state = x
     a = memory.arrays
     a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, gyro, accel
@@ -109,7 +131,7 @@ def test_slopes_are_the_derivatives_of_the_residuals() -> None:
 def test_the_older_state_is_marginalised() -> None:
     """Truth: least squares over both states with the prior, by NumPy's lstsq."""
     rng = np.random.default_rng(4)
-    memory = FilterMemory(geometry(rng), BallNoise(), "compiled")
+    memory = memory_of(geometry(rng), BallNoise())
     a, m, size = memory.arrays, 23, 19
     jx, jy, r = rng.normal(size=(m, size)), rng.normal(size=(m, size)), rng.normal(size=m)
     q, p = np.diag(rng.uniform(0.5, 2.0, m)), np.diag(rng.uniform(0.5, 2.0, size))
@@ -129,7 +151,7 @@ def test_the_older_state_is_marginalised() -> None:
 
 
 def test_no_solution_is_said() -> None:
-    memory = FilterMemory(geometry(np.random.default_rng(0)), BallNoise(), "compiled")
+    memory = memory_of(geometry(np.random.default_rng(0)), BallNoise())
     memory.arrays["p"][:] = np.nan
     assert memory.step(solve_robust)(1.0)[0] == -1
 

@@ -79,14 +79,18 @@ def test_wrong_messages_are_named() -> None:
 @pytest.mark.parametrize("kind", DEFINITIONS)
 @pytest.mark.parametrize("seed", range(5))
 def test_a_template_gives_the_bytes_of_the_message(kind: str, seed: int) -> None:
-    """Made of one message, filled with the time and the numbers of another one of the same names and lengths."""
+    """Made of one message, filled with times and numbers of others of the same names and lengths."""
     message = random_message(kind, np.random.default_rng(seed))
-    other = _like(message, np.random.default_rng(100 + seed))
-    found: list[float] = []
-    expected = encode(kind, _timed(kind, other, 7, 123456789, found))
-    assert Template(kind, message)(7, 123456789, np.array(found)) == expected
+    template, times, numbers, expected = Template(kind, message), [], [], []
+    for k in range(3):
+        found: list[float] = []
+        other = _like(message, np.random.default_rng(100 + seed + k))
+        expected.append(encode(kind, _timed(kind, other, 7 + k, 123456789, found)))
+        times.append((7 + k) * 1_000_000_000 + 123456789)
+        numbers.append(template.numbers(np.array(found)))
+    assert template.fill(times, numbers) == expected
     with pytest.raises(InputError, match="numbers, got"):
-        Template(kind, message)(7, 0, np.zeros(len(found) + 1))
+        template.numbers(np.zeros(numbers[0].size + 1))
 
 
 def _like(value, rng: np.random.Generator):  # type: ignore[no-untyped-def]

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
+from wbmpc.recording.messages import encode
 from wbmpc.recording.quick_writer import QuickWriter
+from wbmpc.recording.template import Template
+from wbmpc.recording.writer import stamp
+
+POSE = "geometry_msgs/PoseStamped"
+TEMPLATE = Template(POSE, {"header": {"stamp": stamp(0.0), "frame_id": "map"}, "pose": np.zeros(7)})
 
 
 def written(kind: type[Writer]) -> bytes:
@@ -21,6 +27,13 @@ def written(kind: type[Writer]) -> bytes:
     for k in range(200):
         at = 1_000_000 * (k if k % 17 else k // 2) + 7
         writer.add_message(channels[k % 3], at, rng.bytes(int(rng.integers(0, 150))), at + k, sequence=k)
+        numbers = rng.normal(size=7)
+        pose = {"header": {"stamp": stamp(1e-9 * at), "frame_id": "map"}, "pose": numbers}
+        if isinstance(writer, QuickWriter):
+            writer.add_numbers(channels[k % 2], at, TEMPLATE, numbers)
+            numbers[:] = 0.0  # what was given may change afterwards
+        else:
+            writer.add_message(channels[k % 2], at, encode(POSE, pose), at)
         if k == 90:
             writer.add_metadata("note", {"k": "90"})
     writer.finish()

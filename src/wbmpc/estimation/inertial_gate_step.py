@@ -1,4 +1,4 @@
-"""One message of an inertial unit, compiled: see :class:`wbmpc.estimation.inertial.InertialGate`.
+"""One message of an inertial unit, compiled: whether it can be true. The arrays are those of :func:`wbmpc.estimation.inertial.gate_arrays`.
 
 ``message`` (6): gyro [rad/s], accelerometer [m/s²]; ``given``: the one before; ``last``: the last one that counted.
 """
@@ -16,8 +16,12 @@ REPEATS, STANDS = 10, 0.025
 #: More than this [rad/s], [m/s²] from one message to the next is a jump: beyond hits that are true. (Pushes of 200 N: 0.07 and 8;
 #: the ball runs onto cables of 5 mm: 0.24 and 70.)
 TURN, PUSH = 1.0, 90.0
-#: What :func:`judge` says of a message.
-FINE, EXCEEDS, STOPPED = 0, 1, 2
+#: What the rates [rad/s] and forces [m/s²] of a message that does not count may differ by from those of the last good one.
+UNKNOWN_TURN, UNKNOWN_PUSH = 1.0, 20.0
+#: What :func:`judge` says of a message; who knows more than the unit's messages may call one that jumps wrong.
+FINE, EXCEEDS, STOPPED, JUMPS = 0, 1, 2, 3
+#: The same in words.
+FAULTS = ("", "exceeds", "repeats", "jumps")
 
 
 class Gate(IntEnum):

@@ -9,9 +9,12 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import MessageIndex
 from mcap.writer import Writer
+
+from wbmpc.recording.template import Template
 
 #: A message's record up to its data: opcode, length, channel, sequence, log time, publish time.
 _HEAD = struct.Struct("<BQHIQQ")
@@ -44,7 +47,8 @@ class QuickWriter(Writer):
         self._chunk, self._statistics, self._finalize = parts
         self._quick, self._size = all(parts), int(options.get("chunk_size", 1024 * 1024))
         self.chunks: int | None = 0 if self._quick else None
-        self._kept: list[tuple[int, int, int, int, bytes]] = []  # channel, sequence, log time, publish time, data
+        #: channel, sequence, log time, publish time, and a message: its bytes, or a template and its numbers
+        self._kept: list[tuple[int, int, int, int, bytes | np.ndarray, Template | None]] = []
         self._filled = 0  # bytes of the chunk, with those of the messages that are kept
 
     def add_message(
@@ -54,8 +58,19 @@ class QuickWriter(Writer):
         if not self._quick:
             super().add_message(channel_id, log_time, data, publish_time, sequence)
             return
-        self._kept.append((channel_id, sequence, log_time, publish_time, data))
-        self._filled += _HEAD.size + len(data)
+        self._keep((channel_id, sequence, log_time, publish_time, data, None), len(data))
+
+    def add_numbers(self, channel: int, time: int, template: Template, values: np.ndarray) -> None:
+        """Append a message of a ``template`` at a ``time`` [ns] with its float64. Its bytes are made with those of others like it."""
+        numbers = template.numbers(values)
+        if self._quick:
+            self._keep((channel, 0, time, time, numbers, template), template.length)
+        else:
+            super().add_message(channel, time, template.fill([time], [numbers])[0], time)
+
+    def _keep(self, message: tuple[int, int, int, int, Any, Template | None], length: int) -> None:
+        self._kept.append(message)
+        self._filled += _HEAD.size + length
         if self._filled > self._size:
             self._pack()
             self._finalize()
@@ -67,7 +82,7 @@ class QuickWriter(Writer):
         if not kept:
             return
         indices, counts, parts, at = chunk.message_indices, seen.channel_message_counts, list[bytes](), chunk.count
-        for channel, sequence, logged, published, data in kept:
+        for (channel, sequence, logged, published, *_), data in zip(kept, self._encoded(), strict=True):
             size = len(data)
             index = indices.get(channel)
             if index is None:
@@ -85,6 +100,19 @@ class QuickWriter(Writer):
         chunk.num_messages += len(kept)
         seen.message_count += len(kept)
         kept.clear()
+
+    def _encoded(self) -> list[Any]:
+        """The bytes of the messages that are kept."""
+        alike: dict[Template, list[int]] = {}
+        for i, message in enumerate(self._kept):
+            if message[5] is not None:
+                alike.setdefault(message[5], []).append(i)
+        data: list[Any] = [message[4] for message in self._kept]
+        for template, places in alike.items():
+            filled = template.fill([self._kept[i][2] for i in places], [data[i] for i in places])
+            for i, one in zip(places, filled, strict=True):
+                data[i] = one
+        return data
 
     def _behind(self) -> None:
         """What comes next into the chunk stands behind the messages that there are."""

@@ -87,7 +87,6 @@ class Recorder:
         every = lambda rate: max(1, round(1.0 / (rate * running.timing.period)))
         self._every = {"states": every(STATES), "links": every(LINKS), "plans": every(PLANS)}
         self._templates.clear()
-        self._stamped = (-np.inf, 0, 0)  # a time [s] and its stamp
         if self.file is not None:
             self._start = self._last = self._last + PAUSE
             self._begin_loop(scene)
@@ -162,10 +161,7 @@ class Recorder:
         template = self._templates.get((topic, key))
         if template is None:
             template = self._templates[topic, key] = Template(kind, make())
-        if self._stamped[0] != self._last:
-            now = stamp(self._last)
-            self._stamped = self._last, now["sec"], now["nanosec"]
-        self.file.put_bytes(topic, kind, self._last, template(*self._stamped[1:], values))
+        self.file.put_numbers(topic, kind, self._last, template, values)
 
     def _header(self, frame: str) -> dict[str, Any]:
         return {"stamp": stamp(self._last), "frame_id": frame}

@@ -1,4 +1,4 @@
-"""Messages that differ only in their time and their numbers: encoded once, filled in often.
+"""Messages that differ only in their time and their numbers: encoded once, filled in many at a time.
 
 A recording writes thousands of messages whose names and lengths never change. Their bytes are kept with the places of all
 stamps and float64, which plain CDR (see :mod:`wbmpc.recording.messages`) aligns to 4 and 8 bytes from the end of its header.
@@ -6,6 +6,7 @@ stamps and float64, which plain CDR (see :mod:`wbmpc.recording.messages`) aligns
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,30 +19,37 @@ _HEADER, _SIZES = 4, {"int32": 4, "uint32": 4, "float64": 8}
 
 
 class Template:
-    """Callable: bytes of a message like ``message`` with one time in all stamps, and all its float64 in their order."""
+    """Messages like ``message``: one time in all stamps, and other float64. ``length``: bytes of one."""
 
     def __init__(self, kind: str, message: Message) -> None:
         data = encode(kind, message)
-        self._header, self._length = data[:_HEADER], len(data) - _HEADER
-        self._body = np.frombuffer(data[_HEADER:] + bytes(-self._length % 8), np.uint8).copy()
+        self._header, self.length = data[:_HEADER], len(data)
+        body = data[_HEADER:]
+        self._body = np.frombuffer(body + bytes(-len(body) % 8), np.uint8)
         stamps: list[int] = []
         floats: list[int] = []
         _places(kind, message, 0, stamps, floats)
         seconds = np.array(stamps, int) // 4
         self._stamped, self._size = len(stamps) > 0, len(floats)
         self._seconds, self._nanoseconds = _slice(seconds), _slice(seconds + 1)
-        self._words, self._doubles = self._body.view("<u4"), self._body.view("<f8")
         self._floats = _slice(np.array(floats, int) // 8)
 
-    def __call__(self, seconds: int, nanoseconds: int, values: np.ndarray) -> bytes:
-        """Time [s, ns] and numbers; raises :class:`InputError` if there are more or fewer of these than places."""
+    def numbers(self, values: np.ndarray) -> np.ndarray:
+        """A copy of the numbers of a message, in their order; raises :class:`InputError` if there are more or fewer than places."""
         if values.size != self._size:
             raise InputError(f"message: needs {self._size} numbers, got {values.size}")
+        return values.flatten()
+
+    def fill(self, times: Sequence[int], numbers: Sequence[np.ndarray]) -> list[bytes]:
+        """Messages at ``times`` [ns] with the ``numbers`` of each."""
+        rows = np.tile(self._body, (len(times), 1))
         if self._stamped:
-            self._words[self._seconds] = seconds
-            self._words[self._nanoseconds] = nanoseconds
-        self._doubles[self._floats] = values.ravel()
-        return self._header + self._body.data[: self._length]
+            seconds, nanoseconds = np.divmod(np.array(times), 1_000_000_000)
+            words = rows.view("<u4")
+            words[:, self._seconds], words[:, self._nanoseconds] = seconds[:, None], nanoseconds[:, None]
+        rows.view("<f8")[:, self._floats] = numbers
+        whole, width, length, header = rows.tobytes(), rows.shape[1], self.length - _HEADER, self._header
+        return [header + whole[at : at + length] for at in range(0, len(whole), width)]
 
 
 def _slice(index: np.ndarray) -> slice | np.ndarray:

@@ -8,11 +8,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mcap.writer import CompressionType
 
 from wbmpc import __version__
 from wbmpc.recording.messages import Message, encode, full_name, schema
 from wbmpc.recording.quick_writer import QuickWriter
+from wbmpc.recording.template import Template
 
 #: Bytes of a chunk before compression: what a killed run loses at most.
 CHUNK = 128 * 1024
@@ -97,13 +99,24 @@ class McapFile:
                 return
         self._append(topic, kind, t, data, latched)
 
-    def _append(self, topic: str, kind: str, t: float, data: bytes, latched: bool) -> None:
+    def put_numbers(self, topic: str, kind: str, t: float, template: Template, values: np.ndarray) -> None:
+        """The same of a message of a ``template``, with its float64."""
+        if self._size > self._end:
+            self._rotate(t)
+        self._append(topic, kind, t, values, False, template)
+
+    def _append(
+        self, topic: str, kind: str, t: float, data: Any, latched: bool, template: Template | None = None
+    ) -> None:
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._channel(topic, kind, latched)
         if t != self._time:
             self._time, self._now = t, nanoseconds(t)
-        self._writer.add_message(channel, self._now, data, self._now)
+        if template is None:
+            self._writer.add_message(channel, self._now, data, self._now)
+        else:
+            self._writer.add_numbers(channel, self._now, template, data)
         if self._chunks is None or self._writer.chunks != self._chunks:
             self._chunks = self._writer.chunks
             self._flush()

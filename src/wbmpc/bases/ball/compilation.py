@@ -16,13 +16,15 @@ _STEPS = (
     "payload_step",
     "lean_step",
 )
-_ROOMS = ("bases/ball", "kernel")
-LIBRARY = Library("ball robot", rooms=_ROOMS, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS))
+_ROOMS = ("bases/ball", "estimation", "kernel")
+LIBRARY = Library(
+    "ball robot", rooms=_ROOMS, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS), uses=(ESTIMATION,)
+)
 compiled, step = LIBRARY.compiled, LIBRARY.step
 #: Steps that ask the model, which is the solver's: those of a robot that only estimates need no solver.
 MODEL = Library(
     "ball robot with its model",
-    rooms=(*_ROOMS, "estimation", "solver"),
+    rooms=(*_ROOMS, "solver"),
     modules=("wbmpc.bases.ball.model_step",),
     uses=(LIBRARY, ESTIMATION, DRIVER),
 )

@@ -21,7 +21,8 @@ from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.inertial import UNKNOWN, Assessment, InertialGate
+from wbmpc.estimation.inertial import forget, gate_arrays
+from wbmpc.estimation.inertial_gate_step import FAULTS
 from wbmpc.kernel.step import Backend
 
 Array = NDArray[np.float64]
@@ -40,8 +41,8 @@ class BallFilter:
     ``surprise``: what the redundant rows cost at the last update, chi-square with ``freedom`` = wheels + 1 degrees.
     ``faults`` of the last update, each a part and what it does: where rolling contradicts the inertial unit beyond :data:`GATE`,
     or an encoder stands while its wheel turns, those rows count for nothing; a message of the inertial ``unit`` that cannot be
-    true (``imu exceeds``, ``repeats``, ``jumps``) leaves its rates and forces at those of the last good one, to :data:`UNKNOWN`.
-    ``backend``: machine code (:mod:`wbmpc.bases.ball.filter_step`, :mod:`~wbmpc.bases.ball.filter_solve`), or the same source as ordinary Python.
+    true (``imu exceeds``, ``repeats``, ``jumps``) leaves its rates and forces near those of the last good one.
+    ``backend``: machine code (:func:`wbmpc.bases.ball.filter_solve.process`), or the same source as ordinary Python.
     """
 
     def __init__(
@@ -52,7 +53,13 @@ class BallFilter:
         self.geometry, self.noise = geometry, noise
         position = np.array([*numbers("ball filter", "position", np.asarray(position)[:2], 2), 0.0])
         numbers("ball filter", "rotation", np.ravel(rotation), 9)
-        self._memory = FilterMemory(geometry, noise, backend)
+        from scipy.special import chdtri  # slow to import
+
+        self.freedom, self.surprise = n + 1, 0.0
+        gate = gate_arrays(unit or InertialDescription(), np.reshape(rotation, (3, 3)).T @ GRAVITY)
+        self._gate = float(chdtri(self.freedom, GATE))
+        constants = {"still": STILL * math.sqrt(12.0) * noise.encoder, "most": STALLED}
+        self._memory = FilterMemory(geometry, noise, gate, backend, **constants)
         start = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))
         self.state, s = start, noise
         spread = np.concatenate([
@@ -62,13 +69,7 @@ class BallFilter:
         # what is known of the start is its heading: the uncertain axes are those of the world's horizontal
         p[A, A] = start.rotation.T @ np.diag([s.tilt, s.tilt, s.start]) ** 2 @ start.rotation
         self.covariance = p
-        self.freedom, self.surprise = n + 1, 0.0
         self.faults: tuple[str, ...] = ()
-        from scipy.special import chdtri  # slow to import
-
-        self._gate = float(chdtri(self.freedom, GATE))
-        self._inertial = InertialGate(unit or InertialDescription(), start.rotation.T @ GRAVITY, backend)
-        self._still = STILL * np.sqrt(12.0) * noise.encoder
         self._first = True
         self._turning = 0.0  # the torque about the vertical that lasts [N m]
 
@@ -128,16 +129,14 @@ class BallFilter:
         if interval > GAP:
             self._bridge(interval, w)
             return
-        message = self._inertial.message
-        message[:3], message[3:] = gyro, accel
+        a = self._memory.arrays
+        a["wheel"][:], a["message"][:3], a["message"][3:] = w, gyro, accel
         self._turning += (1.0 - math.exp(-interval / self.noise.lasting)) * (turning - self._turning)
-        try:
-            self._update(interval, w)
-        except np.linalg.LinAlgError as error:
-            raise NotFinite(
-                f"ball filter: no state follows from wheels {w}, gyro {gyro} and accel {accel} ({error})"
-            ) from error
-        self._memory.advance(self._still, STALLED)
+        stalled = a["stalled"].tolist()
+        choice, fault, self.surprise = self._memory.process(interval, self._turning, self._gate)
+        if choice < 0:
+            raise NotFinite(f"ball filter: no state follows from wheels {w}, gyro {gyro} and accel {accel}")
+        self.faults = self._named(choice, fault, stalled) if choice or fault or any(stalled) else ()
 
     def _start(self, wheel: Array) -> None:
         """The first message says where the wheels are."""
@@ -165,61 +164,16 @@ class BallFilter:
         p[A, A] = GAP_LEAN**2 * np.eye(3) + (heading + turning**2 - GAP_LEAN**2) * np.outer(up, up)
         p[16:, 16:] = self.noise.encoder**2 * np.eye(self._n)
         self.covariance = p
-        self._inertial.reset()
+        forget(self._memory.arrays["gate"])
         self._turning, self.faults = 0.0, ()
         self._memory.arrays["read"][:], self._memory.arrays["way"][:] = wheel, 0.0
 
-    def _update(self, h: float, wheel: Array) -> None:
-        """What the ``message`` of the inertial unit and the wheels say; without the message if it cannot be true.
-
-        One that jumps while the wheels contradict it cannot, if the wheels agree with each other: a spike, not three wheels.
-        """
-        unit = self._inertial
-        assessment = unit.judge(h)
-        if assessment.fault:
-            self._solve(h, wheel, unit.last, assessment)
-            return
-        loose = self._solve(h, wheel, unit.message, assessment)
-        if unit.persists(assessment) or (loose and assessment.jumps):
-            if not self._solve(h, wheel, unit.last, assessment._replace(fault="jumps")):
-                unit.reject()
-                return
-            self._solve(h, wheel, unit.message, assessment)
-        unit.accept()
-
-    def _solve(self, h: float, wheel: Array, message: Array, assessment: Assessment) -> bool:
-        """Find the newer state, and the ``faults``, under the mildest explanation of the rows: no fault, the ball spins on the floor,
-        one wheel slips, the ball slips. If none is good enough the best one counts. Where the ``assessment`` has a fault, the ``message`` (6)
-        is another one's, which says little. Returns whether wheels, or the ball, slip in it."""
-        memory, a, fault = self._memory, self._memory.arrays, assessment.fault
-        a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, message[:3], message[3:]
-        choice, self.surprise = memory.update(h, self._turning, *self._extra_variance(h, assessment), self._gate)
-        if choice < 0:
-            raise np.linalg.LinAlgError("the residuals are not finite")
-        stalled = a["stalled"].tolist()
-        certain: tuple[str, ...] = (f"imu {fault}",) if fault else ()
-        if any(stalled):
-            certain += tuple(f"wheel_{i} stalled" for i, stands in enumerate(stalled) if stands)
-        self.faults = certain + self._named(choice)
-        return bool(choice > 0)
-
-    def _extra_variance(self, h: float, assessment: Assessment) -> tuple[float, float]:
-        """By how much the variances of turning [rad²] and push [m²/s²] are above those of a motion that does not change."""
-        if assessment.fault:
-            usual = self.noise.gyro, self.noise.accel
-            rate, force = ((unknown * h) ** 2 - s**2 * h for unknown, s in zip(UNKNOWN, usual, strict=True))
-            return rate, force
-        if assessment.jumps:
-            return 0.0, 0.0
-        # a mean says the less of a motion, the more it changes to the next; spikes are judged, not believed a little less
-        share = (self.noise.change * h) ** 2
-        return share * assessment.turned, share * assessment.pushed
-
-    def _named(self, choice: int) -> tuple[str, ...]:
-        """What slips in an explanation (:func:`wbmpc.bases.ball.filter_solve.solve_robust`)."""
-        if choice == 0:
-            return ()
-        return (("ball spins", *(f"wheel_{i} slips" for i in range(self._n)), "ball slips")[choice - 1],)
+    def _named(self, choice: int, fault: int, stalled: list[float]) -> tuple[str, ...]:
+        """What is wrong with the inertial unit's message, which encoders stand, and what slips in an explanation
+        (:func:`wbmpc.bases.ball.filter_solve.solve_robust`)."""
+        slips = ("", "ball spins", *(f"wheel_{i} slips" for i in range(self._n)), "ball slips")[choice]
+        stand = [f"wheel_{i} stalled" for i, stands in enumerate(stalled) if stands]
+        return tuple(f for f in (f"imu {FAULTS[fault]}" if fault else "", *stand, slips) if f)
 
     def correct_lean(self, up: ArrayLike, spread: float) -> None:
         """A lean that is known from elsewhere: ``up`` (3) is the vertical in base axes, ± ``spread`` [rad].

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.ball.filter_solve import update
+from wbmpc.bases.ball.filter_solve import process
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState
-from wbmpc.bases.ball.filter_step import Noise, State, advance
+from wbmpc.bases.ball.filter_step import Noise, State
 from wbmpc.kernel.step import Backend, Step, bind
 
 Array = NDArray[np.float64]
 
 
 class FilterMemory:
-    """``arrays``: everything by its name in :class:`wbmpc.bases.ball.filter_step.Filter`. Steps: ``update(h, torque, gyro_more, accel_more,
-    gate)`` finds the newer state, ``advance(still, most)`` makes it the older one. The older state is the filter's."""
+    """``arrays``: everything by its name in :class:`wbmpc.bases.ball.filter_step.Filter`, and a ``gate`` of the inertial unit
+    (:func:`wbmpc.estimation.inertial.gate_arrays`). ``constants``: of :func:`wbmpc.bases.ball.filter_solve.process`, which is
+    ``process(h, torque, bound)``. The older state is the filter's."""
 
-    def __init__(self, geometry: BallGeometry, noise: BallNoise, backend: Backend) -> None:
-        self._made_of = geometry, noise, backend
+    def __init__(
+        self, geometry: BallGeometry, noise: BallNoise, gate: dict[str, Array], backend: Backend, **constants: float
+    ) -> None:
+        self._made_of, self._constants = (geometry, noise, gate, backend), constants
         n = len(geometry.turn)
         size, m, state = 16 + n, 17 + 2 * n, State.WHEEL + n
         sizes = {"x": state, "y": state, "z": state, "gyro": 3, "accel": 3}
@@ -30,21 +34,26 @@ class FilterMemory:
         sizes |= {"p": size * size, "jx": m * size, "jy": m * size, "q": m * m, "r": m, "moved": m * size}
         sizes |= {"w": m * (size + 1), "a": size * size, "inverse": size * size, "slope": size, "root": m * m}
         sizes |= {"error": size, "covariance": size * size, "best_error": size, "best_covariance": size * size}
-        self.arrays = {name: np.zeros(length) for name, length in sizes.items()} | {
-            "mount": np.array(geometry.mount, float),
-            "wheels": np.array(geometry.turn, float).flatten(),
-            "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
-        }
-        self.update, self.advance = self.step(update), self.step(advance)
+        self.arrays = (
+            {name: np.zeros(length) for name, length in sizes.items()}
+            | deepcopy(gate)
+            | {
+                "mount": np.array(geometry.mount, float),
+                "wheels": np.array(geometry.turn, float).flatten(),
+                "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
+            }
+        )
+        self.process = self.step(process, **constants)
 
-    def step(self, function: Callable[..., Any]) -> Step:
+    def step(self, function: Callable[..., Any], **constants: float) -> Step:
         """A step of the filter on these arrays."""
-        geometry, _, backend = self._made_of
-        return bind(function, self.arrays, backend, n=len(geometry.turn), radius=float(geometry.radius))
+        geometry, _, _, backend = self._made_of
+        return bind(function, self.arrays, backend, n=len(geometry.turn), radius=float(geometry.radius), **constants)
 
     def __deepcopy__(self, memo: dict[int, object]) -> FilterMemory:
         """Steps of the copy work on its own arrays, and so do those of others on these."""
-        made = FilterMemory(*self._made_of)
+        geometry, noise, gate, backend = self._made_of
+        made = FilterMemory(geometry, noise, gate, backend, **self._constants)
         for name, array in self.arrays.items():
             made.arrays[name][:] = array
             memo[id(array)] = made.arrays[name]

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
-from wbmpc.bases.ball.filter_step import Filter, Row, State, apply, linearize
+from wbmpc.bases.ball.filter_step import Filter, Noise, Row, State, advance, apply, linearize
+from wbmpc.estimation.inertial_gate_step import FINE, JUMPS, UNKNOWN_PUSH, UNKNOWN_TURN, Gate, judge
 from wbmpc.kernel.ir import Floats
 
 #: Variance [rad²] of rows that count for nothing.
@@ -124,11 +125,11 @@ def solve(f: Filter) -> float:
 
 
 @step
-def solve_robust(f: Filter, gate: float) -> tuple[int, float]:
+def solve_robust(f: Filter, bound: float) -> tuple[int, float]:
     """The error and covariance of the newer state under the mildest explanation of the rows: which one, and the cost without one.
 
     0: nothing, 1: the ball spins on the floor, 2 + i: wheel i slips, 2 + n: the ball slips; −1: there is no solution. If none costs
-    less than the ``gate`` the best one counts."""
+    less than the ``bound`` the best one counts."""
     n, x, wheels, q, plain, spin, stalled = f.n, f.x, f.wheels, f.q, f.plain, f.spin, f.stalled
     size, m = 16 + n, 17 + 2 * n
     best, lowest, first = -1, np.inf, 0.0
@@ -157,17 +158,62 @@ def solve_robust(f: Filter, gate: float) -> tuple[int, float]:
                 f.best_error[i] = f.error[i]
             for i in range(size * size):
                 f.best_covariance[i] = f.covariance[i]
-        if lowest < gate:
+        if lowest < bound:
             break
     return best, first
 
 
-@step
-def update(f: Filter, h: float, torque: float, gyro_more: float, accel_more: float, gate: float) -> tuple[int, float]:
-    """The newer state ``z`` after a message: :func:`~wbmpc.bases.ball.filter_step.linearize`, :func:`solve_robust` (what it returns) and
-    :func:`~wbmpc.bases.ball.filter_step.apply` in one."""
+@compiled
+def explain(
+    f: Filter, message: Floats, fault: int, jumps: bool, turned: float, pushed: float, h: float, torque: float, bound: float
+) -> tuple[int, float]:  # fmt: skip
+    """The newer state ``z`` by the wheels and a ``message`` (6) of the inertial unit, :func:`~wbmpc.bases.ball.filter_step.linearize`,
+    :func:`solve_robust` (what it returns) and :func:`~wbmpc.bases.ball.filter_step.apply`; the message is another one's, which says
+    little, where the present one has a ``fault``. ``jumps``, ``turned``, ``pushed``: what is said of the present one."""
+    gyro_more, accel_more = 0.0, 0.0
+    if fault != FINE:
+        gyro_more = (UNKNOWN_TURN * h) ** 2 - f.noise[Noise.GYRO] ** 2 * h
+        accel_more = (UNKNOWN_PUSH * h) ** 2 - f.noise[Noise.ACCEL] ** 2 * h
+    elif not jumps:
+        # a mean says the less of a motion, the more it changes to the next; spikes are judged, not believed a little less
+        share = (f.noise[Noise.CHANGE] * h) ** 2
+        gyro_more, accel_more = share * turned, share * pushed
+    for i in range(3):
+        f.gyro[i], f.accel[i] = message[i], message[3 + i]
     linearize(f, h, torque, gyro_more, accel_more)
-    choice, first = solve_robust(f, gate)
+    choice, first = solve_robust(f, bound)
     if choice >= 0:
         apply(f)
     return choice, first
+
+
+@step
+def process(
+    f: Filter, message: Floats, given: Floats, last: Floats, gate: Floats, h: float, torque: float, bound: float, still: float,
+    most: float,
+) -> tuple[int, int, float]:  # fmt: skip
+    """Take in the wheels and a ``message`` of the inertial unit, without it if it cannot be true: which explanation of
+    :func:`solve_robust` counts, what is wrong with the message, and what the redundant rows cost.
+
+    One that jumps while the wheels contradict it cannot be true, if the wheels agree with each other: a spike, not three wheels; what
+    jumped and is still there needs no more to contradict it."""
+    fault, jumps, turned, pushed = judge(message, given, last, gate, h)
+    if fault != FINE:
+        choice, first = explain(f, last, fault, jumps, turned, pushed, h, torque, bound)
+    else:
+        choice, first = explain(f, message, FINE, jumps, turned, pushed, h, torque, bound)
+        if jumps and choice >= 0 and (choice > 0 or gate[Gate.JUMPED] > 0.0):
+            choice, first = explain(f, last, JUMPS, jumps, turned, pushed, h, torque, bound)
+            if choice == 0:
+                fault = JUMPS
+            elif choice > 0:
+                choice, first = explain(f, message, FINE, jumps, turned, pushed, h, torque, bound)
+    if choice >= 0:
+        if fault == FINE:
+            for i in range(6):
+                last[i] = message[i]
+            gate[Gate.COUNTED], gate[Gate.JUMPED] = 1.0, 0.0
+        elif fault == JUMPS:
+            gate[Gate.JUMPED] = 1.0
+        advance(f, still, most)
+    return choice, fault, first

@@ -68,6 +68,7 @@ class Noise(IntEnum):
     PATH = 11
     SCALE = 12
     SCALE_TIME = 13
+    CHANGE = 14
 
 
 class Filter(NamedTuple):
@@ -323,7 +324,7 @@ def detect_stalled(f: Filter, still: float, most: float) -> None:
             stalled[i] = 1.0 if abs(way[i]) > most else 0.0
 
 
-@step
+@compiled
 def advance(f: Filter, still: float, most: float) -> None:
     """:func:`accept`, the ``rate`` (3) [rad/s] of the base by the last message that counted, and :func:`detect_stalled`."""
     accept(f)
