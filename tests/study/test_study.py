@@ -44,6 +44,14 @@ def study(tmp_path: Path, text: str = TEXT, name: str = "study.yaml") -> Path:
     return file
 
 
+def test_goals_may_differ_between_conditions(tmp_path: Path) -> None:
+    """Truth: 0.25 m of error and what seeds add, for either goal."""
+    text = TEXT.replace("far: {settings: {control.gain: 5}}", "strict: {settings: {control.gain: 2.5, goal: 0.1}}")
+    summary = Study.load(study(tmp_path, text.replace("fall_from: 308", "")), tmp_path / "out").run(workers=0)
+    found = {c["condition"]: c["metrics"]["error"] for c in summary.to_json()["cells"]}
+    assert {name: (f["goal"], f["met"]) for name, f in found.items()} == {"near": (0.5, True), "strict": (0.1, False)}
+
+
 def test_a_row_for_each_run_and_what_they_say(tmp_path: Path) -> None:
     made = Study.load(study(tmp_path), tmp_path / "out")
     summary = made.run(workers=0)

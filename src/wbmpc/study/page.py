@@ -66,9 +66,9 @@ def _experiment(summary: Summary, name: str, beside: Path, definitions: Definiti
 
 def metric_scale(summary: Summary, cells: Sequence[Cell], metric: str) -> Scale:
     """The unit in which a metric of an experiment is shown."""
-    target = summary.target(cells[0].experiment, metric)
     medians = [summary.spread(c, metric).median for c in cells]
-    return scale(summary.units.get(metric, "1"), *medians, target["goal"], target["least"], target["paper"])
+    targets = [value for c in cells for value in summary.target(c, metric).values()]
+    return scale(summary.units.get(metric, "1"), *medians, *targets)
 
 
 def metric_rows(summary: Summary, cells: Sequence[Cell], metric: str) -> list[list[str]]:
@@ -77,7 +77,7 @@ def metric_rows(summary: Summary, cells: Sequence[Cell], metric: str) -> list[li
     for c in cells:
         s, target, compared = (
             summary.spread(c, metric),
-            summary.target(c.experiment, metric),
+            summary.target(c, metric),
             summary.comparison(c, metric),
         )
         goal = goal_text(Metric(s.median, "", goal=target["goal"], least=target["least"]), shown)
@@ -148,8 +148,8 @@ def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[s
     if not any(np.isfinite(v).any() for v in values):
         return []
     label = f"{metric} [{shown.unit}]" if unit_text(shown) else metric
-    goal = summary.target(cells[0].experiment, metric)["goal"]
-    drawn = [(metric, _distribution(cells, values, label, None if goal is None else shown.factor * goal))]
+    goals = {goal for c in cells if (goal := summary.target(c, metric)["goal"]) is not None}
+    drawn = [(metric, _distribution(cells, values, label, [shown.factor * goal for goal in sorted(goals)]))]
     if 2 <= len(cells) <= 8 and any(v.size > 1 for v in values):
         drawn.append((f"{metric}, seed by seed", _pairs(cells, values, label)))
     numeric = [
@@ -180,8 +180,8 @@ def figure_html(figure: Any, x: str, y: str) -> str:
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=options))
 
 
-def _distribution(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str, goal: float | None) -> str:
-    """Every run a point beside its box; the goal dashed."""
+def _distribution(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str, goals: Sequence[float]) -> str:
+    """Every run a point beside its box; the goals dashed."""
     import plotly.graph_objects as go
 
     figure = go.Figure()
@@ -191,7 +191,7 @@ def _distribution(cells: Sequence[Cell], values: Sequence[np.ndarray], label: st
             y=v[keep].tolist(), name=html.escape(c.label), boxpoints="all", jitter=0.5, pointpos=0, line={"width": 1.2},
             marker={"color": "#1f5fa8", "size": 4}, text=[f"seed {s}" for s in c.seeds[keep]],
         )  # fmt: skip
-    if goal is not None:
+    for goal in goals:
         figure.add_hline(y=goal, line={"dash": "dash", "width": 1, "color": "#7a7a7a"})
     return figure_html(figure, "", label)
 

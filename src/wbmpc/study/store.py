@@ -26,7 +26,7 @@ MISSING = "studies need Dask, Optuna and pyarrow: pip install 'wbmpc[study]'"
 #: Rows of a part.
 PART = 5000
 FILE = "runs.parquet"
-#: Where a file's metadata has goals and papers' figures of metrics, by experiment.
+#: Where a file's metadata has goals and papers' figures of metrics, by combination.
 TARGETS = "targets"
 Targets = dict[str, dict[str, dict[str, float | None]]]
 _TEXTS = (
@@ -230,8 +230,8 @@ def _unified(schemas: list[Any]) -> Any:
             fields[field.name] = known.with_type(pyarrow.string())
     targets: Targets = {}
     for found in map(targets_of, schemas):
-        for experiment, of in found.items():
-            targets.setdefault(experiment, {}).update(of)
+        for combination, of in found.items():
+            targets.setdefault(combination, {}).update(of)
     return pyarrow.schema(list(fields.values()), {TARGETS: json.dumps(targets)})
 
 
@@ -263,13 +263,18 @@ def table_of(rows: list[dict[str, Any]]) -> pyarrow.Table:
     arrays = [pyarrow.array(values, kind) for kind, values, _ in columns.values()]
     targets: Targets = {}
     for row in rows:
-        of = targets.setdefault(row.get("experiment", ""), {})
+        of = targets.setdefault(combination_of(row.get("key", "")), {})
         of.update({n: {k: about[k] for k in ("paper", "goal", "least")} for n, about in row.get("about", {}).items()})
     return pyarrow.table(arrays, schema=pyarrow.schema(fields, {TARGETS: json.dumps(targets)}))
 
 
+def combination_of(key: str) -> str:
+    """The key of the combination that a row's key begins with."""
+    return key.rpartition("-")[0]
+
+
 def targets_of(schema: Any) -> Targets:
-    """By experiment and metric: the paper's figure, largest and smallest value of the goal, each None where there is none."""
+    """By combination and metric: the paper's figure, largest and smallest value of the goal, each None where there is none."""
     found: Targets = json.loads((schema.metadata or {}).get(TARGETS.encode(), b"{}"))
     return found
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wbmpc.study.statistics import Paired, Rate, Spread, failure_rate, paired, spread
-from wbmpc.study.store import Targets, targets_of
+from wbmpc.study.store import Targets, combination_of, targets_of
 
 if TYPE_CHECKING:
     import pyarrow
@@ -23,8 +23,9 @@ _NONE: dict[str, float | None] = {"paper": None, "goal": None, "least": None}
 
 @dataclass(frozen=True)
 class Cell:
-    """Runs of one combination: ``seeds`` (n,), ``completed`` (n,), figures by metric (n,), nan where a run has none."""
+    """Runs of one combination, by its ``key``: ``seeds`` (n,), ``completed`` (n,), figures by metric (n,), nan where a run has none."""
 
+    key: str
     experiment: str
     label: str
     condition: str
@@ -54,7 +55,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a study's runs say. ``shown``: metrics by experiment; ``targets``: their goals and papers' figures; ``lost``: runs without a
+    """What a study's runs say. ``shown``: metrics by experiment; ``targets``: goals and papers' figures by combination; ``lost``: runs without a
     result; ``sources``: versions, commits and hashes of the code that rows are of."""
 
     title: str
@@ -72,21 +73,21 @@ class Summary:
     def finished(self) -> int:
         return sum(len(cell.outcomes) for cell in self.cells)
 
-    def target(self, experiment: str, metric: str) -> dict[str, float | None]:
-        return self.targets.get(experiment, {}).get(metric, _NONE)
+    def target(self, cell: Cell, metric: str) -> dict[str, float | None]:
+        return self.targets.get(cell.key, {}).get(metric, _NONE)
 
-    def large_is_bad(self, experiment: str, metric: str) -> bool:
+    def large_is_bad(self, cell: Cell, metric: str) -> bool:
         """Whether large values are bad: not those of ``larger_is_better``, nor those whose only goal is a minimum."""
-        target = self.target(experiment, metric)
+        target = self.target(cell, metric)
         return metric not in self.larger_is_better and (target["least"] is None or target["goal"] is not None)
 
     def spread(self, cell: Cell, metric: str) -> Spread:
-        bad = self.large_is_bad(cell.experiment, metric)
+        bad = self.large_is_bad(cell, metric)
         return spread(cell.judged(metric, bad), bad)
 
     def met(self, cell: Cell, metric: str) -> bool | None:
         """Whether the 95 % value reaches the goal (the 5 % value, a smallest one); None without a goal."""
-        target, found = self.target(cell.experiment, metric), self.spread(cell, metric)
+        target, found = self.target(cell, metric), self.spread(cell, metric)
         if target["goal"] is None and target["least"] is None:
             return None
         return (target["goal"] is None or found.p95 <= target["goal"]) and (
@@ -109,7 +110,7 @@ class Summary:
         _, mine, its = np.intersect1d(cell.seeds, other.seeds, assume_unique=True, return_indices=True)
         if not mine.size:
             return None
-        bad = self.large_is_bad(cell.experiment, metric)
+        bad = self.large_is_bad(cell, metric)
         return paired(cell.judged(metric, bad)[mine], other.judged(metric, bad)[its], bad)
 
     def to_json(self) -> dict[str, Any]:
@@ -130,7 +131,7 @@ class Summary:
         other, reference = self.comparison(cell, metric), self.reference(cell)
         compared = None if other is None or reference is None else {"with": reference.label, **asdict(other)}
         return {
-            "unit": self.units.get(metric, "1"), **asdict(self.spread(cell, metric)), **self.target(cell.experiment, metric),
+            "unit": self.units.get(metric, "1"), **asdict(self.spread(cell, metric)), **self.target(cell, metric),
             "met": self.met(cell, metric), "compared": compared,
         }  # fmt: skip
 
@@ -159,7 +160,7 @@ def summarize(
     groups: dict[str, list[int]] = {}
     for k, key in enumerate(keys):
         if outcomes[k] not in ("error", "lost"):
-            groups.setdefault(key.rpartition("-")[0], []).append(k)
+            groups.setdefault(combination_of(key), []).append(k)
     figures = {n.removeprefix("metric."): _numbers(table[n]) for n in columns}
     texts = {n: np.array(table[n].to_pylist(), dtype=object) for n in ("reason", "files")}
     seeds, cells = table["seed"].to_numpy(), []
@@ -169,12 +170,15 @@ def summarize(
             rows = rows[np.argsort(seeds[rows])]
             values = {n: v[rows] for n, v in figures.items() if not np.isnan(v[rows]).all()}
             found = (tuple(outcomes[rows]), values, tuple(texts["reason"][rows]), tuple(texts["files"][rows]))
-            cells.append(Cell(c.experiment, c.label, c.condition, c.robot, c.varied, seeds[rows], *found))
+            cells.append(Cell(c.key, c.experiment, c.label, c.condition, c.robot, c.varied, seeds[rows], *found))
     targets = targets_of(table.schema)
     bad = [k for k in range(len(keys)) if outcomes[k] in ("error", "lost")]
     lost = Counter(f"{outcomes[k]}: {texts['reason'][k]}" for k in bad)
     sources = {n: tuple(dict.fromkeys(t for t in table[n].to_pylist() if t)) for n in ("version", "commit", "code")}
-    shown = {e: _shown(cells, e, targets.get(e, {}), metrics) for e in dict.fromkeys(c.experiment for c in cells)}
+    shown = {
+        e: _shown([c for c in cells if c.experiment == e], targets, metrics)
+        for e in dict.fromkeys(c.experiment for c in cells)
+    }
     first = next(iter(dict.fromkeys(c.condition for c in cells)), "")
     return Summary(
         title,
@@ -190,14 +194,13 @@ def summarize(
     )
 
 
-def _shown(
-    cells: Sequence[Cell], experiment: str, targets: Mapping[str, Any], chosen: Sequence[str]
-) -> tuple[str, ...]:
-    """Metrics of an experiment that tables show."""
-    there = list(dict.fromkeys(m for c in cells if c.experiment == experiment for m in c.figures))
+def _shown(cells: Sequence[Cell], targets: Targets, chosen: Sequence[str]) -> tuple[str, ...]:
+    """Metrics of an experiment's cells that tables show."""
+    there = list(dict.fromkeys(m for c in cells for m in c.figures))
     if chosen:
         return tuple(m for m in chosen if m in there)
-    of_interest = [m for m in there if any(v is not None for v in targets.get(m, {}).values())]
+    known = [targets.get(c.key, {}) for c in cells]
+    of_interest = [m for m in there if any(v is not None for of in known for v in of.get(m, {}).values())]
     return tuple(of_interest or there)
 
 
