@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from wbmpc.bases.base import BaseType
+from wbmpc.bases.planar.plugin import MobileBaseType
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.cli import main
 from wbmpc.errors import InputError
@@ -167,8 +169,11 @@ def test_the_documentations_controllers_are_the_robots() -> None:
     assert len(sensor.findall("state_interface")) == 10  # orientation, angular velocity, linear acceleration
 
 
-def test_commands_reject_other_robots_and_missing_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A base that takes speeds: one link, one hinge."""
+def test_commands_reject_other_robots_and_missing_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A base type without a part for ROS 2, as one in somebody's package may be: one link, one hinge."""
+    monkeypatch.setattr(MobileBaseType, "ros_settings", BaseType.ros_settings)
     (tmp_path / "r.xml").write_text(
         '<mujoco><worldbody><body name="base"><geom size="0.1"/><body name="tip" pos="0 0 1"><joint name="turn" range="-1 1"/>'
         '<geom size="0.1"/></body></body></worldbody><compiler autolimits="true"/></mujoco>'
