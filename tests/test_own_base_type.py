@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from wbmpc.robots import RobotDescription
 
 #: Base types with a controller on a ROS 2 bus.
-ON_BUSES = "ball, differential, fixed, omnidirectional, swerve, wheels"
+ON_BUSES = "ball, differential, fixed, omnidirectional, planar, swerve, wheels"
 GROUPS = ("rail", "arm")
 FILE = """
 <mujoco>

@@ -196,9 +196,10 @@ def test_it_plays_in_a_browser(tmp_path: Path) -> None:
         assert together[0] > 200 and apart[1] > together[1] + 0.1
         assert shown.locator(".replay output").text_content() == "1.0 s of 2.0 s"
         shown.locator(".replay .play").click()
-        shown.wait_for_function(
-            "document.querySelector('.replay output').textContent === '2.0 s of 2.0 s'", timeout=60_000
+        shown.wait_for_function("document.querySelector('.replay .play').textContent === 'Play'", timeout=60_000)
+        assert (
+            shown.locator(".replay output").text_content() == "2.0 s of 2.0 s"
+            and shown.locator(".replay .part").is_hidden()
         )
-        assert shown.locator(".replay .play").text_content() == "Play" and shown.locator(".replay .part").is_hidden()
         browser.close()
     assert not errors and all(url.startswith("file:") for url in asked)

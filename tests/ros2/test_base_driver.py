@@ -114,11 +114,7 @@ def test_a_goal_over_the_bus(robot: RobotModel, tmp_path: Path) -> None:
         np.testing.assert_allclose(s.control.adapter.estimate().position[:2], s.truth().pose[:2], atol=0.01)
         s.sim._driver = None  # its driver goes silent
         assert s.until(lambda: not s.control.running)
-        assert any(
-            "/base_controller/odom" in v.value
-            for m in s.said
-            for st in m.status
-            for v in [*st.values, SimpleNamespace(value=st.message)]
-        )
+        says = lambda: (v for m in s.said for st in m.status for v in [*st.values, SimpleNamespace(value=st.message)])
+        assert s.until(lambda: any("/base_controller/odom" in v.value for v in says()))
     finally:
         s.close()

@@ -22,6 +22,7 @@ from wbmpc.studies.pankert2022 import fixed as swerve_fixed
 from wbmpc.studies.pankert2022.drive_figures import metrics
 from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings, tour
 from wbmpc.studies.pankert2022.fixed_motions import SwerveFixedSettings
+from wbmpc.studies.pankert2022.mission_run import MissionRun
 
 SWERVE, FIXED = robot("swerve-ur10"), robot("swerve-fixed-ur10")
 FELL, ENDED = Ending("the robot fell at 3.50 s", fell=True), Ending("interrupted at 3.50 s", interrupted=True)
@@ -79,7 +80,7 @@ def test_swerve_drive_reports_how_its_baseline_ended(
     planned = lambda self, name, *_, **__: (
         parts.append(name) or (Outcome(controller=SimpleNamespace(faults=[], holds=0), mpc=no_mpc()), None)
     )
-    monkeypatch.setattr(swerve_drive._Run, "planned", planned)
+    monkeypatch.setattr(MissionRun, "planned", planned)
     monkeypatch.setattr(experiment, "run_lockstep", lambda *_: how)
     for part in ("metrics", "plots"):
         monkeypatch.setattr(swerve_drive, part, lambda *_: {})
@@ -95,8 +96,8 @@ def test_a_real_fall_of_the_baseline_is_its_ending(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(SwervePlant, "fell", property(lambda plant: plant.time > 0.02))
     settings = SwerveDriveSettings(settle_time=0.0, calibration="none")
     mission, _ = tour(SWERVE, 0.1)
-    bench = swerve_drive._Run.of(settings, SWERVE, 0)
-    ending = bench.baseline(mission, 1.0).ending
+    bench = MissionRun.of(settings, SWERVE, 0)
+    ending = swerve_drive._baseline(bench, settings, mission, 1.0).ending
     assert ending.fell and bench.log.times("baseline.base")[-1] < 0.03
     alone = swerve_drive.EXPERIMENT.run(settings.model_copy(update={"baseline_only": True}), 0)
     assert alone.outcome == "fell" and np.isinf(alone.metrics["baseline_position_error_rms"].value)

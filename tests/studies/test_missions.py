@@ -17,12 +17,12 @@ from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
 from wbmpc.simulation.contacts import HULL
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies.pankert2022 import drive as swerve_drive
 from wbmpc.studies.pankert2022 import drive_missions
 from wbmpc.studies.pankert2022.drive_course import DOOR, clearance, terrain
 from wbmpc.studies.pankert2022.drive_figures import recovery
 from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings, straight, tour
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, carried_poses, ramps
+from wbmpc.studies.pankert2022.mission_run import MissionRun
 
 SWERVE = robot("swerve-ur10")
 
@@ -107,7 +107,7 @@ QUIET = SwerveDriveSettings(settle_time=1.0, calibration="none", plant=Perturbat
 
 
 def run_straight(name: str, is_open: bool, knock: float | None = None):  # type: ignore[no-untyped-def]
-    bench = swerve_drive._Run.of(QUIET, SWERVE, 0)
+    bench = MissionRun.of(QUIET, SWERVE, 0)
     outcome, hit = bench.planned("way", *straight(SWERVE, name, is_open), knock=knock)
     assert not outcome.ending.reason and outcome.faults == []
     return bench.log, hit
@@ -133,7 +133,7 @@ def test_a_knocked_leg_comes_back() -> None:
 
 @thorough
 def test_the_baseline_drives_and_reconfigures() -> None:
-    bench = swerve_drive._Run.of(QUIET, SWERVE, 0)
+    bench = MissionRun.of(QUIET, SWERVE, 0)
     legs = drive_missions.leg_angles(SWERVE, "X")
     out = legs + 0.2 * np.sign(legs)
     mission = Mission((Leg(1.0, 8.0, (1.5, 0.0, 0.0)),), legs, (Reconfiguration(3.0, out),), ((2.0, 1.0), (8.0, 0.0)))

@@ -30,6 +30,7 @@ from wbmpc.studies.pankert2022 import track as swerve_track
 from wbmpc.studies.pankert2022 import unified as swerve_unified
 from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings
 from wbmpc.studies.pankert2022.fixed_motions import Motion, SwerveFixedSettings
+from wbmpc.studies.pankert2022.mission_run import MissionRun
 
 SWERVE = robot("swerve-ur10")
 FAULT = BrakeFault(1.0, 0, "leg_LF", "does not hold", 0.01)
@@ -66,7 +67,7 @@ def test_what_the_controller_found_is_in_the_result(module: Any, monkeypatch: py
 def test_what_parts_found_is_in_the_result_with_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
     found = SimpleNamespace(faults=[FAULT], holds=0)
     monkeypatch.setattr(
-        swerve_drive._Run, "planned", lambda self, name, *_, **__: (Outcome(EARLY, found.faults, found, no_mpc()), None)
+        MissionRun, "planned", lambda self, name, *_, **__: (Outcome(EARLY, found.faults, found, no_mpc()), None)
     )
     assert swerve_drive.EXPERIMENT.run(SwerveDriveSettings(calibration="none"), 0).faults == [f"tour: {FAULT}"]
     monkeypatch.setattr(swerve_fixed, "swerve_mpc", no_mpc)
@@ -83,7 +84,7 @@ def test_what_the_baseline_found_is_in_the_result_but_does_not_count(monkeypatch
         run.log.add(f"{name}.base", 0.0, np.zeros(3))
         return Outcome(controller=SimpleNamespace(faults=[], holds=0), mpc=no_mpc()), None
 
-    monkeypatch.setattr(swerve_drive._Run, "planned", planned)
+    monkeypatch.setattr(MissionRun, "planned", planned)
     monkeypatch.setattr(swerve_drive, "metrics", lambda log, robot, faults, *_: counted.append(len(faults)) or {})
     monkeypatch.setattr(swerve_drive, "plots", lambda *_: [])
     lockstep = lambda plant, controller, *_: controller.supervision.monitor.real.append(FAULT) or Ending()

@@ -23,7 +23,8 @@ class Inner(BaseModel):
 
 
 class ValleySettings(BaseModel):
-    """``goal`` [m]: of the error; ``fall_from``: seeds from this on fall; ``die_at``: the process of this seed is killed; ``raise_at``: this one has an error."""
+    """``goal`` [m]: of the error; ``fall_from``: seeds from this on fall; ``die_at``: the process of this seed is killed; ``raise_at``: this
+    one has an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     control: Inner = Inner()

@@ -104,9 +104,7 @@ class SimNode:
         described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
         for name, controller in self._controllers.items():
             target = [places[j] for j in controller.joints]
-            follow = {"trajectory": self._take_trajectory, "twist": self._take_twist}.get(controller.takes, self._take)
-            take = partial(follow, name, target)
-            self.node.subscribe(controller.topic, controller.type, take, DEFAULT)
+            self.node.subscribe(controller.topic, controller.type, partial(self._follow, name, target), DEFAULT)
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
         self._names = [n for names in self._order.values() for n in names]
@@ -119,6 +117,10 @@ class SimNode:
         imu = next((p for p in points if p.name == IMU), FixedFrame(IMU, frames.base, at))
         transform = {"translation": vector(imu.pose[:3]), "rotation": quaternion(imu.pose[3:])}
         return {"header": header(self.now(), imu.parent), "child_frame_id": imu.name, "transform": transform}
+
+    def _follow(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
+        kinds = {"trajectory": self._take_trajectory, "twist": self._take_twist}
+        kinds.get(self._controllers[name].takes, self._take)(name, places, message)
 
     def _take(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
         values = np.asarray(message.data, float)
