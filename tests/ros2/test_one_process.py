@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 
 import pytest
@@ -189,3 +190,23 @@ def test_callbacks_end_while_garbage_is_collected() -> None:
         env=everything(), timeout=100.0, capture_output=True, text=True,
     )  # fmt: skip
     assert (run.returncode, run.stdout.strip(), run.stderr) == (0, "ended", "")
+
+
+def test_a_callback_does_not_wait_for_a_writer_that_waits_for_it() -> None:
+    """Another thread writes the topic and has the writer's turn until this callback ends."""
+    from wbmpc.ros2.dds_writing import LOCAL, write
+
+    where, turn, heard = (0, "rt/topic"), threading.RLock(), list[str]()
+
+    def callback() -> None:
+        with LOCAL.callback(where, "its node"):
+            try:
+                write(None, b"", where, "another node", turn)  # type: ignore[arg-type]
+            except InputError as error:
+                heard.append(str(error))
+
+    with turn:
+        thread = threading.Thread(target=callback, daemon=True)
+        thread.start()
+        thread.join(20.0)
+    assert heard and "leads to another message on it" in heard[0]

@@ -131,9 +131,8 @@ class DdsPublisher:
 def write(writer: DataWriter, data: bytes, where: Where, node: Any, turn: threading.RLock) -> None:  # type: ignore[valid-type]
     """Write CDR with a writer of ``node``; see the module. ``turn``: the writer's own lock. Raises :class:`RunAborted` if the
     node is closed."""
+    LOCAL.check_write(where, node)  # before the turn: who has it may wait for this callback
     with turn, LOCAL.write(where, node) as others:  # type: ignore[attr-defined]
-        if others:
-            LOCAL.check_write(where, node)
         try:
             if not others:
                 writer.write(writer.topic.data_type(data))

@@ -1,6 +1,6 @@
 """`legs`: the tour of `swerve-drive` without its door, for a base with any legs: 3 to 8 of them, on hinges or sliding.
 
-Nobody names configurations: the stances are the one with the largest margin of support, and that within a given width
+No configuration is named: the stances are the one with the largest margin of support, and that within a given width
 (:func:`wbmpc.stability.best_stance`).
 """
 
