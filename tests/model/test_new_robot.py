@@ -293,6 +293,17 @@ def test_wheels_that_do_not_turn_in_the_file_carry_a_base_that_takes_speeds(tmp_
     assert (base.type, base.drive) == ("planar", "omni")
 
 
+@pytest.mark.parametrize(("ahead", "drive"), [(-0.1, "omni"), (0.0, "skid")])
+def test_two_wheels_under_one_steering_axis_move_a_base_any_way_if_it_is_beside_their_axle(
+    ahead: float, drive: str, tmp_path: Path
+) -> None:
+    """The axis is at the base of the wheels' lever: with none of it they only turn where they stand."""
+    fork = link("fork") + joint("steer", "hull", "fork", (0, 0, RADIUS), "0 0 1", kind="continuous")
+    wheels = "".join(wheel(f"w{k}", (ahead, 0.2 - 0.4 * k, 0), "fork") for k in range(2))
+    base = load_robot(new(model(tmp_path, fork + wheels + ARM))).description.base
+    assert (base.type, base.drive) == ("planar", drive)
+
+
 def test_steering_axes_of_mecanum_wheels_can_be_held(tmp_path: Path) -> None:
     """Files for simulators have them in place of rollers."""
     places = [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]
@@ -471,12 +482,23 @@ def test_a_robots_yaml_is_examined(keys: tuple[str, str], check: str, words: tup
     assert all(w in seen for w in words), seen
 
 
-@pytest.mark.parametrize(("base", "count"), [("wheels", 0), ("planar", 1)])
-def test_wheels_beside_their_axes_are_no_trap_where_the_base_type_describes_them(
-    base: str, count: int, tmp_path: Path
+@pytest.mark.parametrize("base", ["wheels", "planar"])
+def test_wheels_beside_their_axes_are_no_trap_where_the_base_type_describes_them_or_uses_none(
+    base: str, tmp_path: Path
 ) -> None:
     path = new(model(tmp_path, BESIDE + ARM), "--base", base)
-    assert sum(f.check == "steering" for f in examine_robot(str(path)).findings) == count
+    assert not any(f.check == "steering" for f in examine_robot(str(path)).findings)
+
+
+def test_a_frame_above_the_wheels_is_not_the_ground(tmp_path: Path) -> None:
+    low = wheel("left", (0, 0.25, -0.04)) + wheel("right", (0, -0.25, -0.04))
+    findings = examine_robot(str(model(tmp_path, low + ARM))).findings
+    assert not any(f.check == "wheel-radius" for f in findings)
+
+
+def test_followers_that_are_held_are_no_trap(tmp_path: Path) -> None:
+    path = new(model(tmp_path, DIFFERENTIAL + ARM))
+    assert not any(f.check == "mimic" for f in examine_robot(str(path)).findings)
 
 
 def test_wheels_that_hardly_hold_the_base(tmp_path: Path) -> None:

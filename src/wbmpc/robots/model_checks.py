@@ -42,6 +42,11 @@ class Subject:
         """Without casters."""
         return [w for w in self.wheels if not w.passive]
 
+    @property
+    def rolling(self) -> list[Wheel]:
+        """Wheels that a description uses; of a model alone those without casters."""
+        return [w for w in self.driven if self.description is None or self.uses(w.joint)]
+
     def uses(self, joint: str) -> bool:
         """Whether a description names a joint for its arm or base."""
         return self.description is not None and joint in self.description.joints()
@@ -190,6 +195,9 @@ def check_mimics(subject: Subject) -> Iterator[Finding]:
         if not followers:
             continue
         used = any(subject.uses(n) for n in (leader, *followers))
+        held = {} if subject.description is None else subject.description.fixed_joints
+        if not used and {leader, *followers} <= held.keys():
+            continue
         hold = ", ".join(f"{n}: 0" for n in (leader, *followers))
         follow = ", ".join(f"{n}: {leader}" for n in followers)
         text = f"{'it follows' if len(followers) == 1 else 'they follow'} '{leader}' (mimic)"
@@ -257,7 +265,7 @@ def check_steering(subject: Subject) -> Iterator[Finding]:
     """Steering axes that point down, wheels beside their axes, where the base type has none."""
     if subject.description is not None and subject.description.base.describes_offsets:
         return
-    for wheel in subject.driven:
+    for wheel in subject.rolling:
         if wheel.steer is None:
             continue
         if subject.mechanism.joints[wheel.steer].axis[2] < 0.0:
@@ -286,7 +294,7 @@ def check_casters(subject: Subject) -> Iterator[Finding]:
         "they look like passive casters; the simulator adds casters of its own",
         f"'fixed_joints: {{{hold}}}'",
     )
-    floor, low = _bottoms(subject.driven), _bottoms(passive)
+    floor, low = _bottoms(subject.rolling), _bottoms(passive)
     if floor and low and abs(min(low) - min(floor)) < LEVEL:
         yield Finding(
             "info", "", _joints([w.joint for w in passive]),
@@ -297,7 +305,7 @@ def check_casters(subject: Subject) -> Iterator[Finding]:
 
 def check_levels(subject: Subject) -> Iterator[Finding]:
     """Driven wheels that hang in the air."""
-    wheels = [w for w in subject.driven if w.radius is not None and not w.assumed]
+    wheels = [w for w in subject.rolling if w.radius is not None and not w.assumed]
     bottoms = np.array(_bottoms(wheels))
     if len(wheels) > 1 and np.ptp(bottoms) > LEVEL:
         high = int(np.argmax(bottoms))
@@ -309,11 +317,12 @@ def check_levels(subject: Subject) -> Iterator[Finding]:
 
 def check_radii(subject: Subject) -> Iterator[Finding]:
     """Wheels that are drawn with other radii than their height above a root on the ground."""
-    for wheel in subject.driven:
+    for wheel in subject.rolling:
         height = float(wheel.center[2])
         if (
             wheel.radius is not None
             and not wheel.assumed
+            and height > 0.0  # a frame above the wheels is not on the ground, however it is called
             and _on_the_ground(subject)
             and abs(wheel.radius - height) > RADIUS * wheel.radius
         ):
