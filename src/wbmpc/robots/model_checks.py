@@ -14,6 +14,7 @@ from wbmpc.robots.findings import Finding, Severity
 from wbmpc.robots.mechanism import Joint, Mechanism
 from wbmpc.robots.model_file import MESHES
 from wbmpc.robots.packages import package_of
+from wbmpc.robots.steadiness import tipping_share
 from wbmpc.robots.wheel_search import Wheel, find_wheels
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 LEVEL, BESIDE = 0.001, 0.005
 #: How far [of it] a wheel's radius may be from what other parts of the file say.
 RADIUS = 0.05
+#: Share of an arm's postures in which a robot may tip over at rest.
+TIPPING = 0.02
 
 
 @dataclass(frozen=True)
@@ -303,6 +306,23 @@ def check_casters(subject: Subject) -> Iterator[Finding]:
         )  # fmt: skip
 
 
+def check_steadiness(subject: Subject) -> Iterator[Finding]:
+    """An arm that tips the robot over at rest: it is too heavy for the wheels, or the masses of the file are wrong."""
+    description, mechanism = subject.description, subject.mechanism
+    if description is None or len(subject.rolling) < 3 or any(w.passive for w in subject.wheels):
+        return
+    joints = [mechanism.joints[n] for n in description.arm.joints if n in mechanism.joints]
+    given = description.limits.position
+    ranges = {j.name: given.get(j.name, j.range or (-np.pi, np.pi)) for j in joints}
+    places = np.array([w.center[:2] for w in subject.rolling])
+    share = tipping_share(mechanism, places, ranges, description.fixed_joints)
+    if share > TIPPING:
+        yield Finding(
+            "warning", "", "key 'arm'", f"in {100 * share:.0f} % of its postures the center of mass is not above the wheels: the robot tips over at rest",
+            "check the masses of the file; narrow the ranges with 'limits.position', or plan with loads of wheels (mpc.model=dynamic)",
+        )  # fmt: skip
+
+
 def check_levels(subject: Subject) -> Iterator[Finding]:
     """Driven wheels that hang in the air."""
     wheels = [w for w in subject.rolling if w.radius is not None and not w.assumed]
@@ -354,7 +374,7 @@ CHECKS: dict[str, Check] = {
     "macros": check_macros, "meshes": check_meshes, "inertia": check_inertias, "world": check_world, "base-body": check_body, "names": check_names,
     "joint-types": check_kinds, "velocity": check_velocities, "range": check_ranges, "mimic": check_mimics, "telescope": check_telescopes,
     "home": check_home, "tool": check_tools, "steering": check_steering, "casters": check_casters, "level": check_levels,
-    "wheel-radius": check_radii,
+    "wheel-radius": check_radii, "steadiness": check_steadiness,
 }  # fmt: skip
 #: Those that concern a robot when it is loaded: their errors are raised, their warnings logged.
 AT_LOAD = ("inertia", "velocity", "range")
