@@ -318,7 +318,7 @@ def check_steadiness(subject: Subject) -> Iterator[Finding]:
     share = tipping_share(mechanism, places, ranges, description.fixed_joints)
     if share > TIPPING:
         yield Finding(
-            "warning", "", "key 'arm'", f"in {100 * share:.0f} % of its postures the center of mass is not above the wheels: the robot tips over at rest",
+            "warning", "", "key 'arm'", f"in {100 * share:.0f} % of its postures the center of mass is beside the wheels: the robot tips over",
             "check the masses of the file; narrow the ranges with 'limits.position', or plan with loads of wheels (mpc.model=dynamic)",
         )  # fmt: skip
 
