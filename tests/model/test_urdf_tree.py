@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement
 
 import pytest
 
 from wbmpc.errors import InputError
 from wbmpc.robots.model_file import read_model
+from wbmpc.robots.urdf_tree import check_tree
 
 
 def links(names: str) -> str:
@@ -49,3 +52,21 @@ def test_a_chain_of_all_kinds_is_a_tree(tmp_path: Path) -> None:
     path = tmp_path / "mover.urdf"
     path.write_text(f'<robot name="mover">{chain}{links("gfedcba")}</robot>')
     assert read_model(path).root is not None
+
+
+def test_a_long_chain_is_followed_once(tmp_path: Path) -> None:
+    """20 000 links, the last one first: following each to the root would take 2e8 steps."""
+    names = [f"l{k}" for k in range(20_000)]
+    root = Element("robot")
+    for name in reversed(names):
+        SubElement(root, "link", name=name)
+    for above, below in pairwise(names):
+        part = SubElement(root, "joint", name=below, type="fixed")
+        SubElement(part, "parent", link=above)
+        SubElement(part, "child", link=below)
+    check_tree(tmp_path / "chain.urdf", root)
+    SubElement(root, "joint", name="back", type="fixed").extend(
+        [Element("parent", link=names[-1]), Element("child", link=names[0])]
+    )
+    with pytest.raises(InputError, match="in a loop"):
+        check_tree(tmp_path / "chain.urdf", root)

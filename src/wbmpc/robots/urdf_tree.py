@@ -30,8 +30,9 @@ def check_tree(path: Path, root: Element) -> None:
                 f"{where}: its child link '{child}' is the child of joint '{above[child][1]}' too; a link hangs on one joint"
             )
         above[child] = parent, str(joint.get("name"))
+    rooted: set[str] = set()
     for link in links:
-        _check_loop(path, link, above)
+        _check_loop(path, link, above, rooted)
 
 
 def _names(path: Path, kind: str, elements: Iterable[Element]) -> dict[str, None]:
@@ -58,10 +59,12 @@ def _end(where: str, joint: Element, end: str, links: Iterable[str]) -> str:
     return name
 
 
-def _check_loop(path: Path, link: str, above: dict[str, tuple[str, str]]) -> None:
-    seen = [link]
-    while seen[-1] in above:
-        parent, joint = above[seen[-1]]
-        if parent in seen:
+def _check_loop(path: Path, link: str, above: dict[str, tuple[str, str]], rooted: set[str]) -> None:
+    """Follow a link up to a root, or to one of ``rooted``, from which that is done; those on the way are rooted then."""
+    seen = dict.fromkeys([link])
+    while link in above and link not in rooted:
+        link, joint = above[link]
+        if link in seen:
             raise InputError(f"{path}: joint '{joint}': links hang on each other in a loop: {', '.join(seen)}")
-        seen.append(parent)
+        seen[link] = None
+    rooted.update(seen)
