@@ -40,7 +40,7 @@ def test_a_brake_closes_when_its_leg_has_arrived_and_the_others_on_time() -> Non
     closed = closed_at(brakes, np.array([1.5, 2.9, 1.8, 3.4]))
     np.testing.assert_allclose(closed[[0, 2]], 2.0, atol=PERIOD)
     near = np.array([2.9, 3.4]) - ARRIVED / 0.4  # then they are within ARRIVED
-    assert np.all(closed[[1, 3]] >= near) and np.all(closed[[1, 3]] <= near + NOTICE + LATER + PERIOD)
+    assert np.all(closed[[1, 3]] >= near) and np.all(closed[[1, 3]] <= near + LATER + PERIOD)
 
 
 @pytest.mark.parametrize("start", [0.0, 4.0])
@@ -83,8 +83,8 @@ def test_without_arrivals_brakes_close_on_time_and_the_planner_knows_what_waits(
     brakes.arrivals = lambda t: np.array([0.0, GOAL, 0.0, 0.0])
     brakes.await_legs(1.95, np.zeros(4))
     modes = reported[-1]
-    assert list(modes.modes[modes.index(2.05)].values["brake"]) == [0.0, 1.0, 0.0, 0.0]
-    assert list(modes.modes[modes.index(2.15)].values["brake"]) == [0.0] * 4
+    assert list(modes.modes[modes.index(2.0 + 0.5 * LATER)].values["brake"]) == [0.0, 1.0, 0.0, 0.0]
+    assert list(modes.modes[modes.index(2.0 + 1.5 * LATER)].values["brake"]) == [0.0] * 4
 
 
 def test_the_controller_asks_its_legs_without_the_zeros_of_their_encoders() -> None:

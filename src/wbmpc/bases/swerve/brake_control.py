@@ -22,8 +22,9 @@ FLOATING, PASS = 0.05, 1.0
 #: Time [s] that brakes take by default.
 BRAKE_DELAY = 0.1
 #: A brake that is to close waits until its leg is within this [rad] of where it is to be, so long [s] at most: a wheel that hangs in
-#: the air comes down again. So long [s] before a brake closes that is decided, and by so much [s] it closes later each time.
-ARRIVED, WAIT, NOTICE, LATER = 0.015, 2.0, 0.1, 0.1
+#: the air comes down again. So long [s] before a brake closes that is decided, for plans have to know; by so much [s] it closes later
+#: each time.
+ARRIVED, WAIT, NOTICE, LATER = 0.015, 2.0, 0.3, 0.2
 #: Length [m] that turns a yaw rate into a speed.
 _LEVER = 0.5
 #: Rate [rad/s] of legs whose speed has no limit.
@@ -120,6 +121,7 @@ class BrakeControl:
         self.legs, self.delay, self.changed = robot.state.groups["leg"], delay, changed
         self.geometry = robot.base.geometry
         self.arrivals: Callable[[float], Array] | None = None
+        self._fastest = np.minimum(robot.limits.input_upper[robot.input["leg"]], _AT_ONCE)
         closed = np.zeros(len(self.legs))
         # times and states from then on: replaced as a whole, for a controller's thread may ask meanwhile
         self._events: tuple[list[float], list[Array]] = [-np.inf], [self._checked(closed if start is None else start)]
@@ -192,8 +194,8 @@ class BrakeControl:
         self._notify_planner()
 
     def await_legs(self, t: float, leg: Array) -> None:
-        """Brakes that would close within :data:`NOTICE` after t [s] wait for their legs, which are at ``leg`` (n) [rad] now: see
-        ``arrivals``. One that closed on the way would leave its leg there until it opens again."""
+        """Brakes that would close within :data:`NOTICE` after t [s] wait for their legs, which are at ``leg`` (n) [rad] now and cannot be
+        there in time: see ``arrivals``. One that closed on the way would leave its leg there until it opens again."""
         times, states = self._events
         k = bisect_right(times, t)
         if self.arrivals is None or k == len(times) or times[k] > t + NOTICE:
@@ -202,7 +204,8 @@ class BrakeControl:
         closes = before > after
         self._due[closes & (at > self._due + WAIT + 0.5 * LATER)] = np.inf  # another command than the one that waited
         self._due[closes] = np.minimum(self._due[closes], at)
-        waits = closes & (np.abs(leg - self.arrivals(at)) > ARRIVED) & (at + LATER < self._due + WAIT)
+        away = np.abs(leg - self.arrivals(at)) - self._fastest * (at - t)
+        waits = closes & (away > ARRIVED) & (at + LATER < self._due + WAIT)
         if waits.any():
             self._postpone(at, waits)
 
