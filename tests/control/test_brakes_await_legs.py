@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.bases.swerve.brake_control import ARRIVED, LATER, NOTICE, WAIT, BrakeControl
+from wbmpc.bases.swerve.brake_control import ARRIVED, LATER, WAIT, BrakeControl
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.mpc.policy import Policy

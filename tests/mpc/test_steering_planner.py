@@ -183,7 +183,9 @@ def test_a_guess_from_rest_rolls_as_base_and_legs_move_the_wheels() -> None:
     moves = np.flatnonzero(np.abs(base).max(axis=1) > 0.0)
     assert 0 < moves[0] < 60 and np.all(np.diff(moves) == 1) and moves[-1] == len(base) - 1
     assert not leg[: moves[0]].any()  # legs wait for their wheels too
-    np.testing.assert_allclose(np.diff(plan.x[:, MODEL.state["leg"]], axis=0), leg * np.diff(plan.grid)[:, None], atol=1e-12)
+    np.testing.assert_allclose(
+        np.diff(plan.x[:, MODEL.state["leg"]], axis=0), leg * np.diff(plan.grid)[:, None], atol=1e-12
+    )
     assert np.abs(rates).max() <= MODEL.limits.input_upper[MODEL.input["steer"]].min()
     for k in moves[1:]:
         angles = plan.x[k, MODEL.state["leg"]]

@@ -9,7 +9,8 @@ a sideways goal with straight wheels is an exact stationary point. So, once, whe
 plan stands still, the trajectories start from rolling inverse kinematics: wheels turn first, then the base moves.
 
 On the way the same is done from where wheels of the plan stop following the preview (a range ends, or a wheel would have to
-turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds ahead. Legs move meanwhile as the plan moves them.
+turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds ahead. Legs move meanwhile as the plan
+moves them.
 """
 
 from __future__ import annotations
@@ -80,8 +81,9 @@ def plan_steering(
     """The ways round that lose least of the motion's way: a dynamic program over the nodes at which the base may stop.
 
     ``leg`` (n, or k, n) [rad, or m of those that slide]; ``steer`` (n) [rad] now; body ``twists`` (k, 3) at ``times`` (k,); ``limits``:
-    lower and upper (n) [rad]; ``rate`` [rad/s] of a turn; ``swing`` (k, n) [1/s]: rates of the legs. Between two stops a wheel's angle is continuous and inside of its limits. A stop costs the time of half a turn
-    times the speed there, nothing while the base rests; all wheels may turn round at it.
+    lower and upper (n) [rad]; ``rate`` [rad/s] of a turn; ``swing`` (k, n) [1/s]: rates of the legs. Between two stops a wheel's
+    angle is continuous and inside of its limits. A stop costs the time of half a turn times the speed there, nothing while the
+    base rests; all wheels may turn round at it.
     """
     ways, speeds = wheel_directions(geometry, leg, steer, twists, swing)
     speeds = speeds.max(axis=1)
