@@ -9,8 +9,8 @@ a sideways goal with straight wheels is an exact stationary point. So, once, whe
 plan stands still, the trajectories start from rolling inverse kinematics: wheels turn first, then the base moves.
 
 On the way the same is done from where wheels of the plan stop following the preview (a range ends, or a wheel would have to
-turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds ahead. Legs move meanwhile as the plan
-moves them.
+turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds
+ahead. Legs move meanwhile as the plan moves them.
 """
 
 from __future__ import annotations
@@ -258,7 +258,8 @@ class SteeringGuess:
         """Angles and rates (k, n) of the legs in a plan at ``times`` (k) [s] after its start."""
         state, inputs = self.robot.state, self.robot.input
         if "leg" not in state:
-            return np.zeros((2, len(times), self.robot.base.geometry.modules))
+            still = np.zeros((len(times), self.robot.base.geometry.modules))
+            return still, still
         grid = trajectory.grid
         k = np.clip(np.searchsorted(grid, times, side="right") - 1, 0, len(grid) - 2)
         rates = trajectory.u[k, inputs["leg"]]
