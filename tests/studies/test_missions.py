@@ -12,6 +12,8 @@ import pytest
 from configured import check_taken
 from effort import thorough
 from toys import robot
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
@@ -23,6 +25,7 @@ from wbmpc.studies.pankert2022.drive_figures import recovery
 from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings, straight, tour
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, carried_poses, ramps
 from wbmpc.studies.pankert2022.mission_run import MissionRun
+from wbmpc.studies.pankert2022.rolling import RollingController
 
 SWERVE = robot("swerve-ur10")
 
@@ -60,6 +63,24 @@ def test_the_tour_is_the_one_that_was_asked_for() -> None:
         (when, later) for (when, is_open), (later, _) in pairwise([*mission.brakes, (duration, 0)]) if not is_open
     ]
     assert all(np.ptp(leg[at(when) : at(later)], axis=0).max() < 1e-9 for when, later in closed)
+
+
+def test_brakes_wait_for_the_legs_of_a_mission_that_moves_them_with_the_baseline_too() -> None:
+    mission, _ = tour(SWERVE, 0.1)
+    brakes, still = BrakeControl(SWERVE), BrakeControl(SWERVE)
+    mission.apply(brakes)
+    straight(SWERVE, "X", True)[0].apply(still)
+    assert still.arrivals is None and brakes.arrivals is not None
+    close = mission.brakes[1][0]
+    there = brakes.arrivals(close)
+    assert there == pytest.approx([np.pi / 4, -np.pi / 4, -np.pi / 4, np.pi / 4])  # X
+    part, home = SWERVE.state.split(SWERVE.home), np.zeros(4)
+    goals = lambda t: ((np.zeros(3), np.zeros(3)), (there, home))
+    controller = RollingController(SWERVE, np.zeros(3), 0.0025, goals, brakes=brakes)
+    leg = there + [0.0, 0.0, 0.3, 0.0]
+    controller.measure(SwerveMeasurement(close - 0.01, leg, part["steer"], part["wheel"], part["arm"]))
+    controller.drive(close - 0.01)
+    assert list(brakes.commanded(close)) == [0.0, 0.0, 1.0, 0.0]
 
 
 def test_the_arm_is_folded_while_the_robot_is_in_the_door() -> None:
