@@ -20,6 +20,7 @@ from wbmpc.registry import REGISTRY
 from wbmpc.simulation.contacts import HULL
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022 import drive_missions
+from wbmpc.studies.pankert2022.drive import _baseline
 from wbmpc.studies.pankert2022.drive_course import DOOR, clearance, terrain
 from wbmpc.studies.pankert2022.drive_figures import recovery
 from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings, straight, tour
@@ -158,7 +159,7 @@ def test_the_baseline_drives_and_reconfigures() -> None:
     legs = drive_missions.leg_angles(SWERVE, "X")
     out = legs + 0.2 * np.sign(legs)
     mission = Mission((Leg(1.0, 8.0, (1.5, 0.0, 0.0)),), legs, (Reconfiguration(3.0, out),), ((2.0, 1.0), (8.0, 0.0)))
-    bench.baseline(mission, 10.0)
+    _baseline(bench, QUIET, mission, 10.0)
     assert bench.log.array("baseline.base")[-1] == pytest.approx([1.5, 0.0, 0.0], abs=0.02)
     assert bench.log.array("baseline.leg")[-1] == pytest.approx(out, abs=0.02)
 
