@@ -37,8 +37,8 @@ class InputLimits:
         rows, nu = self.offset.size, lower.size
         #: all of it in one array, as :mod:`wbmpc.solver.feedback` reads it
         self.table = np.empty(2 * nu + (2 * nu + 2) * rows)
-        parts = (np.ascontiguousarray(part, float) for part in (lower, upper, self.matrix, self.offset))
-        arrange(*parts, rows, nu, self.table)
+        plain = lambda part: np.ascontiguousarray(part, float)
+        arrange(plain(lower), plain(upper), plain(self.matrix), plain(self.offset), rows, nu, self.table)
 
     def hold(
         self,
