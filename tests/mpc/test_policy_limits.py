@@ -383,3 +383,22 @@ def test_terms_that_come_too_late_are_rejected_by_name(mpc: MPC) -> None:
         solver.run(START)
     solver.ocp.terms["bounds"] = previous
     solver.run(START)
+
+
+def test_rows_that_share_inputs_are_one_group() -> None:
+    """Truth: a walk from row to row over inputs that both depend on."""
+    rng = np.random.default_rng(7)
+    for _ in range(40):
+        r, nu = rng.integers(1, 9), rng.integers(1, 10)
+        matrix = rng.normal(size=(r, nu)) * (rng.random((r, nu)) < 0.25)
+        bounds, offset = rng.normal(size=(2, nu)), rng.normal(size=r)
+        parts = np.split(InputLimits(*bounds, matrix, offset).table, np.cumsum([nu, nu, r * nu, r, r * nu]))
+        for found, given in zip(parts, (*bounds, matrix.ravel(), offset), strict=False):
+            np.testing.assert_array_equal(found, given)
+        own = [set(np.flatnonzero(row)) for row in matrix]
+        for row in range(r):
+            there, inputs = {row}, own[row]
+            while more := {k for k in range(r) if own[k] & inputs} - there:
+                there, inputs = there | more, inputs.union(*(own[k] for k in more))
+            assert set(np.flatnonzero(parts[4].reshape(r, nu)[row])) == inputs
+            assert parts[5][row] == (next(iter(own[row])) if len(own[row]) == 1 else -1.0)

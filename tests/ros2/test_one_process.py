@@ -210,3 +210,28 @@ def test_a_callback_does_not_wait_for_a_writer_that_waits_for_it() -> None:
         thread.start()
         thread.join(20.0)
     assert heard and "leads to another message on it" in heard[0]
+
+
+def test_a_server_may_join_while_peers_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package asks how many readers a writer has and then for their handles: here another one comes in between."""
+    from cyclonedds.pub import DataWriter
+
+    network, kind = Network.of(private()), "std_srvs/srv/SetBool"
+    asks, serves, joins = (open_node(name, "dds", network) for name in ("asks", "serves", "joins"))
+    answer = lambda request: {"success": request.data}
+    serves.serve("/switch", kind, answer)
+    counts = DataWriter._get_matched_subscriptions
+
+    def counted(writer: DataWriter, *given: object) -> int:
+        found: int = counts(writer, *given)
+        if found == 1 and given[1] is None:  # only the count
+            joins.serve("/switch", kind, answer)
+            assert wait_until(lambda: counts(writer, *given) == 2)
+        return found
+
+    monkeypatch.setattr(DataWriter, "_get_matched_subscriptions", counted)
+    try:
+        assert asks.call("/switch", kind, {"data": True}, timeout=60.0).success
+    finally:
+        for node in (asks, serves, joins):
+            node.close()

@@ -14,7 +14,7 @@ from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy import Policy
-from wbmpc.ros2.convert import seconds
+from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.settings import Controller
 from wbmpc.ros2.trajectory_client import AHEAD, TrajectorySender
 
@@ -25,8 +25,10 @@ LIMITS = ROBOT.description.limits
 
 def plain(values: dict[str, Any]) -> Any:
     """A message as it comes out of the bus."""
+    empty: dict[str, Any] = {"accelerations": (), "effort": ()}
     points = [
-        SimpleNamespace(**{**p, "time_from_start": SimpleNamespace(**p["time_from_start"])}) for p in values["points"]
+        SimpleNamespace(**{**empty, **p, "time_from_start": SimpleNamespace(**p["time_from_start"])})
+        for p in values["points"]
     ]
     head = SimpleNamespace(stamp=SimpleNamespace(**values["header"]["stamp"]))
     return SimpleNamespace(header=head, joint_names=values["joint_names"], points=points)
@@ -79,7 +81,13 @@ RULES = [
     (lambda m: setattr(m.header.stamp, "sec", 5), "it ended"),
     (lambda m: setattr(m.points[1], "positions", np.zeros(5)), "needs 6 positions"),
     (lambda m: setattr(m.points[1], "velocities", np.zeros(7)), "needs 6 velocities"),
-    (lambda m: setattr(m.points[1], "positions", np.full(6, np.nan)), "must be finite"),
+    (lambda m: setattr(m.points[1], "positions", np.full(6, np.nan)), "positions: a number is not finite"),
+    (lambda m: setattr(m.points[1], "velocities", np.full(6, np.inf)), "velocities: a number is not finite"),
+    (lambda m: setattr(m.points[1], "positions", np.full(6, 1e300)), "positions: a number is too large"),
+    (lambda m: setattr(m.points[1], "accelerations", np.zeros(5)), "needs 6 accelerations"),
+    (lambda m: setattr(m.points[1], "effort", np.zeros(6)), "efforts are not supported"),
+    (lambda m: setattr(m.points[0].time_from_start, "sec", -1), "must rise"),
+    (lambda m: m.joint_names.extend(["x" * 1000] * 1000), "got 1006"),
 ]
 
 
@@ -91,3 +99,46 @@ def test_the_follower_rejects_what_the_real_controller_does(change: Any, says: s
     change(message)
     with pytest.raises(InputError, match=says):
         side.lead(ARM, places, message, 7.0)
+
+
+def test_what_is_wrong_with_a_long_trajectory_is_said_in_a_line() -> None:
+    """However many points, rows and names it has."""
+    side, places = base_type("swerve").ros_plant(ROBOT, None, 0), [("arm", i) for i in range(6)]
+    changes: tuple[Any, ...] = (
+        lambda m: m.points.extend(m.points[-1:] * 10_000),
+        lambda m: [setattr(p, "positions", np.zeros(3)) for p in m.points * 1000],
+        lambda m: m.joint_names.__setitem__(slice(None), ["x" * 100_000] * 6),
+    )
+    for change in changes:
+        message = sent(np.zeros(6))
+        change(message)
+        with pytest.raises(InputError) as error:
+            side.lead(ARM, places, message, 7.0)
+        assert len(error_message(error.value)) < 400
+
+
+@pytest.mark.parametrize(("stamp", "after"), [(0, 100), (107, 0), (107, 50)])
+def test_the_way_to_the_first_point_takes_its_time(stamp: int, after: int) -> None:
+    """As a joint_trajectory_controller interpolates from where the joints are: 0.3 rad in 100 s and more are 3 mrad in the first second."""
+    side, places = base_type("swerve").ros_plant(ROBOT, None, 0), [("arm", i) for i in range(6)]
+    here = side.read().joints["arm"]
+    point = {"positions": here + 0.3, "velocities": np.zeros(6), "time_from_start": {"sec": after, "nanosec": 0}}
+    head = {"stamp": {"sec": stamp, "nanosec": 0}}
+    side.led["arm"] = side.lead(ARM, places, plain({"header": head, "joint_names": list(ARM), "points": [point]}), 7.0)
+    for now in (7.0, 8.0, 57.0):
+        assert np.all(np.abs(side.led["arm"].at(now)[0] - here) <= 0.3 * (now - 7.0) / 100.0 + 1e-12)
+    rates = {"arm": np.zeros(6)}
+    side.track(rates, 8.0)
+    assert np.all(np.abs(rates["arm"]) < 0.05)
+    np.testing.assert_allclose(side.led["arm"].at(300.0)[0], here + 0.3)
+
+
+def test_a_new_trajectory_goes_on_at_the_speed_of_the_old_one() -> None:
+    side, places = base_type("swerve").ros_plant(ROBOT, None, 0), [("arm", i) for i in range(6)]
+    side.read()
+    rate = np.array([1.0, 0.0, -0.5, 0.0, 0.0, 0.0])
+    side.led["arm"] = side.lead(ARM, places, sent(rate), 7.0)
+    later = sent(rate)
+    later.header.stamp.nanosec = 300_000_000
+    side.led["arm"] = side.lead(ARM, places, later, 7.1)
+    np.testing.assert_allclose(side.led["arm"].at(7.1)[1], rate, atol=1e-9)

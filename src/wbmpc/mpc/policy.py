@@ -29,16 +29,16 @@ class InputLimits:
     def __init__(
         self, lower: np.ndarray, upper: np.ndarray, matrix: np.ndarray | None = None, offset: np.ndarray | None = None
     ) -> None:
+        from wbmpc.solver.feedback import arrange
+
         self.lower, self.upper, self.count = lower, upper, 0
         self.matrix = np.zeros((0, lower.size)) if matrix is None else matrix
         self.offset = np.zeros(len(self.matrix)) if offset is None else offset
-        inside = self.matrix != 0.0
-        alone = (inside.sum(axis=1) == 1) * (
-            inside.argmax(axis=1) + 1.0
-        ) - 1.0  # np.where would let go of the interpreter
-        parts = (lower, upper, self.matrix.ravel(), self.offset, _groups(inside).ravel(), alone)
+        rows, nu = self.offset.size, lower.size
         #: all of it in one array, as :mod:`wbmpc.solver.feedback` reads it
-        self.table = np.concatenate([np.asarray(part, float) for part in parts])
+        self.table = np.empty(2 * nu + (2 * nu + 2) * rows)
+        plain = lambda part: np.ascontiguousarray(part, float)
+        arrange(plain(lower), plain(upper), plain(self.matrix), plain(self.offset), rows, nu, self.table)
 
     def hold(
         self,
@@ -66,16 +66,6 @@ def _is_finite(t: float) -> bool:
         return math.isfinite(t)
     except TypeError:
         raise InputError(f"policy: a time in seconds is needed, got {t!r}") from None
-
-
-def _groups(inside: np.ndarray) -> np.ndarray:
-    """For every row, (r, nu), the inputs of its group: those that it, or rows it shares inputs with, depend on (``inside``)."""
-    reached = inside
-    while True:
-        wider = (reached @ inside.T) @ inside
-        if (wider == reached).all():
-            return wider
-        reached = wider
 
 
 @dataclass(frozen=True)

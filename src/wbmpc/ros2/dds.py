@@ -34,7 +34,7 @@ from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
 from wbmpc.ros2.dds_listener import Take, Watch, silence
 from wbmpc.ros2.dds_qos import POLICIES, dds_qos, ros_qos, ros_type
-from wbmpc.ros2.dds_source import DdsWriter, FilteredTopic
+from wbmpc.ros2.dds_source import DdsWriter, FilteredTopic, matched
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
@@ -213,7 +213,7 @@ class DdsNode:
         body = self.types.encode(request_type, values)
         end = time.monotonic() + timeout
         try:
-            while not (writer.get_matched_subscriptions() and reader.get_matched_publications()):
+            while not (matched(writer) and matched(reader)):
                 _wait(end, f"{name}: no server")
             write(writer, body[:4] + head + body[4:], self._where(requests), self, threading.RLock())
             while True:

@@ -14,6 +14,7 @@ from typing import Any
 from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.internal import load_cyclonedds
+from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
@@ -54,9 +55,18 @@ no:
 
 #: So many writers of a topic are looked through.
 _MATCHED = 1000
-_matched = (
-    load_cyclonedds().dds_get_matched_publications
-)  # the package's counts twice, and another one may come in between
+# the package asks for the count, then for as many, and fails where another one has come in between
+_peers = {
+    DataReader: load_cyclonedds().dds_get_matched_publications,
+    DataWriter: load_cyclonedds().dds_get_matched_subscriptions,
+}
+
+
+def matched(entity: DataReader | DataWriter) -> list[int]:
+    """Handles of the writers that a reader matches, or of a writer's readers; the first :data:`_MATCHED` at most."""
+    found = (ctypes.c_uint64 * _MATCHED)()
+    count = _peers[type(entity)](ctypes.c_int32(entity._ref), found, ctypes.c_size_t(_MATCHED))
+    return list(found[: min(max(count, 0), _MATCHED)])  # below 0: the entity is gone itself
 
 
 class _Filter(ctypes.Structure):
@@ -100,9 +110,8 @@ class DdsWriter:
 
     def gone(self) -> bool:
         """Whether the reader has no such writer any more: it was deleted, or its process's lease has ended."""
-        matched = (ctypes.c_uint64 * _MATCHED)()
-        count = _matched(ctypes.c_int32(self.reader._ref), matched, ctypes.c_size_t(_MATCHED))
-        return count <= _MATCHED and self.handle not in matched[: max(count, 0)]  # below 0: the reader is gone itself
+        writers = matched(self.reader)
+        return len(writers) < _MATCHED and self.handle not in writers
 
     def prefer(self) -> None:
         """Let all of its messages pass."""

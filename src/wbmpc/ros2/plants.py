@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.convert import seconds
+from wbmpc.ros2.convert import check_numbers, seconds
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.simulated_robot import SimulatedRobot
 from wbmpc.types import Truth
@@ -43,7 +43,7 @@ class ActiveTrajectory:
     velocities: Array
 
     def at(self, now: float) -> tuple[Array, Array]:
-        """Position and velocity at a time; at rest at the end once it is over."""
+        """Position and velocity at a time, between the points by straight lines; at rest at the end once it is over."""
         columns = lambda values: np.array([np.interp(now, self.times, v) for v in values.T])
         over = now > self.times[-1]
         return columns(self.positions), columns(self.velocities) * (0.0 if over else 1.0)
@@ -87,16 +87,27 @@ class RosPlant(ABC):
         :class:`InputError`."""
         names = list(message.joint_names)
         if sorted(names) != sorted(joints):
-            raise InputError(f"trajectory: the joints {', '.join(joints)} are needed, got {', '.join(names)}")
+            got = ", ".join(names[: len(joints) + 1])
+            raise InputError(f"trajectory: the joints {', '.join(joints)} are needed, got {len(names)} ({got})")
         order = [names.index(n) for n in joints]
         if not message.points:
             raise InputError("trajectory: it has no points")
         after = np.array([seconds(p.time_from_start) for p in message.points])
-        positions = _rows("positions", [p.positions for p in message.points], len(order))
-        speeds = [p.velocities for p in message.points]
-        velocities = _rows("velocities", speeds, len(order)) if any(map(len, speeds)) else np.zeros_like(positions)
-        if after[0] < 0.0 or np.any(np.diff(after) <= 0.0):
-            raise InputError(f"trajectory: times from its start must rise from 0 on, got {after.tolist()} s")
+        given = {
+            n: [getattr(p, n) for p in message.points] for n in ("positions", "velocities", "accelerations", "effort")
+        }
+        if any(map(len, given["effort"])):
+            raise InputError("trajectory: efforts are not supported")
+        filled = {n: _rows(n, rows, len(order)) for n, rows in given.items() if n == "positions" or any(map(len, rows))}
+        positions = filled["positions"]
+        velocities = filled.get("velocities", np.zeros_like(positions))
+        wrong = np.flatnonzero(np.diff(after, prepend=-1e-12) <= 0.0)
+        if wrong.size:
+            k = int(wrong[0])
+            before = f"{after[k - 1]:g} s before it" if k else "it is the first one"
+            raise InputError(
+                f"trajectory: times from its start must rise from 0 on, point {k} has {after[k]:g} s, {before}"
+            )
         start = seconds(message.header.stamp)
         if start and start + after[-1] < now:
             raise InputError(f"trajectory: it ended {now - start - after[-1]:.3f} s ago")
@@ -104,7 +115,20 @@ class RosPlant(ABC):
             raise InputError(
                 f"trajectory: its last point must be at rest, got velocities {velocities[-1].tolist()} rad/s"
             )
-        return ActiveTrajectory(places, (start or now) + after, positions[:, order], velocities[:, order])
+        times = (start or now) + after
+        found = ActiveTrajectory(places, times, positions[:, order], velocities[:, order])
+        return self._from_here(found, now) if times[0] > now else found
+
+    def _from_here(self, next_one: ActiveTrajectory, now: float) -> ActiveTrajectory:
+        """The way to the first point of a trajectory is from where the drives are, at the speed of the one that they follow."""
+        if self.last is None:
+            return next_one
+        position = np.array([self.last.joints[group][i] for group, i in next_one.places])
+        going = next(
+            (led.at(now)[1] for led in self.led.values() if led.places == next_one.places), np.zeros(position.size)
+        )
+        times, positions = np.append(now, next_one.times), np.vstack([position, next_one.positions])
+        return replace(next_one, times=times, positions=positions, velocities=np.vstack([going, next_one.velocities]))
 
     def track(self, groups: dict[str, Array], now: float) -> None:
         """Speeds of the drives that follow a trajectory, in place."""
@@ -117,12 +141,10 @@ class RosPlant(ABC):
 
 def _rows(what: str, values: list[Any], joints: int) -> Array:
     """One row of finite numbers for each point, or :class:`InputError`."""
-    if any(len(row) != joints for row in values):
-        raise InputError(f"trajectory: every point needs {joints} {what}, got {[len(row) for row in values]}")
-    rows = np.array([np.asarray(row, float) for row in values])
-    if not np.isfinite(rows).all():
-        raise InputError(f"trajectory: {what} must be finite")
-    return rows
+    short = next((k for k, row in enumerate(values) if len(row) != joints), None)
+    if short is not None:
+        raise InputError(f"trajectory: every point needs {joints} {what}, point {short} has {len(values[short])}")
+    return check_numbers(np.array([np.asarray(row, float) for row in values]), f"trajectory, {what}")
 
 
 def plant_of(robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:

@@ -18,8 +18,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.robots.frames import FixedFrame, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.base_driver import SimulatedDriver, ordered_speeds
-from wbmpc.ros2.bus import DEFAULT, LATCHED, Node, Qos
-from wbmpc.ros2.convert import header, pose, quaternion, stamp, vector
+from wbmpc.ros2.bus import DEFAULT, LATCHED, LONG, SMALL, Node, Qos
+from wbmpc.ros2.convert import check_numbers, error_message, header, pose, quaternion, stamp, vector
 from wbmpc.ros2.plants import plant_of
 from wbmpc.ros2.settings import RosSettings, joint_groups
 from wbmpc.ros2.trajectory_client import places_of
@@ -104,7 +104,8 @@ class SimNode:
         described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
         for name, controller in self._controllers.items():
             target = [places[j] for j in controller.joints]
-            self.node.subscribe(controller.topic, controller.type, partial(self._follow, name, target), DEFAULT)
+            follow, largest = partial(self._follow, name, target), LONG if controller.takes == "trajectory" else SMALL
+            self.node.subscribe(controller.topic, controller.type, follow, DEFAULT, largest=largest)
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
         self._names = [n for names in self._order.values() for n in names]
@@ -119,16 +120,19 @@ class SimNode:
         return {"header": header(self.now(), imu.parent), "child_frame_id": imu.name, "transform": transform}
 
     def _follow(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
+        """Take a command; one that cannot be meant is reported, and the one before it holds."""
         kinds = {"trajectory": self._take_trajectory, "twist": self._take_twist}
-        kinds.get(self._controllers[name].takes, self._take)(name, places, message)
+        try:
+            kinds.get(self._controllers[name].takes, self._take)(name, places, message)
+        except InputError as error:
+            topic = self._controllers[name].topic
+            self._limit.log(_LOG, logging.ERROR, topic, f"{topic}: {error_message(error)}")
 
     def _take(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
         values = np.asarray(message.data, float)
-        if values.size != len(places) or not np.isfinite(values).all():
-            topic = self._controllers[name].topic
-            why = f"{topic}: {len(places)} finite numbers are needed, got {values}"
-            self._limit.log(_LOG, logging.ERROR, topic, why)
-            return
+        if values.size != len(places):
+            raise InputError(f"{len(places)} numbers are needed, got {values.size}")
+        check_numbers(values, f"{len(places)} numbers")
         with self._changed:
             for (group, i), value in zip(places, values, strict=True):
                 self._groups[group][i] = value
@@ -136,24 +140,14 @@ class SimNode:
 
     def _take_twist(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
         """As a base's own driver does."""
-        topic = self._controllers[name].topic
-        try:
-            speeds = ordered_speeds(self.robot, message)
-        except InputError as error:
-            self._limit.log(_LOG, logging.ERROR, topic, f"{topic}: {error}")
-            return
+        speeds = ordered_speeds(self.robot, message)
         with self._changed:
             self._groups["wheel"][:] = speeds
             self._answered(name)
 
     def _take_trajectory(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
         """As a joint_trajectory_controller does: the drives follow the points' positions and velocities."""
-        try:
-            led = self.side.lead(self._bus_names[name], places, message, self.now())
-        except InputError as error:
-            topic = self._controllers[name].topic
-            self._limit.log(_LOG, logging.ERROR, topic, f"{topic}: {error}")
-            return
+        led = self.side.lead(self._bus_names[name], places, message, self.now())
         with self._changed:
             self.side.led[name] = led
             self._answered(name)

@@ -72,6 +72,40 @@ def law(
 
 
 @compiled
+def arrange(
+    lower: Floats, upper: Floats, matrix: Floats, offset: Floats, r: int, nu: int, limits: Floats
+) -> None:  # fmt: skip
+    """``limits`` of its parts. NumPy would let the interpreter go for the last two, and a tick makes limits of every new policy."""
+    at, coupled, single = 2 * nu, 2 * nu + r * nu + r, 2 * nu + 2 * r * nu + r
+    for i in range(nu):
+        limits[i], limits[nu + i] = lower[i], upper[i]
+    for row in range(r):
+        limits[single + row], found = -1.0, 0
+        for i in range(nu):
+            limits[at + row * nu + i], limits[coupled + row * nu + i] = matrix[row * nu + i], 0.0
+            if matrix[row * nu + i] != 0.0:
+                limits[coupled + row * nu + i], limits[single + row], found = 1.0, float(i), found + 1
+        if found != 1:
+            limits[single + row] = -1.0
+        limits[at + r * nu + row] = offset[row]
+    wider = r > 1
+    while wider:  # what a row shares with another one, it may scale back too
+        wider = False
+        for row in range(r):
+            for other in range(r):
+                shared, all_there = False, True
+                for i in range(nu):
+                    mine, its = limits[coupled + row * nu + i] > 0.0, limits[coupled + other * nu + i] > 0.0
+                    shared = shared or (mine and its)
+                    all_there = all_there and (mine or not its)
+                if shared and not all_there:
+                    wider = True
+                    for i in range(nu):
+                        if limits[coupled + other * nu + i] > 0.0:
+                            limits[coupled + row * nu + i] = 1.0
+
+
+@compiled
 def moved_bounds(limits: Floats, r: int, nu: int, active: Floats, k: int, room: Floats) -> None:
     """Bounds in ``room``: those that hold for good, and those of the rows of single inputs with the offsets behind them."""
     offset, single = 3 * nu, 2 * nu + 2 * r * nu + r
