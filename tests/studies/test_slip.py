@@ -113,7 +113,7 @@ def test_a_block_on_a_table_shows_its_grip(grip: float) -> None:
         if monitor.sliding:
             break
         slid += h * speed
-        monitor.update(h, 10.0, friction, speed)
+        monitor.update(h, 10.0, friction, [speed, 0.0])
         bounds.append(monitor.bound)
     assert monitor.slips == 1 and 0.0 < slid < 0.01
     assert max(bounds) == pytest.approx(max(KEPT * (grip - UNSURE), 0.09), abs=0.004)  # what it bore before
@@ -123,10 +123,10 @@ def test_a_block_on_a_table_shows_its_grip(grip: float) -> None:
 def test_what_is_hardly_pressed_shows_nothing() -> None:
     monitor = GripMonitor(0.09)
     for _ in range(400):
-        assert not monitor.update(0.0025, 1.0, 0.9, 1.0)
+        assert not monitor.update(0.0025, 1.0, 0.9, [1.0, 0.0])
     assert monitor.bound == 0.09 and monitor.slips == 0
     for _ in range(400):
-        monitor.update(0.0025, 10.0, 4.0, 0.0)
+        monitor.update(0.0025, 10.0, 4.0, [0.0, 0.0])
     assert monitor.bound == pytest.approx(KEPT * (0.4 - UNSURE))
     with pytest.raises(InputError, match="least"):
         GripMonitor(0.0)

@@ -240,7 +240,7 @@ class DoorController(BallController):
         push = float(-normal @ self.force) if self.phase in ("push", "relax") else 0.0
         self.sliding = self.geometry.sliding(motion, angle, rate, HALF_THICKNESS)
         across = float(np.linalg.norm(self.force + push * normal))
-        self.grip.update(self.period, push, across, float(np.linalg.norm(self.sliding)))
+        self.grip.update(self.period, push, across, self.sliding)
 
     def _coasting(self, end_effector: Array, velocity: Array) -> Array:
         """Angle and rate of a door that has run away from the end effector: it slows down as its impedance says, and is at least

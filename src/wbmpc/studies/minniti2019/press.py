@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -14,7 +14,7 @@ from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.door import believed, drawn_door, push_door
 from wbmpc.studies.minniti2019.door_control import RELAX
 from wbmpc.studies.minniti2019.door_figures import Trial
-from wbmpc.studies.minniti2019.door_plant import SOFT, Door
+from wbmpc.studies.minniti2019.door_plant import SOFT
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 from wbmpc.studies.minniti2019.touch_plant import TouchPlant
@@ -43,15 +43,15 @@ class PressSettings(RezeroDoorSettings):
 
 
 def press(
-    settings: PressSettings, seed: int, progress: Progress | None, grip: float = Door.grip
+    settings: PressSettings, seed: int, progress: Progress | None, **surface: Any
 ) -> tuple[Trial, Array, float]:
-    """One approach and push on a surface of a friction coefficient ``grip``: how it went, the physics steps (n, 6) as of
+    """One approach and push on a ``surface`` with these numbers of a :class:`wbmpc.studies.minniti2019.door_plant.Door`: how it went, the physics steps (n, 6) as of
     :class:`wbmpc.studies.minniti2019.touch_plant.TouchPlant`, and when [s] the push ends."""
     plants: list[TouchPlant] = []
 
     def made(_: RezeroDoorSettings, robot: RobotModel, home: Array, torque: Array, seed: int) -> TouchPlant:
         door = drawn_door(settings, believed(robot.pose(home)[0]).hinge, seed)
-        door = replace(door, locked=settings.surface == "wall", contact=TIPS[settings.tip], grip=grip)
+        door = replace(door, locked=settings.surface == "wall", contact=TIPS[settings.tip], **surface)
         plants.append(
             TouchPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
         )

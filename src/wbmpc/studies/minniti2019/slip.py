@@ -24,6 +24,8 @@ from wbmpc.studies.minniti2019.slip_figures import Press, metrics, plots
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS
 
 NAME = "slip"
+#: Time constant [s] with which friction stops a tip that slides: in that of a soft contact it would creep by millimeters as the door turns.
+FRICTION_TIME = 0.002
 
 
 class SlipSettings(PressSettings):
@@ -47,7 +49,7 @@ def build(settings: SlipSettings, seed: int) -> Scenario:
     def run(grip: float, learns: bool, progress: Progress | None) -> Outcome:
         name = f"grip_{grip:g}" + ("" if learns == given else "_plain")
         scheme = settings.scheme if learns == given else settings.scheme.model_copy(update={"cone": PushCone()})
-        trial, steps, end = press(settings.model_copy(update={"scheme": scheme}), seed, progress, grip)
+        trial, steps, end = press(settings.model_copy(update={"scheme": scheme}), seed, progress, grip=grip, friction_time=FRICTION_TIME)
         bound = trial.log.array("grip")
         runs[learns].append(Press(grip, settings.force, settings.rise_time, end, steps, bound, trial.ending))
         for row in steps[steps[:, 0] >= settings.settle_time][::THINNED]:
