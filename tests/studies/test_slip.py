@@ -68,7 +68,9 @@ class Watched(TouchPlant):
 @pytest.mark.parametrize("grip", [0.0, 0.8])
 def test_sliding_is_that_of_material_points(grip: float) -> None:
     """A door swings into a tip that moves along it."""
-    door = Door((HAND[0] + 0.043, HAND[1] + 0.7), closed=-np.pi / 2 - 0.3, friction=0.0, closer=0.0, damping=0.0, grip=grip)
+    door = Door(
+        (HAND[0] + 0.043, HAND[1] + 0.7), closed=-np.pi / 2 - 0.3, friction=0.0, closer=0.0, damping=0.0, grip=grip
+    )
     p = Watched(ROBOT.description, door, HOME, TORQUE, Perturbation.none(actuator_time_constant=0.0))
     p.data.qpos[p._q], p.data.qvel[p._dof] = 0.3, -0.4
     p.data.qvel[[1, 5]] = 0.1, 0.3

@@ -111,9 +111,9 @@ _TOUCH: Definitions = {
     "fell": ("1", "whether the robot fell: 1 if it did"),
 }  # fmt: skip
 _SLIP: Definitions = {
-    "slide_max": ("m", "largest distance that the tip slides from where it touched, of the two materials, contact lost or not, until the push ends; worst of all grips; true"),
+    "slide_max": ("m", "how far the tip slides at most from where it touched, contact lost or not, until the push ends; worst grip; true"),
     "slide_max_plain": ("m", "the same with a friction cone of one size"),
-    "force_error_ratio": ("1", "rms error of the true normal force from 0.1 s after the touch until the push ends, over the wanted force; worst of all grips"),
+    "force_error_ratio": ("1", "rms error of the true normal force over its reference, from 0.1 s after the touch until the push ends; worst grip"),
     "force_error_ratio_plain": ("1", "the same with a friction cone of one size"),
     "touch_peak": ("N", "largest normal force of the tip at any physics step; worst of all grips; true"),
     "time_without_contact": ("s", "time without contact between touch and the end of the push; worst of all grips; true"),

@@ -41,8 +41,8 @@ class Door:
     counter-clockwise as it opens, −1 when clockwise. ``width`` [m], ``mass`` [kg] of the homogeneous panel, ``friction`` [N m] (Coulomb),
     ``closer`` [N m], ``damping`` [N m s/rad] of the hinge, ``grip``: friction coefficient of the tip on it, ``contact``: time constant [s]
     and damping ratio of that contact; ``friction_time`` [s]: time constant with which its friction stops what slides, where that is not the
-    contact's (None): with a soft contact's, surfaces creep along each other that turn. ``breakaway`` [N m]: dry friction until it has once opened by half a degree. ``locked``: no hinge at
-    all.
+    contact's (None): with a soft contact's, surfaces that turn creep along each other. ``breakaway`` [N m]: dry friction until it has once
+    opened by half a degree. ``locked``: no hinge at all.
     """
 
     hinge: tuple[float, float]

@@ -107,7 +107,9 @@ class DoorScheme(Settings):
         DoorEquation()
     )
     identify: bool = True
-    cone: Annotated[NoCone | PushCone | EstimatedCone, Field(discriminator="kind"), BeforeValidator(kind_alone)] = PushCone()
+    cone: Annotated[NoCone | PushCone | EstimatedCone, Field(discriminator="kind"), BeforeValidator(kind_alone)] = (
+        PushCone()
+    )
     approach: Annotated[
         FreeApproach | LimitedApproach,
         Field(discriminator="kind"), BeforeValidator(kind_alone), OnlyWith({"contact.kind": "door"}),

@@ -42,11 +42,9 @@ class PressSettings(RezeroDoorSettings):
     only_with: ClassVar[Rules] = {**RezeroDoorSettings.only_with, **unused("forces", "door")}
 
 
-def press(
-    settings: PressSettings, seed: int, progress: Progress | None, **surface: Any
-) -> tuple[Trial, Array, float]:
-    """One approach and push on a ``surface`` with these numbers of a :class:`wbmpc.studies.minniti2019.door_plant.Door`: how it went, the physics steps (n, 6) as of
-    :class:`wbmpc.studies.minniti2019.touch_plant.TouchPlant`, and when [s] the push ends."""
+def press(settings: PressSettings, seed: int, progress: Progress | None, **surface: Any) -> tuple[Trial, Array, float]:
+    """One approach and push on a ``surface`` with these numbers of a :class:`wbmpc.studies.minniti2019.door_plant.Door`: how it went, the
+    physics steps (n, 6) as of :class:`wbmpc.studies.minniti2019.touch_plant.TouchPlant`, and when [s] the push ends."""
     plants: list[TouchPlant] = []
 
     def made(_: RezeroDoorSettings, robot: RobotModel, home: Array, torque: Array, seed: int) -> TouchPlant:

@@ -32,7 +32,9 @@ class SlipSettings(PressSettings):
     """``grips``: friction coefficients of the surface, one push each, which the robot does not know; ``compare``: also with a cone of
     one size (:class:`PushCone`). The others are those of :class:`wbmpc.studies.minniti2019.press.PressSettings`."""
 
-    grips: tuple[Annotated[float, Field(ge=0.02, le=2.0)], ...] = Field((0.1, 0.2, 0.4, 0.8), min_length=1, max_length=8)
+    grips: tuple[Annotated[float, Field(ge=0.02, le=2.0)], ...] = Field(
+        (0.1, 0.2, 0.4, 0.8), min_length=1, max_length=8
+    )
     compare: Annotated[bool, OnlyWith({"scheme.cone.kind": "estimated"})] = True
     scheme: DoorScheme = DoorScheme(approach=LimitedApproach(), cone=EstimatedCone())
     timeout: float = Field(10.0, ge=1.0, le=120.0)
@@ -49,7 +51,9 @@ def build(settings: SlipSettings, seed: int) -> Scenario:
     def run(grip: float, learns: bool, progress: Progress | None) -> Outcome:
         name = f"grip_{grip:g}" + ("" if learns == given else "_plain")
         scheme = settings.scheme if learns == given else settings.scheme.model_copy(update={"cone": PushCone()})
-        trial, steps, end = press(settings.model_copy(update={"scheme": scheme}), seed, progress, grip=grip, friction_time=FRICTION_TIME)
+        trial, steps, end = press(
+            settings.model_copy(update={"scheme": scheme}), seed, progress, grip=grip, friction_time=FRICTION_TIME
+        )
         bound = trial.log.array("grip")
         runs[learns].append(Press(grip, settings.force, settings.rise_time, end, steps, bound, trial.ending))
         for row in steps[steps[:, 0] >= settings.settle_time][::THINNED]:

@@ -38,7 +38,9 @@ class Press:
     def slides(self) -> Array:
         """How far (n, 2) [m] the tip has slid since it touched, along the surface and up."""
         rows = self.pushed()
-        return np.cumsum(rows[:, 4:6], axis=0) * (rows[1, 0] - rows[0, 0]) if len(rows) > 1 else np.zeros((len(rows), 2))
+        return (
+            np.cumsum(rows[:, 4:6], axis=0) * (rows[1, 0] - rows[0, 0]) if len(rows) > 1 else np.zeros((len(rows), 2))
+        )
 
     def figures(self) -> dict[str, float]:
         """Largest slide [m], rms error of the force over it from :data:`TOUCH` after the touch on, peak [N], time without
