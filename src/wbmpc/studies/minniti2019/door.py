@@ -183,7 +183,8 @@ def record_door(log: Log, t: float, plant: DoorPlant, controller: DoorController
     log.add("force_sensorless", t, -controller.sensorless.force)
     log.add("force_planned", t, -plans.current.feedforward(t)[-3:])
     log.add("sliding", t, controller.sliding)
-    log.add("grip", t, controller.grip.bound)
+    if np.isfinite(controller.friction):
+        log.add("grip", t, controller.friction)
     log.add("pushing", t, float(controller.phase == "push"))
     log.add("penetration", t, plant.penetration)
     log.add("touching", t, float(controller.contact.touching))

@@ -233,6 +233,11 @@ class DoorController(BallController):
         if self.phase != "release" and self._ends(t):
             self.phase, self.released, self._let_go = "release", t, end_effector.copy()
 
+    @property
+    def friction(self) -> float:
+        """The friction coefficient that is planned with; infinite without a cone."""
+        return self.grip.bound if self.push.learns else self.push.friction
+
     def _judge_grip(self, motion: tuple[Array, Array, Array]) -> None:
         """Whether the end effector slides, and the grip of the panel."""
         angle, rate = self.door
@@ -350,8 +355,7 @@ class DoorController(BallController):
         mpc.reference["end_effector"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
         mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
         if "cone" in mpc.ocp.terms:
-            friction = np.full(times.size, self.grip.bound if self.push.learns else self.push.friction)
-            mpc.reference["cone"] = Reference(times, np.column_stack([normals, friction]))
+            mpc.reference["cone"] = Reference(times, np.column_stack([normals, np.full(times.size, self.friction)]))
         if "panel" in mpc.ocp.terms:
             mpc.reference["panel"] = Reference(times, np.where(times < open_at, FAR, 0.0)[:, None])
         if "lean" in mpc.ocp.terms:
