@@ -11,6 +11,7 @@ import pytest
 from toys import robot
 from wbmpc.bases.swerve.steering_planner import MOVING, NODES, STOP, SteeringGuess, plan_steering
 from wbmpc.model.wheels import aligned_steering, wheel_velocities
+from wbmpc.solver import Trajectory
 
 MODEL = robot("swerve-ur10")
 G, RATE = MODEL.base.geometry, 3.0
@@ -140,6 +141,61 @@ def test_nearest_is_the_same_direction_on_the_planned_side() -> None:
         )
 
 
+def at_rest(x: np.ndarray, horizon: float, nodes: int = 121) -> Trajectory:
+    """A plan in which nothing moves."""
+    grid = np.linspace(0.0, horizon, nodes)
+    return Trajectory(0.0, grid, np.tile(x, (nodes, 1)), np.zeros((nodes - 1, MODEL.input.size)))
+
+
+TWIST, SWING = np.array([0.0, 0.15, 0.1]), np.array([0.2, -0.2, -0.2, 0.2])
+
+
+def reconfiguring(speed: float = 1.0) -> Trajectory:
+    """A plan in which the base drives at ``speed`` times TWIST and legs swing, and wheels roll as both move them (rigid-body motion)."""
+    plan = at_rest(MODEL.home, 3.0)
+    legs = STATE["leg"] + SWING * plan.grid[:, None]
+    plan.x[:, MODEL.state["leg"]], plan.u[:, MODEL.input["leg"]] = legs, SWING
+    plan.u[:, MODEL.input["base"]] = speed * TWIST
+    v = np.array([wheel_velocities(G, leg, TWIST, SWING) for leg in legs])
+    angle = np.arctan2(v[..., 1], v[..., 0]) - G.wheel_heading - legs
+    plan.x[:, MODEL.state["steer"]] = np.unwrap((angle + np.pi) % (2.0 * np.pi) - np.pi, axis=0)
+    return plan
+
+
+def test_a_plan_that_reconfigures_its_legs_on_the_way_is_left_as_it_is() -> None:
+    """Its wheels point up to 0.7 rad off where the base alone would move them, and follow all the same."""
+    plan = reconfiguring()
+    before, x = (plan.x.copy(), plan.u.copy()), plan.x[0].copy()
+    alone = np.array([np.arctan2(*wheel_velocities(G, STATE["leg"], TWIST)[i, ::-1]) for i in range(4)])
+    both = np.array([np.arctan2(*wheel_velocities(G, STATE["leg"], TWIST, SWING)[i, ::-1]) for i in range(4)])
+    assert np.abs(alone - both).max() > 0.6
+    guess = SteeringGuess(MODEL, lambda t, pose: np.tile(TWIST, (len(t), 1)))
+    assert guess(0.0, x, plan) is None
+    np.testing.assert_array_equal(plan.x, before[0])
+    np.testing.assert_array_equal(plan.u, before[1])
+
+
+def test_a_guess_from_rest_rolls_as_base_and_legs_move_the_wheels() -> None:
+    plan = reconfiguring(speed=0.0)
+    x = MODEL.home.copy()
+    assert SteeringGuess(MODEL, lambda t, pose: np.tile(TWIST, (len(t), 1)))(0.0, x, plan) is plan
+    base, leg, rates = (plan.u[:, MODEL.input[g]] for g in ("base", "leg", "steer"))
+    moves = np.flatnonzero(np.abs(base).max(axis=1) > 0.0)
+    assert 0 < moves[0] < 60 and np.all(np.diff(moves) == 1) and moves[-1] == len(base) - 1
+    assert not leg[: moves[0]].any()  # legs wait for their wheels too
+    np.testing.assert_allclose(
+        np.diff(plan.x[:, MODEL.state["leg"]], axis=0), leg * np.diff(plan.grid)[:, None], atol=1e-12
+    )
+    assert np.abs(rates).max() <= MODEL.limits.input_upper[MODEL.input["steer"]].min()
+    for k in moves[1:]:
+        angles = plan.x[k, MODEL.state["leg"]]
+        v = wheel_velocities(G, angles, TWIST, SWING)
+        heading = G.wheel_heading + angles + plan.x[k, MODEL.state["steer"]]
+        assert np.abs(v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)).max() < 0.005
+        along = v[:, 0] * np.cos(heading) + v[:, 1] * np.sin(heading)
+        np.testing.assert_allclose(plan.u[k, MODEL.input["wheel"]] * G.wheel_radius, along, atol=1e-4)
+
+
 def test_a_quick_turn_of_the_direction_is_seen_the_way_it_goes() -> None:
     """By 2.4 rad within 0.6 s, the wheels follow round and not back by the rest of half a turn. Truth: the direction itself."""
 
@@ -152,7 +208,7 @@ def test_a_quick_turn_of_the_direction_is_seen_the_way_it_goes() -> None:
     start = (direction(np.zeros(1)) - G.wheel_heading - STATE["leg"]) % np.pi - np.pi  # room for the turn in the range
     x = MODEL.home.copy()
     x[MODEL.state["steer"]] = start
-    plan = SteeringGuess(MODEL, preview).plan(0.0, 10.0, x)
+    plan = SteeringGuess(MODEL, preview).plan(0.0, 10.0, x, at_rest(x, 10.0))
     np.testing.assert_allclose(plan.steer, start + direction(plan.times)[:, None] + 1.2, atol=1e-9)
     assert plan.stops == ()
 

@@ -12,17 +12,21 @@ import pytest
 from configured import check_taken
 from effort import thorough
 from toys import robot
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
 from wbmpc.simulation.contacts import HULL
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022 import drive_missions
+from wbmpc.studies.pankert2022.drive import _baseline
 from wbmpc.studies.pankert2022.drive_course import DOOR, clearance, terrain
 from wbmpc.studies.pankert2022.drive_figures import recovery
 from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings, straight, tour
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, carried_poses, ramps
 from wbmpc.studies.pankert2022.mission_run import MissionRun
+from wbmpc.studies.pankert2022.rolling import RollingController
 
 SWERVE = robot("swerve-ur10")
 
@@ -60,6 +64,24 @@ def test_the_tour_is_the_one_that_was_asked_for() -> None:
         (when, later) for (when, is_open), (later, _) in pairwise([*mission.brakes, (duration, 0)]) if not is_open
     ]
     assert all(np.ptp(leg[at(when) : at(later)], axis=0).max() < 1e-9 for when, later in closed)
+
+
+def test_brakes_wait_for_the_legs_of_a_mission_that_moves_them_with_the_baseline_too() -> None:
+    mission, _ = tour(SWERVE, 0.1)
+    brakes, still = BrakeControl(SWERVE), BrakeControl(SWERVE)
+    mission.apply(brakes)
+    straight(SWERVE, "X", True)[0].apply(still)
+    assert still.arrivals is None and brakes.arrivals is not None
+    close = mission.brakes[1][0]
+    there = brakes.arrivals(close)
+    assert there == pytest.approx([np.pi / 4, -np.pi / 4, -np.pi / 4, np.pi / 4])  # X
+    part, home = SWERVE.state.split(SWERVE.home), np.zeros(4)
+    goals = lambda t: ((np.zeros(3), np.zeros(3)), (there, home))
+    controller = RollingController(SWERVE, np.zeros(3), 0.0025, goals, brakes=brakes)
+    leg = there + [0.0, 0.0, 0.3, 0.0]
+    controller.measure(SwerveMeasurement(close - 0.01, leg, part["steer"], part["wheel"], part["arm"]))
+    controller.drive(close - 0.01)
+    assert list(brakes.commanded(close)) == [0.0, 0.0, 1.0, 0.0]
 
 
 def test_the_arm_is_folded_while_the_robot_is_in_the_door() -> None:
@@ -137,7 +159,7 @@ def test_the_baseline_drives_and_reconfigures() -> None:
     legs = drive_missions.leg_angles(SWERVE, "X")
     out = legs + 0.2 * np.sign(legs)
     mission = Mission((Leg(1.0, 8.0, (1.5, 0.0, 0.0)),), legs, (Reconfiguration(3.0, out),), ((2.0, 1.0), (8.0, 0.0)))
-    bench.baseline(mission, 10.0)
+    _baseline(bench, QUIET, mission, 10.0)
     assert bench.log.array("baseline.base")[-1] == pytest.approx([1.5, 0.0, 0.0], abs=0.02)
     assert bench.log.array("baseline.leg")[-1] == pytest.approx(out, abs=0.02)
 

@@ -36,30 +36,30 @@ class ModuleGeometry:
         return len(self.hinge)
 
     def leg_positions(self, leg: ArrayLike) -> Array:
-        """Positions (n,) [rad, or m of those that slide] or rates of the legs' joints as far as they can move: zero for fixed legs."""
+        """Positions (..., n) [rad, or m of those that slide] or rates of the legs' joints as far as they can move: zero for fixed legs."""
         positions = np.asarray(leg, float) * self.legs_move
-        return positions if positions.shape == (self.modules,) else np.broadcast_to(positions, self.modules)
+        return positions if positions.shape[-1:] == (self.modules,) else np.broadcast_to(positions, self.modules)
 
     def leg_angles(self, leg: ArrayLike) -> Array:
-        """By how much (n,) [rad] joint positions ``leg`` (n,) turn the legs, or rates of them."""
+        """By how much (..., n) [rad] joint positions ``leg`` (..., n) turn the legs, or rates of them."""
         return self.leg_positions(leg) * (1.0 - self.slides)
 
     def steer_axes(self, leg: ArrayLike) -> Array:
-        """Positions (n, 2) [m] of the steer axes for positions of the legs' joints (n,)."""
+        """Positions (..., n, 2) [m] of the steer axes for positions of the legs' joints (..., n)."""
         a = self.leg_heading + self.leg_angles(leg)
-        axes = np.empty((len(a), 2))
-        axes[:, 0], axes[:, 1] = np.cos(a), np.sin(a)
-        axes *= (self.leg_length + self.leg_positions(leg) * self.slides)[:, None]
+        axes = np.empty((*a.shape, 2))
+        axes[..., 0], axes[..., 1] = np.cos(a), np.sin(a)
+        axes *= (self.leg_length + self.leg_positions(leg) * self.slides)[..., None]
         axes += self.hinge
         return axes
 
     def leg_motions(self, leg: ArrayLike, axes: Array) -> Array:
-        """Velocities (n, 2) [m/s] of the steer ``axes`` (n, 2) [m] in the body frame for a rate of 1 of each leg's joint."""
+        """Velocities (..., n, 2) [m/s] of the steer ``axes`` (..., n, 2) [m] in the body frame for a rate of 1 of each leg's joint."""
         a = self.leg_heading + self.leg_angles(leg)
         swing, turns = axes - self.hinge, 1.0 - self.slides
         motions = np.empty(axes.shape)
-        motions[:, 0] = self.slides * np.cos(a) - turns * swing[:, 1]
-        motions[:, 1] = self.slides * np.sin(a) + turns * swing[:, 0]
+        motions[..., 0] = self.slides * np.cos(a) - turns * swing[..., 1]
+        motions[..., 1] = self.slides * np.sin(a) + turns * swing[..., 0]
         return motions
 
 

@@ -21,6 +21,10 @@ Array = NDArray[np.float64]
 FLOATING, PASS = 0.05, 1.0
 #: Time [s] that brakes take by default.
 BRAKE_DELAY = 0.1
+#: A brake that is to close waits until its leg is within this [rad] of where it is to be, so long [s] at most: a wheel that hangs in
+#: the air comes down again. So long [s] before a brake closes that is decided, for plans have to know; by so much [s] it closes later
+#: each time.
+ARRIVED, WAIT, NOTICE, LATER = 0.015, 2.0, 0.3, 0.2
 #: Length [m] that turns a yaw rate into a speed.
 _LEVER = 0.5
 #: Rate [rad/s] of legs whose speed has no limit.
@@ -100,6 +104,7 @@ class BrakeControl:
     ``commanded(t)`` (n, 1 = open) goes to the brakes. The planner's mode λ follows from it: a leg that is being closed is
     held from the command on, one that is being opened only ``delay`` [s] after it. ``changed`` is called with the new
     schedule whenever there is one: usually ``mpc.set_schedule``. Who keeps brakes closed besides says so by :meth:`hold`.
+    ``arrivals(t)`` (n) [rad]: where legs are to be when their brakes close at t [s]; None: brakes close where legs are.
     """
 
     def __init__(
@@ -115,11 +120,14 @@ class BrakeControl:
             raise InputError(f"brakes: the delay must be finite and not negative, got {delay} s")
         self.legs, self.delay, self.changed = robot.state.groups["leg"], delay, changed
         self.geometry = robot.base.geometry
+        self.arrivals: Callable[[float], Array] | None = None
+        self._fastest = np.minimum(robot.limits.input_upper[robot.input["leg"]], _AT_ONCE)
         closed = np.zeros(len(self.legs))
         # times and states from then on: replaced as a whole, for a controller's thread may ask meanwhile
         self._events: tuple[list[float], list[Array]] = [-np.inf], [self._checked(closed if start is None else start)]
         self._known: dict[int, BrakeFault] = {}  # leg: how it is otherwise than commanded
         self._held = np.full(len(self.legs), -np.inf)
+        self._due = np.full(len(self.legs), np.inf)  # when the brakes were to close that wait for their legs
         self._notify_planner()
 
     def _checked(self, brake: ArrayLike) -> Array:
@@ -183,6 +191,31 @@ class BrakeControl:
         anew = held > self._held
         self._known = {leg: k for leg, k in self._known.items() if not anew[leg]}
         self._held = held.copy()
+        self._notify_planner()
+
+    def await_legs(self, t: float, leg: Array) -> None:
+        """Brakes that would close within :data:`NOTICE` after t [s] wait for their legs, which are at ``leg`` (n) [rad] now and cannot be
+        there in time: see ``arrivals``. One that closed on the way would leave its leg there until it opens again."""
+        times, states = self._events
+        k = bisect_right(times, t)
+        if self.arrivals is None or k == len(times) or times[k] > t + NOTICE:
+            return
+        at, before, after = times[k], states[k - 1], states[k]
+        closes = before > after
+        self._due[closes & (at > self._due + WAIT + 0.5 * LATER)] = np.inf  # another command than the one that waited
+        self._due[closes] = np.minimum(self._due[closes], at)
+        away = np.abs(leg - self.arrivals(at)) - self._fastest * (at - t)
+        waits = closes & (away > ARRIVED) & (at + LATER < self._due + WAIT)
+        if waits.any():
+            self._postpone(at, waits)
+
+    def _postpone(self, at: float, waits: NDArray[np.bool_]) -> None:
+        """The event at ``at`` [s], and what comes within ``LATER``, is so much later for the brakes (n) that wait."""
+        times, states = self._events
+        later, k = at + LATER, bisect_left(times, at)
+        before, end, rest = states[k - 1], bisect_left(times, later), bisect_right(times, later)
+        between = [np.where(waits, before, s) for s in states[k:end]]
+        self._events = [*times[:end], later, *times[rest:]], [*states[:k], *between, states[rest - 1], *states[rest:]]
         self._notify_planner()
 
     def doubted(self, t: float) -> list[BrakeFault]:

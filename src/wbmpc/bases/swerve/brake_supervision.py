@@ -68,6 +68,7 @@ class BrakeSupervision:
         hinges = len(robot.state.groups.get("leg", ()))
         control = brakes if isinstance(brakes, BrakeControl) else None
         self._period, self.report = period, settings.report
+        self._control = control
         self.guard = LegGuard(hinges) if settings.guard and control is not None else None
         self._hold = settings.hold or (None if control is None else control.hold)
         self.monitor: WatchesBrakes | None = settings.monitor or brake_monitor(robot)
@@ -105,6 +106,11 @@ class BrakeSupervision:
         guard = self._guarded()
         if guard is not None and guard.update(t, leg, rate, self.commanded(t)):
             self._notify_planner(guard)
+
+    def await_legs(self, t: float, leg: Array) -> None:
+        """Brakes that are about to close wait for their legs (:meth:`BrakeControl.await_legs`), which are at ``leg`` (n) [rad]."""
+        if self._control is not None and self.commanded is self._own:
+            self._control.await_legs(t, leg)
 
     def _notify_planner(self, guard: LegGuard) -> None:
         """Inform the planner until when each leg is held."""

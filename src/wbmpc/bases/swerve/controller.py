@@ -129,6 +129,7 @@ class SwerveController:
             self.watch(t, still.brake, np.zeros(still.brake.size))
             return still
         if "leg" in self.robot.input:
+            self.supervision.await_legs(t, self.estimator.leg)
             self.supervision.guard_legs(t, self.measured.leg, self.tracking.drives.rates[self.robot.input["leg"]])
         command, legs = self.tracking.command(t, policy, self.estimator, self.supervision.open(t))
         self.watch(t, command.brake, legs)

@@ -9,7 +9,8 @@ a sideways goal with straight wheels is an exact stationary point. So, once, whe
 plan stands still, the trajectories start from rolling inverse kinematics: wheels turn first, then the base moves.
 
 On the way the same is done from where wheels of the plan stop following the preview (a range ends, or a wheel would have to
-turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds ahead.
+turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds
+ahead. Legs move meanwhile as the plan moves them.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.model.robot import RobotModel
@@ -74,14 +76,16 @@ def plan_steering(
     twists: np.ndarray,
     limits: tuple[np.ndarray, np.ndarray],
     rate: float,
+    swing: ArrayLike = 0.0,
 ) -> SteeringPlan:
     """The ways round that lose least of the motion's way: a dynamic program over the nodes at which the base may stop.
 
-    ``steer`` (n) [rad] now; body ``twists`` (k, 3) at ``times`` (k,); ``limits``: lower and upper (n) [rad]; ``rate`` [rad/s] of
-    a turn. Between two stops a wheel's angle is continuous and inside of its limits. A stop costs the time of half a turn
-    times the speed there, nothing while the base rests; all wheels may turn round at it.
+    ``leg`` (n, or k, n) [rad, or m of those that slide]; ``steer`` (n) [rad] now; body ``twists`` (k, 3) at ``times`` (k,); ``limits``:
+    lower and upper (n) [rad]; ``rate`` [rad/s] of a turn; ``swing`` (k, n) [1/s]: rates of the legs. Between two stops a wheel's
+    angle is continuous and inside of its limits. A stop costs the time of half a turn times the speed there, nothing while the
+    base rests; all wheels may turn round at it.
     """
-    ways, speeds = wheel_directions(geometry, leg, steer, twists)
+    ways, speeds = wheel_directions(geometry, leg, steer, twists, swing)
     speeds = speeds.max(axis=1)
     ways[0] = steer + _wrapped(ways[0] - steer)
     ways = np.unwrap(ways, axis=0, period=np.pi)
@@ -159,13 +163,14 @@ def _cheapest(costs: np.ndarray, reach: list[int], kept: int) -> list[int]:
 
 
 def wheel_directions(
-    geometry: ModuleGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray
+    geometry: ModuleGeometry, leg: np.ndarray, steer: np.ndarray, twists: np.ndarray, swing: ArrayLike = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Steering angles (k, n) of the wheels' directions, and their speeds (k, n) [m/s], 0 where they rest. A wheel that rests
-    already has the direction that comes next (or keeps its last)."""
+    """Steering angles (k, n) of the wheels' directions, and their speeds (k, n) [m/s], 0 where they rest, for legs at ``leg`` (n, or k, n)
+    with rates ``swing`` (k, n). A wheel that rests already has the direction that comes next (or keeps its last)."""
     s = geometry.steer_axes(leg)
-    vx = twists[:, :1] - twists[:, 2:] * s[:, 1]
-    vy = twists[:, 1:2] + twists[:, 2:] * s[:, 0]
+    own = geometry.leg_motions(leg, s) * geometry.leg_positions(swing)[..., None]
+    vx = twists[:, :1] - twists[:, 2:] * s[..., 1] + own[..., 0]
+    vy = twists[:, 1:2] + twists[:, 2:] * s[..., 0] + own[..., 1]
     speeds = np.hypot(vx, vy)
     angle = np.arctan2(vy, vx) - geometry.wheel_heading - geometry.leg_angles(leg)
     count, moving = len(twists), speeds > MOVING
@@ -203,7 +208,7 @@ class SteeringGuess:
         if soon.max() < MOVING or not self._stuck(trajectory, twists):
             return None
         self._done, self._next_check = True, t + WRITTEN
-        self._write(trajectory, twists, x0, self.plan(t, float(grid[-1]), x0))
+        self._write(trajectory, twists, x0, self.plan(t, float(grid[-1]), x0, trajectory))
         return trajectory
 
     def _stuck(self, trajectory: Trajectory, twists: np.ndarray) -> bool:
@@ -222,7 +227,7 @@ class SteeringGuess:
         lost = self._lost(trajectory, twists, x0)
         if lost is None:
             return False
-        plan = self.plan(t, float(grid[-1]), x0)
+        plan = self.plan(t, float(grid[-1]), x0, trajectory)
         stop = int(np.searchsorted(grid, plan.times[plan.stops[0]])) if plan.stops else lost
         self._next_check = t + WRITTEN
         self._write(trajectory, twists, x0, plan, max(min(stop, lost) - 1, 0))
@@ -230,9 +235,9 @@ class SteeringGuess:
 
     def _lost(self, trajectory: Trajectory, twists: np.ndarray, x0: np.ndarray) -> int | None:
         """First node from which on a wheel of the plan points elsewhere than the preview's ``twists`` ask for."""
-        leg, steer = self._angles(x0)
-        geometry, grid = self.robot.base.geometry, trajectory.grid
-        ways, speeds = wheel_directions(geometry, leg, steer, twists)
+        grid, steer = trajectory.grid, x0[self.robot.state["steer"]]
+        leg, swing = self._legs(trajectory, grid)
+        ways, speeds = wheel_directions(self.robot.base.geometry, leg, steer, twists, swing)
         off = np.abs(_wrapped(ways - trajectory.x[:, self.robot.state["steer"]])) > OFF
         off &= speeds > ROLLS
         since = np.full(off.shape[1], np.nan)
@@ -242,16 +247,23 @@ class SteeringGuess:
                 return int(np.searchsorted(grid, np.nanmin(since)))
         return None
 
-    def plan(self, t: float, horizon: float, x0: np.ndarray) -> SteeringPlan:
-        """Which way round the wheels go over a horizon [s] of the preview; times from ``t`` on."""
-        times = np.linspace(0.0, horizon, NODES)
+    def plan(self, t: float, horizon: float, x0: np.ndarray, trajectory: Trajectory) -> SteeringPlan:
+        """Which way round the wheels go over a horizon [s] of the preview, with legs as in ``trajectory``; times from ``t`` on."""
+        times, steer = np.linspace(0.0, horizon, NODES), x0[self.robot.state["steer"]].copy()
         twists = self.preview(t + times, x0[self.robot.state["base"]])
-        leg, steer = self._angles(x0)
-        return plan_steering(self.robot.base.geometry, leg, steer, times, twists, self.limits, self.rate)
+        leg, swing = self._legs(trajectory, times)
+        return plan_steering(self.robot.base.geometry, leg, steer, times, twists, self.limits, self.rate, swing)
 
-    def _angles(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        state, modules = self.robot.state, self.robot.base.geometry.modules
-        return (x0[state["leg"]] if "leg" in state else np.zeros(modules)), x0[state["steer"]].copy()
+    def _legs(self, trajectory: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Angles and rates (k, n) of the legs in a plan at ``times`` (k) [s] after its start."""
+        state, inputs = self.robot.state, self.robot.input
+        if "leg" not in state:
+            still = np.zeros((len(times), self.robot.base.geometry.modules))
+            return still, still
+        grid = trajectory.grid
+        k = np.clip(np.searchsorted(grid, times, side="right") - 1, 0, len(grid) - 2)
+        rates = trajectory.u[k, inputs["leg"]]
+        return trajectory.x[k, state["leg"]] + rates * (times - grid[k])[:, None], rates
 
     def _write(
         self, trajectory: Trajectory, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0
@@ -259,8 +271,8 @@ class SteeringGuess:
         """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``."""
         state, inputs, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
         grid, x, u = trajectory.grid, trajectory.x, trajectory.u
-        leg, steer = self._angles(x0)
-        pose = x0[state["base"]].copy()
+        legs, swings = self._legs(trajectory, grid)
+        leg, steer, pose = legs[start], x0[state["steer"]].copy(), x0[state["base"]].copy()
         if start > 0:
             pose, steer = x[start, state["base"]].copy(), x[start, state["steer"]].copy()
         rolling, moving = start > 0, np.flatnonzero(speed(twists) > MOVING)
@@ -270,15 +282,20 @@ class SteeringGuess:
             # Where the reference rests, the wheels already turn to the motion that comes next (or stay after the last).
             later = moving[min(int(np.searchsorted(moving, k)), moving.size - 1)]
             desired = twists[k] if k in moving else np.zeros(3)
-            target, _ = rolling_inverse_kinematics(geometry, leg, steer, twists[later])
+            target, _ = rolling_inverse_kinematics(geometry, leg, steer, twists[later], swings[later])
             target = plan.nearest(grid[later], target)
             rate = np.clip((target - steer) / h, -self.rate, self.rate)
             # from rest the wheels come first; a wheel of a base that rolls turns on unless it has to turn round
             rolling = bool(np.abs(target - steer).max() <= (BEND if rolling else 0.03))
+            swing = swings[k] if rolling else np.zeros(leg.size)
             if not rolling:
                 desired = np.zeros(3)
             x[k, state["base"]], x[k, state["steer"]] = pose, steer
             u[k, inputs["base"]], u[k, inputs["steer"]] = desired, rate
-            _, u[k, inputs["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, desired)
-            pose, steer = lie.se2_step(pose, desired * h), steer + rate * h
+            _, u[k, inputs["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, desired, swing)
+            if "leg" in state:
+                x[k, state["leg"]], u[k, inputs["leg"]] = leg, swing
+            pose, steer, leg = lie.se2_step(pose, desired * h), steer + rate * h, leg + swing * h
         x[-1, state["base"]], x[-1, state["steer"]] = pose, steer
+        if "leg" in state:
+            x[-1, state["leg"]] = leg

@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.plant import reject_two_wheels
 from wbmpc.errors import InputError
@@ -59,7 +60,7 @@ def _baseline(
         robot, plant.truth().pose, timing.period, goals,
         RollingGains(s.baseline_base_gain, s.baseline_leg_gain, s.baseline_steer_gain, s.baseline_lead, s.baseline_look_ahead,
             s.mpc.computation_delay),
-        brakes.commanded, estimation=bench.estimation,
+        brakes, estimation=bench.estimation, supervision=SupervisionSettings(guard=False),
     )  # fmt: skip
     part = robot.state["arm"]
     controller.posture = lambda t: tuple(way[0] for way in ramps(robot.home[part], mission.arm, t))  # type: ignore[return-value, assignment]

@@ -17,7 +17,8 @@ from wbmpc.studies.pankert2022.metrics import in_both_frames, rms
 from wbmpc.studies.storyboard import Ground, Snapshot, storyboard
 
 SPEED_NOTE = (
-    "nothing but the wheel moves a leg: one that a bump pushes, or whose wheel comes down again, is not held back"
+    "plans keep a margin below the hinges' limit, and legs on the ground overshoot it where the robot rocks from two wheels to the "
+    "other two or a wheel is still turning; hinges have no motors, and a brake takes a tenth of a second"
 )
 #: Goals [m] of the base's error in the world.
 ODOMETRY_ALONE, WITH_LIDAR = 0.025, 0.005

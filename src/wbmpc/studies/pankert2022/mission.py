@@ -142,8 +142,10 @@ class Mission:
                 )
 
     def apply(self, brakes: BrakeControl) -> None:
-        """Schedule the brake events, after :meth:`check`."""
+        """Schedule the brake events, after :meth:`check`; brakes wait for legs that the mission moves."""
         self.check(brakes.geometry)
+        if self.reconfigurations:
+            brakes.arrivals = lambda t: self.leg(t)[0][0]
         for t, is_open in self.brakes:
             brakes.set(t, np.full(self.legs.size, is_open))
 

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import Brakes, SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.estimator import EstimatorSettings
@@ -64,7 +65,7 @@ class RollingController(SwerveController):
 
     def __init__(
         self, robot: RobotModel, pose: np.ndarray, period: float, goals: Goals, gains: RollingGains | None = None,
-        brakes: Brakes | None = None, *, estimation: EstimatorSettings | None = None,
+        brakes: BrakeControl | Brakes | None = None, *, estimation: EstimatorSettings | None = None,
         supervision: SupervisionSettings | None = None,
     ) -> None:  # fmt: skip
         announces = TrackingSettings(allow_side_slip=True)
@@ -81,8 +82,11 @@ class RollingController(SwerveController):
 
     def drive(self, t: float) -> SwerveCommand:
         """Drive speeds for this tick from the last measurement."""
-        m, brake, geometry = self.measured, self.brakes(t), self.robot.base.geometry
+        m, geometry = self.measured, self.robot.base.geometry
         assert m is not None
+        if m.leg.size:
+            self.supervision.await_legs(t, self.estimator.leg)
+        brake = self.brakes(t)
         measured = self.estimator.steer
         (pose, rate), legs = self.goals(t + self.gains.lead)
         leg, swing = self._legs(*legs, brake)

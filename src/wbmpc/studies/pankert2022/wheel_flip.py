@@ -217,6 +217,10 @@ class WheelFlipGuess(SteeringGuess):
             self._mark = (when, float(self._planned(trajectory, self._new[-1].wheel, when)))
         return written or bool(self._new)
 
+    def _angles(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        state, modules = self.robot.state, self.robot.base.geometry.modules
+        return (x0[state["leg"]] if "leg" in state else np.zeros(modules)), x0[state["steer"]].copy()
+
     def _ways(self, t: float, horizon: float, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times (k) [s], directions (k, n) [rad], continuous from one near ``x0`` on, and speeds (k, n) [m/s] of the wheels."""
         times = t + np.linspace(0.0, horizon, NODES)
@@ -305,7 +309,7 @@ class WheelFlipGuess(SteeringGuess):
             heading = (g.wheel_heading + g.leg_angles(leg) + steer)[wheel]
             u[k, self._roll[wheel]] = (v[0] * np.cos(heading) + v[1] * np.sin(heading)) / g.wheel_radius
 
-    def plan(self, t: float, horizon: float, x0: np.ndarray) -> SteeringPlan:
+    def plan(self, t: float, horizon: float, x0: np.ndarray, trajectory: Trajectory) -> SteeringPlan:
         """Which way round wheels of a base at rest go: that which leads on farthest. No stops."""
         times, ways, _ = self._ways(t, horizon, x0)
         limits = self.limits[0] + RESERVE, self.limits[1] - RESERVE
