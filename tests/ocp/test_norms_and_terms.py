@@ -161,7 +161,7 @@ def test_bad_constraints() -> None:
         (lambda: CapturePoint(robot("rezero"), 4.7, directions=0), "directions must be a whole number"),
         (lambda: PanelContact(None, -1.0), "panel contact: rate must not be negative"),
         (
-            lambda: residuals.FrictionCone(load_robot("rezero", contact="force"), 0.5, np.nan),
+            lambda: residuals.FrictionCone(load_robot("rezero", contact="force"), np.nan),
             "'min_push' must be finite",
         ),
         (lambda: residuals.FrameTwist(robot("rezero"), "tol"), r"did you mean 'tool'\?"),

@@ -235,7 +235,7 @@ def test_defaults_and_what_is_used_are_taken(name: str) -> None:
         kind, ["estimate_disturbance=false", "cost.torque.wheel=0.3", "plant.actuator_dead_time=0.008"], name
     )
     assert usual.cost.torque.wheel == 0.3
-    if name not in ("rezero-door", "rezero-frequency", "rezero-taskspace", "touch"):
+    if name not in ("rezero-door", "rezero-frequency", "rezero-taskspace", "touch", "slip"):
         assert configure(kind, ["controller=lqr", "cost.body.ball_speed=0.5"], name).controller == "lqr"
 
 

@@ -24,7 +24,7 @@ from wbmpc.studies.minniti2019.door_model import WithDoor, end_effector_motion, 
 from wbmpc.studies.minniti2019.door_plant import Door
 from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed
-from wbmpc.studies.minniti2019.touch import TIPS
+from wbmpc.studies.minniti2019.press import TIPS
 from wbmpc.studies.minniti2019.touch_figures import Touch, longest, metrics
 from wbmpc.studies.minniti2019.touch_plant import TouchPlant
 
@@ -66,11 +66,12 @@ def test_the_row_is_the_difference_of_allowed_and_true_speed() -> None:
         for _ in range(5):
             state = HOME + 0.02 * rng.normal(size=HOME.size)
             state[0] += moved
-            place, velocity = motion(state)
-            gap, normal = geometry.gap(place, 0.0), geometry.directions(0.0)[1]
+            place, velocity, _ = motion(state)
+            gap, (along, normal) = geometry.gap(place, 0.0), geometry.directions(0.0)
             allowed = 0.01 + 4.0 * max(-gap, 0.0)
-            found = float(value(np.concatenate([state, [0.0, 0.0]]), np.zeros(u.numel()), 1.0))
-            assert 0.01 * found == pytest.approx(allowed - normal @ velocity, abs=1e-9)
+            found = np.array(value(np.concatenate([state, [0.0, 0.0]]), np.zeros(u.numel()), 1.0)).ravel()
+            fast = [normal @ velocity, along @ velocity, -along @ velocity, velocity[2], -velocity[2]]
+            assert 0.01 * found == pytest.approx(allowed - np.array(fast), abs=1e-9)
 
 
 def test_the_way_takes_as_long_as_its_differential_equation_says() -> None:

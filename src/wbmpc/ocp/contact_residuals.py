@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.checks import finite
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import unknown_name
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.symbols import Symbols
 
@@ -45,26 +45,24 @@ def push_on_surface(force: ca.SX, normal: ca.SX) -> ca.SX:
 class FrictionCone:
     """An end effector that can only push, and not slide: rows [N] that are to be at least zero.
 
-    Reference: the unit normal n (3) of an upright surface, into it. With the robot's push F = −(force of the world on it):
-    ``push``: nᵀF − ``min_push`` [N]; ``cone``: a pyramid inside the cone, μ nᵀF/√2 ± F along two tangents (μ = ``friction``).
+    Reference: the unit normal n (3) of an upright surface, into it, and the friction coefficient μ, which may be estimated on-line. With
+    the robot's push F = −(force of the world on it): ``push``: nᵀF − ``min_push`` [N]; ``cone``: a pyramid inside the cone,
+    μ nᵀF/√2 ± F along two tangents.
     """
 
     robot: RobotModel
-    friction: float
     min_push: float = 0.0
     group: str = "force"
 
-    size, reference = 5, 3
+    size, reference = 5, 4
     groups = {"push": slice(0, 1), "cone": slice(1, 5)}  # noqa: RUF012
 
     def __post_init__(self) -> None:
         if self.group not in self.robot.input:
             raise unknown_name("input group", self.group, self.robot.input.groups, where=self.robot.description.name)
-        finite("friction cone", friction=self.friction, min_push=self.min_push)
-        if not self.friction > 0.0:
-            raise InputError(f"friction cone: friction must be positive, got {self.friction}")
+        finite("friction cone", min_push=self.min_push)
 
     def __call__(self, s: Symbols) -> ca.SX:
-        push, side, rise = ca.vertsplit(push_on_surface(-s.u[self.robot.input[self.group]], s.reference))
-        maximum = self.friction / np.sqrt(2.0) * push
+        push, side, rise = ca.vertsplit(push_on_surface(-s.u[self.robot.input[self.group]], s.reference[0:3]))
+        maximum = s.reference[3] / np.sqrt(2.0) * push
         return ca.vertcat(push - self.min_push, maximum - side, maximum + side, maximum - rise, maximum + rise)

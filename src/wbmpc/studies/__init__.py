@@ -21,6 +21,7 @@ EXPERIMENTS: dict[str, str] = {
     "rezero-steps": "wbmpc.studies.minniti2019.steps:EXPERIMENT",
     "rezero-circle": "wbmpc.studies.minniti2019.circle:EXPERIMENT",
     "touch": "wbmpc.studies.minniti2019.touch:EXPERIMENT",
+    "slip": "wbmpc.studies.minniti2019.slip:EXPERIMENT",
     "rezero-door": "wbmpc.studies.minniti2019.door:EXPERIMENT",
     "rezero-frequency": "wbmpc.studies.minniti2019.frequency:EXPERIMENT",
     "rezero-taskspace": "wbmpc.studies.minniti2019.taskspace:EXPERIMENT",

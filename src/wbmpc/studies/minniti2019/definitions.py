@@ -110,6 +110,16 @@ _TOUCH: Definitions = {
     "touch_time_extra": ("s", "how much later the tip touches than without the limit of the approach's speed; worst of all speeds; true"),
     "fell": ("1", "whether the robot fell: 1 if it did"),
 }  # fmt: skip
+_SLIP: Definitions = {
+    "slide_max": ("m", "how far the tip slides at most from where it touched, contact lost or not, until the push ends; worst grip; true"),
+    "slide_max_plain": ("m", "the same with a friction cone of one size"),
+    "force_error_ratio": ("1", "rms error of the true normal force over its reference, from 0.1 s after the touch until the push ends; worst grip"),
+    "force_error_ratio_plain": ("1", "the same with a friction cone of one size"),
+    "touch_peak": ("N", "largest normal force of the tip at any physics step; worst of all grips; true"),
+    "time_without_contact": ("s", "time without contact between touch and the end of the push; worst of all grips; true"),
+    "grip_bound_ratio": ("1", "largest friction coefficient that was planned with over the true one; worst of all grips"),
+    "fell": ("1", "whether the robot fell: 1 if it did"),
+}  # fmt: skip
 
 #: By experiment.
 DEFINITIONS: dict[str, Definitions] = {
@@ -124,4 +134,5 @@ DEFINITIONS: dict[str, Definitions] = {
     "rezero-frequency": _FREQUENCY,
     "rezero-door": _DOOR,
     "touch": _TOUCH,
+    "slip": _SLIP,
 }

@@ -24,7 +24,7 @@ from wbmpc.studies.minniti2019.door_control import FAR, DoorController, Push
 from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, worst_estimates
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, TIP_MASS, TIP_RADIUS, Door, DoorPlant
-from wbmpc.studies.minniti2019.door_problem import default_push_cost, door_problem
+from wbmpc.studies.minniti2019.door_problem import EstimatedCone, default_push_cost, door_problem
 from wbmpc.studies.minniti2019.door_settings import DOORS, FORCE_GOAL, RezeroDoorSettings
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_robot, record_rezero
 
@@ -141,6 +141,7 @@ def make_controller(
         target, end_effector, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
         back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
         soonest=settings.scheme.soonest, lead=settings.scheme.lead,
+        friction=settings.scheme.friction, learns=isinstance(settings.scheme.cone, EstimatedCone),
     )  # fmt: skip
     for body in ("body", "push_body"):
         mpc.reference[body] = Reference.constant(home)
@@ -181,6 +182,9 @@ def record_door(log: Log, t: float, plant: DoorPlant, controller: DoorController
     log.add("force_measured", t, -controller.force)
     log.add("force_sensorless", t, -controller.sensorless.force)
     log.add("force_planned", t, -plans.current.feedforward(t)[-3:])
+    log.add("sliding", t, controller.sliding)
+    if np.isfinite(controller.friction):
+        log.add("grip", t, controller.friction)
     log.add("pushing", t, float(controller.phase == "push"))
     log.add("penetration", t, plant.penetration)
     log.add("touching", t, float(controller.contact.touching))

@@ -30,7 +30,9 @@ from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, LeverFit
 from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, end_effector_motion, place_of
+from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
 from wbmpc.studies.minniti2019.force import ForceMonitor
+from wbmpc.studies.minniti2019.grip import GripMonitor
 from wbmpc.studies.minniti2019.momentum import SensorlessForce
 from wbmpc.types import Observation
 
@@ -82,7 +84,8 @@ class Push:
     ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``opening_angle`` [rad] or, touch or not, at time ``give_up`` [s]
     and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries;
     ``soonest`` (gap [m]) [s]: how long the way to the panel takes at least; ``lead`` [m]: how far ahead
-    of an end effector that has not touched the panel is believed to be at least, 0: it stays where it was."""
+    of an end effector that has not touched the panel is believed to be at least, 0: it stays where it was; ``friction``: coefficient
+    that is planned with, at first if the robot ``learns`` it."""
 
     force: Callable[[float], float]
     start: Array
@@ -96,6 +99,8 @@ class Push:
     tip_weight: float
     soonest: Callable[[float], float]
     lead: float
+    friction: float
+    learns: bool
 
 
 class DoorController(BallController):
@@ -123,6 +128,7 @@ class DoorController(BallController):
         self.lever = geometry.lever(push.start, 0.0)
         self._end_effector = end_effector_motion(robot)
         self.sensorless = SensorlessForce(robot)
+        self.grip, self.sliding = GripMonitor(push.friction), np.zeros(2)
         self._let_go = push.start
         self._found: list[str] = []
 
@@ -140,13 +146,14 @@ class DoorController(BallController):
             self._read_force(measurement)
         super().measure(measurement)
         assert self.measured is not None
-        end_effector, velocity = self._end_effector(self.measured.state)
+        motion = self._end_effector(self.measured.state)
         acted = self.sent.acted(self._late())
         self.sensorless.update(self.measured.state, acted, self.period, self._carried())
         if measurement.time < self.push.begin:
             self.sensorless.observer.zero()
         self._compare(measurement.time)
-        self._follow(measurement.time, end_effector, velocity)
+        self._follow(measurement.time, *motion[:2])
+        self._judge_grip(motion)
 
     def _pushed(self) -> Array:
         return self.force[:2]
@@ -225,6 +232,20 @@ class DoorController(BallController):
             self.phase, self.relaxed = "relax", t
         if self.phase != "release" and self._ends(t):
             self.phase, self.released, self._let_go = "release", t, end_effector.copy()
+
+    @property
+    def friction(self) -> float:
+        """The friction coefficient that is planned with; infinite without a cone."""
+        return self.grip.bound if self.push.learns else self.push.friction
+
+    def _judge_grip(self, motion: tuple[Array, Array, Array]) -> None:
+        """Whether the end effector slides, and the grip of the panel."""
+        angle, rate = self.door
+        normal = self.geometry.directions(angle)[1]
+        push = float(-normal @ self.force) if self.phase in ("push", "relax") else 0.0
+        self.sliding = self.geometry.sliding(motion, angle, rate, HALF_THICKNESS)
+        across = float(np.linalg.norm(self.force + push * normal))
+        self.grip.update(self.period, push, across, self.sliding)
 
     def _coasting(self, end_effector: Array, velocity: Array) -> Array:
         """Angle and rate of a door that has run away from the end effector: it slows down as its impedance says, and is at least
@@ -313,7 +334,7 @@ class DoorController(BallController):
     def predicted_touch(self, now: float) -> float:
         """When the end effector will touch the panel [s], not before one period of the plan after ``now``."""
         assert self.measured is not None
-        end_effector, velocity = self._end_effector(self.measured.state)
+        end_effector, velocity, _ = self._end_effector(self.measured.state)
         normal = self.geometry.directions(float(self.door[0]))[1]
         speed = max(float(normal @ velocity), 0.5 * self.push.speed)
         gap = -self.geometry.gap(end_effector, float(self.door[0]))
@@ -334,7 +355,7 @@ class DoorController(BallController):
         mpc.reference["end_effector"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
         mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
         if "cone" in mpc.ocp.terms:
-            mpc.reference["cone"] = Reference(times, normals)
+            mpc.reference["cone"] = Reference(times, np.column_stack([normals, np.full(times.size, self.friction)]))
         if "panel" in mpc.ocp.terms:
             mpc.reference["panel"] = Reference(times, np.where(times < open_at, FAR, 0.0)[:, None])
         if "lean" in mpc.ocp.terms:

@@ -75,6 +75,16 @@ class DoorGeometry:
         """The rate [rad/s] of a panel that the end effector (3) [m], moving at ``velocity`` (3) [m/s], keeps touching."""
         return float(self.directions(angle)[1] @ np.asarray(velocity, float)) / self.lever(end_effector, angle)
 
+    def sliding(self, motion: tuple[Array, Array, Array], angle: float, rate: float, half: float) -> Array:
+        """How fast (2) [m/s] the tip slides along the panel, away from the hinge and up, where they touch: end effector with its ``motion``
+        (:func:`end_effector_motion`), panel at an ``angle`` [rad] with ``rate`` [rad/s], of ``half`` its thickness [m]. A tip that rolls does
+        not slide."""
+        (along, normal), (place, velocity, turn) = self.directions(angle), motion
+        point = self.lever(place, angle) * along - half * normal
+        panel = np.cross([0.0, 0.0, self.opening * rate], point)
+        slides = velocity + np.cross(turn, (self.offset - half) * normal) - panel
+        return np.array([along @ slides, slides[2]])
+
     def place(self, angle: float, lever: float, height: float) -> Array:
         """Where the end effector (3) [m] is that touches the panel at ``lever`` [m] from the hinge."""
         along, normal = self.directions(angle)
@@ -177,14 +187,14 @@ def place_of(door: DoorGeometry) -> Array:
     return np.array([*door.hinge, door.closed, door.offset])
 
 
-def end_effector_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Array]]:
-    """Position (3) [m] and velocity (3) [m/s] of the end effector at a state (nx) of the robot."""
+def end_effector_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Array, Array]]:
+    """Position (3) [m], velocity (3) [m/s] and angular velocity (3) [rad/s] of the end effector at a state (nx) of the robot."""
     x, u = ca.SX.sym("x", robot.state.size), ca.SX(robot.input.size, 1)
-    place, velocity = robot.frame_pose(x, robot.tool).position, robot.frame_velocity(x, u, robot.tool)[0]
-    function = ca.Function("hand", [x], [place, velocity])
+    place, (velocity, turn) = robot.frame_pose(x, robot.tool).position, robot.frame_velocity(x, u, robot.tool)
+    function = ca.Function("hand", [x], [place, velocity, turn])
 
-    def motion(state: Array) -> tuple[Array, Array]:
-        p, v = function(state)
-        return np.array(p).ravel(), np.array(v).ravel()
+    def motion(state: Array) -> tuple[Array, Array, Array]:
+        p, v, w = function(state)
+        return np.array(p).ravel(), np.array(v).ravel(), np.array(w).ravel()
 
     return motion

@@ -40,8 +40,9 @@ class Door:
     ``hinge`` (2) [m] in the world; ``closed`` [rad]: heading of the closed panel as seen from its hinge; ``opening``: +1 when the panel turns
     counter-clockwise as it opens, −1 when clockwise. ``width`` [m], ``mass`` [kg] of the homogeneous panel, ``friction`` [N m] (Coulomb),
     ``closer`` [N m], ``damping`` [N m s/rad] of the hinge, ``grip``: friction coefficient of the tip on it, ``contact``: time constant [s]
-    and damping ratio of that contact. ``breakaway`` [N m]: dry friction until it has once opened by half a degree. ``locked``: no hinge at
-    all.
+    and damping ratio of that contact; ``friction_time`` [s]: time constant with which its friction stops what slides, where that is not the
+    contact's (None): with a soft contact's, surfaces that turn creep along each other. ``breakaway`` [N m]: dry friction until it has once
+    opened by half a degree. ``locked``: no hinge at all.
     """
 
     hinge: tuple[float, float]
@@ -55,6 +56,7 @@ class Door:
     grip: float = 0.5
     breakaway: float = 0.0
     contact: tuple[float, float] = SOFT
+    friction_time: float | None = None
     locked: bool = False
 
     def __post_init__(self) -> None:
@@ -140,6 +142,11 @@ class DoorPlant(BallPlant):
         def edit(spec: mujoco.MjSpec) -> None:
             door.add(spec)
             add_tip(spec, description.arm.tool, door.grip, door.contact)
+            if door.friction_time is not None:
+                spec.add_pair(
+                    name="hand_tip_door", geomname1="hand_tip", geomname2="door", condim=3, solref=door.contact,
+                    friction=[door.grip, door.grip, 0.005, 1e-4, 1e-4], solreffriction=[door.friction_time, 1.0],
+                )  # fmt: skip
 
         super().__init__(description, state, torque, perturbation, seed, payload=payload, edit=edit)
         self._tip, self._panel = self.model.geom("hand_tip").id, self.model.geom("door").id

@@ -72,6 +72,16 @@ class PushCone(Settings):
     min_push: Weight = 0.5
 
 
+class EstimatedCone(Settings):
+    """A cone whose coefficient is not known: the robot's lower bound of it
+    (:class:`wbmpc.studies.minniti2019.grip.GripMonitor`). ``least``: what any surface is trusted to have; ``min_push`` [N]: as of a
+    :class:`PushCone`."""
+
+    kind: Literal["estimated"] = "estimated"
+    least: Positive = 0.09
+    min_push: Weight = 0.5
+
+
 class FreeApproach(Settings):
     """The end effector comes as its reference does."""
 
@@ -79,8 +89,8 @@ class FreeApproach(Settings):
 
 
 class LimitedApproach(Settings):
-    """A touch at a speed that is limited, wherever the panel is. ``touch_speed`` [m/s]: the limit at the panel; ``growth`` [1/s]: of the limit
-    with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place."""
+    """A touch at a speed that is limited, wherever the panel is. ``touch_speed`` [m/s]: the limit at the panel, towards it and along
+    it; ``growth`` [1/s]: of the limit with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place."""
 
     kind: Literal["limited"] = "limited"
     touch_speed: Positive = 0.01
@@ -90,17 +100,25 @@ class LimitedApproach(Settings):
 
 class DoorScheme(Settings):
     """``contact``: what the problem knows of it, a :class:`FreeWrench` or the :class:`DoorEquation`; ``identify``: the door's impedance is
-    estimated as it moves; ``cone``: none, or a :class:`PushCone`; ``approach``: a :class:`FreeApproach` or a :class:`LimitedApproach`."""
+    estimated as it moves; ``cone``: none, a :class:`PushCone` or an :class:`EstimatedCone`;
+    ``approach``: a :class:`FreeApproach` or a :class:`LimitedApproach`."""
 
     contact: Annotated[FreeWrench | DoorEquation, Field(discriminator="kind"), BeforeValidator(kind_alone)] = (
         DoorEquation()
     )
     identify: bool = True
-    cone: Annotated[NoCone | PushCone, Field(discriminator="kind"), BeforeValidator(kind_alone)] = PushCone()
+    cone: Annotated[NoCone | PushCone | EstimatedCone, Field(discriminator="kind"), BeforeValidator(kind_alone)] = (
+        PushCone()
+    )
     approach: Annotated[
         FreeApproach | LimitedApproach,
         Field(discriminator="kind"), BeforeValidator(kind_alone), OnlyWith({"contact.kind": "door"}),
     ] = FreeApproach()  # fmt: skip
+
+    @property
+    def friction(self) -> float:
+        """The friction coefficient that is planned with before anything is known of the panel's."""
+        return self.cone.least if isinstance(self.cone, EstimatedCone) else getattr(self.cone, "friction", np.inf)
 
     @property
     def lead(self) -> float:
@@ -159,8 +177,8 @@ def door_problem(
     ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], reference=None), modes=("free",)))
     limit_arm(ocp, robot, settings, cost)
     limit_torques(ocp, robot, settings, cost, ["wheel", "arm"])
-    if isinstance(cone, PushCone):
-        within = residuals.FrictionCone(robot, cone.friction, cone.min_push)
+    if not isinstance(cone, NoCone):
+        within = residuals.FrictionCone(robot, cone.min_push)
         penalty = RelaxedBarrier(settings.barrier_mu, 0.1)
         ocp.add(
             Constraint(

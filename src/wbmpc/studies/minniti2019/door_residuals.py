@@ -44,19 +44,20 @@ class PanelContact:
 
 @dataclass(frozen=True)
 class ApproachSpeed:
-    """How much slower than it may an end effector comes to the panel: ``least`` + ``rate`` · d − ġ, over ``least``, for the distance d = −g [m]
-    that is left, and none beyond the panel.
+    """How much slower than it may an end effector comes to the panel, ``least`` + ``rate`` · d − ġ, and moves along it and up,
+    ``least`` + ``rate`` · d ∓ ṡ, over ``least``, for the distance d = −g [m] that is left, and none beyond the panel.
 
-    A touch is then no faster than ``least`` [m/s], and an impact of a hard tip, whose force grows with its speed, no harder. ``rate`` [1/s]:
-    how fast the speed falls on the way. ``dynamics``: a :class:`wbmpc.studies.minniti2019.door_model.WithDoor`.
+    A touch is then no faster than ``least`` [m/s], an impact of a hard tip, whose force grows with its speed, no harder, and a tip
+    slides no farther before friction stops it. ``rate`` [1/s]: how fast the speed falls on the way. ``dynamics``: a
+    :class:`wbmpc.studies.minniti2019.door_model.WithDoor`.
     """
 
     dynamics: Any
     least: float
     rate: float
 
-    size, reference = 1, 0
-    groups = {"approach": slice(0, 1)}  # noqa: RUF012
+    size, reference = 5, 0
+    groups = {"approach": slice(0, 1), "along": slice(1, 5)}  # noqa: RUF012
 
     def __post_init__(self) -> None:
         positive("approach speed", least=self.least, rate=self.rate)
@@ -64,7 +65,8 @@ class ApproachSpeed:
     def __call__(self, s: Symbols) -> ca.SX:
         place, speed, _ = self.dynamics.contact_motion(s.all_x, s.all_u, s.parameters, s.mode)
         left = ca.fmax(-place[0], 0.0)
-        return (self.least + self.rate * left - speed[0]) / self.least
+        fast = ca.vertcat(speed[0], speed[1], -speed[1], speed[2], -speed[2])
+        return (self.least + self.rate * left - fast) / self.least
 
 
 @dataclass(frozen=True)

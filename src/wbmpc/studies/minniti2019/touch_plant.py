@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from wbmpc.simulation.world import Array
-from wbmpc.studies.minniti2019.door_plant import DoorPlant
+from wbmpc.studies.minniti2019.door_plant import TIP_RADIUS, DoorPlant
 
 
 class TouchPlant(DoorPlant):
-    """``steps``: rows of time [s], force of the tip on the panel along its normal and across it [N], and the tip's speed towards the panel
-    [m/s], one for each physics step. The arguments are those of :class:`DoorPlant`."""
+    """``steps``: rows of time [s], force of the tip on the panel along its normal and across it [N], the tip's speed towards the panel
+    [m/s], and how fast the tip slides on it, along it and up [m/s], one for each physics step. The arguments are those of
+    :class:`DoorPlant`."""
 
     def __init__(self, *args: Any, **more: Any) -> None:
-        self.steps: list[tuple[float, float, float, float]] = []
+        self.steps: list[tuple[float, ...]] = []
         self._beyond = np.nan
         super().__init__(*args, **more)
 
@@ -32,7 +34,21 @@ class TouchPlant(DoorPlant):
         speed = (beyond - self._beyond) / self.timestep
         self._beyond = beyond
         across = float(np.linalg.norm(force - push * normal))
-        self.steps.append((self.time, push, across, speed))
+        self.steps.append((self.time, push, across, speed, *self._sliding()))
+
+    def _sliding(self) -> tuple[float, float]:
+        """How fast [m/s] the tip moves against the panel where they touch, or would touch, along it and up: of their two materials."""
+        data, normal, velocity = self.data, self.normal, np.zeros(6)
+        point = data.geom_xpos[self._tip] + TIP_RADIUS * normal
+        for contact in data.contact:
+            if {contact.geom1, contact.geom2} == {self._tip, self._panel}:
+                point = contact.pos
+        slides = np.zeros(3)
+        for geom, sign in ((self._tip, 1.0), (self._panel, -1.0)):
+            body = int(self.model.geom_bodyid[geom])
+            mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
+            slides += sign * (velocity[3:] + np.cross(velocity[:3], point - data.xpos[body]))
+        return float(np.cross(normal, [0.0, 0.0, 1.0]) @ slides), float(slides[2])
 
     def beyond(self) -> float:
         """How far [m] the tip's center is beyond the panel's middle plane."""
@@ -40,5 +56,5 @@ class TouchPlant(DoorPlant):
         return float((self.data.geom_xpos[self._tip] - hinge) @ self.normal)
 
     def record(self) -> Array:
-        """:attr:`steps` as an array (n, 4), from the first step on."""
-        return np.array(self.steps).reshape(-1, 4)
+        """:attr:`steps` as an array (n, 6), from the first step on."""
+        return np.array(self.steps).reshape(-1, 6)

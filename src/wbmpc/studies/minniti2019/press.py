@@ -1,0 +1,61 @@
+"""The ball robot presses its tip against a door or a wall whose place it knows to ± 10 mm: what `touch` and `slip` have in common."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.configuration import Rules, unused
+from wbmpc.model.robot import RobotModel
+from wbmpc.simulation.lockstep import Progress
+from wbmpc.studies.minniti2019.door import believed, drawn_door, push_door
+from wbmpc.studies.minniti2019.door_control import RELAX
+from wbmpc.studies.minniti2019.door_figures import Trial
+from wbmpc.studies.minniti2019.door_plant import SOFT
+from wbmpc.studies.minniti2019.door_problem import DoorScheme, LimitedApproach
+from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
+from wbmpc.studies.minniti2019.touch_plant import TouchPlant
+
+Array = np.ndarray
+#: Time constant [s] and damping ratio of the tips' contact.
+TIPS = {"soft": SOFT, "hard": (0.004, 0.3)}
+#: Of so many physics steps one is kept in the log; figures are of all.
+THINNED = 5
+
+
+class PressSettings(RezeroDoorSettings):
+    """``tip``: hard (its contact lasts milliseconds and is hardly damped) or soft, of rubber; ``surface``: a door that is free, or a wall;
+    ``force`` [N] to push with; ``timeout`` [s]: from the start of the approach to the end of the push. The others are those of
+    `rezero-door`."""
+
+    tip: Literal["hard", "soft"] = "soft"
+    surface: Literal["door", "wall"] = "door"
+    force: float = Field(16.0, gt=0, le=200.0)
+    scheme: DoorScheme = DoorScheme(approach=LimitedApproach())
+    settle_time: float = Field(1.5, ge=0.5, le=60.0)
+    rise_time: float = Field(0.3, ge=0, le=10.0)
+    final_hold_time: float = Field(0.2, ge=0.1, le=60.0)
+
+    only_with: ClassVar[Rules] = {**RezeroDoorSettings.only_with, **unused("forces", "door")}
+
+
+def press(settings: PressSettings, seed: int, progress: Progress | None, **surface: Any) -> tuple[Trial, Array, float]:
+    """One approach and push on a ``surface`` with these numbers of a :class:`wbmpc.studies.minniti2019.door_plant.Door`: how it went, the
+    physics steps (n, 6) as of :class:`wbmpc.studies.minniti2019.touch_plant.TouchPlant`, and when [s] the push ends."""
+    plants: list[TouchPlant] = []
+
+    def made(_: RezeroDoorSettings, robot: RobotModel, home: Array, torque: Array, seed: int) -> TouchPlant:
+        door = drawn_door(settings, believed(robot.pose(home)[0]).hinge, seed)
+        door = replace(door, locked=settings.surface == "wall", contact=TIPS[settings.tip], **surface)
+        plants.append(
+            TouchPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
+        )
+        return plants[-1]
+
+    trial = push_door(settings, settings.force, seed, progress, made)
+    pushing = trial.log.times("pushing")[trial.log.array("pushing") > 0.0]
+    limit = settings.settle_time + settings.timeout - RELAX
+    return trial, plants[0].record(), min(float(pushing[-1]) if pushing.size else limit, limit)

@@ -1,0 +1,89 @@
+"""`slip`: the ball robot pushes a door or a wall whose friction it does not know, and is not to slide on it.
+
+What the surface bears is known when the tip has slid. So the plan trusts little friction at first, more where the tip has borne more
+without sliding, and less as soon as it slides (:class:`wbmpc.studies.minniti2019.grip.GripMonitor`). Beside it the same pushes with a cone
+of one size.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from wbmpc.configuration import OnlyWith, Rules
+from wbmpc.experiment import Experiment, Outcome, Part, Scenario
+from wbmpc.log import Log
+from wbmpc.simulation.lockstep import Progress
+from wbmpc.studies.minniti2019.definitions import DEFINITIONS
+from wbmpc.studies.minniti2019.door import HERE
+from wbmpc.studies.minniti2019.door_problem import DoorScheme, EstimatedCone, LimitedApproach, PushCone
+from wbmpc.studies.minniti2019.press import THINNED, PressSettings, press
+from wbmpc.studies.minniti2019.slip_figures import Press, metrics, plots
+from wbmpc.studies.minniti2019.task import IDEALIZATIONS
+
+NAME = "slip"
+#: Time constant [s] with which friction stops a tip that slides: in that of a soft contact it would creep by millimeters as the door turns.
+FRICTION_TIME = 0.002
+
+
+class SlipSettings(PressSettings):
+    """``grips``: friction coefficients of the surface, one push each, which the robot does not know; ``compare``: also with a cone of
+    one size (:class:`PushCone`). The others are those of :class:`wbmpc.studies.minniti2019.press.PressSettings`."""
+
+    grips: tuple[Annotated[float, Field(ge=0.02, le=2.0)], ...] = Field(
+        (0.1, 0.2, 0.4, 0.8), min_length=1, max_length=8
+    )
+    compare: Annotated[bool, OnlyWith({"scheme.cone.kind": "estimated"})] = True
+    scheme: DoorScheme = DoorScheme(approach=LimitedApproach(), cone=EstimatedCone())
+    timeout: float = Field(10.0, ge=1.0, le=120.0)
+
+    only_with: ClassVar[Rules] = PressSettings.only_with
+
+
+def build(settings: SlipSettings, seed: int) -> Scenario:
+    """A push for each grip, with the estimated cone and with one of one size."""
+    log = Log()
+    runs: dict[bool, list[Press]] = {True: [], False: []}
+    given = isinstance(settings.scheme.cone, EstimatedCone)
+
+    def run(grip: float, learns: bool, progress: Progress | None) -> Outcome:
+        name = f"grip_{grip:g}" + ("" if learns == given else "_plain")
+        scheme = settings.scheme if learns == given else settings.scheme.model_copy(update={"cone": PushCone()})
+        trial, steps, end = press(
+            settings.model_copy(update={"scheme": scheme}), seed, progress, grip=grip, friction_time=FRICTION_TIME
+        )
+        trusted = [c for c in ("grip",) if c in trial.log.channels]  # none without a cone
+        bound = trial.log.array("grip") if trusted else np.array([np.inf])
+        runs[learns].append(Press(grip, settings.force, settings.rise_time, end, steps, bound, trial.ending))
+        for row in steps[steps[:, 0] >= settings.settle_time][::THINNED]:
+            log.add(f"steps_{name}", row[0], row[1:])
+        log.extend(trial.log, f"_{name}", [*trusted, "sliding", "force_planned"])
+        return Outcome(trial.ending, trial.faults, None, trial.mpc)
+
+    kinds = (True, False) if given and settings.compare else (given,)
+    parts = [
+        Part(
+            f"grip {grip:g}" + ("" if learns == given else ", plain"),
+            partial(run, grip, learns),
+            baseline=learns != given,
+        )
+        for learns in kinds
+        for grip in sorted(settings.grips)
+    ]
+    own, plain = runs[given], runs[False] if given else []
+    return Scenario(
+        log,
+        parts,
+        lambda run: metrics(own, plain),
+        lambda run: plots(own, plain),
+        [*HERE, *IDEALIZATIONS],
+        compared=True,
+    )
+
+
+EXPERIMENT = Experiment.of(
+    NAME, "the ball robot pushes a door or a wall of unknown friction", SlipSettings, build, DEFINITIONS[NAME]
+)
