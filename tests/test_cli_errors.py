@@ -20,8 +20,8 @@ from command_line import FAKE_MAIN, call, shell
 from effort import some
 from fake_experiment import REGISTRY
 from wbmpc.cli import main
-from wbmpc.interrupts import ended_by_signal, terminable
 from wbmpc.errors import WbmpcError
+from wbmpc.interrupts import ended_by_signal, terminable
 from wbmpc.recording.reader import read_recording
 from wbmpc.report import files
 from wbmpc.result import RunResult

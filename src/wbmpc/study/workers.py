@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol
@@ -140,7 +141,10 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         "distributed.client",
     ):  # what they report of lost workers comes as rows, of a lost scheduler as a message
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    dask.config.set({"distributed.scheduler.allowed-failures": RETRIES, "distributed.comm.timeouts.connect": SILENCE})
+    dask.config.set({
+        "distributed.scheduler.allowed-failures": RETRIES, "distributed.comm.timeouts.connect": SILENCE,
+        "distributed.scheduler.http.routes": [],  # it has a server for browsers whatever it is asked for: that shows nothing
+    })  # fmt: skip
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout=SILENCE, set_as_default=False)
@@ -149,7 +153,13 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         with _closing(client, None):
             yield Cluster(client, scheduler)
         return
-    with interrupt_noted() as interrupted, _deaf(), _threads_pinned():  # one that is half there cannot be closed
+    with (
+        interrupt_noted() as interrupted,
+        _deaf(),
+        _threads_pinned(),
+        warnings.catch_warnings(),
+    ):  # one half there cannot be closed
+        warnings.filterwarnings("ignore", "Port [0-9]+ is already in use")  # another study goes on
         cluster = LocalCluster(
             n_workers=count or len(os.sched_getaffinity(0)), threads_per_worker=1, processes=True, dashboard_address=None,
             silence_logs=logging.CRITICAL,
