@@ -19,7 +19,7 @@ from ros2_processes import Bus, Recorder, open_bus
 from wbmpc.ros2.convert import header, seconds
 from wbmpc.ros2.settings import OBSTACLE_TYPES
 
-#: What the controller waits for before anybody publishes detections.
+#: What the controller waits for before detections are published.
 MISSING = "waiting: no obstacles on /detections yet"
 #: The box: middle and size over the floor [m], and the goal of the base [m].
 BOX, SIZE, GOAL = (1.5, 0.15), (0.3, 0.3, 0.8), 2.5

@@ -31,7 +31,7 @@ READY = "waiting for a goal"
 
 @cache
 def private(domain: int) -> dict[str, str]:
-    """Environment of a bus that nobody else is on; a process configures a domain once."""
+    """Environment of a bus of its own; a process configures a domain once."""
     tag = f"<CycloneDDS><Domain><Discovery><Tag>{uuid.uuid4()}</Tag></Discovery></Domain></CycloneDDS>"
     own = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "CYCLONEDDS_URI": tag}
     return {**os.environ, **own}
@@ -66,7 +66,7 @@ class Bus:
         self.sim: Any = None
         try:
             self._start()
-        except BaseException:  # nobody else knows of what has been started
+        except BaseException:  # what has been started is known only here
             self.close()
             raise
 
@@ -188,5 +188,5 @@ def _at(rows: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def matched(publisher: Any) -> bool:
-    """Whether somebody listens to a publisher."""
+    """Whether a publisher has subscribers."""
     return bool(publisher._writer.get_matched_subscriptions())

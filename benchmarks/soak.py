@@ -1,6 +1,7 @@
-"""100 000 solves in receding horizon: growth of the memory, drift of the solve time.
+"""Solves in receding horizon, 100 000 or as many as are asked for: growth of the memory, drift of the solve time.
 
-Usage: python benchmarks/soak.py [--robot rezero swerve] [--solves 100000] [--json FILE]
+Usage: python benchmarks/soak.py [--robot rezero swerve arm mixed] [--solves 100000] [--json FILE]
+`mixed` solves the problems of all robots in turn.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, set_home_reference
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
-from wbmpc.ocp import Reference
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference
+from wbmpc.ocp.residuals import FramePose, Input
+from wbmpc.ocp.sets import Box
 from wbmpc.settings import MpcSettings
 from wbmpc.tasks.paths import SinePath
 from wbmpc.types import Observation
@@ -63,7 +66,25 @@ def swerve(seconds: float) -> MPC:
     return mpc
 
 
-MAKE = {"rezero": rezero, "swerve": swerve}
+def arm(seconds: float) -> MPC:
+    """A fixed arm between two poses, which change every two seconds; 20 intervals over 1 s, hard limits."""
+    robot = load_robot("ur5")
+    ocp = OptimalControlProblem(robot.dynamics(), horizon=1.0, intervals=20)
+    ocp.add(Cost("end_effector", FramePose(robot, robot.tool), [1000.0] * 3 + [100.0] * 3))
+    ocp.add(Cost("speed", Input(robot), 0.1))
+    box = Box(robot.limits.input_lower, robot.limits.input_upper)
+    ocp.add(Constraint("limits", Input(robot), box, hard=True))
+    mpc = MPC(ocp, rate=1.0 / PERIOD)
+    position, quaternion = robot.pose(robot.home)
+    times = np.arange(0.0, seconds, 2.0)
+    steps = np.outer(np.arange(times.size) % 2, [0.0, 0.1, 0.05])
+    mpc.reference["end_effector"] = Reference.poses(times, position + steps, quaternion, hold=True)
+    mpc.reset(robot.home)
+    return mpc
+
+
+MAKE = {"rezero": rezero, "swerve": swerve, "arm": arm}
+MIXED = "mixed"
 
 
 def resident() -> int:
@@ -71,34 +92,52 @@ def resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def run(name: str, solves: int) -> dict[str, Any]:
-    """Solves from the state that the plan of the last one comes to, with noise; figures by name."""
-    mpc = MAKE[name](solves * PERIOD + 10.0)
-    rng, plan = np.random.default_rng(0), mpc.solver.trajectory(copy=False)
-    times, memory, failures = np.full(solves, np.nan), np.full(100, np.nan), 0
-    x, start = plan.x[0].copy(), time.perf_counter()
-    for i in range(solves):
-        failures += not mpc.advance(Observation(i * PERIOD, x))
-        times[i] = mpc.solve_time
+class Run:
+    """One problem in receding horizon from the state that the plan of the last solve comes to, with noise."""
+
+    def __init__(self, name: str, seconds: float) -> None:
+        self.mpc = MAKE[name](seconds)
+        self._plan = self.mpc.solver.trajectory(copy=False)
+        self._rng, self._x, self._count = np.random.default_rng(0), self._plan.x[0].copy(), 0
+
+    def solve(self) -> bool:
+        """Whether it gave a plan."""
+        done = self.mpc.advance(Observation(self._count * PERIOD, self._x))
+        plan = self._plan
         share = PERIOD / (plan.grid[1] - plan.grid[0])
-        x = (1.0 - share) * plan.x[0] + share * plan.x[1] + NOISE * PERIOD * rng.normal(size=x.size)
+        noise = NOISE * PERIOD * self._rng.normal(size=self._x.size)
+        self._x = (1.0 - share) * plan.x[0] + share * plan.x[1] + noise
+        self._count += 1
+        return done
+
+
+def run(name: str, solves: int) -> dict[str, Any]:
+    """Figures by name; times of a tenth are of the same problems in each tenth."""
+    names = list(MAKE) if name == MIXED else [name]
+    runs = [Run(n, solves * PERIOD / len(names) + 10.0) for n in names]
+    times, memory, failures = np.full(solves, np.nan), np.full(100, np.nan), 0
+    start = time.perf_counter()
+    for i in range(solves):
+        one = runs[i % len(runs)]
+        failures += not one.solve()
+        times[i] = one.mpc.solve_time
         if i % (solves // 100) == 0:
             memory[i // (solves // 100)] = resident()
     tenth = solves // 10
     # the first hundredth is left out of the growth: buffers and caches come into being
     return {
-        "robot": name, "solves": solves, "intervals": mpc.ocp.intervals, "failures": failures,
+        "robot": name, "solves": solves, "intervals": runs[0].mpc.ocp.intervals, "failures": failures,
         "seconds": time.perf_counter() - start, "memory_first": memory[1], "memory_last": memory[-1],
         "growth": memory[-1] - memory[1], "median_first": float(np.median(times[:tenth])),
         "median_last": float(np.median(times[-tenth:])), "median": float(np.median(times)),
-        "p99": float(np.percentile(times, 99)), "max": float(times[1:].max()),
+        "p99": float(np.percentile(times, 99)), "max": float(times[len(runs):].max()),
         "quickest_first": float(np.percentile(times[:tenth], 10)), "quickest_last": float(np.percentile(times[-tenth:], 10)),
     }  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--robot", nargs="*", default=list(MAKE), choices=list(MAKE))
+    parser.add_argument("--robot", nargs="*", default=["rezero", "swerve"], choices=[*MAKE, MIXED])
     parser.add_argument("--solves", type=int, default=100_000)
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     given = parser.parse_args()

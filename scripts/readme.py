@@ -1,6 +1,6 @@
 """The README's figures, from the statistics.json of studies: the words stay as they are, marks say which figure goes where.
 
-A mark is a comment that nobody sees, before the figure and after it:
+A mark is a comment, which is not shown, before the figure and after it:
 
     <!--= swerve-track hand_error_mean_odometry mm -->1.2 mm (2.1)<!--/-->
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 def printable(text: str, kept: str = "") -> str:
     """``text`` with what would steer a terminal (escape sequences, reversed writing, line feeds) written out, but for characters that
-    are ``kept``: names in files come from anybody."""
+    are ``kept``: names in files are not trusted."""
     return "".join(c if c.isprintable() or c in kept else c.encode("unicode_escape").decode() for c in text)
 
 

@@ -112,7 +112,7 @@ def run_all(
                 job.directory.mkdir(parents=True, exist_ok=True)
                 for name in RUN_FILES:  # of a run that was killed: a new one would go elsewhere
                     (job.directory / name).unlink(missing_ok=True)
-                # a file, not a pipe: nobody reads while the run goes on
+                # a file, not a pipe: it is not read while the run goes on
                 with (job.directory / "errors.txt").open("w") as errors:
                     running[job] = subprocess.Popen(
                         make(job), stdout=subprocess.DEVNULL, stderr=errors, env=environment

@@ -358,6 +358,31 @@ def test_questions_on_a_terminal(
     assert d.arm.tool == "palm"
 
 
+def test_a_wrong_answer_is_asked_for_again_with_its_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of every question; what was answered before stays."""
+    shape = '<geometry><cylinder radius="0.1" length="0.04"/></geometry>'
+    path = model(tmp_path, MECANUM.replace(shape, '<geometry><mesh filename="w.stl"/></geometry>') + ARM)
+    answers = ("tank", "", "{", "[-45, 45, 45, -45]", "-1", "wide", "0.098", "thumb", "palm", "nan", "high", "0.7")
+    monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
+    out = tmp_path / "asked.yaml"
+    assert main(["new", str(path), "--out", str(out)]) == 0
+    captured = capsys.readouterr()
+    shown = captured.out + captured.err
+    for words in ("'tank'; valid: ", "'thumb'", "greater than or equal to", "got 'nan'", "got 'high'"):
+        assert words in shown, shown
+    d = load_robot(out).description
+    assert d.base.model_dump()["wheel_radius"] == 0.098 and d.arm.tool == "palm"
+
+
+def test_answers_that_end_write_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", Terminal("tank\n"))
+    path = model(tmp_path, MECANUM + ARM)
+    assert main(["new", str(path), "--out", str(tmp_path / "asked.yaml")]) != 0
+    assert not (tmp_path / "asked.yaml").exists()
+
+
 def found(path: Path, check: str) -> str:
     return " | ".join(f"{f.severity}: {f.message}" for f in examine_robot(str(path)).findings if f.check == check)
 

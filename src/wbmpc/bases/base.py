@@ -118,7 +118,7 @@ class BaseDescription(Section):
     uses_inertia: ClassVar[bool] = True
     #: Whether it describes wheels beside their steering axes, and steering axes that point down.
     describes_offsets: ClassVar[bool] = False
-    #: Whether a driver of its own takes the base's speeds and says how far it went: nobody else moves its wheels.
+    #: Whether a driver of its own takes the base's speeds and says how far it went: nothing else moves its wheels.
     takes_twist: ClassVar[bool] = False
     #: The key of the section that names joints; "" where none does. Error messages say it.
     joint_key: ClassVar[str] = ""

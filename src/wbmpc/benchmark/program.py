@@ -294,7 +294,7 @@ class Program:
         second = [*arguments, lam_f, lam_g]
         names = (["x", "p"], ["x", "p", "lam_f", "lam_g"])
         nothing, none = ca.DM.zeros(self.x.shape[0]), ca.DM.zeros(self.nx)
-        unused = ["f", "g", "grad_gamma_x", "grad_gamma_p"]  # asked for, but only for multipliers that nobody reads
+        unused = ["f", "g", "grad_gamma_x", "grad_gamma_p"]  # asked for, but only for multipliers that are not read
         full = ("nlp_hess_l", second, [nothing, lam_f * hessian], names[1], ["grad_gamma_x", "hess_gamma_x_x"])
         target = (
             ("nlp", arguments, [f, g], names[0], ["f", "g"]),

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from wbmpc.checks import parse_number
 from wbmpc.cli.directories import Force, new_file
 from wbmpc.cli.doctor import Arguments, Packages, pairs
 from wbmpc.cli.recordings import AsJson
 from wbmpc.errors import InputError, printable
 
 if TYPE_CHECKING:
+    from wbmpc.bases.base import Question
     from wbmpc.model.robot import RobotModel
     from wbmpc.robots.draft import Draft
     from wbmpc.robots.home import Home
+
+#: Height [m] of an end effector above the ground that is taken for a mistake.
+_HIGHEST = 20.0
 
 
 def new(
@@ -60,7 +67,9 @@ def new(
     ask = not yes and not as_json and sys.stdin.isatty()
     _choose(draft, base, arm, tool, keys, ask)
     if ask and height is None and draft.subject.driven:
-        height = typer.prompt("height of the end effector above the ground at home [m]", default=_usual_height())
+        height = _ask("height of the end effector above the ground at home [m]", _usual_height(), _height)
+    elif height is not None:
+        height = _height(str(height), "--height")
     data, home = description_of(draft, path, packages, arguments, height)
     for key, value in keys.items():
         _assign(data, key, value)
@@ -86,24 +95,62 @@ def _choose(
     if base is None and ask and len(draft.bases) > 1:
         for name, proposal in draft.bases.items():
             typer.echo(f"  {name}: {proposal.reason}")
-        base = typer.prompt("base type", default=draft.base)
-    if base is not None:
+        _ask("base type", draft.base, draft.choose_base)
+    elif base is not None:
         draft.choose_base(base)
     for question in draft.proposal.questions:
         if ask and f"base.{question.key}" not in keys:
-            draft.answers[question.key] = _value(
-                question.text, typer.prompt(question.text, default=str(question.answer))
+            draft.answers[question.key] = _ask(
+                question.text, question.answer, functools.partial(_answer, draft, question)
             )
     if arm is None and ask and len(draft.arms) > 1:
         for found in draft.arms:
             typer.echo(f"  {found.name}: {len(found.joints)} joints, {found.length:.2f} m")
-        arm = typer.prompt("arm (several with commas between them)", default=draft.arm.name)
-    if arm is not None:
+        _ask("arm (several with commas between them)", draft.arm.name, draft.choose_arm)
+    elif arm is not None:
         draft.choose_arm(arm)
     if tool is None and ask and len(draft.arm.tools) > 1:
-        tool = typer.prompt(f"frame of the end effector ({', '.join(draft.arm.tools[:8])})", default=draft.tool)
-    if tool is not None:
+        _ask(f"frame of the end effector ({', '.join(draft.arm.tools[:8])})", draft.tool, draft.choose_tool)
+    elif tool is not None:
         draft.choose_tool(tool)
+
+
+def _ask(text: str, default: Any, accept: Callable[[str], Any]) -> Any:
+    """What ``accept`` makes of an answer; one that it rejects is asked for again, with its reason."""
+
+    def value(given: str) -> Any:
+        try:
+            return accept(given)
+        except InputError as error:
+            raise typer.BadParameter(printable(str(error))) from error
+
+    return typer.prompt(text, default=str(default), value_proc=value)
+
+
+def _answer(draft: Draft, question: Question, text: str) -> Any:
+    """The value of a key of the base type's section, as the type declares it."""
+    from pydantic import TypeAdapter, ValidationError
+
+    from wbmpc.bases import base_type
+
+    value = _value(question.text, text)
+    field = base_type(draft.base).Description.model_fields[question.key]
+    declared: Any = Annotated[field.annotation, field]
+    try:
+        TypeAdapter(declared).validate_python(value)
+    except ValidationError as error:
+        raise InputError(f"{question.text}: {error.errors()[0]['msg']}, got '{text}'") from error
+    return value
+
+
+def _height(text: str, what: str = "height") -> float:
+    try:
+        value = parse_number(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= _HIGHEST:
+        raise InputError(f"{what}: a number from -{_HIGHEST:g} to {_HIGHEST:g} m is needed, got '{text}'")
+    return value
 
 
 def _assigned(given: list[str] | None) -> Iterator[tuple[str, Any]]:

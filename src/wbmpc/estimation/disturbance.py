@@ -3,7 +3,7 @@
 The speed v̂ follows the model with the disturbance d̂; their innovation ṽ = v − v̂ corrects both:
 v̂' = … + L1 ṽ, d̂' = L2 M(q) ṽ. L1 ṽ is the acceleration that d̂ does not explain, 1 / L1 late. A push is not a constant
 disturbance: while ṽ is beyond the ``gate``, and for ``hold`` seconds after, d̂ stays as it is. But what goes on in one direction for
-longer than a push, ``longest`` seconds, is a force that lasts (somebody leans on the robot, a cable holds its ball up), or one
+longer than a push, ``longest`` seconds, is a force that lasts (a person leans on the robot, a cable holds its ball up), or one
 that has gone: d̂ then learns at full gain, whatever the gate says, until ``settled`` seconds after ṽ last went
 on like that. A plan that does not know of such a force, or believes in one that has gone, leans wrongly for as long. (To go on
 learning at every sign of motion makes a robot with an unknown 1 kg in its end effector swing against its own observer.)

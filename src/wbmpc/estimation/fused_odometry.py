@@ -89,7 +89,7 @@ class FusedOdometry:
         self._memory.set_state(State(-np.inf, start, p))
         finite("odometry", history=history)
         self._keep, self._past = float(_not_negative("history", history)), deque[Moment]()
-        self._spare: Array | None = None  # a record that nobody needs any more
+        self._spare: Array | None = None  # a record that is not needed any more
         self._started, self._closed = False, np.zeros(n, dtype=bool)
         self._open: Mask = self._closed
         self.twist: Array = np.zeros(3)

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 #: Smallest eigenvalue of a matrix of correlations that has an inverse.
 _CERTAIN = 1e-12
-#: By so much the wheels' standard deviations grow when the filter was lost: a base that nobody carried away has wheels that
+#: By so much the wheels' standard deviations grow when the filter was lost: a base that was not carried away has wheels that
 #: are worse than believed.
 DOUBTED = 3.0
 

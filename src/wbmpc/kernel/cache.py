@@ -1,6 +1,6 @@
 """Object code on disk: found by the hash of the problem, checked before use, replaced atomically.
 
-What is loaded from here runs. So directory and files count only where they belong to the user of this process and nobody else
+What is loaded from here runs. So directory and files count only where they belong to the user of this process and no other user
 may write to them, nor put others in their place from a directory above; otherwise everything is compiled in memory.
 """
 

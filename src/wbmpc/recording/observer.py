@@ -72,7 +72,7 @@ class Observer:
         if plans.current is None or self.running.mpc is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
         layout = self.running.mpc.dynamics.state
-        assert self.running.controller is not None, "somebody made the plan"
+        assert self.running.controller is not None, "a controller made the plan"
         return predicted(self.running.controller.robot, layout, thinned(plans.current.x), self.lift)
 
 

@@ -165,7 +165,7 @@ def _flat(prefix: str, kind: str, message: Any) -> Iterator[tuple[str, Any]]:
 def _flat_field(prefix: str, kind: str, name: str, value: Any) -> Iterator[tuple[str, Any]]:
     inner = next(f for f in fields(kind) if f.name == name)
     if isinstance(value, np.ndarray) and inner.array is not None:
-        if inner.array == 0:  # arrays of fixed length are covariances, which nobody fills
+        if inner.array == 0:  # arrays of fixed length are covariances, which are not filled
             yield from ((f"{prefix}.{i}", v) for i, v in enumerate(value.tolist()))
     elif isinstance(value, list):
         for i, one in enumerate(value):

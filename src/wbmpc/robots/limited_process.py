@@ -1,4 +1,4 @@
-"""A program for somebody else's file, in a process of its own with limits of time and memory.
+"""A program for a file from outside, in a process of its own with limits of time and memory.
 
 What C code does holds up signals of its process. The parent only waits: Ctrl-C and SIGTERM end both at once, and the program ends
 with its parent.

@@ -1,4 +1,4 @@
-"""A program of its own for what somebody else's file makes slow or large: see :mod:`wbmpc.robots.limited_process`.
+"""A program of its own for what a file from outside makes slow or large: see :mod:`wbmpc.robots.limited_process`.
 
 Reads an order as JSON from its input and writes an answer: ``{path, packages, arguments}`` expands the macros of a file, ``{path}`` or
 ``{text}`` with ``files`` compiles a model as a trial. Imports of the package would cost more than the work.

@@ -1,4 +1,4 @@
-"""A robot's model as it is drawn, before anybody has described the robot: joints, bodies and shapes with all joints at zero."""
+"""A robot's model as it is drawn, before the robot is described: joints, bodies and shapes with all joints at zero."""
 
 from __future__ import annotations
 

@@ -178,7 +178,7 @@ def _urdf(file: ModelFile, meshes: bool, collision: bool) -> mujoco.MjSpec:
     text = ElementTree.tostring(root, encoding="unicode")
     try_model(file.path, (Path(m.get("filename", "")) for m in root.iter("mesh")), text)
     spec = mujoco.MjSpec.from_string(text)
-    _ = spec.worldbody.joints  # MuJoCo looks for equal names of a URDF when somebody asks for elements of a body
+    _ = spec.worldbody.joints  # MuJoCo looks for equal names of a URDF when elements of a body are read
     for geom in spec.geoms:
         geom.mass = 0.0
     return spec

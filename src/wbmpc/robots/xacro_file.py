@@ -52,7 +52,7 @@ def _expanded(
         package = unknown[1]
         if package in homes:
             break
-        # missing ones stop nobody as long as macros read nothing in them: settings of simulators and drivers
+        # missing ones do no harm as long as macros read nothing in them: settings of simulators and drivers
         homes[package] = str(find_package(package, path.parent, {}) or f"{PACKAGE}{package}")
     if "text" in answer:
         return str(answer["text"])

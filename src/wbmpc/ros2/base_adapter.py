@@ -50,7 +50,7 @@ class Brakes(Protocol):
 
 
 class LegCommands(Protocol):
-    """Commands for legs and brakes from the bus. ``angles`` (n) [rad]: where legs are to go, None before anybody has said so, and
+    """Commands for legs and brakes from the bus. ``angles`` (n) [rad]: where legs are to go, None before the first command, and
     ``aims`` where the plan is to take them, which changes whenever ``apply`` or ``watch`` says so;
     ``rejected``: why the last order was not taken; ``short``: which legs have ended on their way."""
 

@@ -51,7 +51,7 @@ class BaseWay:
         self._seen = _Seen(stamp, at, way, self._inverse @ [linear[0], linear[1], angular[2]])
 
     def reset(self) -> None:
-        """The next message may be of any time and place, and moves nobody."""
+        """The next message may be of any time and place, and moves nothing."""
         if self._seen is not None:
             self._seen = replace(self._seen, stamp=-np.inf, pose=None)
 

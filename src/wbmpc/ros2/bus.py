@@ -38,13 +38,13 @@ class Qos:
 #: Reliable for commands and goals. For sensors best effort is asked for, which matches every publisher.
 DEFAULT, SENSOR, LATCHED = Qos(), Qos(reliable=False, depth=5), Qos(latched=True, depth=1)
 
-#: Bytes of a message at most: of any subscription, of one that somebody made no larger, and of a path of all points that it may have.
+#: Bytes of a message at most: of any subscription, of one that was made no larger, and of a path of all points that it may have.
 LARGEST, SMALL, LONG = 2**26, 2**16, 2**22
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A publisher or a subscription that somebody has; ``own``: this node. ``type`` as in ``sensor_msgs/msg/JointState``;
+    """A publisher or a subscription of a node; ``own``: this node. ``type`` as in ``sensor_msgs/msg/JointState``;
     ``who``: what the back end knows its node by, see :meth:`Node.owner`; ``node``: equal for endpoints of one node."""
 
     topic: str

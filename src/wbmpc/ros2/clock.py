@@ -68,7 +68,7 @@ class BusClock:
         return self._steady
 
     def lost(self, limit: float, published: Callable[[], bool]) -> str:
-        """Why there is no time any more: none for ``limit`` [s] of the wall, or for :data:`GONE` and nobody who publishes it; empty
+        """Why there is no time any more: none for ``limit`` [s] of the wall, or for :data:`GONE` and no publisher of it; empty
         if there is, or has never been any."""
         if self.heard is None:
             return ""
@@ -92,7 +92,7 @@ class BusClock:
             self._changed.wait_for(lambda: self._released or self.now() >= until - _ROUNDING)
 
     def release(self) -> None:
-        """Nobody waits any more until :meth:`restart`: time may never come that far."""
+        """No call waits any more until :meth:`restart`: time may never come that far."""
         with self._changed:
             self._released = True
             self._changed.notify_all()

@@ -365,7 +365,7 @@ class ControlNode:
         return self._other_commander or clock or self.robot_io.conflict or self.source.source.conflict
 
     def _check_other_publishers(self) -> None:
-        """Nobody moves beside another publisher. And a robot that cannot stop because it has lost its localization at least goes
+        """No robot moves beside another publisher. And a robot that cannot stop because it has lost its localization at least goes
         nowhere."""
         other = self._other_publisher
         lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""

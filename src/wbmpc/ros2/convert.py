@@ -20,7 +20,7 @@ LARGEST_NUMBER = 1e7
 
 def error_message(error: Exception) -> str:
     """What a goal or a message was rejected for: our own message, or what went wrong by its kind; one line of at most
-    :data:`LONGEST` characters, for it may quote what somebody on the bus has sent."""
+    :data:`LONGEST` characters, for it may quote what others on the bus have sent."""
     message = printable(str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
     middle = len(message) - LONGEST
     if middle > 0:  # the end says what is valid

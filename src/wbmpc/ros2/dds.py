@@ -51,7 +51,7 @@ _HEADER_SIZE = 16
 _ANNOUNCED = 1.0
 #: The package reads the QoS of endpoints through buffers that all threads of the process share.
 _GRAPH_LOCK = threading.Lock()
-#: Nodes that nobody has closed. A reader that Python collects lives on in DDS, which then calls a listener that is gone: the
+#: Nodes that are open. A reader that Python collects lives on in DDS, which then calls a listener that is gone: the
 #: package takes the weak reference, which is dead by then, for a sign that the reader was deleted already.
 _OPEN: set[DdsNode] = set()
 
@@ -180,7 +180,7 @@ class DdsNode:
 
         def take(reader: DataReader) -> None:
             for data, _ in _taken(reader):
-                if len(data) < 4 + _HEADER_SIZE:  # nobody could be answered
+                if len(data) < 4 + _HEADER_SIZE:  # no client could be answered
                     continue
                 asked = data if len(data) <= SMALL else data[: 4 + _HEADER_SIZE], len(data)
                 if deferred:

@@ -31,9 +31,9 @@ define zeroext i1 @wbmpc_dds_passes(ptr %sample, ptr %memory) nounwind {{
   %place = getelementptr i8, ptr %sample, i64 {_WRITER_OFFSET}
   %writer = load i64, ptr %place
   %first = load atomic i64, ptr %memory monotonic, align 8
-  %nobody = icmp eq i64 %first, 0
+  %none = icmp eq i64 %first, 0
   %same = icmp eq i64 %first, %writer
-  %counts = or i1 %nobody, %same
+  %counts = or i1 %none, %same
   br i1 %counts, label %yes, label %other
 other:
   %now = call i64 @wbmpc_dds_time()

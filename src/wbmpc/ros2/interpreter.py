@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 from wbmpc.runtime.clock import Turns
 
-#: How long [s] another thread waits for the interpreter before it takes it from a tick, and from anybody else.
+#: How long [s] another thread waits for the interpreter before it takes it from a tick, and from any other thread.
 TURNS = Turns(work=5e-3, rest=1e-5)
 #: How often young garbage is collected [s]: it takes some 10 µs then, and cycles are rare.
 COLLECT = 1.0

@@ -61,7 +61,7 @@ class Network:
             return self.extra
         multicast = "" if self.reach == "SUBNET" else "<General><AllowMulticast>false</AllowMulticast></General>"
         if self.reach == "OFF":
-            # a tag of its own: nobody else can have it
+            # a tag of its own: no other process can have it
             inner = f"<ParticipantIndex>none</ParticipantIndex><Tag>ros_discovery_off_{os.getpid()}</Tag>"
         else:
             peers = (("localhost",) if self.reach == "LOCALHOST" else ()) + self.peers

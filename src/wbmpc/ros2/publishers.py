@@ -91,7 +91,7 @@ class Publishers:
         transforms = [_transform(now, frames.world, frames.base, e.position, e.orientation)]
         for part in (
             self._parts
-        ):  # a URDF's floating joint: nobody else has its frame. How a sphere has turned is not estimated
+        ):  # a URDF's floating joint: no other node has its frame. How a sphere has turned is not estimated
             upright_again = np.asarray(lie.quaternion_conjugate(e.orientation))
             transforms.append(_transform(now, frames.base, part, np.zeros(3), upright_again))
         self._send("tf", {"transforms": transforms})

@@ -39,7 +39,7 @@ _CLOCK_DRIFT = 1e-4
 #: A reading of the gyro counts for so long [s] at most: longer than between two messages of 100 Hz, shorter than a base changes
 #: its turning by much.
 _HELD = 0.02
-#: While nobody commands the robot, one measurement in so many seconds is enough; so many messages wait for that at most.
+#: While the robot is not commanded, one measurement in so many seconds is enough; so many messages wait for that at most.
 _STANDING, _WAITING = 0.01, 4000
 
 
@@ -251,14 +251,14 @@ class BusRobot:
             silent, limit = self._silent_imu(), self.settings.safety.watchdog
             if silent > limit:
                 raise SafeStop(f"the messages on {self.settings.topics.imu} stopped {silent:.3f} s ago")
-            if silent < -limit:  # nobody would see that they stop
+            if silent < -limit:  # their end would not be noticed
                 raise SafeStop(
                     f"the messages on {self.settings.topics.imu} are stamped {-silent:.3g} s ahead of /clock"
                 )
         return self._measurement(sample, arrival, imu)
 
     def unread(self) -> Iterator[Any]:
-        """Measurements of the joint states that came since the last ones that were read, oldest first: whoever stands follows what
+        """Measurements of the joint states that came since the last ones that were read, oldest first: a robot that stands follows what
         others do with the robot. They are thinned out; nothing that the inertial unit said is lost by that."""
         last = -np.inf
         for left in range(len(self._waiting) - 1, -1, -1):

@@ -195,7 +195,7 @@ class RosWriter:
     identity: bytes
 
     def gone(self) -> bool:
-        """Whoever is named after it is alone by then."""
+        """An endpoint that is named after it is alone by then."""
         return True
 
     def prefer(self) -> None:

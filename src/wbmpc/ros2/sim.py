@@ -171,7 +171,7 @@ class SimNode:
 
     @property
     def failed(self) -> bool:
-        """Whether the robot fell, or the simulation diverged: what ended :meth:`spin` before anybody asked it to."""
+        """Whether the robot fell, or the simulation diverged: what ended :meth:`spin` before it was asked to."""
         return self.plant.fell or self.plant.diverged
 
     def now(self) -> float:

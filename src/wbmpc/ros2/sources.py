@@ -42,10 +42,10 @@ AMBIGUOUS = _Ambiguous()
 
 class OneSource:
     """The publisher whose messages on a topic count: the first one that is heard, until it is gone from the bus and another one
-    speaks. One that is silent is not replaced: whoever floods a topic may keep the first one's messages from arriving.
+    speaks. One that is silent is not replaced: a publisher that floods a topic may keep the first one's messages from arriving.
     ``replaced``: whether that has happened since :meth:`settle`; ``switched`` is called when it does.
 
-    Called from one thread of a back end; :attr:`conflict` from any. ``take_ambiguous``: messages count although nobody knows whose they are.
+    Called from one thread of a back end; :attr:`conflict` from any. ``take_ambiguous``: messages count although their publisher is unknown.
     """
 
     def __init__(self, topic: str, switched: Callable[[], None] = lambda: None, take_ambiguous: bool = False) -> None:
@@ -56,7 +56,7 @@ class OneSource:
         self._others: dict[Source, float] = {}  # when they were heard last
 
     def follows(self, source: Source | None) -> bool:
-        """Whether it is this publisher's messages that count, or nobody's yet."""
+        """Whether it is this publisher's messages that count, or no publisher's yet."""
         return self._source is None or source == self._source
 
     def takes(self, source: Source | None) -> bool:
@@ -79,7 +79,7 @@ class OneSource:
         return True
 
     def settle(self) -> None:
-        """Whoever is heard now is the right one."""
+        """The publisher that is heard now is the right one."""
         self.replaced = ""
 
     @property

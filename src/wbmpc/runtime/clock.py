@@ -34,7 +34,7 @@ class Clock(Protocol):
 @dataclass(frozen=True)
 class Turns:
     """How long [s] another thread waits for Python's interpreter before it takes it: from a loop that works (``work``), and from
-    anybody else while that loop waits (``rest``).
+    other threads while that loop waits (``rest``).
 
     The interval holds for the process and for waits that begin later. So it changes in the moment in which the loop gets the
     interpreter back: a thread that had begun a short wait after that would take it from the loop's first lines, and then the

@@ -191,7 +191,7 @@ def end_with_parent() -> None:
     def watch() -> None:
         while os.getppid() == number and not wait([pipe], _POLL_PERIOD):
             pass
-        os._exit(1)  # nobody is there to report to
+        os._exit(1)  # no process is left to report to
 
     threading.Thread(target=watch, daemon=True, name="parent").start()
 

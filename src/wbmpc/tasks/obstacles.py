@@ -62,7 +62,7 @@ class Among(PathTaskSettings):
 
 #: Speed of a person who crosses [m/s].
 Speed = Annotated[float, Field(ge=0.01, le=10)]
-#: Of somebody's direction to the path's [rad].
+#: Of a person's direction to the path's [rad].
 Angle = Annotated[float, Field(ge=0.0, le=3.15)]
 
 
@@ -168,7 +168,7 @@ def person(
     name: str, place: Array, meet: float, pace: float, angle: float, speed: float = 0.0, apart: float = 0.0
 ) -> SceneObstacle:
     """A person who walks with ``pace`` [m/s] in direction ``angle`` [rad] and is at ``place`` (3) [m] at the time ``meet`` [s], as is a robot
-    with ``speed`` [m/s] along x; or later: nobody appears within ``apart`` [m] of that robot."""
+    with ``speed`` [m/s] along x; or later: no person appears within ``apart`` [m] of that robot."""
     velocity = pace * np.array([np.cos(angle), np.sin(angle), 0.0])
     lead = min(max(SEEN_FROM / pace, SEEN_FOR), meet)
     ahead = np.array([speed, 0.0, 0.0])

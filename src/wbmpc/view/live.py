@@ -146,7 +146,7 @@ class View(LiveView):
     def _pause(self, t: float, plans: PolicyQueue) -> None:
         while self._requests["paused"] and int(self._requests["steps"]) == self._steps:
             if not self.process.is_alive():
-                self._requests["paused"][...] = 0.0  # nobody could ever let go again
+                self._requests["paused"][...] = 0.0  # it could never be let go again
                 return
             if self.running.interrupted():
                 return

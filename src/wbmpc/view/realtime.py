@@ -1,6 +1,6 @@
 """The view of a real-time runner: its control thread hands out states, its MPC's thread plans and goals, and takes orders.
 
-Both write into mailboxes in shared memory and wait for nobody; pictures are made in the view's own process, of the estimated
+Both write into mailboxes in shared memory and do not wait; pictures are made in the view's own process, of the estimated
 state by the robot's kinematics. Where the robot is simulated, its physics shows the contacts.
 """
 

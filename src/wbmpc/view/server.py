@@ -170,7 +170,7 @@ def open_server(access: Access, port: int, label: str = "wbmpc") -> tuple[viser.
     guard = Guard(access)
     with guard.guard_new_server():
         server = viser.ViserServer(host=access.host, port=port, label=label, verbose=False)
-    if not guard.installed:  # another version of viser starts its server in another way: nobody would be rejected
+    if not guard.installed:  # another version of viser starts its server in another way: no client would be rejected
         server.stop()
         raise InputError("view: this version of viser cannot be guarded; valid: viser 1.1")
     guard.server = server

@@ -44,7 +44,7 @@ def run_session(robot_name: str, seed: int, view: View, *others: Watcher) -> End
 def run_realtime(robot_name: str, seed: int, view: RealtimeView) -> str:
     """Run the real-time runner on a simulated robot, which has a process of its own, until the user ends it; returns why.
 
-    A reset, or a fall, begins anew. Nothing waits for anybody here: controller, MPC, physics and view go by the clock.
+    A reset, or a fall, begins anew. Nothing waits here: controller, MPC, physics and view go by the clock.
     """
     while True:
         runner, robot = runner_of(robot_name, seed, view)

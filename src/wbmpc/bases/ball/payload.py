@@ -95,7 +95,7 @@ class PayloadEstimator:
         self._steps["update_mass"](learning, h)
 
     def bound(self, observed: dict[str, Array]) -> dict[str, Array]:
-        """Its arrays by their names in :func:`wbmpc.bases.ball.payload_step.update_mass`, of whoever's step that is, beside those of the
+        """Its arrays by their names in :func:`wbmpc.bases.ball.payload_step.update_mass`, of the step that uses them, beside those of the
         observer (``observed``)."""
         n = observed["force"].size
         if "update_mass" not in self._steps:

@@ -92,7 +92,7 @@ class BusBallController(BallController):
         self.mpc.solver.set_parameters(self.parameters())
 
     def _moves(self, m: BallMessage) -> bool:
-        """Whether it has moved since the first message. Drives may take the first commands late, and somebody holds the robot until
+        """Whether it has moved since the first message. Drives may take the first commands late, and a person holds the robot until
         then: what the model makes of the torques is not what happens, and nothing is to be learned from the difference."""
         if not self._let_go:
             joints = np.concatenate([m.wheel, m.arm])
@@ -290,7 +290,7 @@ class BallRosAdapter:
         return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel)
 
     def stand(self, m: BallMessage) -> None:
-        """Before its first run somebody, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
+        """Before its first run a person, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
         run the estimator goes on, wherever the robot rolls or falls, until time goes back."""
         seen = self.controller.seen
         if seen is not None and m.time < seen.time - seen.age - BACK:
@@ -310,7 +310,7 @@ class BallRosAdapter:
         self._standing = m.time, x
 
     def _reset(self, x: Array) -> None:
-        """Nothing is known between times of two clocks: somebody holds the robot again. A simulator that was started anew has put
+        """Nothing is known between times of two clocks: a person holds the robot again. A simulator that was started anew has put
         it where its odometry begins; who has a clock that was set is where state x (nx) says."""
         simulated = self.settings.use_sim_time or self.settings.lockstep
         self._place, self._standing = np.zeros(3) if simulated else x[:3].copy(), None
@@ -341,7 +341,7 @@ class BallRosAdapter:
         self._answer = self.controller.answer = -wrench
 
     def relocate(self) -> None:
-        """Whoever holds it, poses count as they come: see :meth:`stand`."""
+        """While it is held, poses count as they come: see :meth:`stand`."""
 
     # ------------------------------------------------------------------ tasks
     def references(self, task: Task, x: Array) -> dict[str, Reference]:

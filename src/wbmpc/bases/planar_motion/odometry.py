@@ -152,7 +152,7 @@ class PlanarOdometry:
         return self.pose
 
     def place(self, pose: Array) -> None:
-        """The base is at ``pose`` (3), as somebody else knows."""
+        """The base is at ``pose`` (3), as another localization knows."""
         self.pose = pose
         self.gyro.place()
 

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 
 Array = NDArray[np.float64]
-#: Standard deviations before anybody looked (relative): of a radius, and of a speed of the base, which rollers that creep and tracks that
+#: Standard deviations before any measurement (relative): of a radius, and of a speed of the base, which rollers that creep and tracks that
 #: skid make slower.
 RADIUS, SPEED = 0.01, 0.03
-#: The same where nobody ever looks: of a radius, as the bias of a gyro is found beside it.
+#: The same without calibration: of a radius, as the bias of a gyro is found beside it.
 UNSEEN = 0.002
 
 

@@ -40,7 +40,7 @@ NEARER, PATIENCE = 0.002, 4.0
 
 
 class Legs:
-    """``angles`` (n) [rad]: where legs are to go, None before anybody has said so; ``moving`` (n): which are on their way;
+    """``angles`` (n) [rad]: where legs are to go, None before the first command; ``moving`` (n): which are on their way;
     ``rejected``: why the last bad order was not taken, empty when one has been taken since; ``short``: which legs have ended on
     their way, empty from the next order on.
 
@@ -276,7 +276,7 @@ class Legs:
         return ", ".join(n for n, chosen in zip(self.names, which, strict=True) if chosen)
 
     def stop(self) -> None:
-        """The robot has stopped: brakes are closed, nobody is on the way."""
+        """The robot has stopped: brakes are closed, no leg is on the way."""
         self.moving[:] = False
         self.angles = None
 

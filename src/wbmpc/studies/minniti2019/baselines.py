@@ -90,7 +90,7 @@ class BaselineSettings(Settings):
 _STIFF = SeparateSettings(ball=53.7, ball_speed=0.782, tilt_rate=0.569, wheel=0.0152, pace=40.0, integral=5.57)
 #: With the factors of 1 the stiff weights make a regulator swing through the drives' lag until it falls (circle, tuning seed 0).
 _DAMPED = RegulatorSettings(torque=30.0, damping=10.0, posture=10.0)
-#: For accurate tasks: the same search on the square with a load that nobody knows of. The regulators were not searched: theirs
+#: For accurate tasks: the same search on the square with an unknown load. The regulators were not searched: theirs
 #: is the best of four sets that were tried on the circle.
 ACCURATE_BASELINES = BaselineSettings(
     lqr=_DAMPED,
@@ -139,7 +139,7 @@ def _weights() -> frozenset[str]:
     return frozenset(inside | {f"cost.{n}" for n, part in parts.items() if not isinstance(part, Settings)})
 
 
-#: What a plan of the whole robot alone has. (Its rate and delay are those of the loop, whoever is in it.)
+#: What a plan of the whole robot alone has. (Its rate and delay are those of the loop, whatever controller is in it.)
 _PLAN = frozenset(
     f"mpc.{n}"
     for n in ("horizon", "intervals", "first_interval", "iterations", "limits", "barrier_mu", "rollout_restart")

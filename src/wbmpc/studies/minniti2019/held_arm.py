@@ -1,4 +1,4 @@
-"""A ball robot whose arm somebody else moves: what a controller of the base alone knows (Minniti et al. 2019, section IV-C)."""
+"""A ball robot whose arm another controller moves: what a controller of the base alone knows (Minniti et al. 2019, section IV-C)."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class ServoedArm:
 
 
 def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
-    """What is left of that problem for a base whose arm somebody else moves (:class:`ServoedArm`): ball, yaw, rates and wheel
+    """What is left of that problem for a base whose arm another controller moves (:class:`ServoedArm`): ball, yaw, rates and wheel
     torques, the same limits."""
     ocp = OptimalControlProblem(ServoedArm(robot), settings.horizon, settings.intervals)
     b = cost.body

@@ -24,9 +24,9 @@ IDEALIZATIONS = [
     "the controller gets the simulator's state, 5 ms old, with noise; people and pillars are seen where they are, to some centimeters",
     "the omni wheels act as torques between ball and base; their traction limit is a clamp",
 ]
-#: Shares of the path at which pillars stand, people cross, and somebody comes head-on; radius of a pillar [m].
+#: Shares of the path at which pillars stand, people cross, and a person comes head-on; radius of a pillar [m].
 PILLARS, CROSSINGS, HEAD_ON, RADIUS = (0.2, 0.45), (0.33, 0.6), 0.8, 0.1
-#: How far [m] to the left or right of the robot's way at most somebody walks who comes head-on.
+#: How far [m] to the left or right of the robot's way at most a person walks who comes head-on.
 ASIDE = 0.1
 
 

@@ -93,7 +93,7 @@ def plan_turns(
     path, first = way.copy(), 0
     cost = _costs(times, way, speeds, rate, busy)
     while True:
-        # where the other way round is outside too, a turn would help nobody
+        # where the other way round is outside too, a turn would not help
         half = np.where(path[first:] > limits[1], -np.pi, np.pi)
         beyond = np.flatnonzero(_outside(path[first:], limits) & ~_outside(path[first:] + half, limits))
         if not beyond.size:
