@@ -308,19 +308,15 @@ def test_without_the_extra_it_is_one_message(
     assert "pip install 'wbmpc[study]'" in capsys.readouterr().err
 
 
-#: Another study on this machine has the port of Dask's server, which leaves a socket behind then.
-busy_port = pytest.mark.filterwarnings("ignore:Port 8787", "ignore::pytest.PytestUnraisableExceptionWarning")
-
-
-@busy_port
 def test_dasks_workers_do_the_runs(tmp_path: Path) -> None:
     """A scheduler with two workers, all in this process: what is sent is what other processes would get."""
     distributed = pytest.importorskip("distributed")
     made = Study.load(study(tmp_path), tmp_path / "out")
     seen: list[float] = []
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=50
-    ) as cluster:
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=50,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+    ) as cluster:  # fmt: skip
         summary = made.run(scheduler=cluster.scheduler_address, progress=lambda share, note: seen.append(share))
     assert not logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)  # a lost scheduler is one message
     assert summary.finished == 20 and seen == pytest.approx([k / 20 for k in range(1, 21)])
@@ -426,7 +422,6 @@ def test_nothing_is_started_for_files_that_cannot_be_read(
     assert said in found and found.count("\n") == 1
 
 
-@busy_port
 def test_a_study_is_no_server_for_browsers() -> None:
     """Dask always opens one. Truth: what it answers to a request for anything that it shows by default."""
     pytest.importorskip("distributed")

@@ -6,7 +6,6 @@ import logging
 import os
 import signal
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol
@@ -153,15 +152,10 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         with _closing(client, None):
             yield Cluster(client, scheduler)
         return
-    with (
-        interrupt_noted() as interrupted,
-        _deaf(),
-        _threads_pinned(),
-        warnings.catch_warnings(),
-    ):  # one half there cannot be closed
-        warnings.filterwarnings("ignore", "Port [0-9]+ is already in use")  # another study goes on
+    with interrupt_noted() as interrupted, _deaf(), _threads_pinned():  # one that is half there cannot be closed
         cluster = LocalCluster(
             n_workers=count or len(os.sched_getaffinity(0)), threads_per_worker=1, processes=True, dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free: other studies may go on
             silence_logs=logging.CRITICAL,
         )  # fmt: skip
         client = Client(cluster, set_as_default=False)
