@@ -431,4 +431,5 @@ def test_a_study_is_no_server_for_browsers() -> None:
         for page in ("", "info/main/workers.html", "json/identity.json", "health", "metrics", "sysmon"):
             with pytest.raises(HTTPError) as error:
                 urlopen(f"http://127.0.0.1:{port}/{page}")
+            error.value.close()
             assert error.value.code == 404, page
