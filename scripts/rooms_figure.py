@@ -109,7 +109,7 @@ def drawn(rooms: list[tuple[str, Room, dict[str, tuple[Array, bool]]]], start: A
         left += SCALE * float(high[0] - low[0]) + APART
         height = max(height, SCALE * float(high[1] - low[1]))
     for k, (method, name) in enumerate(METHODS.items()):
-        x = APART + 200 * k
+        x = APART + 240 * k
         parts.append(f'<path d="M{x:.0f} 20h28" stroke="{COLORS[method]}" stroke-width="3"/>')
         parts.append(f'<text x="{x + 36:.0f}" y="25">{escape(name)}</text>')
     size = f'width="{left:.0f}" height="{ABOVE + height + APART:.0f}"'

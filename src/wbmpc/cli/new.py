@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -99,10 +100,13 @@ def _choose(
     elif base is not None:
         draft.choose_base(base)
     for question in draft.proposal.questions:
-        if ask and f"base.{question.key}" not in keys:
-            draft.answers[question.key] = _ask(
-                question.text, question.answer, functools.partial(_answer, draft, question)
-            )
+        given = keys.get(f"base.{question.key}")
+        if given is not None:
+            with suppress(InputError):  # the robot's loader says what is wrong with it
+                draft.answer(question.key, _answer(draft, question, str(given)))
+        elif ask:
+            value = _ask(question.text, question.answer, functools.partial(_answer, draft, question))
+            draft.answer(question.key, value)
     if arm is None and ask and len(draft.arms) > 1:
         for found in draft.arms:
             typer.echo(f"  {found.name}: {len(found.joints)} joints, {found.length:.2f} m")
@@ -218,9 +222,10 @@ def _list_pairs(data: dict[str, Any], comments: dict[str, str], robot: RobotMode
 
 
 def _comments(draft: Draft, home: Home) -> dict[str, str]:
-    from wbmpc.robots.draft import limits_of
+    from wbmpc.robots.draft import ground_of, limits_of
 
     x, _, z = home.tool
+    z -= ground_of(draft)
     assumed = limits_of(draft)[1]
     free = {True: ", no collision of the file's shapes", False: ", ITS SHAPES TOUCH: choose another", None: ""}[
         home.free
@@ -230,7 +235,8 @@ def _comments(draft: Draft, home: Home) -> dict[str, str]:
     key = "arms" if draft.beside else "arm"
     return {
         "": f"Written by wbmpc new from {draft.mechanism.file.path.name}. Units: SI and radians. Check it with: wbmpc doctor FILE",
-        "base": f"{draft.base}: {draft.proposal.reason}",
+        "base": f"{draft.base}: {draft.proposal.reason}"
+        + "".join(f"\nassumed: {q.key}: {q.answer} ({q.text})" for q in draft.unanswered),
         key: "; ".join(
             f"{a.name + ': ' if draft.beside else ''}{a.length:.2f} m along {len(a.joints)} joints"
             for a in draft.chosen
@@ -238,7 +244,7 @@ def _comments(draft: Draft, home: Home) -> dict[str, str]:
         + (f"; others: {', '.join(others)}" if others else ""),
         "couple": "joints that follow others, as the model says (mimic)",
         "fixed_joints": "held: joints that neither base nor arm moves",
-        "home": f"best of random postures: end effector at x = {x:.2f}, z = {z:.2f} m{free}",
+        "home": f"best of random postures: end effector at x = {x:.2f} m, {z:.2f} m above the floor{free}",
         "limits": "What is not here is as the model has it (ranges, efforts).",
         "limits.velocity": f"[rad/s, m/s] {speeds}",
         "limits.acceleration": "[rad/s², m/s²] assumed: wheels do not slip, an arm is at its speed in 1/3 s, the robot does not tip over",
@@ -261,15 +267,18 @@ def _weights(robot: RobotModel) -> str:
 def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel, data: Mapping[str, Any]) -> Iterator[str]:
     from wbmpc.bases.base import offering
     from wbmpc.robots.doctor import examine_robot
+    from wbmpc.robots.draft import ground_of
 
     yield f"{path}: {robot.description.name}, {robot.state.size} states"
     yield f"  base: {draft.base} ({draft.proposal.reason})"
+    for question in draft.unanswered:
+        yield f"  assumed: {question.text}: {question.answer}; to change it: --set base.{question.key}=VALUE"
     for arm in draft.chosen:
         yield f"  arm{f' {arm.name}' if draft.beside else ''}: {', '.join(arm.joints)}"
     others = [a.name for a in draft.arms if a not in draft.chosen and len(a.joints) >= len(draft.arm.joints) // 2]
     if others:
         yield f"  other arms: {', '.join(others)}; to use them: --arm {','.join([*(a.name for a in draft.chosen), *others])}"
-    yield f"  end effector: {draft.tool}, at home {home.tool[2]:.2f} m high" + (
+    yield f"  end effector: {draft.tool}, at home {home.tool[2] - ground_of(draft):.2f} m high" + (
         "" if home.free is not False else "; shapes touch there"
     )
     pairs = data.get("collision", {}).get("self", {}).get("pairs", ())

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases import base_type
-from wbmpc.bases.base import Proposal
+from wbmpc.bases.base import Proposal, Question
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.robots.arm_search import Arm, find_arms
 from wbmpc.robots.doctor import propose_bases
@@ -19,6 +19,7 @@ from wbmpc.robots.home import Home, find_home
 from wbmpc.robots.mechanism import Joint, Mechanism
 from wbmpc.robots.model_checks import Subject
 from wbmpc.robots.steadiness import steadiness
+from wbmpc.robots.wheel_search import Wheel
 
 #: Height [m] above the ground at which an end effector of a mobile robot works, where it can.
 WORKING_HEIGHT = 0.8
@@ -94,6 +95,24 @@ class Draft:
             raise InputError(f"{error}; its wheels, as found: {what}")
         self.base = name
 
+    @property
+    def wheels(self) -> list[Wheel]:
+        """The driven ones, of the radius that is answered."""
+        radius = self.answers.get("wheel_radius")
+        return [w if radius is None else replace(w, radius=radius, assumed=False) for w in self.subject.driven]
+
+    @property
+    def unanswered(self) -> list[Question]:
+        """Questions of the base whose answers are assumed."""
+        return [q for q in self.proposal.questions if q.key not in self.answers]
+
+    def answer(self, key: str, value: Any) -> None:
+        """Take the answer to a question of the base; speeds and accelerations that it proposes follow the radius of the wheels."""
+        self.answers[key] = value
+        if key == "wheel_radius":
+            known = base_type(self.base).propose(self.mechanism, self.wheels)
+            self.bases[self.base] = known or self.proposal
+
     def choose_tool(self, name: str) -> None:
         """A frame that the arm moves. Raises :class:`InputError` listing them."""
         if name not in self.arm.tools:
@@ -153,12 +172,17 @@ def couplings_of(draft: Draft) -> dict[str, Any]:
     return found
 
 
+def ground_of(draft: Draft) -> float:
+    """Height [m] of the floor in the file's world: under the driven wheels, 0 without any."""
+    return min((float(w.center[2]) - (w.radius or 0.0) for w in draft.wheels), default=0.0)
+
+
 def home_of(draft: Draft, held: Mapping[str, float], height: float | None) -> Home:
     """A home; ``height`` [m] of the end effector above the ground, None: the usual one of a mobile robot, or any."""
     moves = base_type(draft.base).Description.moves
-    ground = min((float(w.center[2]) - (w.radius or 0.0) for w in draft.subject.driven), default=0.0)
     if height is None and moves:
         height = WORKING_HEIGHT
+    ground = ground_of(draft)
     above, ahead, held = None if height is None else height + ground, np.array([1.0, 0.0]), dict(held)
     home = find_home(draft.mechanism, draft.arm.joints, draft.tool, held, above, ahead)
     for arm in draft.beside:
@@ -196,10 +220,10 @@ def accelerations_of(draft: Draft, speeds: Mapping[str, float], angles: Mapping[
     ``angles``."""
     given, arm = dict(draft.proposal.acceleration), {n: speeds[n] / START for n in draft.joints}
     moves = base_type(draft.base).Description.moves
-    steady = steadiness(draft.mechanism, draft.subject.driven, draft.joints, angles) if moves else None
+    steady = steadiness(draft.mechanism, draft.wheels, draft.joints, angles) if moves else None
     if steady is not None:
         arm = {n: min(a, steady.joints.get(n, np.inf)) for n, a in arm.items()}
-        for w in draft.subject.driven:
+        for w in draft.wheels:
             if w.radius and w.joint in given:
                 given[w.joint] = min(given[w.joint], steady.base / w.radius)
     return {n: round(a, 3) for n, a in {**given, **arm}.items()}
@@ -210,7 +234,7 @@ def base_speed(draft: Draft) -> float | None:
     if "base_linear" not in base_type(draft.base).Description.limit_keys:
         return None
     speeds, _ = limits_of(draft)
-    rims = [speeds[w.joint] * w.radius for w in draft.subject.driven if w.radius and w.joint in speeds]
+    rims = [speeds[w.joint] * w.radius for w in draft.wheels if w.radius and w.joint in speeds]
     return round(min([BASE_SPEED, *rims]), 3)
 
 

@@ -14,6 +14,7 @@ from wbmpc.robots.findings import Finding, Severity
 from wbmpc.robots.mechanism import Joint, Mechanism
 from wbmpc.robots.model_file import MESHES
 from wbmpc.robots.packages import package_of
+from wbmpc.robots.steadiness import tipping_share
 from wbmpc.robots.wheel_search import Wheel, find_wheels
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 LEVEL, BESIDE = 0.001, 0.005
 #: How far [of it] a wheel's radius may be from what other parts of the file say.
 RADIUS = 0.05
+#: Share of an arm's postures in which a robot may tip over at rest.
+TIPPING = 0.02
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,11 @@ class Subject:
     def driven(self) -> list[Wheel]:
         """Without casters."""
         return [w for w in self.wheels if not w.passive]
+
+    @property
+    def rolling(self) -> list[Wheel]:
+        """Wheels that a description uses; of a model alone those without casters."""
+        return [w for w in self.driven if self.description is None or self.uses(w.joint)]
 
     def uses(self, joint: str) -> bool:
         """Whether a description names a joint for its arm or base."""
@@ -190,6 +198,9 @@ def check_mimics(subject: Subject) -> Iterator[Finding]:
         if not followers:
             continue
         used = any(subject.uses(n) for n in (leader, *followers))
+        held = {} if subject.description is None else subject.description.fixed_joints
+        if not used and {leader, *followers} <= held.keys():
+            continue
         hold = ", ".join(f"{n}: 0" for n in (leader, *followers))
         follow = ", ".join(f"{n}: {leader}" for n in followers)
         text = f"{'it follows' if len(followers) == 1 else 'they follow'} '{leader}' (mimic)"
@@ -257,7 +268,7 @@ def check_steering(subject: Subject) -> Iterator[Finding]:
     """Steering axes that point down, wheels beside their axes, where the base type has none."""
     if subject.description is not None and subject.description.base.describes_offsets:
         return
-    for wheel in subject.driven:
+    for wheel in subject.rolling:
         if wheel.steer is None:
             continue
         if subject.mechanism.joints[wheel.steer].axis[2] < 0.0:
@@ -286,7 +297,7 @@ def check_casters(subject: Subject) -> Iterator[Finding]:
         "they look like passive casters; the simulator adds casters of its own",
         f"'fixed_joints: {{{hold}}}'",
     )
-    floor, low = _bottoms(subject.driven), _bottoms(passive)
+    floor, low = _bottoms(subject.rolling), _bottoms(passive)
     if floor and low and abs(min(low) - min(floor)) < LEVEL:
         yield Finding(
             "info", "", _joints([w.joint for w in passive]),
@@ -295,9 +306,26 @@ def check_casters(subject: Subject) -> Iterator[Finding]:
         )  # fmt: skip
 
 
+def check_steadiness(subject: Subject) -> Iterator[Finding]:
+    """An arm that tips the robot over at rest: it is too heavy for the wheels, or the masses of the file are wrong."""
+    description, mechanism = subject.description, subject.mechanism
+    if description is None or len(subject.rolling) < 3 or any(w.passive for w in subject.wheels):
+        return
+    joints = [mechanism.joints[n] for n in description.arm.joints if n in mechanism.joints]
+    given = description.limits.position
+    ranges = {j.name: given.get(j.name, j.range or (-np.pi, np.pi)) for j in joints}
+    places = np.array([w.center[:2] for w in subject.rolling])
+    share = tipping_share(mechanism, places, ranges, description.fixed_joints)
+    if share > TIPPING:
+        yield Finding(
+            "warning", "", "key 'arm'", f"in {100 * share:.0f} % of its postures the center of mass is beside the wheels: the robot tips over",
+            "check the masses of the file; narrow the ranges with 'limits.position', or plan with loads of wheels (mpc.model=dynamic)",
+        )  # fmt: skip
+
+
 def check_levels(subject: Subject) -> Iterator[Finding]:
     """Driven wheels that hang in the air."""
-    wheels = [w for w in subject.driven if w.radius is not None and not w.assumed]
+    wheels = [w for w in subject.rolling if w.radius is not None and not w.assumed]
     bottoms = np.array(_bottoms(wheels))
     if len(wheels) > 1 and np.ptp(bottoms) > LEVEL:
         high = int(np.argmax(bottoms))
@@ -309,11 +337,12 @@ def check_levels(subject: Subject) -> Iterator[Finding]:
 
 def check_radii(subject: Subject) -> Iterator[Finding]:
     """Wheels that are drawn with other radii than their height above a root on the ground."""
-    for wheel in subject.driven:
+    for wheel in subject.rolling:
         height = float(wheel.center[2])
         if (
             wheel.radius is not None
             and not wheel.assumed
+            and height > 0.0  # a frame above the wheels is not on the ground, however it is called
             and _on_the_ground(subject)
             and abs(wheel.radius - height) > RADIUS * wheel.radius
         ):
@@ -345,7 +374,7 @@ CHECKS: dict[str, Check] = {
     "macros": check_macros, "meshes": check_meshes, "inertia": check_inertias, "world": check_world, "base-body": check_body, "names": check_names,
     "joint-types": check_kinds, "velocity": check_velocities, "range": check_ranges, "mimic": check_mimics, "telescope": check_telescopes,
     "home": check_home, "tool": check_tools, "steering": check_steering, "casters": check_casters, "level": check_levels,
-    "wheel-radius": check_radii,
+    "wheel-radius": check_radii, "steadiness": check_steadiness,
 }  # fmt: skip
 #: Those that concern a robot when it is loaded: their errors are raised, their warnings logged.
 AT_LOAD = ("inertia", "velocity", "range")

@@ -23,6 +23,7 @@ from wbmpc.robots.limited_program import drop_missing_files
 from wbmpc.robots.mujoco_warnings import log_warnings
 from wbmpc.robots.packages import find_package, locate, package_of
 from wbmpc.robots.trial import try_model
+from wbmpc.robots.urdf_tree import check_tree
 from wbmpc.robots.xacro_file import expand, has_macros
 from wbmpc.robots.xml_text import tokens
 
@@ -87,6 +88,7 @@ def read_model(
             root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
+    check_tree(path, root)
     return ModelFile(path, root, given, macros)
 
 

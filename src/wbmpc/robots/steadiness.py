@@ -14,6 +14,8 @@ from wbmpc.robots.wheel_search import Wheel
 #: Shares of the moment that tips the robot over: of one joint of its arm, for several move at a time; of its wheels.
 JOINT_SHARE, BASE_SHARE = 0.15, 0.4
 _GRAVITY = 9.81
+#: Postures that are tried.
+POSTURES = 200
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ def _half_width(places: Array) -> float:
     away = places - places.mean(axis=0)
     if len(places) == 2:
         return float(np.linalg.norm(away[0]))
-    directions = np.stack([np.cos(a := np.linspace(0.0, np.pi, 37)), np.sin(a)], axis=1)
-    return float(np.min(np.max(np.abs(away @ directions.T), axis=0)))
+    directions = np.stack([np.cos(a := np.linspace(0.0, 2.0 * np.pi, 73)), np.sin(a)], axis=1)
+    return float(np.min(np.max(away @ directions.T, axis=0)))  # of a triangle the far corner is no edge
 
 
 def _tipping_inertia(mechanism: Mechanism, data: mujoco.MjData, name: str) -> float:
@@ -75,3 +77,23 @@ def _tipping_inertia(mechanism: Mechanism, data: mujoco.MjData, name: str) -> fl
         own = data.ximat[b].reshape(3, 3).T @ axis
         total += float(model.body_mass[b]) * float(arm @ arm) + float(model.body_inertia[b] @ own**2)
     return total * float(np.hypot(axis[0], axis[1]))
+
+
+def tipping_share(
+    mechanism: Mechanism, places: Array, ranges: Mapping[str, tuple[float, float]], held: Mapping[str, float]
+) -> float:
+    """Share of random postures of the arm in ``ranges`` [rad, m] in which the center of mass is not above what the wheels at ``places``
+    (n, 2) [m] span: there the robot tips over at rest. ``held``: the other joints."""
+    model, data = mechanism.model, mujoco.MjData(mechanism.model)
+    for name, value in held.items():
+        data.qpos[model.jnt_qposadr[model.joint(name).id]] = value
+    at = [int(model.jnt_qposadr[model.joint(name).id]) for name in ranges]
+    low, high = np.array(list(ranges.values())).reshape(-1, 2).T
+    directions = np.stack([np.cos(a := np.linspace(0.0, 2.0 * np.pi, 73)), np.sin(a)], axis=1)
+    edge, outside = (places @ directions.T).max(axis=0), 0
+    for share in np.random.default_rng(0).uniform(size=(POSTURES, len(at))):
+        data.qpos[at] = low + share * (high - low)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        outside += bool(np.any(directions @ data.subtree_com[0][:2] > edge))
+    return outside / POSTURES

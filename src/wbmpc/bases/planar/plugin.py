@@ -19,6 +19,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Tree, read_tree
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.findings import Finding
+from wbmpc.robots.model_checks import BESIDE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -91,11 +92,14 @@ class MobileBaseType(PlanarBaseType):
         if not wheels and len(drawn) < 2:
             return None
         held = tuple(n for w in wheels for n in (*((w.steer,) if w.steer else ()), w.joint, *w.held))
-        question = Question("drive", "speeds that the base takes: omni, differential, skid or tracks", "skid")
+        turns = _turn_beside_axis(mechanism, wheels)
+        drive = "omni" if turns else "skid"
+        question = Question("drive", "speeds that the base takes: omni, differential, skid or tracks", drive)
         return Proposal(
-            {"drive": "skid"},
+            {"drive": drive},
             0.3 if wheels else 0.95,
             f"{len(wheels)} wheels, driven by speeds of the base"
+            + (f"; '{wheels[0].steer}' turns them all about an axis beside their axle: any way" if turns else "")
             if wheels
             else f"wheels or tracks that do not turn in the file, '{drawn[0]}' first",
             (),
@@ -136,3 +140,13 @@ class MobileBaseType(PlanarBaseType):
         from wbmpc.bases.planar.plant import MobilePlant
 
         return MobilePlant(robot, perturbation=perturbation, seed=seed, edit=edit)
+
+
+def _turn_beside_axis(mechanism: Mechanism, wheels: Sequence[Wheel]) -> bool:
+    """Whether one steering axis, ahead of or behind their axle, turns several wheels: a caster with two driven wheels, which moves the
+    base any way."""
+    steers = {w.steer for w in wheels}
+    if len(wheels) < 2 or len(steers) > 1 or wheels[0].steer is None:
+        return False
+    axis = mechanism.joints[wheels[0].steer].position[:2]
+    return min(abs(float((w.center[:2] - axis) @ w.heading)) for w in wheels) > BESIDE

@@ -1,0 +1,72 @@
+"""Links and joints of a URDF that make no tree: the fault names file, joint and link. Truth: the files written here."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement
+
+import pytest
+
+from wbmpc.errors import InputError
+from wbmpc.robots.model_file import read_model
+from wbmpc.robots.urdf_tree import check_tree
+
+
+def links(names: str) -> str:
+    return "".join(f'<link name="{name}"/>' for name in names)
+
+
+def joint(name: str, parent: str, child: str, kind: str = "continuous") -> str:
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/></joint>'
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (links("ab") + joint("j", "hull", "b"), ("joint 'j'", "parent link", "unknown link 'hull'", "valid: a, b")),
+        (links("ab") + joint("j", "a", "tip"), ("joint 'j'", "child link", "unknown link 'tip'")),
+        (links("ab") + joint("j", "", "b"), ("joint 'j'", "no parent link")),
+        (links("ab") + '<joint name="j" type="fixed"><parent link="a"/></joint>', ("joint 'j'", "no child link")),
+        (links("abc") + joint("j", "a", "c") + joint("k", "b", "c"), ("joint 'k'", "link 'c'", "joint 'j' too")),
+        (links("abc") + joint("j", "b", "c") + joint("k", "c", "b"), ("in a loop", "b, c")),
+        (links("a") + joint("j", "a", "a"), ("joint 'j'", "in a loop")),
+        (links("aab") + joint("j", "a", "b"), ("link 'a'", "twice")),
+        (links("abc") + joint("j", "a", "b") + joint("j", "a", "c"), ("joint 'j'", "twice")),
+        (links("ab") + joint("j", "a", "b", "spherical"), ("joint 'j'", "unknown type 'spherical'", "revolute")),
+        (links("ab") + joint("j", "a", "b").replace(' name="j"', ""), ("a joint has no name",)),
+    ],
+)
+def test_a_fault_is_named(body: str, words: tuple[str, ...], tmp_path: Path) -> None:
+    path = tmp_path / "mover.urdf"
+    path.write_text(f'<robot name="mover">{body}</robot>')
+    with pytest.raises(InputError) as raised:
+        read_model(path)
+    said = str(raised.value)
+    assert said.startswith(str(path)) and all(w in said for w in words), said
+
+
+def test_a_chain_of_all_kinds_is_a_tree(tmp_path: Path) -> None:
+    kinds = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+    chain = "".join(joint(f"j{k}", "abcdefg"[k], "abcdefg"[k + 1], kind) for k, kind in enumerate(kinds))
+    path = tmp_path / "mover.urdf"
+    path.write_text(f'<robot name="mover">{chain}{links("gfedcba")}</robot>')
+    assert read_model(path).root is not None
+
+
+def test_a_long_chain_is_followed_once(tmp_path: Path) -> None:
+    """20 000 links, the last one first: following each to the root would take 2e8 steps."""
+    names = [f"l{k}" for k in range(20_000)]
+    root = Element("robot")
+    for name in reversed(names):
+        SubElement(root, "link", name=name)
+    for above, below in pairwise(names):
+        part = SubElement(root, "joint", name=below, type="fixed")
+        SubElement(part, "parent", link=above)
+        SubElement(part, "child", link=below)
+    check_tree(tmp_path / "chain.urdf", root)
+    SubElement(root, "joint", name="back", type="fixed").extend(
+        [Element("parent", link=names[-1]), Element("child", link=names[0])]
+    )
+    with pytest.raises(InputError, match="in a loop"):
+        check_tree(tmp_path / "chain.urdf", root)
