@@ -20,8 +20,8 @@ from command_line import FAKE_MAIN, call, shell
 from effort import some
 from fake_experiment import REGISTRY
 from wbmpc.cli import main
-from wbmpc.cli.terminal import ended_by_signal, terminable
 from wbmpc.errors import WbmpcError
+from wbmpc.interrupts import ended_by_signal, terminable
 from wbmpc.recording.reader import read_recording
 from wbmpc.report import files
 from wbmpc.result import RunResult
@@ -326,6 +326,28 @@ def test_ctrl_c_before_the_command_line_is_loaded_is_one_message() -> None:
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "wbmpc: interrupted\n")
 
 
+#: What Python calls while it clears up: a callback of a weak reference, and __del__.
+CLEARED = {
+    "weak reference": """
+            import signal, weakref
+            thing = type("Thing", (), {})()
+            gone = weakref.ref(thing, lambda _: signal.raise_signal(NUMBER))
+            del thing""",
+    "__del__": """
+            import signal
+            type("Thing", (), {"__del__": lambda self: signal.raise_signal(NUMBER)})()""",
+}
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize("how", CLEARED)
+def test_a_signal_is_not_lost_where_python_drops_its_exception(how: str, number: int, status: int) -> None:
+    """While the command line is loaded, and in what it calls. Truth: Python's documents: exceptions there are ignored."""
+    what = CLEARED[how].replace("NUMBER", str(int(number))).lstrip()
+    run = subprocess.run([sys.executable, "-c", START.format(what=what), "list"], capture_output=True, text=True)
+    assert (run.returncode, run.stdout, run.stderr) == (status, "", "wbmpc: interrupted\n")
+
+
 def test_the_status_of_an_interrupt_is_kept() -> None:
     """Python ends by SIGINT, whatever the status, once an interrupt came in code that it made of a text (dataclasses are)."""
     program = """
@@ -356,7 +378,7 @@ def test_a_command_that_ends_before_a_dropped_signal_acts_was_interrupted(
     number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The signal is the last thing that happens, inside of a library that drops it. Truth: the status of Ctrl-C."""
-    monkeypatch.setattr("wbmpc.cli.terminal._AGAIN", 60.0)  # the command ends first
+    monkeypatch.setattr("wbmpc.interrupts._AGAIN", 60.0)  # the command ends first
 
     def last(*_: object, **__: object) -> None:
         exec(dropping("trimesh/nsphere.py", tmp_path), {"signal": signal, "number": number})

@@ -429,6 +429,14 @@ def test_a_log_that_was_cut_is_an_error(
         assert "b/log.npz: this is not the log of a run" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("times", [np.array(1.0), np.zeros((3, 1)), np.array(["a", "b", "c"]), np.full(3, np.nan)])
+def test_a_channel_of_odd_times_is_an_error(times: np.ndarray, tmp_path: Path) -> None:
+    """Also of one number, which has no length."""
+    np.savez(tmp_path / "log.npz", **{"hand": np.zeros(3), "hand.time": times})
+    with pytest.raises(InputError, match=r"log.npz: channel 'hand.time': "):
+        read_log(tmp_path / "log.npz")
+
+
 def test_a_message_that_was_cut_or_goes_on_is_none() -> None:
     data = encode("std_msgs/String", {"data": "a longer text"})
     assert decode("std_msgs/String", data) == {"data": "a longer text"}

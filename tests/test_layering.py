@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 
 ROOMS = (
-    "errors", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "input_file", "json_file", "yaml_file", "configuration",
-    "settings_table", "units", "plots", "result", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
+    "errors", "interrupts", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "input_file", "json_file", "yaml_file",
+    "configuration", "settings_table", "units", "plots", "result", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
     "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control", "runtime", "estimation", "simulation", "settings",
     "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "study", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
@@ -35,6 +35,7 @@ ONLY_IN = {
     "viser": {"view"},
     "llvmlite": {"kernel"},
     "threading": {
+        "interrupts",
         "logs",
         "registry",
         "model",

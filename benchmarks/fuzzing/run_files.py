@@ -33,7 +33,9 @@ def runs(rng: random.Random, folder: Path) -> Case:
     if kind == "as it is":
         expected = VALID
     elif kind == "rows":
-        arrays["hand"] = rng.choice((np.zeros((n + 1, 3)), np.zeros((n, 3, 3)), np.float64(1.0)))
+        arrays[rng.choice(("hand", "hand.time"))] = rng.choice(
+            (np.zeros((n + 1, 3)), np.zeros((n, 3, 3)), np.float64(1.0))
+        )
     elif kind == "type":
         arrays[rng.choice(("hand", "hand.time"))] = rng.choice(
             (np.array(["a"] * n), np.full(n, 1j), np.zeros(n, "M8[s]"))

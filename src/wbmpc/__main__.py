@@ -2,20 +2,40 @@
 
 import sys
 
+#: Exit status of Ctrl-C.
+_INTERRUPTED = 130
+
 
 def main() -> int:
-    """The exit status of a command; that of Ctrl-C too where it comes before the command line is loaded."""
+    """The exit status of a command; that of a signal too where it comes before the command line is loaded."""
+    try:
+        from wbmpc.interrupts import ended_by_signal, terminable
+
+        with terminable():  # loading takes a second
+            return _run() or ended_by_signal()
+    except KeyboardInterrupt:
+        return _interrupted()
+    finally:
+        exec(
+            ""
+        )  # Python forgets an interrupt inside of another exec, with which it would end instead of with the status
+
+
+def _run() -> int:
     try:
         from wbmpc.cli import main as run
 
         return run()
     except KeyboardInterrupt:
-        print("wbmpc: interrupted", file=sys.stderr)
-        return 130
-    finally:
-        exec(
-            ""
-        )  # Python forgets an interrupt inside of another exec, with which it would end instead of with the status
+        from wbmpc.interrupts import ended_by_signal
+
+        _interrupted()
+        return ended_by_signal() or _INTERRUPTED
+
+
+def _interrupted() -> int:
+    print("wbmpc: interrupted", file=sys.stderr)
+    return _INTERRUPTED
 
 
 if __name__ == "__main__":

@@ -100,8 +100,10 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
         raise InputError(
             f"{path}: this is not the log of a run (log.npz), or not whole: {error or type(error).__name__}"
         ) from error
-    for name, values in channels.items():
-        _check_channel(path, name, values, channels)
+    for name in sorted(
+        channels, key=lambda name: not name.endswith(".time")
+    ):  # times first: channels are compared with theirs
+        _check_channel(path, name, channels[name], channels)
     return channels
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from wbmpc.configuration import kind_alone, reject_booleans, reject_unread
+from wbmpc.robots import load_description
 from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
@@ -16,6 +19,28 @@ LARGEST = 1e9
 Weight = Annotated[float, Field(ge=0, le=LARGEST)]
 #: A gain or a threshold: what is not there at 0.
 Positive = Annotated[float, Field(gt=0, ge=1e-9, le=LARGEST)]
+
+
+@dataclass(frozen=True)
+class ReadBy:
+    """Stands beside the type of a setting that names what is read from a file: ``read(value)`` raises :class:`InputError` where that
+    cannot be read."""
+
+    read: Callable[[Any], object]
+
+    @classmethod
+    def named(cls, settings: BaseModel) -> Iterator[tuple[Callable[[Any], object], Any]]:
+        """Who reads it, and the value, for all that settings name."""
+        for name, info in type(settings).model_fields.items():
+            value = getattr(settings, name)
+            if isinstance(value, BaseModel):
+                yield from cls.named(value)
+            elif value is not None:
+                yield from ((mark.read, value) for mark in info.metadata if isinstance(mark, cls))
+
+
+#: A robot's name or file.
+Robot = Annotated[str, ReadBy(load_description)]
 
 
 class Settings(BaseModel):

@@ -130,12 +130,34 @@ def test_a_directory_below_one_with_the_sticky_bit_is_used(folder: Path) -> None
 def test_a_link_leads_to_where_others_can_replace_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    """What counts is where a directory is, not by which way it is reached."""
+    """It counts where a directory is."""
     (tmp_path / "way").symlink_to(folder.parent)
     monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "way" / "cache"))
     assert cache.load("key") == (CODE, {"nx": 1}) and cache.trusted_folder("below") == folder / "below"
     folder.parent.chmod(0o777)
     assert cache.load("key") is None
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda open_to_all: open_to_all.chmod(0o777),
+        pytest.param(lambda own: (own.chmod(0o1777), os.lchown(own / "way", SOMEBODY, -1)), marks=needs_root),
+    ],
+)
+def test_a_link_that_others_can_replace_is_no_way_to_a_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: Path, spoil: Callable[[Path], None]
+) -> None:
+    """It counts by which way it is reached, too: the link may lead elsewhere when the file is opened."""
+    (tmp_path / "between").mkdir()
+    (tmp_path / "between" / "way").symlink_to(folder.parent)
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "between" / "way" / "cache"))
+    assert cache.load("key") == (CODE, {"nx": 1})
+    spoil(tmp_path / "between")
+    previous = sorted(folder.iterdir())
+    assert cache.load("key") is None
+    cache.save("other", CODE, {})
+    assert sorted(folder.iterdir()) == previous
 
 
 def test_nothing_is_made_where_others_can_replace_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,8 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ClassVar
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import pytest
 from valley import error
@@ -20,6 +22,7 @@ from valley import error
 from effort import thorough
 from wbmpc.cli import main
 from wbmpc.errors import InputError, NotWritten
+from wbmpc.study import workers
 from wbmpc.study.store import Store
 from wbmpc.study.study import Study
 from wbmpc.study.work import execute
@@ -311,8 +314,9 @@ def test_dasks_workers_do_the_runs(tmp_path: Path) -> None:
     made = Study.load(study(tmp_path), tmp_path / "out")
     seen: list[float] = []
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=50
-    ) as cluster:
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=50,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+    ) as cluster:  # fmt: skip
         summary = made.run(scheduler=cluster.scheduler_address, progress=lambda share, note: seen.append(share))
     assert not logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)  # a lost scheduler is one message
     assert summary.finished == 20 and seen == pytest.approx([k / 20 for k in range(1, 21)])
@@ -380,3 +384,52 @@ def test_a_scheduler_and_workers_in_other_folders(tmp_path: Path) -> None:
         for process in begun:
             process.kill()
             process.wait()
+
+
+class Started(Exception):
+    """A process would have been started."""
+
+
+@pytest.mark.parametrize("command", ["study", "tune"])
+@pytest.mark.parametrize(
+    ("about", "said"),
+    [
+        ("robots: [/etc/passwd]", "experiment 'hold': unknown robot '/etc/passwd'; valid: "),
+        ("robots: [ur5, broken.yaml]", "broken.yaml"),
+        ("settings: {obstacles: nowhere.yaml}", "nowhere.yaml"),
+        ("conditions: {near: {}, far: {settings: {obstacles: SCENE}}}", "experiment 'hold', condition 'far': "),
+        ("settings: {path.kind: csv, path.file: nowhere.csv}", "nowhere.csv"),
+    ],
+)
+def test_nothing_is_started_for_files_that_cannot_be_read(
+    command: str, about: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    """Truth: the cluster is never made."""
+
+    def cluster(*_: Any, **__: Any) -> None:
+        raise Started
+
+    monkeypatch.setattr("distributed.LocalCluster", cluster)
+    for name in ("broken.yaml", "scene.yaml"):
+        (tmp_path / name).write_text("nonsense: 1\n")
+    name = "end-effector-track" if "path" in about else "hold"
+    tune = "tune: {seeds: [1], search: {settle_time: [0.5, 1.0]}, minimize: [{metric: fell, limit: 1}]}\n"
+    file = study(
+        tmp_path, f"experiments: [{name}]\nseeds: [0]\n{about.replace('SCENE', str(tmp_path / 'scene.yaml'))}\n{tune}"
+    )
+    assert main([command, str(file), "--out", str(tmp_path / "out"), "--workers", "2"]) == 2
+    found = capsys.readouterr().err
+    assert said in found and found.count("\n") == 1
+
+
+def test_a_study_is_no_server_for_browsers() -> None:
+    """Dask always opens one. Truth: what it answers to a request for anything that it shows by default."""
+    pytest.importorskip("distributed")
+    with workers.pool(1, None) as pool:
+        assert isinstance(pool, workers.Cluster)
+        port = pool._client.scheduler_info()["services"]["dashboard"]
+        for page in ("", "info/main/workers.html", "json/identity.json", "health", "metrics", "sysmon"):
+            with pytest.raises(HTTPError) as error:
+                urlopen(f"http://127.0.0.1:{port}/{page}")
+            error.value.close()
+            assert error.value.code == 404, page

@@ -36,19 +36,17 @@ from wbmpc.cli.terminal import (
     BAD_INPUT,
     COMPLETED,
     INTERRUPTED,
-    act_on_waiting,
-    ended_by_signal,
     experiment_names,
     interrupted,
     logged,
     open_streams,
     progress_bar,
     silent,
-    terminable,
     unread_allowed,
 )
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, printable, unknown_name
+from wbmpc.interrupts import act_on_waiting, ended_by_signal, terminable
 
 if TYPE_CHECKING:
     from wbmpc.experiment import Experiment

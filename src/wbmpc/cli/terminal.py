@@ -5,13 +5,9 @@ from __future__ import annotations
 import io
 import logging
 import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from wbmpc.errors import printable
@@ -20,69 +16,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-#: After so long [s] a signal acts that came where its exception would be lost.
-_AGAIN = 0.01
 #: Exit statuses.
 COMPLETED, ABORTED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-
-
-#: Signals that came where their exception would be lost, and that have not acted yet.
-_WAITING: set[int] = set()
-
-
-class Request:
-    """A signal that asks a command to end, as Ctrl-C does: a handler that raises KeyboardInterrupt. ``came``: whether it has."""
-
-    def __init__(self) -> None:
-        self.came = False
-
-    def noted(self) -> None:
-        """It came while something was finished first."""
-        self.came = True
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.came = True
-        if _is_dropped(frame) and signal.getsignal(signal.SIGALRM) is _send_again:
-            _WAITING.add(number)
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN)
-            return
-        raise KeyboardInterrupt
-
-
-def _send_again(number: int, frame: FrameType | None) -> None:
-    """To its present handler."""
-    waiting = sorted(_WAITING)
-    _WAITING.clear()
-    for each in waiting:
-        signal.raise_signal(each)
-
-
-def act_on_waiting() -> None:
-    """Raise KeyboardInterrupt if a signal came that has not acted yet."""
-    if _WAITING:
-        _WAITING.clear()
-        raise KeyboardInterrupt
-
-
-def _is_dropped(frame: FrameType | None) -> bool:
-    """Whether an exception would go through CasADi, which tries conversions of arguments and drops what they raise, or through trimesh,
-    which drops whatever ends an import."""
-    while frame is not None:
-        path = Path(frame.f_code.co_filename)
-        if path.name == "casadi.py" or "trimesh" in path.parts:
-            return True
-        frame = frame.f_back
-    return False
-
-
-def ended_by_signal() -> int:
-    """128 and the number of the signal that asked this command to end: SIGTERM, SIGHUP, as when the terminal was closed, or SIGINT,
-    which is Ctrl-C. 0: none has come."""
-    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
-        handler = signal.getsignal(number)
-        if isinstance(handler, Request) and handler.came:
-            return 128 + number
-    return 0
 
 
 class _Printable(logging.Formatter):
@@ -90,31 +25,6 @@ class _Printable(logging.Formatter):
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         return printable(super().formatMessage(record))
-
-
-@contextmanager
-def terminable() -> Iterator[None]:
-    """Handle Ctrl-C, SIGTERM and SIGHUP, but for those that have other handlers, in the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    taken: dict[int, tuple[Any, Any]] = {
-        signal.SIGALRM: (signal.SIG_DFL, _send_again),
-        signal.SIGINT: (signal.default_int_handler, Request()),
-        signal.SIGTERM: (signal.SIG_DFL, Request()),
-        signal.SIGHUP: (signal.SIG_DFL, Request()),
-    }
-    taken = {number: (usual, own) for number, (usual, own) in taken.items() if signal.getsignal(number) == usual}
-    try:
-        for number, (_, own) in taken.items():
-            signal.signal(number, own)
-        yield
-    finally:
-        _WAITING.clear()  # an alarm that comes yet does nothing
-        for number, (usual, _) in reversed(taken.items()):
-            if number == signal.SIGALRM:
-                signal.setitimer(signal.ITIMER_REAL, 0.0)
-            signal.signal(number, usual)
 
 
 def interrupted(error: BaseException) -> bool:

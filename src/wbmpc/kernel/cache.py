@@ -77,17 +77,24 @@ def _distrust(path: Path, found: os.stat_result) -> str:
 def _distrust_above(folder: Path) -> str:
     """Why others may put something else in the place of a directory: one above it is neither root's nor the user's, or may be
     written by others, who may then rename all that is in it. With the sticky bit, as /tmp has it, they may not."""
-    # from the root on: what was checked holds the next one in its place
-    for above in reversed(_real(folder).parents):
-        try:
-            found = above.lstat()
-        except FileNotFoundError:  # is made later on, as the user's alone
-            return ""
-        if found.st_uid not in (0, os.geteuid()):
-            return f"{folder} is in {above}, which belongs to the user with number {found.st_uid}"
-        if found.st_mode & _OTHERS and not found.st_mode & stat.S_ISVTX:
-            mode = f"{stat.S_IMODE(found.st_mode):04o}"
-            return f"{folder} is in {above}, which can be changed by others (mode {mode}; 'chmod go-w {above}' keeps them out)"
+    for path in (
+        Path(os.path.abspath(folder)),
+        _real(folder),
+    ):  # as it is written: a link on the way may be another one later on
+        # from the root on: what was checked holds the next one in its place
+        for above in reversed(path.parents):
+            try:
+                found = above.lstat()
+            except FileNotFoundError:  # is made later on, as the user's alone
+                break
+            if found.st_uid not in (0, os.geteuid()):
+                return f"{folder} is in {above}, which belongs to the user with number {found.st_uid}"
+            writable = found.st_mode & _OTHERS and not stat.S_ISLNK(
+                found.st_mode
+            )  # links have no permissions of their own
+            if writable and not found.st_mode & stat.S_ISVTX:
+                mode = f"{stat.S_IMODE(found.st_mode):04o}"
+                return f"{folder} is in {above}, which can be changed by others (mode {mode}; 'chmod go-w {above}' keeps them out)"
     return ""
 
 

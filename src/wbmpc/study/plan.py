@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment
 from wbmpc.registry import load, load_file
+from wbmpc.settings import ReadBy
 from wbmpc.study.definition import MAX_COMBINATIONS, Condition, Definition, Random, Range
 
 
@@ -38,6 +39,7 @@ class Combination:
     changes: Mapping[str, Any]
     settings: Mapping[str, Any] = field(repr=False)
     draw: int = 0
+    inputs: tuple[tuple[Callable[[Any], object], Any], ...] = field(default=(), repr=False)
 
     @cached_property
     def key(self) -> str:
@@ -141,9 +143,28 @@ def _combination(
         experiment = open_experiment(source)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
-    place = f"{where}: experiment '{name}'" + (f", condition '{condition}'" if condition else "")
-    settings = settings_of(experiment, changes, place).model_dump(mode="json")
-    return Combination(experiment.name, source, condition, robot, varied, changes, settings, draw)
+    model = settings_of(experiment, changes, _place(where, name, condition))
+    settings, inputs = model.model_dump(mode="json"), tuple(ReadBy.named(model))
+    return Combination(experiment.name, source, condition, robot, varied, changes, settings, draw, inputs)
+
+
+def check_inputs(found: list[Combination], where: str) -> None:
+    """Read the robots and files of all combinations, so that nothing is started for what cannot run.
+
+    Raises :class:`InputError` naming ``where`` (the study's file), the experiment and the condition.
+    """
+    known: set[tuple[Callable[[Any], object], Any]] = set()
+    for c in found:
+        try:
+            for read, value in (named for named in c.inputs if named not in known):
+                read(value)
+        except InputError as error:
+            raise InputError(f"{_place(where, c.experiment, c.condition)}: {error}") from error
+        known |= {*c.inputs}
+
+
+def _place(where: str, experiment: str, condition: str) -> str:
+    return f"{where}: experiment '{experiment}'" + (f", condition '{condition}'" if condition else "")
 
 
 def runs(found: list[Combination], seeds: tuple[int, ...]) -> Iterator[Run]:

@@ -17,7 +17,7 @@ from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
 from wbmpc.study.definition import Condition, Definition, load_definition
 from wbmpc.study.page import study_page
-from wbmpc.study.plan import Combination, Run, combinations, open_experiment, runs
+from wbmpc.study.plan import Combination, Run, check_inputs, combinations, open_experiment, runs
 from wbmpc.study.store import FILE, Store
 from wbmpc.study.summary import Summary, summarize
 from wbmpc.study.tune_page import tune_page
@@ -74,9 +74,10 @@ class Study:
         """Do the runs that have no result yet on ``workers`` processes (None: as many as there are cores; 0: in this one), or on the
         workers of the Dask scheduler at an address; write rows, statistics and page. What is interrupted goes on the next time.
 
-        Raises :class:`InputError` for settings that do not exist, and where ``out`` has runs of other settings.
+        Raises :class:`InputError` for settings that do not exist, for robots and files that cannot be read, and where ``out`` has runs
+        of other settings.
         """
-        self.combinations  # noqa: B018 - settings are checked before any process starts
+        check_inputs(self.combinations, str(self.path))  # before any process starts
         with Later(workers, scheduler) as there:
             return self._run_in(there, progress)
 

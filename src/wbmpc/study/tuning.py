@@ -13,7 +13,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.study.definition import Definition, Search, Term, Tuning
-from wbmpc.study.plan import Run, combinations
+from wbmpc.study.plan import Run, check_inputs, combinations
 from wbmpc.study.store import MISSING, Store
 from wbmpc.study.work import ERROR, execute
 from wbmpc.study.workers import Pool, Row
@@ -191,6 +191,7 @@ class Tuner:
             changes = {key: _suggested(trial, key, s) for key, s in self.tuning.search.items()}
             try:
                 tried = combinations(with_settings(self.definition, changes), self.folder, self.where)
+                check_inputs(tried, self.where)
             except InputError as error:
                 rejected = error
                 self._found.tell(trial, state=_optuna().trial.TrialState.FAIL)

@@ -140,7 +140,10 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         "distributed.client",
     ):  # what they report of lost workers comes as rows, of a lost scheduler as a message
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    dask.config.set({"distributed.scheduler.allowed-failures": RETRIES, "distributed.comm.timeouts.connect": SILENCE})
+    dask.config.set({
+        "distributed.scheduler.allowed-failures": RETRIES, "distributed.comm.timeouts.connect": SILENCE,
+        "distributed.scheduler.http.routes": [],  # it has a server for browsers whatever it is asked for: that shows nothing
+    })  # fmt: skip
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout=SILENCE, set_as_default=False)
@@ -152,6 +155,7 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
     with interrupt_noted() as interrupted, _deaf(), _threads_pinned():  # one that is half there cannot be closed
         cluster = LocalCluster(
             n_workers=count or len(os.sched_getaffinity(0)), threads_per_worker=1, processes=True, dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free: other studies may go on
             silence_logs=logging.CRITICAL,
         )  # fmt: skip
         client = Client(cluster, set_as_default=False)

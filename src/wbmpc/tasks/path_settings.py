@@ -18,7 +18,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Path as SmoothPath
 from wbmpc.ocp import Reference
 from wbmpc.ocp.scaling import reach
-from wbmpc.settings import Settings
+from wbmpc.settings import ReadBy, Settings
 from wbmpc.tasks.paths import rise, risen
 
 Array = np.ndarray
@@ -151,7 +151,7 @@ class Table(Waypoints):
     """As with poses. ``file``: a CSV whose first line names its columns x, y, z [m], or these and qw, qx, qy, qz."""
 
     kind: Literal["csv"] = "csv"
-    file: Path = Path("path.csv")
+    file: Annotated[Path, ReadBy(lambda path: read_table(path))] = Path("path.csv")
 
     def waypoints(self, position: Array, quaternion: Array) -> tuple[Array, Array]:
         return _waypoints(read_table(self.file), position, quaternion, self.direction, str(self.file))

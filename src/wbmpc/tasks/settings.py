@@ -14,7 +14,17 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Cost
-from wbmpc.settings import NoStability, Positive, Settings, Stability, StabilitySettings, WheelLoadSettings
+from wbmpc.settings import (
+    NoStability,
+    Positive,
+    ReadBy,
+    Robot,
+    Settings,
+    Stability,
+    StabilitySettings,
+    WheelLoadSettings,
+)
+from wbmpc.simulation.obstacles import load_scene
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import standing
 
@@ -30,7 +40,7 @@ class SimulationSettings(Settings):
     computation_delay: float = Field(0.010, ge=0, le=1.0)
     settle_time: float = Field(1.0, ge=0, le=60)
     calibration: Annotated[Literal["none", "drive"], OnlyWith(physics="mujoco")] = "none"
-    obstacles: Path | None = None
+    obstacles: Annotated[Path | None, ReadBy(load_scene)] = None
 
 
 class TaskMpcSettings(Settings):
@@ -54,7 +64,7 @@ class TaskSettings(SimulationSettings):
     "nothing" for plans that know of no obstacles, to compare with; ``stability``: what keeps a robot from tipping over that stops fast
     with a load. The others (``physics``, ``plant``, ``computation_delay``, ``settle_time``, ``obstacles``): :class:`SimulationSettings`."""
 
-    robot: str = "differential-ur10"
+    robot: Robot = "differential-ur10"
     mpc: TaskMpcSettings = TaskMpcSettings()
     weights: dict[str, Positive] = Field(default={})
     avoid: Literal["obstacles", "nothing"] = "obstacles"

@@ -14,7 +14,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.settings import Positive, Stability, WheelLoadSettings
+from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
@@ -36,7 +36,7 @@ class TipOverSettings(TaskSettings):
     weight, or the arm would swing); ``after`` [s]: how long it is watched from then on; ``legs``: configuration of hinged legs (H, X or A), or as at
     home. Wheels are of one size: a stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever is planned."""
 
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
     stability: Stability = WheelLoadSettings(payload=10.0)
     weights: dict[str, Positive] = Field(default={"end_effector": 0.05})

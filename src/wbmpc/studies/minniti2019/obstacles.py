@@ -11,6 +11,7 @@ from wbmpc.experiment import Experiment, Scenario
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Cylinder
+from wbmpc.settings import Robot
 from wbmpc.studies.minniti2019.task import check_ball
 from wbmpc.tasks import obstacles
 from wbmpc.tasks.definitions import DEFINITIONS
@@ -32,7 +33,7 @@ ASIDE = 0.1
 class RezeroObstaclesSettings(Among):
     """People walk at ``speeds`` [m/s], between the smallest and the largest; who comes head-on, at ``head_on`` [m/s]."""
 
-    robot: str = "rezero"
+    robot: Robot = "rezero"
     path: AnyPath = Line(length=4.0, speed=0.25)
     speeds: tuple[Speed, Speed] = (0.3, 1.0)
     head_on: float = Field(0.5, ge=0.01, le=10.0)

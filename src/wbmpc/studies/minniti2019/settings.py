@@ -9,7 +9,7 @@ from pydantic import Field
 from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost
 from wbmpc.bases.ball.settings import BallControllerSettings
 from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
-from wbmpc.settings import ExperimentSettings
+from wbmpc.settings import ExperimentSettings, Robot
 from wbmpc.studies.minniti2019.baselines import (
     ACCURATE_BASELINES,
     BaselineSettings,
@@ -30,7 +30,7 @@ class RezeroSettings(BallControllerSettings, ExperimentSettings):
     unknown mass at the end effector; ``controller``: the MPC, or a baseline that has its estimator and the same limits of the drives,
     with its gains (``baseline``); ``tracking`` of the MPC's plans. ``only_with``: what the chosen controller and estimator read."""
 
-    robot: str = "rezero"
+    robot: Robot = "rezero"
     estimator: Literal["filter", "truth"] = "filter"
     payload: float = Field(0.0, ge=0, le=5.0)
     controller: Controller = "mpc"

@@ -15,7 +15,7 @@ from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.settings import ControlSettings, Settings
+from wbmpc.settings import ControlSettings, Robot, Settings
 from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation, StuckBrake
@@ -37,7 +37,7 @@ class SwerveBrakesSettings(Settings):
 
     control: ControlSettings = ControlSettings()
     plant: Perturbation = Perturbation()
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
     push: float = Field(PUSH, gt=0, le=500)
     height: float = Field(0.03, gt=0.005, le=0.2)
 

@@ -11,6 +11,7 @@ from pydantic import Field
 from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, SwerveCost
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import RobotModel
+from wbmpc.settings import Robot
 from wbmpc.stability import leg_angles
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
@@ -34,7 +35,7 @@ class MissionSettings(DrivingSettings):
         state=StateCost(position=30_000.0, yaw=9000.0, leg=300.0, arm=1.0),
         input=InputCost(base=5.0, steer=0.002),
     )
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
     leg_guard: bool = True
 
 

@@ -17,7 +17,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.settings import Positive, Stability, WheelLoadSettings
+from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
@@ -39,7 +39,7 @@ class SwerveFastSettings(TaskSettings):
     it too fast to stop there. Wheels are of one size: a stiff body on four stiff wheels that differ by 0.2 mm stands on three of them,
     whatever is planned."""
 
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
     mpc: TaskMpcSettings = TaskMpcSettings(model="dynamic", horizon=2.0)
     stability: Stability = WheelLoadSettings(min_load=0.1, payload=10.0)

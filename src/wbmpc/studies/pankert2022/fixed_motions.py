@@ -12,7 +12,7 @@ from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, S
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.settings import Settings
+from wbmpc.settings import Robot, Settings
 from wbmpc.studies.base_path import BasePath, Segment, in_turn, random_twists
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.driving import DrivingSettings
@@ -50,7 +50,7 @@ class SwerveFixedSettings(DrivingSettings):
         state=StateCost(position=10_000.0, yaw=3000.0, arm=1.0),
         input=InputCost(base=5.0),
     )
-    robot: str = "swerve-fixed-ur10"
+    robot: Robot = "swerve-fixed-ur10"
     controllers: tuple[Controller, ...] = Field(("mpc", "ik", "four_wheel"), min_length=1)
     ik: BaselineGains = BaselineGains(base_gain=12.0, steer_gain=30.0, look_ahead=2.0)
     four_wheel: BaselineGains = BaselineGains(base_gain=16.0, steer_gain=10.0, look_ahead=0.5)

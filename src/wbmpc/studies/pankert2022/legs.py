@@ -18,6 +18,7 @@ from wbmpc.experiment import Experiment, Run, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Drawing, Metric, Plot, Series
+from wbmpc.settings import Robot
 from wbmpc.stability import best_stance
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.drive_course import uneven_floor
@@ -49,7 +50,7 @@ class LegsSettings(MissionSettings):
     """``half_width`` [m]: in the narrow stance steer axes are within it of the body's axis. The other settings are those of
     `swerve-drive`."""
 
-    robot: str = "pentapod-ur10"
+    robot: Robot = "pentapod-ur10"
     half_width: float = Field(0.38, gt=0, le=10)
 
 

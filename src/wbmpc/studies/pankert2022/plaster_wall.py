@@ -13,6 +13,7 @@ from wbmpc.bases.swerve.defaults import StateCost, SwerveCost
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.settings import Robot
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.tasks.paths import Approach
@@ -41,7 +42,7 @@ class SwervePlasterSettings(DrivingSettings):
     that drive."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=100.0))
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
     passes: int = Field(10, ge=1, le=50)
     speed: float = Field(0.7, gt=0.05, le=0.9)
     localization: Literal["none", "lidar"] = "lidar"

@@ -26,7 +26,7 @@ from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
-from wbmpc.settings import ControlSettings, LidarSettings, Settings
+from wbmpc.settings import ControlSettings, LidarSettings, Robot, Settings
 from wbmpc.simulation.kept_calibration import kept
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation, SoundBrakes, quantize
@@ -41,7 +41,7 @@ class SwerveCalibrateSettings(Settings):
     at which its end effector is tracked after the drive;
     ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base."""
 
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
     speed: float = Field(0.4, ge=0.02, le=0.8)
     stroke: float = Field(4.0, gt=0, le=20)
     turn: float = Field(np.pi, gt=0, le=7)

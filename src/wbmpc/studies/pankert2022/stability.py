@@ -10,7 +10,7 @@ from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.result import Drawing, Metric
-from wbmpc.settings import Settings
+from wbmpc.settings import Robot, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import CONFIGURATIONS, Assessment, assess, draw
@@ -35,7 +35,7 @@ STANDING, RATE = 1.0, 100
 class SwerveStabilitySettings(Settings):
     """``robot``: with two front and two rear legs on hinges."""
 
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
 
 
 def build(settings: SwerveStabilitySettings, seed: int) -> Scenario:

@@ -13,6 +13,7 @@ from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
+from wbmpc.settings import Robot
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.tasks.paths import Approach, SinePath
 
@@ -34,7 +35,7 @@ class SwerveTrackSettings(DrivingSettings):
     The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(end_effector=EndEffectorCost(weight=4000.0))
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
     variant: Literal["horizontal", "vertical", "peaks"] = "horizontal"
     periods: int = Field(6, ge=1, le=20)
     speed: float = Field(0.255, ge=0.01, le=0.8)

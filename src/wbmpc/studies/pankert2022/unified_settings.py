@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost
 from wbmpc.configuration import kind_alone
-from wbmpc.settings import Settings, Weight
+from wbmpc.settings import Robot, Settings, Weight
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 
 #: Where the legs begin if nothing else is said.
@@ -43,7 +43,7 @@ class SwerveUnifiedSettings(DrivingSettings):
     ``leg_guard``: see :class:`wbmpc.bases.swerve.controller.SwerveController`. The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
     leg_start: Configuration = AT_HOME
     legs: Legs = TargetLegs()
     leg_guard: bool = True

@@ -18,7 +18,7 @@ from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.settings import Settings
+from wbmpc.settings import Robot, Settings
 from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Ending, Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
@@ -52,7 +52,7 @@ class SwerveWobbleSettings(Settings):
     """
 
     plant: Perturbation = Perturbation()
-    robot: str = "swerve-ur10"
+    robot: Robot = "swerve-ur10"
     heights: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(HEIGHTS, min_length=1, max_length=100)
     turn: float = Field(TURN, ge=20, le=600)
     calibration: tuple[tuple[Literal["H", "X", "A"], Wheel], ...] = CALIBRATION

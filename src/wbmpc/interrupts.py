@@ -1,0 +1,125 @@
+"""Signals that ask a command to end: they act once, wherever in the program they come, also while it is still being loaded."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+#: After so long [s] a signal acts that came where its exception would be lost.
+_AGAIN = 0.01
+_ENDING = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+#: Signals that came where their exception would be lost, and that have not acted yet.
+_WAITING: set[int] = set()
+
+
+class Request:
+    """A signal that asks a command to end, as Ctrl-C does: a handler that raises KeyboardInterrupt. ``came``: whether it has."""
+
+    def __init__(self) -> None:
+        self.came = False
+
+    def noted(self) -> None:
+        """It came while something was finished first."""
+        self.came = True
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.came = True
+        if not (_is_dropped(frame) and _postpone(number)):
+            raise KeyboardInterrupt
+
+
+def _postpone(*numbers: int) -> bool:
+    """Send signals again in a moment; False where nothing here answers the alarm."""
+    if signal.getsignal(signal.SIGALRM) is not _send_again:
+        return False
+    _WAITING.update(numbers)
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+    return True
+
+
+def _send_again(number: int, frame: FrameType | None) -> None:
+    """To its present handler."""
+    waiting = sorted(_WAITING)
+    _WAITING.clear()
+    for each in waiting:
+        signal.raise_signal(each)
+
+
+def act_on_waiting() -> None:
+    """Raise KeyboardInterrupt if a signal came that has not acted yet."""
+    if _WAITING:
+        _WAITING.clear()
+        raise KeyboardInterrupt
+
+
+def _is_dropped(frame: FrameType | None) -> bool:
+    """Whether an exception would go through CasADi, which tries conversions of arguments and drops what they raise, or through trimesh,
+    which drops whatever ends an import."""
+    while frame is not None:
+        parts = frame.f_code.co_filename.split(os.sep)
+        if parts[-1] == "casadi.py" or "trimesh" in parts:
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _came() -> list[int]:
+    """The signals that have asked for the end."""
+    handlers = [(number, signal.getsignal(number)) for number in _ENDING]
+    return [number for number, handler in handlers if isinstance(handler, Request) and handler.came]
+
+
+def ended_by_signal() -> int:
+    """128 and the number of the signal that asked this command to end: SIGTERM, SIGHUP, as when the terminal was closed, or SIGINT,
+    which is Ctrl-C. 0: none has come."""
+    return next((128 + number for number in _came()), 0)
+
+
+@contextmanager
+def _nothing_dropped() -> Iterator[None]:
+    """Python drops what is raised while it clears up: in callbacks of weak references, of which every import has one, and in
+    ``__del__``. An interrupt that came there acts a moment later."""
+    previous = sys.unraisablehook
+
+    def hook(dropped: Any) -> None:
+        if not (isinstance(dropped.exc_value, KeyboardInterrupt) and _postpone(*(_came() or [signal.SIGINT]))):
+            previous(dropped)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        if sys.unraisablehook is hook:
+            sys.unraisablehook = previous
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Handle Ctrl-C, SIGTERM and SIGHUP, but for those that have other handlers, in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    taken: dict[int, tuple[Any, Any]] = {
+        signal.SIGALRM: (signal.SIG_DFL, _send_again),
+        signal.SIGINT: (signal.default_int_handler, Request()),
+        signal.SIGTERM: (signal.SIG_DFL, Request()),
+        signal.SIGHUP: (signal.SIG_DFL, Request()),
+    }
+    taken = {number: (usual, own) for number, (usual, own) in taken.items() if signal.getsignal(number) == usual}
+    try:
+        for number, (_, own) in taken.items():
+            signal.signal(number, own)
+        with _nothing_dropped():
+            yield
+    finally:
+        _WAITING.clear()  # an alarm that comes yet does nothing
+        for number, (usual, _) in reversed(taken.items()):
+            if number == signal.SIGALRM:
+                signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(number, usual)
