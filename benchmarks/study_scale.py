@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.study.store import FILE, Store
+from wbmpc.study.files import ROWS
+from wbmpc.study.store import Store
 from wbmpc.study.workers import Cluster, completed
 
 #: Mean lengths of runs [s] that are simulated, and runs that each simulation has at most.
@@ -72,7 +73,7 @@ def bytes_of(folder: Path, rows: list[dict[str, Any]]) -> dict[str, float]:
             for row in many:
                 store.add(row)
             store.finish()
-        whole = (Path(made) / FILE).stat().st_size / len(many)
+        whole = (Path(made) / ROWS).stat().st_size / len(many)
     line = np.mean([len(json.dumps(row, separators=(",", ":"))) + 1 for row in rows])
     return {
         "task": size(task),

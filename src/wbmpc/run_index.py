@@ -20,7 +20,7 @@ from wbmpc.units import Scale, scale
 
 #: Levels below the directory that are searched, and runs that are read, at most.
 DEEPEST, MOST = 5, 20_000
-REPORT = "report.html"
+REPORT, METRICS = "report.html", "metrics.json"
 
 
 @dataclass(frozen=True)
@@ -66,19 +66,22 @@ def find_runs(root: Path) -> list[Entry]:
     if not root.is_dir():
         raise InputError(f"{root}: there is no such directory; runs are in 'runs' unless --out was given")
     found: list[Entry] = []
-    for path in _metrics_files(root):
+    for directory, files in folders(root):
+        if METRICS not in files:
+            continue
         if len(found) == MOST:
             raise InputError(f"{root}: has more than {MOST} runs; give a directory below it")
-        found.append(_read(path))
+        found.append(_read(directory / METRICS))
     return sorted(found, key=lambda entry: (entry.ended, str(entry.directory)), reverse=True)
 
 
-def _metrics_files(root: Path) -> Iterator[Path]:
-    for directory, below, files in os.walk(root):
-        if len(Path(directory).relative_to(root).parts) >= DEEPEST:
+def folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
+    """``root`` and the directories below it, :data:`DEEPEST` levels of them, each with the names of its files. Links to directories are
+    not followed."""
+    for name, below, files in os.walk(root):
+        if len(Path(name).relative_to(root).parts) >= DEEPEST:
             below.clear()
-        if "metrics.json" in files:
-            yield Path(directory) / "metrics.json"
+        yield Path(name), files
 
 
 def _read(path: Path) -> Entry:
@@ -136,8 +139,9 @@ filter.addEventListener("input", () => { const words = filter.value.toLowerCase(
 .note { display: block; white-space: normal; min-width: 220px } main { max-width: 1400px }</style>"""
 
 
-def page(runs: Sequence[Entry], beside: Path) -> str:
-    """The table as one HTML page that needs no network, with a section per experiment; links are relative to ``beside``."""
+def page(runs: Sequence[Entry], beside: Path, studies: str = "") -> str:
+    """The table as one HTML page that needs no network, with a section per experiment; links are relative to ``beside``. ``studies``:
+    a section before them."""
     names = sorted({run.experiment for run in runs})
     sections = "".join(_section(name, [r for r in runs if r.experiment == name], beside) for name in names)
     failed = sum(not run.completed for run in runs)
@@ -145,7 +149,7 @@ def page(runs: Sequence[Entry], beside: Path) -> str:
     search = (
         '<input id="filter" type="search" placeholder="Filter: experiment, seed, outcome, commit" aria-label="Filter">'
     )
-    return document("Runs", f'<h1>Runs</h1><p class="sub">{about}</p>{search}{sections}{_SCRIPT}', plots=False)
+    return document("Runs", f'<h1>Runs</h1><p class="sub">{about}</p>{search}{studies}{sections}{_SCRIPT}', plots=False)
 
 
 def _section(name: str, runs: list[Entry], beside: Path) -> str:

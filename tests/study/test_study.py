@@ -7,10 +7,12 @@ import json
 import logging
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar
 from urllib.error import HTTPError
@@ -339,14 +341,20 @@ def test_threads_that_import_one_file_at_a_time_get_whole_modules(tmp_path: Path
 
 @thorough
 def test_a_run_that_kills_its_process_costs_itself_alone(tmp_path: Path) -> None:
-    """Processes of Dask; each run has one thread."""
+    """Processes of Dask; each run has one thread. The port of Dask's pages is taken, as by another study: no matter."""
     pytest.importorskip("distributed")
+    taken = socket.socket()
+    with suppress(OSError):  # somebody else has it
+        taken.bind(("127.0.0.1", 8787))
+        taken.listen()
     file = study(tmp_path, TEXT.replace("fall_from: 308", "die_at: 303").replace("300-309", "300-305"))
     done = subprocess.run(
         command("study", file, "--workers", 2, "--out", tmp_path / "out", "--json"),
         env=environment(), capture_output=True, text=True, timeout=300,
     )  # fmt: skip
+    taken.close()
     said = json.loads(done.stdout)
+    assert "8787" not in done.stderr
     assert done.returncode == 1 and said["finished"] == 10 and sum(said["lost"].values()) == 2, done.stderr
     rows = Study.load(file, tmp_path / "out").table().to_pylist()
     assert {r["seed"] for r in rows if r["outcome"] == "lost"} == {303}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +16,7 @@ from wbmpc.errors import printable
 
 if TYPE_CHECKING:
     from wbmpc.run_index import Entry
+    from wbmpc.study.index import StudyEntry
 
 
 def runs(
@@ -23,37 +25,60 @@ def runs(
     force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
-    """List runs, the newest first: experiment, seed, outcome, how many metrics reach their goals."""
+    """List runs and studies, the newest first: experiment, seed, outcome, how many metrics reach their goals."""
     from wbmpc.output_file import write_text
     from wbmpc.run_index import find_runs
     from wbmpc.run_index import page as page_of
+    from wbmpc.study.index import find_studies, section
 
     target = None if page is None else new_file("--page", page, page, force)
-    found = find_runs(directory)
+    found, studies = find_runs(directory), find_studies(directory)
     if target is not None:
-        write_text(target, page_of(found, target.parent))
+        write_text(target, page_of(found, target.parent, section(studies, target.parent)))
     if as_json:
-        output = {"runs": [run.to_json() for run in found], "page": None if target is None else str(target)}
+        output = {
+            "runs": [run.to_json() for run in found],
+            "studies": [s.to_json() for s in studies],
+            "page": None if target is None else str(target),
+        }
         typer.echo(json.dumps(output, allow_nan=False, default=str))
         return
+    _print_studies(studies)
     _print(found)
-    for run in found:
-        if run.note:
-            typer.echo(printable(f"{run.directory}: {run.note}"))
-    typer.echo(
-        f"the page is {target}"
-        if target
-        else f"{len(found)} {'run' if len(found) == 1 else 'runs'}; --page FILE makes a page of them"
-    )
+    for entry in (*studies, *found):
+        if entry.note:
+            typer.echo(printable(f"{entry.directory}: {entry.note}"))
+    counted = f"{len(found)} {'run' if len(found) == 1 else 'runs'}"
+    if studies:
+        counted += f", {len(studies)} {'study' if len(studies) == 1 else 'studies'}"
+    typer.echo(f"the page is {target}" if target else f"{counted}; --page FILE makes a page of them")
 
 
 def _print(found: list[Entry]) -> None:
-    table = plain_table()
-    for column in ("run", "experiment", "seed", "metrics at goal", "ended", "outcome"):
-        table.add_column(column, justify="right" if column in ("seed", "metrics at goal") else "left", overflow="fold")
+    rows = []
     for run in found:
         reached, judged = run.goals
-        cells = (run.directory, run.experiment, "" if run.seed is None else run.seed, f"{reached} of {judged}" if judged else "",
-                 f"{run.ended.astimezone():%Y-%m-%d %H:%M}", run.outcome)  # fmt: skip
-        table.add_row(*(printable(str(cell)) for cell in cells))
-    console().print(table, markup=False) if found else None
+        rows.append((run.directory, run.experiment, "" if run.seed is None else run.seed, f"{reached} of {judged}" if judged else "",
+                     f"{run.ended.astimezone():%Y-%m-%d %H:%M}", run.outcome))  # fmt: skip
+    _print_table(("run", "experiment", "seed", "metrics at goal", "ended", "outcome"), rows)
+
+
+def _print_studies(found: list[StudyEntry]) -> None:
+    rows = [
+        (s.directory, ", ".join(s.experiments), s.runs, "" if s.trials is not None else s.failed, s.at_goal,
+         f"{s.ended.astimezone():%Y-%m-%d %H:%M}") for s in found
+    ]  # fmt: skip
+    _print_table(("study", "experiments", "runs", "not completed", "at goal", "written"), rows)
+
+
+def _print_table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Nothing without rows."""
+    if not rows:
+        return
+    table = plain_table()
+    right = ("seed", "metrics at goal", "runs", "not completed", "at goal")
+    for head in heads:
+        table.add_column(head, justify="right" if head in right else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(printable(str(cell)) for cell in row))
+    console().print(table, markup=False)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from wbmpc.errors import InputError, NotWritten
 from wbmpc.output_file import whole_file
+from wbmpc.study.files import JOURNAL, PARTS, ROWS
 from wbmpc.study.work import ERROR, LOST
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 MISSING = "studies need Dask, Optuna and pyarrow: pip install 'wbmpc[study]'"
 #: Rows of a part.
 PART = 5000
-FILE = "runs.parquet"
 #: Where a file's metadata has goals and papers' figures of metrics, by combination.
 TARGETS = "targets"
 Targets = dict[str, dict[str, dict[str, float | None]]]
@@ -60,7 +60,7 @@ class Store:
     def __init__(self, folder: Path) -> None:
         parquet()
         self.folder = folder
-        self._journal = folder / "journal.jsonl"
+        self._journal = folder / JOURNAL
         self._lines: TextIO | None = None
         self._count = 0
 
@@ -138,7 +138,7 @@ class Store:
         rows = self._journal_rows()
         if not rows:
             return
-        parts = self.folder / "parts"
+        parts = self.folder / PARTS
         parts.mkdir(exist_ok=True)
         number = 1 + max((int(p.stem) for p in parts.glob("[0-9]*.parquet") if p.stem.isdigit()), default=0)
         with whole_file(parts / f"{number:06d}.parquet") as partial:
@@ -148,8 +148,8 @@ class Store:
         self._count = 0
 
     def _files(self) -> list[Path]:
-        whole = self.folder / FILE
-        return [*([whole] if whole.is_file() else []), *sorted((self.folder / "parts").glob("[0-9]*.parquet"))]
+        whole = self.folder / ROWS
+        return [*([whole] if whole.is_file() else []), *sorted((self.folder / PARTS).glob("[0-9]*.parquet"))]
 
     def outcomes(self) -> dict[str, dict[str, Any]]:
         """By key of a run: its ``experiment``, ``outcome`` and ``wall_time`` [s], nan where it is not known."""
@@ -170,7 +170,7 @@ class Store:
         """Put all rows into one Parquet file, one per run, part by part; returns it, None without rows. Raises :class:`NotWritten`."""
         self._make_part()
         files = self._files()
-        target = self.folder / FILE
+        target = self.folder / ROWS
         if not files:
             return None
         if files == [target]:
@@ -182,12 +182,12 @@ class Store:
             if path != target:
                 path.unlink()
         with suppress(OSError):
-            (self.folder / "parts").rmdir()
+            (self.folder / PARTS).rmdir()
         return target
 
     def table(self, columns: list[str] | None = None) -> pyarrow.Table:
         """All rows that are in Parquet; see :meth:`finish`."""
-        return _read(self.folder / FILE, columns)
+        return _read(self.folder / ROWS, columns)
 
 
 def _read(path: Path, columns: list[str] | None) -> pyarrow.Table:

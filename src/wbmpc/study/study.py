@@ -16,12 +16,13 @@ from wbmpc.json_file import load_json
 from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
 from wbmpc.study.definition import Condition, Definition, load_definition
+from wbmpc.study.files import ABOUT, BEST, PAGE, ROWS, STATISTICS, TRIAL_ROWS, TRIALS
 from wbmpc.study.page import study_page
 from wbmpc.study.plan import Combination, Run, check_inputs, combinations, open_experiment, runs
-from wbmpc.study.store import FILE, Store
+from wbmpc.study.store import Store
 from wbmpc.study.summary import Summary, summarize
 from wbmpc.study.tune_page import tune_page
-from wbmpc.study.tuning import TRIALS, Tuner, settings_of_trial
+from wbmpc.study.tuning import Tuner, settings_of_trial
 from wbmpc.study.work import ERROR, LOST, execute
 from wbmpc.study.workers import Later, Pool, Row, Task, completed
 
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 #: ``progress(share, note)``.
 Progress = Callable[[float, str], None]
-#: Files of a study's folder beside its rows: what it is, what its runs say.
-ABOUT, STATISTICS, PAGE, BEST = "study.json", "statistics.json", "index.html", "best.yaml"
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class Study:
         found = self.combinations
         with Store(self.out) as store:
             reject_others(self.out, found, store.outcomes())
-            remember(self.out, self.definition.title, found)
+            remember(self.out, self.definition.title, found, self.planned)
             with store.finishing():
                 self._run_missing(there, store, store.done(), progress)
         return self.report()
@@ -119,7 +118,7 @@ class Study:
             raise InputError(f"{self.path}: there is no 'tune', which says what to search")
         tuner = Tuner(self.definition, self.definition.tune, self.path.resolve().parent, self.out, str(self.path))
         with Later(workers, scheduler) as there:
-            with Store(self.out / TRIALS) as store, store.finishing():
+            with Store(self.out / TRIAL_ROWS) as store, store.finishing():
                 tuner.run(there, store, progress)
             trials, best = list(tuner.trials()), tuner.best()
             settings = settings_of_trial(best[0], self.definition.tune) if best else {}
@@ -150,7 +149,7 @@ class Study:
             about = f"{title}: the best of {len(tuned.trials)} trials on seeds {', '.join(map(str, tune.seeds))}"
             found = {**self.definition.settings, **tuned.settings}
             write_text(self.out / BEST, write_yaml(nested(found), {"": about}))
-        write_text(self.out / "trials.json", json.dumps(tuned.trials, indent=1) + "\n")
+        write_text(self.out / TRIALS, json.dumps(tuned.trials, indent=1) + "\n")
         write_text(self.out / PAGE, tune_page(title, tuned.trials, tuned.best, tuned.report is not None))
 
     def _task(self, run: Run) -> Task:
@@ -168,7 +167,7 @@ class Study:
 
     def table(self, columns: list[str] | None = None) -> pyarrow.Table:
         """A row for each run; ``columns``: only those. Raises :class:`InputError` where nothing has been run."""
-        if not (self.out / FILE).is_file():
+        if not (self.out / ROWS).is_file():
             raise InputError(f"{self.out}: there are no finished runs")
         return Store(self.out).table(columns)
 
@@ -261,13 +260,13 @@ def duration(seconds: float) -> str:
     )
 
 
-def remember(out: Path, title: str, found: list[Combination]) -> None:
-    """Write down what the study in a folder is."""
+def remember(out: Path, title: str, found: list[Combination], planned: int) -> None:
+    """Write down what the study in a folder is, and how many runs it has."""
     about = {
         c.key: {"experiment": c.experiment, "condition": c.condition, "label": c.label, "settings": c.settings}
         for c in found
     }
-    write_text(out / ABOUT, json.dumps({"title": title, "combinations": about}, indent=1) + "\n")
+    write_text(out / ABOUT, json.dumps({"title": title, "planned": planned, "combinations": about}, indent=1) + "\n")
 
 
 def reject_others(out: Path, found: list[Combination], known: Mapping[str, Any]) -> None:

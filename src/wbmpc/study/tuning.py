@@ -13,6 +13,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.study.definition import Definition, Search, Term, Tuning
+from wbmpc.study.files import DATABASE
 from wbmpc.study.plan import Run, check_inputs, combinations
 from wbmpc.study.store import MISSING, Store
 from wbmpc.study.work import ERROR, execute
@@ -21,7 +22,6 @@ from wbmpc.study.workers import Pool, Row
 if TYPE_CHECKING:
     import optuna
 
-DATABASE, TRIALS = "trials.db", "trials"
 #: Trials in a row whose settings the experiments may reject.
 MAX_REJECTED = 100
 

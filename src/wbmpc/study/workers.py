@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 Task = dict[str, Any]
 Row = dict[str, Any]
 Work = Callable[[Task], Row]
+#: Dask's scheduler opens a port for pages always; of two studies at once the second would warn that the usual one is taken.
+_NO_PAGES = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
 #: A run that ends its process is given to others so often before it counts as lost.
 RETRIES = 2
 #: How long [s] a scheduler may be silent, at first and while runs go on.
@@ -155,8 +157,7 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
     with interrupt_noted() as interrupted, _deaf(), _threads_pinned():  # one that is half there cannot be closed
         cluster = LocalCluster(
             n_workers=count or len(os.sched_getaffinity(0)), threads_per_worker=1, processes=True, dashboard_address=None,
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free: other studies may go on
-            silence_logs=logging.CRITICAL,
+            scheduler_kwargs=_NO_PAGES, silence_logs=logging.CRITICAL,
         )  # fmt: skip
         client = Client(cluster, set_as_default=False)
     with _closing(client, cluster):

@@ -1,0 +1,8 @@
+"""Names of the files in a study's folder."""
+
+#: All rows; rows that are in no Parquet file yet; the folder of files with some thousand rows each.
+ROWS, JOURNAL, PARTS = "runs.parquet", "journal.jsonl", "parts"
+#: What the study is, what its runs say, its page, the best settings of a search.
+ABOUT, STATISTICS, PAGE, BEST = "study.json", "statistics.json", "index.html", "best.yaml"
+#: Of a search: Optuna's database, the folder of its runs' rows, and all trials.
+DATABASE, TRIAL_ROWS, TRIALS = "trials.db", "trials", "trials.json"
