@@ -22,7 +22,7 @@ ROOMS = (
     "simulation", "estimation", "control", "stability", "recording", "view", "ros2", "cli", "robots", "benchmark", "types.py", "compare.py",
 )  # fmt: skip
 #: The robot with which an experiment of any robot starts, where none is given.
-DEFAULT_ROBOT = re.compile(r'robot: str = "[a-z0-9-]+"')
+DEFAULT_ROBOT = re.compile(r'robot: (?:str|Robot) = "[a-z0-9-]+"')
 
 
 def modules() -> list[str]:
