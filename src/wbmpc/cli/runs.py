@@ -45,9 +45,10 @@ def runs(
         return
     _print_studies(studies)
     _print(found)
-    for entry in (*studies, *found):
-        if entry.note:
-            typer.echo(printable(f"{entry.directory}: {entry.note}"))
+    notes = [(s.directory, s.note) for s in studies] + [(run.directory, run.note) for run in found]
+    for directory, note in notes:
+        if note:
+            typer.echo(printable(f"{directory}: {note}"))
     counted = f"{len(found)} {'run' if len(found) == 1 else 'runs'}"
     if studies:
         counted += f", {len(studies)} {'study' if len(studies) == 1 else 'studies'}"

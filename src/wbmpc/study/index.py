@@ -80,7 +80,7 @@ def _read(directory: Path, read: Any) -> StudyEntry:
     """An entry; one with a note where its files are damaged."""
     written = [_time(directory / name) for name in (ABOUT, STATISTICS, ROWS, JOURNAL, DATABASE, TRIALS)]
     page = directory / PAGE
-    about = {"ended": max(written), "page": page if page.is_file() else None}
+    about: dict[str, Any] = {"ended": max(written), "page": page if page.is_file() else None}
     try:
         return StudyEntry(directory, **{**about, **read(directory)})
     except (InputError, OSError) as error:
