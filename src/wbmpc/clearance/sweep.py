@@ -62,7 +62,7 @@ def keep_sides(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, 
     """Give nodes inside of or behind an obstacle the normal of the node before, in place."""
     through = np.zeros(near.distance.shape, bool)
     through[1:] = inner < 0.0
-    suspect = np.asarray(((near.distance < 0.0) | through).any(axis=0))
+    suspect = ((near.distance < 0.0) | through).any(axis=0)
     for o in np.flatnonzero(suspect.any(axis=0)).tolist():
         obstacle, frames = snapshot.obstacles[o], np.flatnonzero(suspect[:, o]).tolist()
         if isinstance(obstacle.shape, HalfSpace):
