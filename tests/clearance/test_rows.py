@@ -181,24 +181,6 @@ def test_somebody_who_walks_over_a_standing_robot_makes_it_leave_the_track() -> 
     assert min(distances(rows, snapshot, t, x)[0, 0] for t, x in zip(grid, states)) < -0.1
 
 
-def test_a_robot_leaves_a_track_to_one_side_with_all_its_parts() -> None:
-    """Somebody walks between the middles of chassis and arm. Truth: distances of the robot that is moved to the rows' side."""
-    robot = wb.load_robot("differential-ur10")
-    residual = wb.residuals.Clearance(robot, slots=1)
-    rows, grid = rows_of(residual), np.linspace(0.0, 4.0, 21)
-    world, states = wb.Obstacles(), np.tile(robot.home, (21, 1))
-    person = wb.shapes.Cylinder((0, 0, 0), (0, 0, 1.8), 0.2)
-    world.set("person", person, position=(0.15, 2.0, -0.3), velocity=(0, -1.0, 0), seen=0.0)
-    snapshot, function = world.snapshot(0.0), evaluate(robot, residual)
-    values = [function(x, p) for x, p in zip(states, rows.refresh(snapshot, grid, states))]
-    h, slope = np.array([np.array(v[0]).ravel() for v in values]), np.array([np.array(v[1])[:, 0] for v in values])
-    deep = np.abs(slope) > 1.0 - 1e-9
-    deep &= h < -0.01
-    assert (deep.sum(axis=0) > 0).sum() > 3 and len(set(np.sign(slope[deep]))) == 1
-    states[:, 0] -= np.sign(slope[deep][0]) * (h[deep].min() - 1e-6)
-    assert min(distances(rows, snapshot, t, x).min() for t, x in zip(grid, states)) > -1e-6
-
-
 def test_a_grid_keeps_the_robot_from_what_is_in_it() -> None:
     """Truth: the distance to the plane that the grid holds, less its error and what balls around the shapes add."""
     robot = wb.load_robot("differential-ur10")

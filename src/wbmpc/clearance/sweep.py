@@ -62,17 +62,16 @@ def keep_sides(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, 
     """Give nodes inside of or behind an obstacle the normal of the node before, in place."""
     through = np.zeros(near.distance.shape, bool)
     through[1:] = inner < 0.0
-    suspect = np.asarray(((near.distance < 0.0) | through).any(axis=0))
-    for o in np.flatnonzero(suspect.any(axis=0)).tolist():
-        obstacle, frames = snapshot.obstacles[o], np.flatnonzero(suspect[:, o]).tolist()
+    suspect = ((near.distance < 0.0) | through).any(axis=0)
+    for f, o in zip(*np.nonzero(suspect), strict=True):
+        obstacle = snapshot.obstacles[o]
         if isinstance(obstacle.shape, HalfSpace):
             continue
         track = aside(snapshot, obstacle)
-        if track is not None:
-            _leave_track(finder, snapshot, poses, near, through[:, :, o], frames, o, track)
-            continue
-        for f in frames:
-            _keep_side(finder, snapshot, poses, near, through[:, f, o], f, o)
+        if track is None:
+            _keep_side(finder, snapshot, poses, near, through[:, f, o], int(f), int(o))
+        else:
+            _leave_track(finder, snapshot, poses, near, through[:, f, o], int(f), int(o), track)
 
 
 def aside(snapshot: Snapshot, obstacle: Obstacle) -> Array | None:
@@ -84,31 +83,27 @@ def aside(snapshot: Snapshot, obstacle: Obstacle) -> Array | None:
 
 
 def _leave_track(
-    finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, through: NDArray[np.bool_], frames: list[int], o: int,
+    finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, through: NDArray[np.bool_], f: int, o: int,
     track: Array,
 ) -> None:  # fmt: skip
-    """Give nodes of ``frames`` that an obstacle runs over the normal across its ``track`` (3) along which they are least deep in it: all to
-    the same side, for one robot cannot leave a track to both."""
+    """Give nodes in a row that an obstacle runs over the normal across its ``track`` (3) along which they are least deep in it."""
     obstacle = snapshot.obstacles[o]
     places, turn = snapshot.pose(obstacle, poses.times)
-    met = [(k, f) for f in frames for k in _run_over(near.distance[:, f, o], near.normal[:, f, o], through[:, f])]
-    if not met:
-        return
-    one, other = ([_gap(finder, obstacle, places[k], turn, poses, k, f, n) for k, f in met] for n in (track, -track))
-    n, found = (track, one) if min(g[0] for g in one) >= min(g[0] for g in other) else (-track, other)
-    for (k, f), (gap, point, level) in zip(met, found, strict=True):
-        near.normal[k, f, o], near.point[k, f, o], near.level[k, f, o] = n, point, level
-        near.distance[k, f, o] = gap
-
-
-def _run_over(distance: Array, normal: Array, through: NDArray[np.bool_]) -> list[int]:
-    """Nodes that are inside of what moves or behind it; but not those in a row that it touches and leaves on the side they were on."""
-    met, found = (distance < 0.0) | through, list[int]()
-    for start in np.flatnonzero(met & ~np.concatenate([[False], met[:-1]])).tolist():
+    distance, normal = near.distance[:, f, o], near.normal[:, f, o]
+    met = (distance < 0.0) | through
+    starts = np.flatnonzero(met & ~np.concatenate([[False], met[:-1]]))
+    for start in starts.tolist():
         end = start + int(np.argmin(np.append(met[start:], False)))
-        if through[start:end].any() or not (normal[start:end] @ normal[max(start - 1, 0)] > 0.0).all():
-            found.extend(range(start, end))
-    return found
+        before = normal[max(start - 1, 0)]
+        # a node that is touched and left to the side it was on is no matter of the track
+        if not through[start:end].any() and (normal[start:end] @ before > 0.0).all():
+            continue
+        nodes = range(start, end)
+        one, other = ([_gap(finder, obstacle, places[k], turn, poses, k, f, n) for k in nodes] for n in (track, -track))
+        n, found = (track, one) if min(g[0] for g in one) >= min(g[0] for g in other) else (-track, other)
+        for k, (gap, point, level) in zip(nodes, found, strict=True):
+            near.normal[k, f, o], near.point[k, f, o], near.level[k, f, o] = n, point, level
+            near.distance[k, f, o] = gap
 
 
 def _gap(
