@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wbmpc.checks import parse_number
 from wbmpc.cli.directories import Force, new_file
 from wbmpc.cli.doctor import Arguments, Packages, pairs
 from wbmpc.cli.recordings import AsJson
@@ -148,6 +147,8 @@ def _answer(draft: Draft, question: Question, text: str) -> Any:
 
 
 def _height(text: str, what: str = "height") -> float:
+    from wbmpc.checks import parse_number
+
     try:
         value = parse_number(text)
     except ValueError:
