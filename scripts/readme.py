@@ -5,8 +5,8 @@ A mark is a comment, which is not shown, before the figure and after it:
     <!--= swerve-track hand_error_mean_odometry mm -->1.2 mm (2.1)<!--/-->
 
 names an experiment, a metric, a unit, and may end in ``median`` or ``worst`` (else both: median and worst in brackets), or in
-``count`` (in how many runs a metric is not 0; of falls alone). The mark ``commit`` takes the commits that the runs are of. Marks
-without figures keep what they have. `python scripts/figures.py` fills them.
+``count`` (in how many runs a metric is not 0; of falls alone). The mark ``commit`` takes the commits that the figures are of. Marks
+without figures keep what they have, and its commits. `python scripts/figures.py` fills them.
 """
 
 from __future__ import annotations
@@ -69,13 +69,14 @@ def text(what: str, found: dict[str, dict[str, dict[str, Any]]]) -> str | None:
 
 def fill(readme: str, found: dict[str, dict[str, dict[str, Any]]], commit: str = "") -> tuple[str, list[str]]:
     """The README with figures between its marks, and the marks for which there are none."""
-    left: list[str] = []
+    figures = {m["what"]: text(m["what"], found) for m in MARK.finditer(readme) if m["what"] != "commit"}
+    left = [what for what, new in figures.items() if new is None]
 
     def put(match: re.Match[str]) -> str:
-        new = (commit or None) if match["what"] == "commit" else text(match["what"], found)
-        if new is None:
-            left.append(match["what"])
-            return match[0]
-        return f"{match[1]}{new}{match[4]}"
+        new = figures.get(match["what"])
+        if match["what"] == "commit" and commit and len(left) < len(figures):
+            kept = match["text"].split(", ") if left else []
+            new = ", ".join(sorted({*kept, *commit.split(", ")}))
+        return match[0] if new is None else f"{match[1]}{new}{match[4]}"
 
     return MARK.sub(put, readme), left

@@ -71,7 +71,16 @@ def test_tables_of_goals_name_the_commit(tmp_path: Path) -> None:
     assert rows[2:4] == ["### `swerve-old`", "| kept |"] and rows[-1] == "more"
     assert (tmp_path / "results" / "ball.md").read_text() == PAGE.format("ball")
     filled = [text.partition("<!--/-->")[0] for text in readme.read_text().split("-->")[1::2]]
-    assert [text.removesuffix("<!--/") for text in filled] == ["abc1234567", "2.0 mm (inf)", "1 of 2", "2.0 mm", "7"]
+    assert [text.removesuffix("<!--/") for text in filled] == [
+        "abc1234567, old",
+        "2.0 mm (inf)",
+        "1 of 2",
+        "2.0 mm",
+        "7",
+    ]
+    readme.write_text("<!--= commit -->old<!--/-->: <!--= rezero-door error m worst -->7<!--/-->")
+    subprocess.run([*script, "--runs", str(tmp_path / "runs")], env=ENVIRONMENT, check=True, capture_output=True)
+    assert readme.read_text().startswith("<!--= commit -->old<!--/-->")  # no figure of these runs is in it
     done = subprocess.run([*script, "--runs", str(tmp_path)], env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 1 and "holds no finished studies" in done.stderr
 
