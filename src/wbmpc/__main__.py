@@ -16,9 +16,8 @@ def main() -> int:
     except KeyboardInterrupt:
         return _interrupted()
     finally:
-        exec(
-            ""
-        )  # Python forgets an interrupt inside of another exec, with which it would end instead of with the status
+        # Python forgets an interrupt inside of another exec, with which it would end instead of with the status
+        exec("")
 
 
 def _run() -> int:

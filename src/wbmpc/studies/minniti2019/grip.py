@@ -26,10 +26,8 @@ class GripMonitor:
         if not least > 0.0:
             raise InputError(f"grip: least must be positive, got {least}")
         self.least, self.bound, self.slips, self.sliding = least, least, 0, False
-        self._forces, self._velocity = (
-            np.zeros(2),
-            np.zeros(2),
-        )  # push and force across it [N], and along the surface [m/s]
+        self._forces = np.zeros(2)  # push and force across it [N]
+        self._velocity = np.zeros(2)  # along the surface [m/s]
         self._still = 0.0  # how long [s]
 
     def update(self, h: float, push: float, across: float, velocity: ArrayLike) -> bool:

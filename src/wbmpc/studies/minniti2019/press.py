@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Literal
+from functools import partial
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from wbmpc.configuration import Rules, unused
+from wbmpc.experiment import Outcome, Part, Scenario
+from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.result import Drawing, Metric, Plot
 from wbmpc.simulation.lockstep import Progress
-from wbmpc.studies.minniti2019.door import believed, drawn_door, push_door
+from wbmpc.studies.minniti2019.door import HERE, believed, drawn_door, push_door
 from wbmpc.studies.minniti2019.door_control import RELAX
 from wbmpc.studies.minniti2019.door_figures import Trial
 from wbmpc.studies.minniti2019.door_plant import SOFT
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
+from wbmpc.studies.minniti2019.task import IDEALIZATIONS
 from wbmpc.studies.minniti2019.touch_plant import TouchPlant
 
 Array = np.ndarray
+T = TypeVar("T")
 #: Time constant [s] and damping ratio of the tips' contact.
 TIPS = {"soft": SOFT, "hard": (0.004, 0.3)}
 #: Of so many physics steps one is kept in the log; figures are of all.
@@ -59,3 +66,21 @@ def press(settings: PressSettings, seed: int, progress: Progress | None, **surfa
     pushing = trial.log.times("pushing")[trial.log.array("pushing") > 0.0]
     limit = settings.settle_time + settings.timeout - RELAX
     return trial, plants[0].record(), min(float(pushing[-1]) if pushing.size else limit, limit)
+
+
+def pushes(
+    log: Log, run: Callable[[float, bool, Progress | None], Outcome], values: Sequence[float], title: str,
+    kinds: tuple[bool, bool], runs: dict[bool, list[T]], metrics: Callable[[list[T], list[T]], dict[str, Metric]],
+    plots: Callable[[list[T], list[T]], Sequence[Plot | Drawing]],
+) -> Scenario:  # fmt: skip
+    """A part for each of the ``values``, named by the format ``title``, and the same ones plain. ``kinds``: whether the settings are those of
+    the experiment, and whether plain parts are asked for beside them; ``run`` adds to ``runs`` by whether a part is plain (False)."""
+    given, compare = kinds
+    parts = [
+        Part(title.format(v) + ("" if kind == given else ", plain"), partial(run, v, kind), baseline=kind != given)
+        for kind in ((True, False) if given and compare else (given,))
+        for v in sorted(values)
+    ]
+    own, plain = runs[given], runs[False] if given else []
+    ideal = [*HERE, *IDEALIZATIONS]
+    return Scenario(log, parts, lambda _: metrics(own, plain), lambda _: plots(own, plain), ideal, compared=True)

@@ -7,22 +7,19 @@ of one size.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from wbmpc.configuration import OnlyWith, Rules
-from wbmpc.experiment import Experiment, Outcome, Part, Scenario
+from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.door import HERE
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, EstimatedCone, LimitedApproach, PushCone
-from wbmpc.studies.minniti2019.press import THINNED, PressSettings, press
+from wbmpc.studies.minniti2019.press import THINNED, PressSettings, press, pushes
 from wbmpc.studies.minniti2019.slip_figures import Press, metrics, plots
-from wbmpc.studies.minniti2019.task import IDEALIZATIONS
 
 NAME = "slip"
 #: Time constant [s] with which friction stops a tip that slides: in that of a soft contact it would creep by millimeters as the door turns.
@@ -63,25 +60,7 @@ def build(settings: SlipSettings, seed: int) -> Scenario:
         log.extend(trial.log, f"_{name}", [*trusted, "sliding", "force_planned"])
         return Outcome(trial.ending, trial.faults, None, trial.mpc)
 
-    kinds = (True, False) if given and settings.compare else (given,)
-    parts = [
-        Part(
-            f"grip {grip:g}" + ("" if learns == given else ", plain"),
-            partial(run, grip, learns),
-            baseline=learns != given,
-        )
-        for learns in kinds
-        for grip in sorted(settings.grips)
-    ]
-    own, plain = runs[given], runs[False] if given else []
-    return Scenario(
-        log,
-        parts,
-        lambda run: metrics(own, plain),
-        lambda run: plots(own, plain),
-        [*HERE, *IDEALIZATIONS],
-        compared=True,
-    )
+    return pushes(log, run, settings.grips, "grip {:g}", (given, settings.compare), runs, metrics, plots)
 
 
 EXPERIMENT = Experiment.of(

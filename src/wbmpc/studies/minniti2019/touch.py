@@ -7,20 +7,17 @@ Beside it the same approaches without that limit.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from wbmpc.configuration import OnlyWith, Rules, unused
-from wbmpc.experiment import Experiment, Outcome, Part, Scenario
+from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.door import HERE
 from wbmpc.studies.minniti2019.door_problem import FreeApproach, LimitedApproach
-from wbmpc.studies.minniti2019.press import THINNED, PressSettings, press
-from wbmpc.studies.minniti2019.task import IDEALIZATIONS
+from wbmpc.studies.minniti2019.press import THINNED, PressSettings, press, pushes
 from wbmpc.studies.minniti2019.touch_figures import Touch, metrics, plots
 
 NAME = "touch"
@@ -66,25 +63,7 @@ def build(settings: TouchSettings, seed: int) -> Scenario:
             log.add(f"touch_{speed:g}" + ("" if limited == given else "_plain"), row[0], row[1:])
         return outcome
 
-    kinds = (given, False) if given and settings.compare else (given,)
-    parts = [
-        Part(
-            f"{speed:g} m/s" + ("" if limited == given else ", plain"),
-            partial(run, speed, limited),
-            baseline=limited != given,
-        )
-        for limited in kinds
-        for speed in sorted(settings.speeds)
-    ]
-    own, plain = runs[given], runs[False] if given else []
-    return Scenario(
-        log,
-        parts,
-        lambda run: metrics(own, plain),
-        lambda run: plots(own, plain),
-        [*HERE, *IDEALIZATIONS],
-        compared=True,
-    )
+    return pushes(log, run, settings.speeds, "{:g} m/s", (given, settings.compare), runs, metrics, plots)
 
 
 EXPERIMENT = Experiment.of(
