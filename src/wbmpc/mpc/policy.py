@@ -121,7 +121,7 @@ class Policy:
             ("limit violation", f"{100 * self.limit_violation:.3g} %"),
             ("largest gain", f"{np.abs(self.gain).max(initial=0.0):.4g}"),
         ]
-        rows += [("input at its start", np.array2string(self.u[0], precision=4))]
+        rows += [("input at its start", np.array2string(self.u[0], precision=4, suppress_small=True))]
         return html_table(repr(self), (), rows)
 
     def plot(self, dynamics: Any = None) -> Any:
