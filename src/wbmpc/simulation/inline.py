@@ -49,9 +49,10 @@ def show(
         if what.motion is None or not any(part.times for part in what.motion.parts):
             raise InputError(f"show: {what!r} holds no pictures: it was not recorded; valid: a run with a recording")
         return Picture3D(what.motion, f"{what.experiment}, seed {what.seed}")
-    if isinstance(states, Solution | Policy):
-        states, times = states.x, states.times
-    rows = np.atleast_2d(real_numbers("states", what.home if states is None else states))
+    plan = states if isinstance(states, Solution | Policy) else None
+    given = what.home if states is None else states if plan is None else plan.x
+    rows = np.atleast_2d(real_numbers("states", given))
+    times = times if plan is None else plan.times
     at = np.arange(len(rows), dtype=float) if times is None else np.atleast_1d(real_numbers("times", times))
     if rows.ndim != 2 or rows.shape[1] < what.state.size or not np.isfinite(rows).all():
         raise InputError(f"show: finite states (n, {what.state.size}) of {what!r} are needed, got shape {rows.shape}")
