@@ -23,7 +23,7 @@ class Log:
         self._rows: dict[str, list[np.ndarray]] = {}
 
     def add(self, channel: str, t: float, value: object) -> None:
-        """Append a row."""
+        """Append a row, ``value`` (width,) or one number, at time ``t`` [s]."""
         times = self._times.get(channel)
         if times is None:
             times = self._times[channel] = []

@@ -133,7 +133,7 @@ class DriveLag(_Augmented):
 
 @dataclass(frozen=True)
 class InputFilter:
-    """Weight of an input over frequency: ν = ``gain`` (s + ``zero``) / (s + ``pole``) u, both in rad/s.
+    """Weight of an input over frequency: ν = ``gain`` (s + zero) / (s + pole) u, with ``zero`` [rad/s] and ``pole`` [rad/s].
 
     A cost on ν² costs u² times the squared magnitude. With zero < pole and the default gain, pole / zero, slow inputs cost 1
     and inputs faster than the pole (pole / zero)². For a drive of bandwidth ω₁: zero ω₁, pole 5 to 10 ω₁. Equal degrees of
@@ -156,7 +156,7 @@ class InputFilter:
         return self.pole / self.zero if self.gain is None else self.gain
 
     def weight(self, frequency: np.ndarray | float) -> np.ndarray:
-        """|ν / u| at frequencies [rad/s]."""
+        """|ν / u| at ``frequency`` (any shape) [rad/s]."""
         s = 1j * np.asarray(frequency)
         return np.abs(self.high * (s + self.zero) / (s + self.pole))
 
@@ -215,13 +215,13 @@ class FrequencyShaping(_Augmented):
         return np.concatenate([x, states]), wrapped
 
     def acting(self, states: np.ndarray, wrapped: np.ndarray) -> np.ndarray:
-        """The inner input u (nu) that acts for filter states and the wrapped input (nu)."""
+        """The inner input u (nu) that acts for filter ``states`` (k) and the wrapped input ``wrapped`` (nu)."""
         u = np.array(wrapped, float)
         u[self._own_input] = (u[self._own_input] + (self.pole - self.zero) * states) / self.high
         return u
 
     def advance(self, states: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
-        """Filter states after the inner input ``u`` (nu) has acted for ``h`` [s]; exact: ẋ_s = g u − p x_s."""
+        """Filter ``states`` (k) after the inner input ``u`` (nu) has acted for ``h`` [s]; exact: ẋ_s = g u − p x_s."""
         kept = np.exp(-self.pole * h)
         return kept * states + (1.0 - kept) * self.high / self.pole * u[self._own_input]
 

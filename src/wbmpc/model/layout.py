@@ -68,7 +68,7 @@ class Layout:
         return self.names.index(name)
 
     def vector(self, values: Mapping[str, ArrayLike], default: float = 0.0) -> NDArray[np.float64]:
-        """A vector (size,) from values by group."""
+        """A vector (size,) from ``values`` by group, each one number or one for each of its entries; ``default``: of other groups."""
         out = np.zeros(self.size)
         if default != 0.0:
             out[:] = default

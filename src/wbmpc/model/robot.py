@@ -147,7 +147,7 @@ class RobotModel:
         return {}
 
     def pose(self, x: ArrayLike, frame: str | None = None) -> tuple[Array, Array]:
-        """Position (3) and quaternion (4) of a frame (the tool when left out) at a numeric state (nx)."""
+        """Position (3) [m] and quaternion (4) of a frame (the tool when left out) at a numeric state x (nx)."""
         frame = frame or self.tool
         if frame not in self._functions:
             s = ca.SX.sym("x", self.state.size)
