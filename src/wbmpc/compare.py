@@ -218,7 +218,7 @@ def overlay(runs: Sequence[Run], names: list[str]) -> list[Plot]:
                 pairs = enumerate(zip(by_run, names, strict=True))
                 lines = [Series(name, *own[part], color=k) for k, (own, name) in pairs]
                 label = with_unit(f"{channel} {part}".strip(), unit)
-                plots.append(Plot(f"{title} {part}".strip(), "time [s]", label, lines))
+                plots.append(Plot(f"{channel} {part}".strip(), "time [s]", label, lines))
     return plots
 
 
