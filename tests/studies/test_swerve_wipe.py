@@ -38,14 +38,14 @@ class Kept(WipePlant):
 
 @pytest.fixture(scope="module")
 def short():  # type: ignore[no-untyped-def]
-    """A short way on a wall that is 13 and 5 mm off, rough and with a spring that is 20 % softer than the robot believes."""
+    """A short way on a wall that is 13 and 12 mm off, rough and with a spring that is 20 % softer than the robot believes."""
     plants: list[Kept] = []
 
     def plant(*args: Any, **more: Any) -> Kept:
         plants.append(Kept(*args, **more))
         return plants[-1]
 
-    wall, spring = Wall((BEGIN, BEGIN + 0.4), (WALL + 0.013, WALL + 0.005), 0.7), 4000.0
+    wall, spring = Wall((BEGIN, BEGIN + 0.4), (WALL + 0.013, WALL + 0.012), 0.7), 4000.0
     patch = pytest.MonkeyPatch()
     patch.setattr(study, "WipePlant", plant)
     patch.setattr(SwerveWipeSettings, "draw", lambda self, seed: (wall, spring))
@@ -62,7 +62,7 @@ def test_the_force_is_that_of_the_spring(short) -> None:  # type: ignore[no-unty
     squeezed = -np.array(plant.positions)[:, place]
     steps = np.array(plant.steps)
     use = slice(np.flatnonzero(steps[:, 1] > 14.0)[0], np.flatnonzero(steps[:, 1] > 14.0)[-1])
-    np.testing.assert_allclose(steps[use, 1].mean(), spring * squeezed[use].mean(), rtol=2e-3)
+    np.testing.assert_allclose(steps[use, 1].mean(), spring * squeezed[use].mean(), rtol=4e-3)
     # the headline figure by Hooke's law, over the time in which the end effector moves and some before it
     t = steps[:, 0] - 0.5
     begin = t[np.flatnonzero(steps[:, 1] > 0.0)[0]] + RISE + 0.1
@@ -116,8 +116,8 @@ def test_the_order_over_time() -> None:
     assert speed.max() == pytest.approx(0.02)
     wipe.touched = 8.0
     force, way = wipe.force(t), wipe.way(t)
-    assert force[t < 8.0].max() == 0.0 and force[(t > 8.0 + RISE) & (t < wipe.ended)] == pytest.approx(15.0)
-    assert force[t > wipe.ended].max() == 0.0
+    assert force[t < 8.0].max() == 0.0 and force[(t > 8.0 + RISE) & (t < wipe.released)] == pytest.approx(15.0)
+    assert force[t > wipe.released].max() == 0.0
     assert way[-1] == pytest.approx(3.0) and (np.diff(way) / 0.01).max() == pytest.approx(0.2)
     assert way[t < 8.0 + RISE + STAND].max() == 0.0 and way[t > wipe.ended].min() == pytest.approx(3.0)
 
@@ -132,12 +132,12 @@ def press(wipe: Wipe, t: float, y: float, push: float) -> None:
 
 def test_the_reference_is_beyond_the_wall_by_what_the_spring_gives() -> None:
     wipe = Wipe(ROBOT, ORDER)
-    press(wipe, wipe.search + 1.0, 0.743, 5.0)  # 5 N are 1 mm of the spring
-    assert wipe.touched == wipe.search + 1.0 and wipe.line.at(np.array([BEGIN]))[0] == pytest.approx(0.742, abs=1e-4)
+    press(wipe, wipe.search + 1.0, WALL - 0.007, 5.0)  # 5 N are 1 mm of the spring
+    assert wipe.touched == wipe.search + 1.0 and wipe.line.at(np.array([BEGIN]))[0] == pytest.approx(WALL - 0.008, abs=1e-4)
     later = np.array([wipe.began + 0.1])
-    assert wipe.end_effector(later)[0, 1] == pytest.approx(0.742 - TIP_RADIUS + 0.003, abs=1e-4)
+    assert wipe.end_effector(later)[0, 1] == pytest.approx(WALL - 0.008 - TIP_RADIUS + 0.003, abs=1e-4)
     with pytest.raises(RunAborted, match="presses with"):
-        press(wipe, wipe.began, 0.75, 70.0)
+        press(wipe, wipe.began, WALL, 70.0)
     with pytest.raises(RunAborted, match="no wall"):
         press(Wipe(ROBOT, ORDER), wipe.search + 1.0, WALL + 0.06, 0.0)
 

@@ -28,14 +28,14 @@ from wbmpc.types import Observation
 
 Array = np.ndarray
 #: The way on the wall: where it begins along it, its height and the wall's place across, as far as it is known [m].
-BEGIN, HEIGHT, WALL = -0.20, 0.90, 0.75
+BEGIN, HEIGHT, WALL = -0.20, 0.90, 0.85
 #: Share of the end effector's way along the wall that the base makes.
 BASE_SHARE = 0.85
 #: Distance [m] from where the wall should be at which the touch begins; the tip is looked for something so far beyond [m].
 STANDOFF, DEEPEST = 0.06, 0.06
 #: It touches from this force on, and stops at this multiple of the wanted one [N].
 TOUCHES, TOO_MUCH = 3.0, 4.0
-#: Times [s]: of the force's rise, of standing with it, of the rise of the speed, of the retreat and its length [m].
+#: Times [s]: of the force's rise, of standing with it before and after the way, of the rise of the speed, of the retreat and its length [m].
 RISE, STAND, RAMP, RETREAT, BACK = 1.0, 0.5, 1.0, 1.5, 0.06
 #: Of the wall's line: standard deviation of a place [m], and of place [m] and slope at first; how fast they may change [m/√s, 1/√s].
 PLACE_NOISE, FIRST, CHANGE = 2e-4, (0.02, 0.02), (1e-3, 1e-3)
@@ -96,7 +96,6 @@ class Wipe:
         self.search = self.approach.duration + 0.5
         self.line, self.touched, self.extra = WallLine(), np.inf, 0.0
         self.coefficient = np.nan
-        self._base = np.zeros(3)
         self._updated = 0.0
 
     @property
@@ -108,19 +107,24 @@ class Wipe:
         return self.began + STAND + self.order.length / self.order.speed + RAMP
 
     @property
+    def released(self) -> float:
+        """When [s] it retreats: plans see it before."""
+        return self.ended + STAND
+
+    @property
     def done(self) -> float:
-        return self.ended + RETREAT + 0.5
+        return self.released + RETREAT + 0.5
 
     @property
     def longest(self) -> float:
         """The most [s] that it may take."""
         late = (STANDOFF + DEEPEST) / self.order.touch_speed
-        return self.search + late + RISE + STAND + self.order.length / self.order.speed + RAMP + RETREAT + 1.0
+        return self.search + late + RISE + 2.0 * STAND + self.order.length / self.order.speed + RAMP + RETREAT + 1.0
 
     def force(self, t: Array) -> Array:
-        """What is ordered (n,) [N]: rises after the touch, none from the end on."""
+        """What is ordered (n,) [N]: rises after the touch, none from the release on."""
         rising = TOUCHES + (self.order.force - TOUCHES) * rise(t - self.touched, RISE)
-        return np.where((t >= self.touched) & (t < self.ended), rising, 0.0)
+        return np.where((t >= self.touched) & (t < self.released), rising, 0.0)
 
     def way(self, t: Array) -> Array:
         """How far (n,) [m] along the wall."""
@@ -147,7 +151,7 @@ class Wipe:
                 self.line.begin(place[0], surface)
             elif place[1] + TIP_RADIUS > WALL + DEEPEST - 0.005:
                 raise RunAborted(f"the end effector finds no wall up to {1e3 * DEEPEST:.0f} mm behind its place")
-        elif t < self.ended:
+        elif t < self.released:
             h = t - self._updated
             self.line.update(h, place[0], surface)
             error = float(self.force(np.array([t]))[0]) - push
@@ -164,8 +168,8 @@ class Wipe:
             ahead = self.order.touch_speed * np.maximum(t - self.search, 0.0)
             place[:, 1] += np.minimum(ahead, STANDOFF + DEEPEST)
             return place + self.approach.offset(t)[0]
-        pressed = (self.force(t) + np.where(t < self.ended, self.extra, 0.0)) / self.order.stiffness
-        place[:, 1] = self.line.at(place[:, 0]) - TIP_RADIUS + pressed - BACK * rise(t - self.ended, RETREAT)
+        pressed = (self.force(t) + np.where(t < self.released, self.extra, 0.0)) / self.order.stiffness
+        place[:, 1] = self.line.at(place[:, 0]) - TIP_RADIUS + pressed - BACK * rise(t - self.released, RETREAT)
         return place
 
     def set(self, mpc: MPC, t: float) -> None:
