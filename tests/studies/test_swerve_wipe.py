@@ -142,6 +142,15 @@ def test_the_reference_is_beyond_the_wall_by_what_the_spring_gives() -> None:
         press(Wipe(ROBOT, ORDER), wipe.search + 1.0, WALL + 0.06, 0.0)
 
 
+def test_what_is_drawn_is_within_its_bounds() -> None:
+    drawn = [SwerveWipeSettings().draw(seed) for seed in range(200)]
+    across, grips = np.array([w.across for w, _ in drawn]) - WALL, np.array([w.grip for w, _ in drawn])
+    assert 0.019 < np.abs(across).max() <= 0.02 and abs(np.corrcoef(across.T)[0, 1]) < 0.2
+    assert grips.min() == pytest.approx(0.2, abs=0.02) and grips.max() == pytest.approx(0.8, abs=0.02)
+    with pytest.raises(ValueError, match="lower"):
+        SwerveWipeSettings(grip=(0.8, 0.2))
+
+
 def test_figures_of_a_wipe_on_paper() -> None:
     """1 mm up and 2 mm along; 10 % too much force, none for a second."""
     wipe, log = Wipe(ROBOT, ORDER), Log()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, closed_brakes, swerve_mpc
@@ -29,11 +29,11 @@ from wbmpc.studies.pankert2022.wipe_plant import Wall, WipePlant
 NAME = "swerve-wipe"
 SUMMARY = "the end effector presses on a wall of unknown place and friction while the swerve base drives along it"
 IDEALIZATIONS = [
-    "the wall is flat and rigid; the tip is round, rigid, and slides without play on a linear spring",
+    "floor and wall are flat and rigid; the tip is round, rigid, and slides without play on a linear spring",
     "the force sensor has noise of 0.1 N and a bias of 0.1 N for each axis; it stands between end effector and tip",
     "the contact points lie under the steer axes; tires are soft contacts, not a tire model",
     "the arm's joints are velocity servos; the weight that is fed forward is that of the simulated arm",
-    "the computation takes a constant 10 ms",
+    "the computation takes a constant 10 ms; the zeros of the arm's encoders are calibrated with 20 tracked poses",
 ]
 Coefficient = Annotated[float, Field(ge=0, le=2)]
 
@@ -46,6 +46,7 @@ class SwerveWipeSettings(DrivingSettings):
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=100.0))
     robot: Robot = "swerve-ur10"
+    tracked_poses: int = Field(20, ge=0, le=1000)
     force: float = Field(15.0, ge=5, le=60)
     length: float = Field(3.0, ge=0.2, le=20)
     speed: float = Field(0.2, ge=0.02, le=0.5)
@@ -54,6 +55,13 @@ class SwerveWipeSettings(DrivingSettings):
     grip: tuple[Coefficient, Coefficient] = (0.2, 0.8)
     spring: float = Field(5000.0, ge=500, le=20000)
     spring_error: float = Field(0.2, ge=0, le=0.5)
+
+    @field_validator("grip")
+    @classmethod
+    def _range_in_order(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] > value[1]:
+            raise ValueError("two numbers with lower ≤ upper are needed")
+        return value
 
     def draw(self, seed: int) -> tuple[Wall, float]:
         """The wall, and the stiffness [N/m] of the spring."""
