@@ -133,7 +133,9 @@ def press(wipe: Wipe, t: float, y: float, push: float) -> None:
 def test_the_reference_is_beyond_the_wall_by_what_the_spring_gives() -> None:
     wipe = Wipe(ROBOT, ORDER)
     press(wipe, wipe.search + 1.0, WALL - 0.007, 5.0)  # 5 N are 1 mm of the spring
-    assert wipe.touched == wipe.search + 1.0 and wipe.line.at(np.array([BEGIN]))[0] == pytest.approx(WALL - 0.008, abs=1e-4)
+    assert wipe.touched == wipe.search + 1.0 and wipe.line.at(np.array([BEGIN]))[0] == pytest.approx(
+        WALL - 0.008, abs=1e-4
+    )
     later = np.array([wipe.began + 0.1])
     assert wipe.end_effector(later)[0, 1] == pytest.approx(WALL - 0.008 - TIP_RADIUS + 0.003, abs=1e-4)
     with pytest.raises(RunAborted, match="presses with"):
