@@ -20,6 +20,7 @@ from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.metrics import in_frame
+from wbmpc.studies.pankert2022.plaster import uneven_floor
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 from wbmpc.studies.pankert2022.wipe_control import BEGIN, HEIGHT, WALL, Order, Wipe, WipeController
@@ -29,7 +30,7 @@ from wbmpc.studies.pankert2022.wipe_plant import Wall, WipePlant
 NAME = "swerve-wipe"
 SUMMARY = "the end effector presses on a wall of unknown place and friction while the swerve base drives along it"
 IDEALIZATIONS = [
-    "floor and wall are flat and rigid; the tip is round, rigid, and slides without play on a linear spring",
+    "the wall is flat and rigid, the floor too without `terrain`; the tip is round, rigid, and slides without play on a linear spring",
     "the force sensor has noise of 0.1 N and a bias of 0.1 N for each axis; it stands between end effector and tip",
     "the contact points lie under the steer axes; tires are soft contacts, not a tire model",
     "the arm's joints are velocity servos; the weight that is fed forward is that of the simulated arm",
@@ -42,7 +43,8 @@ class SwerveWipeSettings(DrivingSettings):
     """``force`` [N] along the normal; ``length`` [m] of the way on the wall; ``speed`` [m/s] along it; ``touch_speed`` [m/s] towards the wall,
     until it is touched. What the robot does not know, drawn per seed: ``wall_error`` [m]: both ends of the wall are up to this off;
     ``grip``: friction coefficient of tip and wall, between two numbers; ``spring_error``: share by which the stiffness of the tip's spring may
-    differ from ``spring`` [N/m]. The other settings are those of all experiments that drive."""
+    differ from ``spring`` [N/m]. ``terrain``: cables and bumps on the floor, as of `swerve-plaster`. The other settings are
+    those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=100.0))
     robot: Robot = "swerve-ur10"
@@ -55,6 +57,7 @@ class SwerveWipeSettings(DrivingSettings):
     grip: tuple[Coefficient, Coefficient] = (0.2, 0.8)
     spring: float = Field(5000.0, ge=500, le=20000)
     spring_error: float = Field(0.2, ge=0, le=0.5)
+    terrain: bool = False
 
     @field_validator("grip")
     @classmethod
@@ -78,7 +81,7 @@ def build(settings: SwerveWipeSettings, seed: int) -> Scenario:
     wall, spring = settings.draw(seed)
     plant = WipePlant(
         robot.description, wall, spring, robot.state.split(robot.home), settings.plant, seed,
-        localization=settings.global_poses(seed),
+        localization=settings.global_poses(seed), floor=uneven_floor if settings.terrain else None,
     )  # fmt: skip
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     estimation = settings.estimation(robot, seed)

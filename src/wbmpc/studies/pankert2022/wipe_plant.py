@@ -15,6 +15,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.simulation.contacts import HANDLE
 from wbmpc.simulation.tip import FORCE, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.simulation.wheeled import CREEP_DECAY, SLIDING_IMPEDANCE
+from wbmpc.simulation.world import Edit
 
 Array = np.ndarray
 #: Half the thickness and half the height of the wall [m], and how far it goes on beyond the points that say where it is [m].
@@ -66,12 +67,13 @@ class WipeMeasurement(SwerveMeasurement):
 
 
 class WipePlant(SwervePlant):
-    """A swerve robot at a ``wall`` with a tip on a ``spring`` [N/m]. ``steps``: a row for each physics step of time [s] and force of the tip
-    on the wall along its normal and across it [N]. The other arguments are those of :class:`SwervePlant`."""
+    """A swerve robot at a ``wall`` with a tip on a ``spring`` [N/m]; ``floor`` changes the specification too. ``steps``: a row for each
+    physics step of time [s] and force of the tip on the wall along its normal and across it [N]. The other arguments are those of
+    :class:`SwervePlant`."""
 
     def __init__(
         self, description: RobotDescription, wall: Wall, spring: float, *args: Any, sensor: ForceSensor | None = None,
-        **more: Any,
+        floor: Edit | None = None, **more: Any,
     ) -> None:  # fmt: skip
         self.wall, self._sensor = wall, sensor or ForceSensor()
         self.steps: list[tuple[float, float, float]] = []
@@ -80,6 +82,8 @@ class WipePlant(SwervePlant):
         def edit(spec: mujoco.MjSpec) -> None:
             add_tip(spec, description.arm.tool, wall.grip, spring=spring)
             wall.add(spec)
+            if floor is not None:
+                floor(spec)
 
         super().__init__(description, *args, edit=edit, **more)
         self._zero = self._noise.uniform(-self._sensor.bias, self._sensor.bias, 3)
