@@ -15,7 +15,7 @@ from wbmpc.log import Log
 from wbmpc.simulation.tip import TIP, TIP_MASS, TIP_RADIUS
 from wbmpc.studies.pankert2022 import wipe as study
 from wbmpc.studies.pankert2022.wipe import EXPERIMENT, SwerveWipeSettings
-from wbmpc.studies.pankert2022.wipe_control import BEGIN, RISE, STAND, TOUCHES, WALL, Order, WallLine, Wipe
+from wbmpc.studies.pankert2022.wipe_control import BEGIN, INTEGRAL, RISE, STAND, TOUCHES, WALL, Order, WallLine, Wipe
 from wbmpc.studies.pankert2022.wipe_figures import metrics
 from wbmpc.studies.pankert2022.wipe_plant import Wall, WipePlant
 
@@ -142,6 +142,18 @@ def test_the_reference_is_beyond_the_wall_by_what_the_spring_gives() -> None:
         press(wipe, wipe.began, WALL, 70.0)
     with pytest.raises(RunAborted, match="no wall"):
         press(Wipe(ROBOT, ORDER), wipe.search + 1.0, WALL + 0.06, 0.0)
+
+
+def test_what_is_left_of_the_error_is_integrated() -> None:
+    """1 N too little for a second, and no friction: the sensor's other axes carry the tip alone."""
+    wipe = Wipe(ROBOT, ORDER)
+    press(wipe, wipe.search + 1.0, WALL, 5.0)
+    press(wipe, wipe.began, WALL, 15.0)
+    before = wipe.extra
+    for k in range(50):
+        press(wipe, wipe.began + 0.02 * (k + 1), WALL, 14.0)
+    assert wipe.extra - before == pytest.approx(INTEGRAL * 1.0, abs=0.01)
+    assert wipe.coefficient == pytest.approx(0.0, abs=2e-3)
 
 
 def test_what_is_drawn_is_within_its_bounds() -> None:
