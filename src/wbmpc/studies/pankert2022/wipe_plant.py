@@ -61,7 +61,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class WipeMeasurement(SwerveMeasurement):
-    """Also the ``force`` (3) [N] of the end effector on its tip, in the end effector's axes, mean of the last controller period."""
+    """Also the ``force`` (3) [N] of the end effector on its tip, in the end effector's axes, mean over 2.5 ms."""
 
     force: Array = field(default_factory=lambda: np.zeros(3))
 
