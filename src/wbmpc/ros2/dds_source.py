@@ -7,11 +7,13 @@ history and does not wake Python. It is a filter of the topic by the sample's de
 from __future__ import annotations
 
 import ctypes
+import threading
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-from cyclonedds.core import DDSException
+from cyclonedds.core import DDSException, Policy
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.internal import load_cyclonedds
 from cyclonedds.pub import DataWriter
@@ -53,6 +55,8 @@ no:
 }}
 """
 
+#: The package reads the QoS of endpoints through buffers that all threads of the process share.
+GRAPH_LOCK = threading.Lock()
 #: So many writers of a topic are looked through.
 _MATCHED = 1000
 # the package asks for the count, then for as many, and fails where another one has come in between
@@ -67,6 +71,19 @@ def matched(entity: DataReader | DataWriter) -> list[int]:
     found = (ctypes.c_uint64 * _MATCHED)()
     count = _peers[type(entity)](ctypes.c_int32(entity._ref), found, ctypes.c_size_t(_MATCHED))
     return list(found[: min(max(count, 0), _MATCHED)])  # below 0: the entity is gone itself
+
+
+def cannot_talk(entity: DataReader | DataWriter, mark: str) -> bool:
+    """Whether a service's reader or writer has peers, but none with ``mark`` in its user data. rmw_cyclonedds writes who asks into the
+    message, and its endpoints have a mark; Fast DDS has that in the inline QoS of RTPS, which Cyclone DDS neither writes nor shows."""
+    look = entity.get_matched_publication_data if isinstance(entity, DataReader) else entity.get_matched_subscription_data
+    marks = []
+    for handle in matched(entity):
+        with suppress(DDSException), GRAPH_LOCK:  # who has gone meanwhile counts for nothing
+            peer = look(handle)
+            if peer is not None:
+                marks.append(mark.encode() in (peer.qos[Policy.Userdata].data if Policy.Userdata in peer.qos else b""))
+    return bool(marks) and not any(marks)
 
 
 class _Filter(ctypes.Structure):
