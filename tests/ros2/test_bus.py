@@ -410,7 +410,9 @@ def test_services_of_another_rmw_are_reported_on_both_sides(
     one, other = nodes
     kind, plain = "std_srvs/srv/SetBool", dds.dds_qos
     one.serve("/known", kind, lambda q: {"success": True}, deferred=True)
-    monkeypatch.setattr(dds, "dds_qos", lambda qos, data, local: plain(qos, data[data.index("typehash") :], local=local))
+    monkeypatch.setattr(
+        dds, "dds_qos", lambda qos, data, local: plain(qos, data[data.index("typehash") :], local=local)
+    )
     other.serve("/strange", kind, lambda q: {"success": True})
     asks = threading.Thread(target=other.call, args=("/known", kind, {"data": True}, 60.0))
     asks.start()

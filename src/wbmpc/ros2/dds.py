@@ -34,7 +34,7 @@ from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
 from wbmpc.ros2.dds_listener import Take, Watch, silence
 from wbmpc.ros2.dds_qos import POLICIES, dds_qos, ros_qos, ros_type
-from wbmpc.ros2.dds_source import GRAPH_LOCK, DdsWriter, FilteredTopic, cannot_talk, matched
+from wbmpc.ros2.dds_source import GRAPH_LOCK, FilteredTopic, cannot_talk, matched
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
@@ -127,7 +127,7 @@ class DdsNode:
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
                 for data, handle in self._small(name, reader, largest):
-                    source = DdsWriter(handle, reader, filtered) if filtered is not None else None
+                    source = filtered.writer(reader, handle) if filtered is not None else None
                     if deferred:
                         self._deferred.put(name, call, (data, source), len(data))
                     else:

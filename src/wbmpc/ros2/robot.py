@@ -102,7 +102,9 @@ class BusRobot:
             return
         self._good("joints")
         previous, arrival = self._joints, time.perf_counter()
-        if self._way is not None:  # both say where the robot is, or nothing does: an estimate takes a way that stands for rest
+        if (
+            self._way is not None
+        ):  # both say where the robot is, or nothing does: an estimate takes a way that stands for rest
             if not self._way_goes_on(sample.stamp, arrival):
                 return
             sample = self._way.with_way(sample)
