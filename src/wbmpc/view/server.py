@@ -49,6 +49,30 @@ class Throttle:
         return max(self._until - now, 0.0)
 
 
+class Wakeup:
+    """An :class:`asyncio.Event` that any thread may set, for viser does so: it sets the event of a message's buffer in the thread that
+    sends, and then lets the server's thread set it, too. Only the latter wakes who waits. Made in the server's thread."""
+
+    def __init__(self) -> None:
+        self._event, self._set, self._thread = asyncio.Event(), False, threading.get_ident()
+
+    def set(self) -> None:
+        """There is something new."""
+        self._set = True
+        if threading.get_ident() == self._thread:
+            self._event.set()
+
+    def clear(self) -> None:
+        """It is taken in; in the server's thread."""
+        self._set = False
+        self._event.clear()
+
+    async def wait(self) -> None:
+        """Until there is something new; in the server's thread."""
+        if not self._set:
+            await self._event.wait()
+
+
 class Guard:
     """Stands before a server: rejects requests by ``access`` with status 403, and messages that are not as they should be.
 
@@ -73,7 +97,9 @@ class Guard:
         """The answer to a request; None lets a WebSocket begin."""
         port = int(connection.local_address[1])
         reason = self.access.rejection(request.path, request.headers, port)
-        if reason:
+        if not reason and self.server is None:  # what browsers may find is still being made
+            response = Response(HTTPStatus.SERVICE_UNAVAILABLE.value, "Starting", Headers({"Content-Length": "0"}), b"")
+        elif reason:
             self.log.warning("view: a request was rejected: %s", reason)
             text = f"403: {reason}\n".encode()
             response = Response(
@@ -173,5 +199,13 @@ def open_server(access: Access, port: int, label: str = "wbmpc") -> tuple[viser.
     if not guard.installed:  # another version of viser starts its server in another way: no client would be rejected
         server.stop()
         raise InputError("view: this version of viser cannot be guarded; valid: viser 1.1")
-    guard.server = server
+    websocket = server._websock_server
+
+    async def connected(client: Any) -> None:
+        for buffer in (websocket._broadcast_buffer, client._state.message_buffer):
+            if not isinstance(buffer.message_event, Wakeup):  # before anything waits for it
+                buffer.message_event = Wakeup()
+
+    websocket.on_client_connect(connected)
+    guard.server = server  # only now requests are answered
     return server, guard
