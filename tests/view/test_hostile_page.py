@@ -228,6 +228,27 @@ def test_what_is_shown_reaches_browsers_from_any_thread() -> None:
         server.stop()
 
 
+@pytest.mark.parametrize("flood", ["pings", "parts"])
+def test_who_sends_no_messages_is_disconnected(flood: str) -> None:
+    """Answers that nobody reads, and parts of a message without an end, would fill the memory of the server."""
+    server, guard = open_server(Access.of("127.0.0.1"), free_port())
+    said: list[str] = []
+    guard.rejected = said.append
+    try:
+        page, flooding = Client(guard.access.url(server.get_port())), Client(guard.access.url(server.get_port()))
+        packed = msgspec.msgpack.encode(CAMERA)
+        page.socket.send(packed[k : k + 8] for k in range(0, len(packed), 8))  # a message in parts is one
+        with pytest.raises(ConnectionClosed):
+            if flood == "pings":
+                for _ in range(100_000):
+                    flooding.socket.ping()
+            else:
+                flooding.socket.send(b"" for _ in range(100_000))
+        assert page.alive and said == ["a connection was closed: it sent too many pings or parts of messages"]
+    finally:
+        server.stop()
+
+
 def test_no_browser_gets_in_before_the_page_is_there() -> None:
     guard = Guard(Access("127.0.0.1", ""))
     request = SimpleNamespace(path="/", headers=Headers({"Host": "localhost:80"}))

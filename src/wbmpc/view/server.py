@@ -15,6 +15,7 @@ from typing import Any
 import viser
 from websockets.asyncio import server as websockets_server
 from websockets.datastructures import Headers
+from websockets.frames import Frame, Opcode
 from websockets.http11 import Response
 from websockets.protocol import State
 
@@ -24,7 +25,8 @@ from wbmpc.view.access import Access
 from wbmpc.view.frames import LARGEST, checked
 
 _PATCH = threading.Lock()
-#: Rejected messages that cost their senders no time, and how many more of them are read in a second, of all pages together.
+#: Rejected messages that cost their senders no time, and how many more of them are read in a second, of all pages together; also
+#: what else than whole messages (pings, parts) one connection may send.
 _FREE, _REJECTED_RATE = 200, 500.0
 #: Connections at a time, of all clients together: each is an open file, and the run that is shown needs files too.
 MAX_CONNECTIONS = 100
@@ -143,6 +145,14 @@ class Guard:
         self.connections[connection] = transport
         return True
 
+    def close_connection(self, transport: Any) -> None:
+        """End the connection of a client that floods."""
+        reason = "a connection was closed: it sent too many pings or parts of messages"
+        if not transport.is_closing():
+            self.log.warning("view: %s", reason)
+            self.rejected(reason)
+        transport.abort()
+
     def _input(self, uuid: str) -> Any:
         return None if self.server is None else self.server.gui._gui_input_handle_from_uuid.get(uuid)
 
@@ -155,6 +165,7 @@ class Guard:
 
         class Connection(websockets_server.ServerConnection):
             admitted = False
+            throttle: Throttle | None = None
 
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
                 self.admitted = guard.admit(self, transport)
@@ -165,6 +176,15 @@ class Guard:
                 guard.connections.pop(self, None)
                 if self.admitted:
                     super().connection_lost(exc)
+
+            def process_event(self, event: Any) -> None:
+                """Pings are answered, and parts of a message kept, as they come: who sends many of them would fill the memory."""
+                if isinstance(event, Frame) and not (event.fin and event.opcode in (Opcode.TEXT, Opcode.BINARY)):
+                    self.throttle = self.throttle or Throttle(_FREE, _REJECTED_RATE)
+                    if self.throttle.wait() > 0.0:
+                        guard.close_connection(self.transport)
+                        return
+                super().process_event(event)
 
             async def recv(self, decode: bool | None = None) -> Any:
                 while True:
