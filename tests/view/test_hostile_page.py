@@ -34,7 +34,7 @@ msgspec = pytest.importorskip("msgspec")
 
 from websockets.datastructures import Headers  # noqa: E402 - they come with viser, or need it
 from websockets.exceptions import ConnectionClosed  # noqa: E402 - they come with viser, or need it
-from websockets.http11 import Response  # noqa: E402
+from websockets.http11 import Request, Response  # noqa: E402
 from websockets.protocol import State  # noqa: E402
 
 from wbmpc.view.frames import checked  # noqa: E402
@@ -251,7 +251,7 @@ def test_who_sends_no_messages_is_disconnected(flood: str) -> None:
 
 def test_no_browser_gets_in_before_the_page_is_there() -> None:
     guard = Guard(Access("127.0.0.1", ""))
-    request = SimpleNamespace(path="/", headers=Headers({"Host": "localhost:80"}))
+    request = Request("/", Headers({"Host": "localhost:80"}))
     connection = SimpleNamespace(local_address=("127.0.0.1", 80))
     serve = lambda connection, request: Response(200, "OK", Headers())
     assert guard.answer(connection, request, serve).status_code == 503

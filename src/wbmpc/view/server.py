@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from http import HTTPStatus
 from typing import Any
 
@@ -112,14 +113,12 @@ class Guard:
             )
         else:
             try:
-                response = serve(connection, request)
+                response = serve(connection, replace(request, path=self.access.inside(request.path)))
             except (OSError, ValueError):  # no name of a file
                 response = Response(HTTPStatus.NOT_FOUND.value, "Not Found", Headers({"Content-Length": "0"}), b"")
         if response is not None:
             for name, value in _HEADERS.items():
                 response.headers[name] = value
-            if not reason and self.access.token and self.access.in_query(request.path):
-                response.headers["Set-Cookie"] = self.access.cookie(port)
         return response
 
     # ------------------------------------------------------------------ messages
