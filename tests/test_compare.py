@@ -238,7 +238,8 @@ def test_curves_have_names_and_the_runs_the_same_colors(tmp_path: Path) -> None:
     run = load(tmp_path)
     plots = {p.title: p.series for p in overlay([run] * 2, ["a", "b"])}
     names = {title: [s.name for s in series if not s.dashed] for title, series in plots.items()}
-    assert names["tour.base_odometry"] == ["x", "y", "yaw"] and names["hand"] == ["x", "y", "z"]
+    assert names["tour.base_odometry, m"] == ["x", "y"] and names["tour.base_odometry, rad"] == ["yaw"]
+    assert names["hand"] == ["x", "y", "z"]
     assert names["hand_quaternion"] == ["qw", "qx", "qy", "qz"]
     assert names["leg"] == [*wheels] and names["other"] == ["[0]", "[1]"]
     assert len(names["one (8 of 10)"]) == 8

@@ -9,6 +9,7 @@ import re
 import textwrap
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 import wbmpc as wb
@@ -71,3 +72,58 @@ def test_help_shows_the_shape_of_every_array(name: str) -> None:
     cls = getattr(wb, name)
     arrays = [f.name for f in dataclasses.fields(cls) if re.search(r"ndarray|NDArray|^Array$", str(f.type))]
     assert [a for a in arrays if not re.search(rf"(?<!\w){a}(``)? \(", documentation(cls))] == []
+
+
+#: Numbers without a unit, or with that of what they are of: counts, ratios, tolerances and weights of the solver, figures of any unit.
+NO_UNIT = re.compile(
+    r"(barrier|cost|equality_bound|feasibility|fraction_to_boundary|gain|goal|high|initial_barrier|initial_state_mismatch|kkt|least|limit_violation|"
+    r"limits|max_regularization|min_slack|min_step|mu|paper|rho|scale|delta|slack|softness|tolerance|value|violation|default|share|values|weight)"
+)
+ARRAY, NUMBER = r"ndarray|NDArray|ArrayLike|\bArray\b", r"^(float|tuple\[float, \.\.\.\])( \| None)?$"
+SHAPE, UNIT = r"(``)?\s*\([a-zA-Z0-9 _+*,:`]+\)", r"(``)?(\s*\([^)]*\))?\s*\[[^\]]+\]"
+
+
+def quantities(cls: type) -> Iterator[tuple[str, str, str]]:
+    """Name, annotation and documentation of public attributes and of arguments of public methods."""
+    text = documentation(cls)
+    for c in of_this_package(cls):
+        for name, annotation in inspect.get_annotations(c).items():
+            if not name.startswith("_"):
+                yield name, str(annotation), text
+        for name, member in vars(c).items():
+            function = getattr(member, "fget", None) or getattr(member, "__func__", member)
+            if not inspect.isfunction(function) or (name.startswith("_") and name != "__init__"):
+                continue
+            own = f"{function.__doc__} {text}"
+            for argument in inspect.signature(function).parameters.values():
+                yield argument.name, str(argument.annotation), own
+
+
+def unsaid(cls: type) -> set[str]:
+    """Arrays whose shape, and numbers whose unit, is nowhere in the documentation."""
+    found = set()
+    for name, annotation, text in quantities(cls):
+        after = lambda pattern, name=name, text=text: re.search(rf"(?<!\w){name}{pattern}", text)
+        if re.search(ARRAY, annotation) and not annotation.startswith("Mapping") and not after(SHAPE):
+            found.add(name)
+        if re.search(NUMBER, annotation) and not NO_UNIT.fullmatch(name) and not after(UNIT):
+            found.add(name)
+    return found
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_help_says_shapes_and_units(name: str) -> None:
+    assert unsaid(getattr(wb, name)) == set()
+
+
+def test_a_missing_shape_or_unit_is_found() -> None:
+    class Silent(wb.Log):
+        """``speed`` (n,) [m/s], ``mass``, ``force`` [N]; ``torque`` [N m]."""
+
+        speed: np.ndarray
+        mass: float
+        force: np.ndarray
+        torque: float
+
+    Silent.__module__ = "wbmpc.silent"
+    assert unsaid(Silent) == {"mass", "force"}

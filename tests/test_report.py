@@ -204,8 +204,8 @@ def test_numbers(value: float, text: str) -> None:
         ("rad", (math.pi / 180,), ["°", "1"]),
         ("rad/s", (math.pi,), ["°/s", "180"]),
         ("1", (6.645e-5, 0.01009, 0.003), ["%", "0.006645", "1.009", "0.3"]),
-        ("1", (0.56, 0.05), ["1", "0.56", "0.05"]),
-        ("1", (3.0,), ["1", "3"]),
+        ("1", (0.56, 0.05), ["", "0.56", "0.05"]),
+        ("1", (3.0,), ["", "3"]),
         ("s", (0.92, 1.0), ["s", "0.92", "1"]),
         ("N m", (0.01,), ["N m", "0.01"]),
     ],
@@ -333,7 +333,9 @@ def test_far_limits_do_not_flatten_a_plot() -> None:
     plot = Plot("t", "time [s]", "torque [N m]", [joint("a", [-1.0, 1.0], (-56.0, 56.0))])
     low, high = plotly_figure(plot)["layout"]["yaxis"]["range"]
     assert -2.0 < low < -1.0 and 1.0 < high < 2.0
-    assert "56 N m and further are outside of the picture" in hint(plot)
+    assert "(56 N m and further are outside of the picture" in hint(plot)
+    below = Plot("t", "time [s]", "speed [m/s]", [joint("v", [0.0, 0.2], (-0.9, 0.9))])
+    assert "(-0.9 m/s is outside of the picture: a double click shows it)" in hint(below)  # the upper one is drawn
 
 
 def test_definitions_are_shown_beside_names_and_stay_text() -> None:

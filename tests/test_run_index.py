@@ -102,6 +102,7 @@ def test_the_page_links_to_what_is_there(some: Path, tmp_path: Path, capsys: pyt
             links.extend(v for k, v in attrs if k in ("src", "href") and v)
 
     Finder().feed(target.read_text())
+    assert "[]" not in target.read_text()  # a number without a unit has none in its heading
     assert len(links) == 2 and all((target.parent / unquote(link)).is_file() for link in links)
     assert main(["runs", str(some), "--page", str(target)]) == 2  # it is there already
     assert main(["runs", str(some), "--page", str(target), "--force"]) == 0

@@ -64,6 +64,7 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.runtime.runner import RealTimeRunner as RealTimeRunner
     from wbmpc.runtime.safety import RealTimeSettings as RealTimeSettings
     from wbmpc.runtime.stop_control import RobotInterface as RobotInterface
+    from wbmpc.simulation.inline import show as show
     from wbmpc.simulation.lockstep import Timing as Timing
     from wbmpc.simulation.lockstep import Watch as Watch
     from wbmpc.simulation.lockstep import run_lockstep as run_lockstep
@@ -160,6 +161,7 @@ _MODULES = {
     "TaskSettings": "wbmpc.tasks.settings",
     "closed_loop": "wbmpc.tasks.loop",
     "simulate": "wbmpc.tasks.simulation",
+    "show": "wbmpc.simulation.inline",
 }
 __all__ = ["__version__", *_MODULES]
 

@@ -13,28 +13,28 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.json_file import parse_json
-from wbmpc.recording.quantities import channel_unit
+from wbmpc.recording.quantities import Columns, channel_unit
 from wbmpc.recording.reader import read_recording
 from wbmpc.report import RECORDING, named
 from wbmpc.report import table as html_table
 from wbmpc.result import Plot, Series
-from wbmpc.run_files import check_metric, definition_in, read_log, read_metrics
-from wbmpc.units import Scale, scale
+from wbmpc.run_files import TEXTS, check_metric, definition_in, read_log, read_metrics
+from wbmpc.units import Scale, by_unit, scale, with_unit
 
 #: Runs that are compared at once.
 MAX_RUNS = 8
 #: Components of a channel, at most, that are drawn: as many as there are colors.
 MAX_LINES = 8
-#: What the components of channels whose log has no names for them are called, by a word in the channel's name and their number; the
-#: first that fits is taken.
+#: What the components of channels whose log has no names for them are called, and their units, by a word in the channel's name and
+#: their number; the first that fits is taken.
 _PLACES = (
-    ("quaternion", ("qw", "qx", "qy", "qz")), ("base", ("x", "y", "yaw")), ("odometry", ("x", "y", "yaw")),
-    ("hand", ("x", "y", "z")), ("end_effector", ("x", "y", "z")), ("force", ("x", "y", "z")),
+    ("quaternion", ("qw", "qx", "qy", "qz"), "1111"), ("base", ("x", "y", "yaw"), ("m", "m", "rad")),
+    ("odometry", ("x", "y", "yaw"), ("m", "m", "rad")), ("hand", ("x", "y", "z"), "mmm"), ("end_effector", ("x", "y", "z"), "mmm"),
+    ("force", ("x", "y", "z"), "NNN"),
 )  # fmt: skip
 #: Topics whose numbers are compared where a run left no log.
 _SIGNALS = ("/end_effector/", "/odom", "/command/", "/joint_states", "/mpc/")
 
-_NAMES = ".names"
 #: Differences that are a smaller share of the figure are of its last digits.
 ROUNDING = 1e-12
 
@@ -43,7 +43,7 @@ ROUNDING = 1e-12
 class Run:
     """What there is of a run at a ``path``: ``figures`` as in metrics.json, signals by channel, ``note``: what is missing, and why.
 
-    ``labels``: names of a channel's components, where log or recording have them.
+    ``labels`` and ``units``: names and units of a channel's components, where log or recording have them.
     """
 
     path: Path
@@ -51,6 +51,7 @@ class Run:
     log: dict[str, np.ndarray]
     note: str = ""
     labels: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    units: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def load_all(paths: Sequence[Path]) -> list[Run]:
@@ -75,10 +76,13 @@ def load(path: Path) -> Run:
     if missing:
         raise InputError(f"{path}: is not the directory of a run: there is no {missing[0]} and no {RECORDING}")
     figures, arrays = _files(directory)
-    labels = {name.removesuffix(_NAMES): tuple(a) for name, a in arrays.items() if name.endswith(_NAMES)}
-    log = {name: array for name, array in arrays.items() if not name.endswith(_NAMES)}
+    labels, units = (
+        {name.removesuffix(end): tuple(map(str, a)) for name, a in arrays.items() if name.endswith(end)}
+        for end in TEXTS
+    )
+    log = {name: array for name, array in arrays.items() if not name.endswith(TEXTS)}
     reason = "" if figures.get("completed", True) else f"did not complete: {figures.get('reason', 'unknown')}"
-    return Run(path, figures, log, reason, labels)
+    return Run(path, figures, log, reason, labels, units)
 
 
 def _files(directory: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -114,7 +118,8 @@ def _from_recording(run: Run) -> Run:
     """The same with the signals of its recording, if it has one: numbers of a topic are a channel."""
     if run.path.is_dir() and not (run.path / RECORDING).is_file():
         return run
-    recording, log, labels = read_recording(run.path), {}, {}
+    recording, log, labels, units = read_recording(run.path), {}, {}, {}
+    about = Columns(recording)
     for topic in [t for t in recording.topics if t.startswith(_SIGNALS)]:
         found = recording.table(topic)
         columns = {name: values for name, values in found.columns.items() if values.dtype.kind == "f"}
@@ -122,7 +127,8 @@ def _from_recording(run: Run) -> Run:
             channel = topic.strip("/")
             log[channel], log[f"{channel}.time"] = np.stack([*columns.values()], axis=1), found.times
             labels[channel] = tuple(columns)
-    return replace(run, log=log, labels=labels)
+            units[channel] = tuple(about.unit(topic, name, len(columns)) for name in columns)
+    return replace(run, log=log, labels=labels, units=units)
 
 
 def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -182,41 +188,43 @@ def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def _components(channel: str, count: int) -> tuple[str, ...]:
-    """Names of a channel's components: numbers where none are known."""
-    known = (names for word, names in _PLACES if word in channel and len(names) == count)
-    return next(known, tuple(f"[{i}]" for i in range(count)))
+def _components(run: Run, channel: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of a channel's components: numbers where no names are known, "" where no units."""
+    rows = run.log[channel]
+    count = rows.shape[1] if rows.ndim == 2 else 1
+    fitting = ((names, tuple(units)) for word, names, units in _PLACES if word in channel and len(names) == count)
+    names, units = next(fitting, (tuple(f"[{i}]" for i in range(count)), (channel_unit(channel),) * count))
+    return run.labels.get(channel, names), run.units.get(channel, () if channel in run.labels else units) or (
+        "",
+    ) * count
 
 
 def overlay(runs: Sequence[Run], names: list[str]) -> list[Plot]:
-    """The channels that all runs have.
+    """The channels that all runs have, a plot for each unit of their components.
 
-    Of two runs each channel is a plot, and the second run has the same colors, dashed; of more runs each component is a plot, and
-    each run has a color.
+    Of two runs the second has the same colors, dashed; of more runs each component is a plot, and each run has a color.
     """
     logs = [run.log for run in runs]
     plots = []
     for channel in [c for c in logs[0] if all({c, f"{c}.time"} <= log.keys() for log in logs)]:
-        by_run, title = [_lines(run, channel) for run in runs], f"{channel}{_left_out(logs[0][channel])}"
-        if len(runs) == 2:
-            plots.append(Plot(title, "time [s]", _label(channel, channel), [*_pair(by_run, names)]))
-            continue
-        for part in [p for p in by_run[0] if all(p in lines for lines in by_run)]:
-            lines = [Series(name, *own[part], color=k) for k, (own, name) in enumerate(zip(by_run, names, strict=True))]
-            plots.append(
-                Plot(f"{title} {part}".strip(), "time [s]", _label(f"{channel} {part}".strip(), channel), lines)
-            )
+        found = by_unit(_components(runs[0], channel)[1])
+        for unit, places in found.items():
+            by_run = [_lines(run, channel, places) for run in runs]
+            title = f"{channel}{f', {unit}' if len(found) > 1 else ''}{_left_out(places)}"
+            if len(runs) == 2:
+                plots.append(Plot(title, "time [s]", with_unit(channel, unit), [*_pair(by_run, names)]))
+                continue
+            for part in [p for p in by_run[0] if all(p in lines for lines in by_run)]:
+                pairs = enumerate(zip(by_run, names, strict=True))
+                lines = [Series(name, *own[part], color=k) for k, (own, name) in pairs]
+                label = with_unit(f"{channel} {part}".strip(), unit)
+                plots.append(Plot(f"{channel} {part}".strip(), "time [s]", label, lines))
     return plots
 
 
-def _left_out(rows: np.ndarray) -> str:
-    """How many components are drawn, where not all are."""
-    width = rows.shape[1] if rows.ndim == 2 else 1
-    return f" ({MAX_LINES} of {width})" if width > MAX_LINES else ""
-
-
-def _label(title: str, channel: str) -> str:
-    return f"{title} [{channel_unit(channel)}]"
+def _left_out(places: Sequence[int]) -> str:
+    """How many components of one unit are drawn, where not all are."""
+    return f" ({MAX_LINES} of {len(places)})" if len(places) > MAX_LINES else ""
 
 
 def figures_table(rows: list[dict[str, Any]], names: Sequence[str], ended: Sequence[str | None]) -> str:
@@ -263,8 +271,7 @@ def _pair(by_run: Sequence[dict[str, tuple[np.ndarray, np.ndarray]]], names: Seq
             yield Series(name, t, y, dashed=k == 1, color=i, signal=part)
 
 
-def _lines(run: Run, channel: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Times and values of a channel's components by their names; "" where there is one."""
-    rows, t = np.atleast_2d(run.log[channel].T), run.log[f"{channel}.time"]
-    parts = run.labels.get(channel) or _components(channel, len(rows))
-    return {parts[i] if len(rows) > 1 else "": (t, row) for i, row in enumerate(rows[:MAX_LINES])}
+def _lines(run: Run, channel: str, places: Sequence[int]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Times and values of a channel's components at ``places``, by their names; "" where the channel has one."""
+    rows, t, parts = np.atleast_2d(run.log[channel].T), run.log[f"{channel}.time"], _components(run, channel)[0]
+    return {parts[i] if len(rows) > 1 else "": (t, rows[i]) for i in places[:MAX_LINES] if i < len(rows)}

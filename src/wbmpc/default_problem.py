@@ -41,6 +41,8 @@ CLEARANCE_SLACK = 3e4
 #: Of ranges of joints [1 over the range, per second]: more than what a goal pulls with that is a meter out of reach, or joints are
 #: planned beyond their stops.
 RANGE_SLACK = 3e4
+#: Of limits of accelerations, which give way only where a joint cannot stop before its range ends: more than any goal pulls with.
+ACCELERATION_SLACK = 1e6
 #: Of the accelerations, what plans use: wheels of a base are limited together, and feedback needs some.
 ACCELERATION_SHARE = 0.6
 #: Of stability rows: per share of a wheel's mean load and per meter of the zero-moment point, each per second.
@@ -105,6 +107,7 @@ def default_problem(
                 residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE),
                 sets.NonNegative(),
                 hard=True,
+                slack=ACCELERATION_SLACK,
             )
         )
     return keep_upright(keep_apart(ocp, robot), robot, stability)

@@ -16,6 +16,8 @@ from wbmpc.json_file import load_json
 
 #: Bytes of a log's arrays, at most: an hour of a run has about 0.5 GB.
 LARGEST_LOG = 4 * 1024**3
+#: Ends of the names of a log's arrays that hold texts.
+TEXTS = (".names", ".units")
 _DAMAGED = (
     ValueError,
     OSError,
@@ -78,7 +80,7 @@ def definition_in(data: dict[str, Any], metric: str) -> str:
 
 def read_log(path: Path) -> dict[str, np.ndarray]:
     """The channels of a log.npz: rows of numbers, (n, width) or (n,), and their times CHANNEL.time (n,) [s]; of some
-    CHANNEL.names (width,): texts, what the components are called.
+    CHANNEL.names and CHANNEL.units (width,): texts, what the components are called and their units.
 
     Raises :class:`InputError` naming the file, and the channel that is not so.
     """
@@ -109,8 +111,8 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
 
 def _check_channel(path: Path, name: str, values: Any, channels: dict[str, Any]) -> None:
     where = f"{path}: channel '{name}'"
-    if name.endswith(".names"):
-        rows = channels.get(name.removesuffix(".names"))
+    if name.endswith(TEXTS):
+        rows = channels.get(name.rpartition(".")[0])
         width = rows.shape[1] if isinstance(rows, np.ndarray) and rows.ndim == 2 else 1
         if not isinstance(values, np.ndarray) or values.dtype.kind != "U" or values.shape != (width,):
             raise InputError(f"{where}: a text for each component of its channel is needed")

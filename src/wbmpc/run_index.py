@@ -16,7 +16,7 @@ from wbmpc.errors import InputError
 from wbmpc.report import RECORDING, document
 from wbmpc.result import Metric
 from wbmpc.run_files import read_metrics
-from wbmpc.units import Scale, scale
+from wbmpc.units import Scale, scale, with_unit
 
 #: Levels below the directory that are searched, and runs that are read, at most.
 DEEPEST, MOST = 5, 20_000
@@ -160,7 +160,7 @@ def _section(name: str, runs: list[Entry], beside: Path) -> str:
     shown = list(dict.fromkeys(of_interest)) or list(dict.fromkeys(n for run in runs for n in run.metrics))
     scales = {n: _scale([run.metrics[n] for run in runs if n in run.metrics]) for n in shown}
     heads = "".join(
-        f"<th class='n m'>{html.escape(n).replace('_', '_<wbr>')} [{html.escape(scales[n].unit)}]</th>" for n in shown
+        f"<th class='n m'>{html.escape(with_unit(n, scales[n].unit)).replace('_', '_<wbr>')}</th>" for n in shown
     )
     rows = "".join(_row(run, shown, scales, beside) for run in runs)
     title = html.escape(name) or "Unreadable"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 #: By SI unit: (largest magnitude [SI unit], unit that is shown below it, shown per SI unit); the first that fits is taken.
@@ -15,6 +16,29 @@ _SCALES: dict[str, tuple[tuple[float, str, float], ...]] = {
     "m2": ((math.inf, "m²", 1.0),),
     "1": ((0.1, "%", 100.0),),
 }
+
+
+def rate_unit(unit: str) -> str:
+    """The unit of a time derivative: "rad" gives "rad/s", "m/s" gives "m/s²"; "" where ``unit`` is not known."""
+    return f"{unit.removesuffix('/s')}/s²" if unit.endswith("/s") else f"{unit}/s" if unit else ""
+
+
+def force_unit(unit: str) -> str:
+    """The unit of what moves a joint whose position is in ``unit``: "rad" gives "N m", "m" gives "N"; "" for others."""
+    return {"rad": "N m", "m": "N"}.get(unit, "")
+
+
+def with_unit(text: str, unit: str) -> str:
+    """``text [unit]``; the text alone where the unit is not known."""
+    return f"{text} [{unit}]" if unit else text
+
+
+def by_unit(units: Sequence[str]) -> dict[str, list[int]]:
+    """Places of components by their unit, in the order in which units come first: an axis of a plot has one."""
+    found: dict[str, list[int]] = {}
+    for i, unit in enumerate(units):
+        found.setdefault(unit, []).append(i)
+    return found
 
 
 def number(value: float) -> str:
@@ -38,10 +62,10 @@ class Scale:
 
 def scale(unit: str, *values: float | None) -> Scale:
     """The unit in which ``values`` [unit] read best, one for all of them: chosen by the largest. Figures that are not finite, zeros
-    and None do not count; without any other one, and for units that are not listed, the unit itself."""
+    and None do not count; without any other one, and for units that are not listed, the unit itself; none for numbers without a unit."""
     sizes = [abs(v) for v in values if v is not None and math.isfinite(v) and v]
     if sizes:
         for largest, shown, factor in _SCALES.get(unit, ()):
             if max(sizes) < largest:
                 return Scale(shown, factor)
-    return Scale(unit)
+    return Scale("" if unit == "1" else unit)

@@ -2,37 +2,62 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import mujoco
 import pytest
 
-from wbmpc.recording.quantities import channel_unit, column_unit, entry_name, joint_groups
+from wbmpc.recording.quantities import JOINT_UNITS, Columns, channel_unit, column_unit, entry_name, joint_groups
+from wbmpc.recording.reader import Recording, Topic
+from wbmpc.simulation.scene import joint_units
 
 
 @pytest.mark.parametrize(
     ("topic", "kind", "column", "unit"),
     [
-        ("/joint_states", "sensor_msgs/JointState", "position.elbow", "rad"),
-        ("/joint_states", "sensor_msgs/JointState", "effort.elbow", "N m"),
+        ("/joint_states", "sensor_msgs/JointState", "position.elbow", ""),  # it may slide
         ("/odom", "nav_msgs/Odometry", "pose.pose.position.x", "m"),
         ("/odom", "nav_msgs/Odometry", "twist.twist.angular.z", "rad/s"),
         ("/contact/foot", "geometry_msgs/WrenchStamped", "wrench.force.z", "N"),
         ("/end_effector/pose", "geometry_msgs/PoseStamped", "pose.orientation.w", "1"),
         ("/mpc/solve_time", "std_msgs/Float64", "data", "s"),
         ("/measured/accel", "std_msgs/Float64MultiArray", "data.0", "m/s²"),
-        ("/theirs", "std_msgs/Float64", "data", "SI"),
+        ("/theirs", "std_msgs/Float64", "data", ""),
     ],
 )
 def test_units_of_columns(topic: str, kind: str, column: str, unit: str) -> None:
     assert column_unit(topic, kind, column) == unit
 
 
+LIFT = """<mujoco><worldbody><body><freejoint/><geom size=".1"/><body>
+  <joint name="lift" type="slide"/><geom size=".1"/>
+  <body><joint name="elbow"/><geom size=".1"/></body></body></body></worldbody></mujoco>"""
+
+
+def test_joints_that_slide_have_other_units() -> None:
+    units = joint_units(mujoco.MjModel.from_xml_string(LIFT))
+    assert units == {"lift": "m", "elbow": "rad"}
+    topics = {
+        "/joint_states": Topic("sensor_msgs/JointState", ""),
+        "/command/arm": Topic("std_msgs/Float64MultiArray", ""),
+    }
+    columns = Columns(Recording(Path(), topics, {JOINT_UNITS: units}, {}, True))
+    of = lambda column: columns.unit("/joint_states", column, 6)
+    assert [of(f"{part}.lift") for part in ("position", "velocity", "effort")] == ["m", "m/s", "N"]
+    assert [of(f"{part}.elbow") for part in ("position", "velocity", "effort")] == ["rad", "rad/s", "N m"]
+    assert columns.unit("/command/arm", "data.0", 2) == ""  # whose it is, is not known, and one of the joints slides
+    turning = Columns(Recording(Path(), topics, {JOINT_UNITS: {"elbow": "rad"}}, {}, True))
+    assert turning.unit("/command/arm", "data.0", 1) == "rad/s"
+
+
 def test_units_of_channels() -> None:
     known = {
         "hand": "m",
         "rotation_error": "rad",
-        "drive_force": "N m",
+        "drive_force": "",
         "wheel_slip": "m/s",
-        "state": "SI",
-        "command/torque": "N m",
+        "state": "",
+        "torque": "N m",
     }
     assert {name: channel_unit(name) for name in known} == known
 

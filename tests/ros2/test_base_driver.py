@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from needs import needs_dds, private
 
 from planar_driving import HEIGHT, write_robot
 from wbmpc import lie
+from wbmpc.bases.planar_motion.odometry import KNOWN
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ros2.base_driver import HELD, BaseWay, ordered_speeds
@@ -116,5 +118,55 @@ def test_a_goal_over_the_bus(robot: RobotModel, tmp_path: Path) -> None:
         assert s.until(lambda: not s.control.running)
         says = lambda: (v for m in s.said for st in m.status for v in [*st.values, SimpleNamespace(value=st.message)])
         assert s.until(lambda: any("/base_controller/odom" in v.value for v in says()))
+    finally:
+        s.close()
+
+
+@needs_dds
+def test_a_way_that_was_not_heard_is_not_taken_for_rest(robot: RobotModel) -> None:
+    """The base turns, and its driver says nothing for 1 s. Truth: the simulated robot's pose."""
+    from simulated import Simulated
+
+    from wbmpc.ros2.network import Network
+
+    s = Simulated(robot, Network.of(private()))
+    try:
+        s.ready()
+        gyro, start = s.control.adapter.controller.odometry.gyro, s.truth().pose
+        assert s.until(lambda: gyro.std < KNOWN)
+        bias = gyro.bias
+        s.sim._command = lambda: s.sim.side.command({**s.sim.side.rest(), "wheel": np.array([0.1, 0.6])})
+        s.run(0.5)
+        publish, s.sim._driver._to.publish = s.sim._driver._to.publish, lambda message: None
+        s.run(1.0)
+        s.sim._driver._to.publish = publish
+        s.run(0.3)
+        s.sim._command = lambda: s.sim.side.command(s.sim.side.rest())
+        s.run(0.5)
+        moved = s.truth().pose - start
+        assert moved[2] > 0.9 and abs(gyro.bias - bias) < 3e-3
+        np.testing.assert_allclose(s.control.adapter.controller.pose, moved, atol=0.01)
+    finally:
+        s.close()
+
+
+@needs_dds
+def test_a_way_that_is_heard_more_often_than_joint_states_is_not_lost(robot: RobotModel) -> None:
+    """Of 400 messages per second of the driver there are joint states to every 20th. Truth: the driver, which counts all."""
+    from simulated import Simulated
+
+    from wbmpc.ros2.network import Network
+
+    s, count = Simulated(robot, Network.of(private())), itertools.count()
+    try:
+        s.ready()
+        start = s.sim._driver._pose.copy()
+        s.change = lambda message: message if next(count) % 20 == 0 else None
+        s.end_effector(dx=0.5)
+        s.run(3.0)
+        assert s.control.running, s.control.state
+        counted = s.sim._driver._pose - start
+        assert counted[0] > 0.1
+        np.testing.assert_allclose(s.control.adapter.controller.pose, counted, atol=0.01)
     finally:
         s.close()

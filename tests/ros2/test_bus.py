@@ -6,6 +6,7 @@ import re
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,6 +32,7 @@ if not MISSING:
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
+    from wbmpc.ros2 import dds
     from wbmpc.ros2.cdr_types import message_class
     from wbmpc.ros2.messages import types
 
@@ -398,6 +400,31 @@ def test_a_service_answers(nodes: tuple[Any, Any]) -> None:
         assert (answer.success, answer.message) == (asked, says)
     with pytest.raises(RunAborted, match="/nobody: no server"):
         other.call("/nobody", "std_srvs/srv/Trigger", {}, timeout=0.1)
+
+
+def test_services_of_another_rmw_are_reported_on_both_sides(
+    nodes: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Endpoints of Fast DDS have no ``clientid`` and no ``serviceid`` in their user data (rmw_fastrtps_cpp of Jazzy, as rclpy 7.1.6
+    puts it on the wire): here those of one node."""
+    one, other = nodes
+    kind, plain = "std_srvs/srv/SetBool", dds.dds_qos
+    one.serve("/known", kind, lambda q: {"success": True}, deferred=True)
+    monkeypatch.setattr(
+        dds, "dds_qos", lambda qos, data, local: plain(qos, data[data.index("typehash") :], local=local)
+    )
+    other.serve("/strange", kind, lambda q: {"success": True})
+    asks = threading.Thread(target=other.call, args=("/known", kind, {"data": True}, 60.0))
+    asks.start()
+    assert wait_until(lambda: one.work() or not asks.is_alive())
+    assert "/known: who asks is of another RMW than rmw_cyclonedds" in caplog.text
+    monkeypatch.undo()
+    with pytest.raises(RunAborted, match="/strange: its server is of another RMW than rmw_cyclonedds"):
+        one.call("/strange", kind, {"data": True}, timeout=0.5)
+    caplog.clear()
+    asks = threading.Thread(target=other.call, args=("/known", kind, {"data": True}, 60.0))
+    asks.start()
+    assert wait_until(lambda: one.work() or not asks.is_alive()) and not caplog.text
 
 
 def test_wrong_use_is_one_message(nodes: tuple[Any, Any]) -> None:

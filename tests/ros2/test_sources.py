@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -15,9 +22,10 @@ from wbmpc.ros2.sources import AMBIGUOUS, OneSource
 
 pytestmark = needs_dds
 if not MISSING:
-    from standin import NETWORK, PERIOD, ROBOT, drive
+    from standin import ENVIRONMENT, NETWORK, PERIOD, ROBOT, drive
 
     from wbmpc.ros2.convert import header, stamp
+    from wbmpc.ros2.network import LEASE
     from wbmpc.ros2.opening import open_node
 
 
@@ -146,6 +154,57 @@ def test_a_flood_does_not_keep_the_first_ones_messages_from_arriving(nodes: Call
     assert asked[0].gone() and counted[-1] == "second"
     second.publish({"data": "all pass now"})
     assert wait_until(lambda: counted[-1] == "all pass now")
+
+
+#: Hears numbers and watches the graph; says how many there were after its pause, whether a source was replaced and how many it had.
+HEARS = """
+import time
+from wbmpc.ros2 import open_node
+from wbmpc.ros2.bus import SENSOR
+from wbmpc.ros2.sources import OneSource
+node, one, counted, known = open_node("hears", "dds"), OneSource("/stopped"), [], set()
+
+def take(message, source):
+    known.add(source)
+    if one.takes(source):
+        counted.append(message.data)
+
+node.subscribe("/stopped", "std_msgs/msg/Int64", take, SENSOR, sourced=True)
+last, before = time.monotonic(), 0
+while len(counted) < before + 300 or not before:
+    time.sleep(0.05)
+    node.publishers("/stopped")
+    if time.monotonic() - last > 2.0:
+        before = len(counted)
+    last = time.monotonic()
+    print(len(counted), flush=True)
+print(one.replaced or "not replaced", len(known), flush=True)
+node.close()
+"""
+
+
+def test_who_is_heard_again_after_a_lease_is_the_same_one(nodes: Callable[[str], Any]) -> None:
+    """For a process that was stopped for longer, as for one that was off the network. All messages pass as before."""
+    node, environment = nodes("speaks"), {**os.environ, **ENVIRONMENT}
+    publisher, k = node.publisher("/stopped", "std_msgs/msg/Int64"), itertools.count()
+    speak = lambda: publisher.publish({"data": next(k)})
+    program = [sys.executable, "-c", HEARS]
+    with subprocess.Popen(program, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as hears:
+        out: Any = hears.stdout
+        said = iter(lambda: speak() or (out.read1() if select.select([out], [], [], 0.005)[0] else b""), None)
+        try:
+            assert wait_until(lambda: int((next(said).split() or [b"0"])[-1]) > 100)
+            hears.send_signal(signal.SIGSTOP)
+            end = time.monotonic() + 1.5 * LEASE
+            while time.monotonic() < end:
+                time.sleep(0.01)
+                speak()
+            hears.send_signal(signal.SIGCONT)
+            words: list[bytes] = []
+            assert wait_until(lambda: words.append(next(said)) or hears.poll() is not None)
+            assert (b"".join(words) + out.read()).splitlines()[-1] == b"not replaced 1"
+        finally:
+            hears.kill()
 
 
 def test_a_second_inertial_unit_does_not_turn_the_odometry(

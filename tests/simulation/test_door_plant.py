@@ -10,7 +10,8 @@ from toys import robot
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.errors import InputError
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies.minniti2019.door_plant import Door, DoorPlant, ForceSensor
+from wbmpc.simulation.tip import ForceSensor
+from wbmpc.studies.minniti2019.door_plant import Door, DoorPlant
 
 ROBOT = robot("rezero")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])

@@ -350,12 +350,34 @@ def test_a_start_far_outside_a_limit_with_many_nodes(n: int, speed: float, slack
 
 
 def test_the_log_has_a_row_for_every_iteration() -> None:
-    """A start anew, extra iterations after cut steps and a last one with held inputs come together: none is written beyond it."""
+    """A start anew and extra iterations after cut steps come together; a last one with held inputs would have the last row."""
     real_time = SQP.real_time(interior_point=InteriorPoint("real_time", 3e-2))
     solver = hardened_pendulum(real_time, n=8, equality=False)
     rng = np.random.default_rng(0)
-    counts = [solver.run(rng.normal(size=4) * rng.choice([0.3, 1.0, 3.0]), 0.0)[1] for _ in range(50)]
-    assert max(counts) == len(solver.log)
+    counts = [solver.run(rng.normal(size=4) * rng.choice([3.0, 10.0]), 0.0)[1] for _ in range(300)]
+    assert len(solver.log) - 1 <= max(counts) <= len(solver.log)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_after_a_jump_few_real_time_solves_come_to_the_quadratic_programs_plan(backend: str) -> None:
+    """A mass in the plane at rest whose goal jumps by 1.7 m: its force is at limits, then its speed. Multipliers of the rest do not feel
+    the limits, and with their barrier parameter slacks cut every step to a hundredth: the plan was still 1.4 off after six solves."""
+    dynamics = ToyDynamics(4, 2, lambda x, u, w, m: ca.vertcat(x[2:], u))
+    ocp = OptimalControlProblem(dynamics, 4.0, 40)
+    ocp.add(Cost("place", Rows(2, lambda s: s.x[:2]), 4e3, at="path+terminal"))
+    ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.1))
+    ocp.add(Constraint("force", Rows(2, lambda s: s.u), sets.Box(-1.0, 1.0), hard=True))
+    ocp.add(Constraint("speed", Rows(2, lambda s: s.x[2:]), sets.Box(-0.5, 0.5), hard=True, slack=1e6))
+    solver, jumped = Solver(ocp, SQP.real_time(backend=backend)), np.array([1.5, -0.7, 0.0, 0.0])
+    for _ in range(3):
+        solver.run(np.zeros(4), 0.0)
+    _, truth = quadratic_program(solver, jumped)
+    for _ in range(3):
+        solver.run(jumped, 0.0)
+    assert np.abs(solver.ws.u - truth).max() < 0.06
+    assert np.abs(solver.ws.u[0] - truth[0]).max() < 1e-3
+    _, count = solver.run(jumped, 0.0)
+    assert count == 1  # the barrier parameter is as small as ever
 
 
 def test_a_limit_of_a_few_micrometers_that_gives_way_is_reported() -> None:

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -32,7 +32,9 @@ from wbmpc.view.steering import MAX_WEIGHTS, REQUESTS, Controls
 viser = pytest.importorskip("viser")
 msgspec = pytest.importorskip("msgspec")
 
+from websockets.datastructures import Headers  # noqa: E402 - they come with viser, or need it
 from websockets.exceptions import ConnectionClosed  # noqa: E402 - they come with viser, or need it
+from websockets.http11 import Request, Response  # noqa: E402
 from websockets.protocol import State  # noqa: E402
 
 from wbmpc.view.frames import checked  # noqa: E402
@@ -204,6 +206,57 @@ def test_connections_that_say_nothing_leave_the_run_its_files() -> None:
         for each in silent:
             each.close()
         server.stop()
+
+
+def test_what_is_shown_reaches_browsers_from_any_thread() -> None:
+    """A server that is filled by the thread that draws wakes nobody in it: that ended a view with a few browsers. Truth: asyncio's
+    debug mode, which raises where another thread touches what waits in its loop."""
+    server, guard = open_server(Access.of("127.0.0.1"), free_port())
+    try:
+        text = server.gui.add_markdown("before")
+        pages = [Client(guard.access.url(server.get_port())) for _ in range(3)]
+        loop, ready = server.get_event_loop(), threading.Event()
+        loop.call_soon_threadsafe(lambda: (loop.set_debug(True), ready.set()))
+        assert ready.wait(10.0)
+        for k in range(5):
+            text.content = f"picture {k}"
+            for client in server.get_clients().values():
+                client.camera.fov = 1.0 + 0.01 * k  # each browser has a buffer of its own, too
+            assert all(page.hears(f"picture {k}") for page in pages)
+            time.sleep(0.1)  # all wait again
+    finally:
+        server.stop()
+
+
+@pytest.mark.parametrize("flood", ["pings", "parts"])
+def test_who_sends_no_messages_is_disconnected(flood: str) -> None:
+    """Answers that nobody reads, and parts of a message without an end, would fill the memory of the server."""
+    server, guard = open_server(Access.of("127.0.0.1"), free_port())
+    said: list[str] = []
+    guard.rejected = said.append
+    try:
+        page, flooding = Client(guard.access.url(server.get_port())), Client(guard.access.url(server.get_port()))
+        packed = msgspec.msgpack.encode(CAMERA)
+        page.socket.send(packed[k : k + 8] for k in range(0, len(packed), 8))  # a message in parts is one
+        with pytest.raises(ConnectionClosed):
+            if flood == "pings":
+                for _ in range(100_000):
+                    flooding.socket.ping()
+            else:
+                flooding.socket.send(b"" for _ in range(100_000))
+        assert page.alive and said == ["a connection was closed: it sent too many pings or parts of messages"]
+    finally:
+        server.stop()
+
+
+def test_no_browser_gets_in_before_the_page_is_there() -> None:
+    guard = Guard(Access("127.0.0.1", ""))
+    request = Request("/", Headers({"Host": "localhost:80"}))
+    connection = SimpleNamespace(local_address=("127.0.0.1", 80))
+    serve = lambda connection, request: Response(200, "OK", Headers())
+    assert guard.answer(connection, request, serve).status_code == 503
+    guard.server = cast(Any, object())
+    assert guard.answer(connection, request, serve).status_code == 200
 
 
 class _Connection:

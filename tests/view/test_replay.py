@@ -197,6 +197,36 @@ def test_the_player_shows_moments(run: SimpleNamespace, monkeypatch: pytest.Monk
         player.server.stop()
 
 
+def test_what_a_replay_does_not_do_stays_on_its_page(run: SimpleNamespace) -> None:
+    """Each picture wrote over it: it was there for a thirtieth of a second, or not at all."""
+    pytest.importorskip("viser")
+    from hostile import Client
+
+    from wbmpc.view.access import Access
+    from wbmpc.view.rejection import SHOWN, Rejection
+    from wbmpc.view.replay import Player
+
+    player = Player(run.film, Access.of("127.0.0.1"), free_port())
+    try:
+        page = Client(player.url)
+        page.set("Speed", float("nan"))
+        assert page.alive  # the server has taken it in
+        for t in (0.0, 0.3, 0.6):
+            player.show(t)
+        assert page.hears("0.60 s")
+        assert "**Not done:** Speed: must be 0.1 to 4, got nan" in page.history[-1]
+    finally:
+        player.server.stop()
+    now = 0.0
+    rejection = Rejection(lambda: now)
+    assert rejection.text == ""
+    rejection.show("a [link](x)")
+    now = SHOWN - 0.1
+    assert rejection.text == "  \n**Not done:** a \\[link\\]\\(x\\)"
+    now = SHOWN
+    assert rejection.text == ""
+
+
 def test_without_a_browser_a_replay_does_not_move(run: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is drawn until somebody looks; then pictures follow each other. Clock and browsers are this test's."""
     pytest.importorskip("viser")

@@ -155,7 +155,7 @@ class LocalMap:
         return DistanceGrid(self.origin, self.cell, self._transform(self._evidence, OCCUPIED), ERROR * self.cell)
 
     def age(self, t: float) -> float:
-        """How old [s] the last scan of the oldest source is; infinite before the first one."""
+        """How old [s] the last scan of the oldest source is at ``t`` [s]; infinite before the first one."""
         return t - min(self._times.values(), default=-np.inf)
 
     def publish(self, world: Obstacles, t: float, name: str = "map") -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.layout import Layout
+from wbmpc.units import rate_unit
 
 
 class _Augmented:
@@ -25,15 +26,27 @@ class _Augmented:
             if group not in dynamics.input:
                 raise unknown_name("input group", group, dynamics.input.groups)
         self.dynamics, self.groups = dynamics, tuple(groups)
-        names = dynamics.input.groups
-        self.state = Layout({**dynamics.state.groups, **{f"{g}{suffix}": names[g] for g in groups}})
-        self.input = Layout({(f"{g}{renamed}" if g in self.groups else g): n for g, n in names.items()})
+        names, own = dynamics.input.groups, dynamics.state
+        units = {
+            g: [self._units(u) for u in known] for g, known in dynamics.input.unit_groups.items() if g in self.groups
+        }
+        self.state = Layout(
+            {**own.groups, **{f"{g}{suffix}": names[g] for g in groups}},
+            {**own.unit_groups, **{f"{g}{suffix}": [state for state, _ in units[g]] for g in groups}},
+        )
+        inputs = {**dynamics.input.unit_groups, **{g: [decided for _, decided in units[g]] for g in groups}}
+        renaming = {g: f"{g}{renamed}" if g in self.groups else g for g in names}
+        self.input = Layout({renaming[g]: n for g, n in names.items()}, {renaming[g]: u for g, u in inputs.items()})
         self.parameters, self.mode = dynamics.parameters, dynamics.mode
         self.unit_quaternions = dynamics.unit_quaternions
         self.mode_bounds = getattr(dynamics, "mode_bounds", {})
         self._inner = dynamics.state.size
         if hasattr(dynamics, "jump"):
             self.jump = self._jump
+
+    def _units(self, unit: str) -> tuple[str, str]:
+        """Units of the state that is added for an input in ``unit``, and of the input that takes its place."""
+        return unit, unit
 
     def _jump(self, x: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
         """The inner state's jump at an event; the added states go on."""
@@ -86,6 +99,9 @@ class InputRate(_Augmented):
     def __init__(self, dynamics: Any, groups: Sequence[str]) -> None:
         super().__init__(dynamics, groups, "_input", "_rate")
 
+    def _units(self, unit: str) -> tuple[str, str]:
+        return unit, rate_unit(unit)
+
     def _own(self, x: ca.SX, u: ca.SX) -> ca.SX:
         return ca.vertcat(*[u[self.input[f"{g}_rate"]] for g in self.groups])
 
@@ -117,7 +133,7 @@ class DriveLag(_Augmented):
 
 @dataclass(frozen=True)
 class InputFilter:
-    """Weight of an input over frequency: ν = ``gain`` (s + ``zero``) / (s + ``pole``) u, both in rad/s.
+    """Weight of an input over frequency: ν = ``gain`` (s + zero) / (s + pole) u, with ``zero`` [rad/s] and ``pole`` [rad/s].
 
     A cost on ν² costs u² times the squared magnitude. With zero < pole and the default gain, pole / zero, slow inputs cost 1
     and inputs faster than the pole (pole / zero)². For a drive of bandwidth ω₁: zero ω₁, pole 5 to 10 ω₁. Equal degrees of
@@ -140,7 +156,7 @@ class InputFilter:
         return self.pole / self.zero if self.gain is None else self.gain
 
     def weight(self, frequency: np.ndarray | float) -> np.ndarray:
-        """|ν / u| at frequencies [rad/s]."""
+        """|ν / u| at ``frequency`` (any shape) [rad/s]."""
         s = 1j * np.asarray(frequency)
         return np.abs(self.high * (s + self.zero) / (s + self.pole))
 
@@ -167,6 +183,9 @@ class FrequencyShaping(_Augmented):
         )
         self._own_input = self._own_input.astype(int)
         self.zero, self.pole, self.high = (np.array([getattr(f, n) for f in every]) for n in ("zero", "pole", "high"))
+
+    def _units(self, unit: str) -> tuple[str, str]:
+        return "", unit  # the states are input times seconds
 
     def _each(self, group: str, filters: InputFilter | Sequence[InputFilter]) -> tuple[InputFilter, ...]:
         size = len(self.dynamics.input.groups[group])
@@ -196,13 +215,13 @@ class FrequencyShaping(_Augmented):
         return np.concatenate([x, states]), wrapped
 
     def acting(self, states: np.ndarray, wrapped: np.ndarray) -> np.ndarray:
-        """The inner input u (nu) that acts for filter states and the wrapped input (nu)."""
+        """The inner input u (nu) that acts for filter ``states`` (k) and the wrapped input ``wrapped`` (nu)."""
         u = np.array(wrapped, float)
         u[self._own_input] = (u[self._own_input] + (self.pole - self.zero) * states) / self.high
         return u
 
     def advance(self, states: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
-        """Filter states after the inner input ``u`` (nu) has acted for ``h`` [s]; exact: ẋ_s = g u − p x_s."""
+        """Filter ``states`` (k) after the inner input ``u`` (nu) has acted for ``h`` [s]; exact: ẋ_s = g u − p x_s."""
         kept = np.exp(-self.pole * h)
         return kept * states + (1.0 - kept) * self.high / self.pole * u[self._own_input]
 
@@ -222,8 +241,11 @@ class WithPath:
         if "path" in dynamics.state or "path" in dynamics.input:
             raise InputError("with path: the model has a group 'path' already; valid: a model without")
         self.dynamics = dynamics
-        self.state = Layout({**dynamics.state.groups, "path": ("position", "speed")})
-        self.input = Layout({**dynamics.input.groups, "path": ("acceleration",)})
+        state, inputs = dynamics.state, dynamics.input
+        self.state = Layout(
+            {**state.groups, "path": ("position", "speed")}, {**state.unit_groups, "path": ("m", "m/s")}
+        )
+        self.input = Layout({**inputs.groups, "path": ("acceleration",)}, {**inputs.unit_groups, "path": "m/s²"})
         self.parameters, self.mode = dynamics.parameters, dynamics.mode
         self.unit_quaternions = dynamics.unit_quaternions
         self.mode_bounds = getattr(dynamics, "mode_bounds", {})

@@ -1,4 +1,4 @@
-"""Names of the entries of a vector, in groups."""
+"""Names and units of the entries of a vector, in groups."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ class Layout:
     """An ordered set of named groups of named scalars: ``layout["arm"]`` is a slice.
 
     ``groups``: names of the scalars by group; ``names``: all of them in order, as ``group.name``; ``size``: how many.
+    ``units``: by group one text for all of its scalars, or a text for each ("m", "rad/s"); as attributes ``units`` are those of
+    all scalars in order, ``unit_groups`` by group; "" where a unit is not known. Raises :class:`InputError` for units of a group
+    that is not there or of another number.
     """
 
-    def __init__(self, groups: Mapping[str, Sequence[str]]) -> None:
+    def __init__(
+        self, groups: Mapping[str, Sequence[str]], units: Mapping[str, str | Sequence[str]] | None = None
+    ) -> None:
         self.groups = {group: tuple(names) for group, names in groups.items()}
         self._slices: dict[str, slice] = {}
         start = 0
@@ -26,6 +31,17 @@ class Layout:
             start += len(names)
         self.size = start
         self.names = tuple(f"{group}.{name}" for group, names in self.groups.items() for name in names)
+        for group in units or ():
+            self[group]  # raises for one that is not there
+        self.unit_groups = {group: self._own_units(group, (units or {}).get(group, "")) for group in self.groups}
+        self.units = tuple(unit for own in self.unit_groups.values() for unit in own)
+
+    def _own_units(self, group: str, units: str | Sequence[str]) -> tuple[str, ...]:
+        count = len(self.groups[group])
+        own = (units,) * count if isinstance(units, str) else tuple(units)
+        if len(own) != count:
+            raise InputError(f"units of group '{group}': one for each of its {count} entries is needed, got {len(own)}")
+        return own
 
     def __getitem__(self, group: str) -> slice:
         try:
@@ -52,7 +68,7 @@ class Layout:
         return self.names.index(name)
 
     def vector(self, values: Mapping[str, ArrayLike], default: float = 0.0) -> NDArray[np.float64]:
-        """A vector (size,) from values by group."""
+        """A vector (size,) from ``values`` by group, each one number or one for each of its entries; ``default``: of other groups."""
         out = np.zeros(self.size)
         if default != 0.0:
             out[:] = default

@@ -10,6 +10,8 @@ from wbmpc.errors import InputError
 from wbmpc.model.layout import Layout
 
 Groups = Mapping[str, Sequence[str]]
+#: Units by group: one text for all of its components, or one for each.
+Units = Mapping[str, str | Sequence[str]]
 
 
 class Ode:
@@ -17,6 +19,7 @@ class Ode:
 
     ``state`` and ``inputs``: names of the components by group, in the order of x (nx) and u (nu); ``parameters`` w hold over
     the horizon, ``mode`` values m come from the mode schedule.
+    ``state_units`` and ``input_units``: units by group, one text for all of its components or one for each, for plots and logs.
     As attributes all four are layouts, that of u is ``input``. f returns ẋ (nx), in the units of x per second.
     Raises :class:`InputError` if it returns another number of rows.
     """
@@ -31,8 +34,10 @@ class Ode:
         *,
         parameters: Groups | None = None,
         mode: Groups | None = None,
+        state_units: Units | None = None,
+        input_units: Units | None = None,
     ) -> None:
-        self.state, self.input = Layout(state), Layout(inputs)
+        self.state, self.input = Layout(state, state_units), Layout(inputs, input_units)
         self.parameters, self.mode = Layout(parameters or {}), Layout(mode or {})
         self.f = f
 

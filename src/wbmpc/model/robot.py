@@ -21,12 +21,18 @@ from wbmpc.robots import RobotDescription, load_description, load_spec
 Array = NDArray[np.float64]
 
 
+def layouts(base: Any) -> tuple[Layout, Layout]:
+    """Names of state and input of a base, and their units where it says them."""
+    units = getattr(base, "state_units", None), getattr(base, "input_units", None)
+    return Layout(base.state, units[0]), Layout(base.input, units[1])
+
+
 class Dynamics:
     """ẋ = f(x, u; w, m): state, input, parameters that hold over the horizon, and mode values per node. ``base``: the model behind it."""
 
     def __init__(self, base: Any) -> None:
         self.base = base
-        self.state, self.input = Layout(base.state), Layout(base.input)
+        self.state, self.input = layouts(base)
         self.parameters, self.mode = Layout(base.parameters), Layout(base.mode)
         self.unit_quaternions: tuple[int, ...] = base.unit_quaternions
         #: Lowest and highest value of a group of mode values; any number where there is none.
@@ -59,7 +65,7 @@ class RobotModel:
         self.description = description
         self.base: Any = base_type(description.base.type).model(description, load_spec(description))
         self.tree = self.base.tree
-        self.state, self.input = Layout(self.base.state), Layout(self.base.input)
+        self.state, self.input = layouts(self.base)
         self.parameters, self.mode = Layout(self.base.parameters), Layout(self.base.mode)
         self._check_home()
 
@@ -74,9 +80,9 @@ class RobotModel:
         for kind, layout, low, high in (
             ("state", self.state, limits.state_lower, limits.state_upper), ("input", self.input, limits.input_lower, limits.input_upper),
         ):  # fmt: skip
-            for name, a, b in zip(layout.names, low, high, strict=True):
-                rows.append([kind, name, f"{a:g} to {b:g}" if np.isfinite([a, b]).any() else ""])
-        return html_table(repr(self), ["", "name", "limits [SI]"], rows)
+            for name, unit, a, b in zip(layout.names, layout.units, low, high, strict=True):
+                rows.append([kind, name, unit, f"{a:g} to {b:g}" if np.isfinite([a, b]).any() else ""])
+        return html_table(repr(self), ["", "name", "unit", "limits"], rows)
 
     def _check_home(self) -> None:
         for group, names in self.state.groups.items():
@@ -141,7 +147,7 @@ class RobotModel:
         return {}
 
     def pose(self, x: ArrayLike, frame: str | None = None) -> tuple[Array, Array]:
-        """Position (3) and quaternion (4) of a frame (the tool when left out) at a numeric state (nx)."""
+        """Position (3) [m] and quaternion (4) of a frame (the tool when left out) at a numeric state x (nx)."""
         frame = frame or self.tool
         if frame not in self._functions:
             s = ca.SX.sym("x", self.state.size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -73,6 +74,10 @@ class Tree:
         if place is None:
             raise unknown_name("joint below the base's body", name, [k.joint for k in self.links if k.joint])
         return place
+
+    def units(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Units of the positions of joints: "m" of those that slide, "rad" of the others."""
+        return tuple("m" if self.links[self.joint(n)].kind == "prismatic" else "rad" for n in names)
 
     def zero_poses(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Position (3) [m] and rotation (3, 3) of every link in the root's frame at zero joint values."""

@@ -33,7 +33,7 @@ class FilterMemory:
         return Observation(t, self.state(x))
 
     def input(self, wrapped: np.ndarray) -> np.ndarray:
-        """The inner input u (nu) for the policy's (nu)."""
+        """The inner input u (nu) for the policy's, ``wrapped`` (nu)."""
         return self.dynamics.acting(self.states, wrapped)
 
     def advance(self, u: np.ndarray, h: float) -> None:

@@ -134,7 +134,7 @@ class MPC:
         return self.path.dynamics  # type: ignore[no-any-return]
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
-        """State (nx) of ``dynamics`` after h [s] under its input u (nu), or after k times h under inputs (k, nu): see
+        """State (nx) of ``dynamics`` after h [s] from x (nx) under its input u (nu), or after k times h under inputs (k, nu): see
         :meth:`Solver.simulate`."""
         if not self.path.active:
             return self.solver.simulate(x, u, h)

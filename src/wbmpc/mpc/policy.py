@@ -121,15 +121,14 @@ class Policy:
             ("limit violation", f"{100 * self.limit_violation:.3g} %"),
             ("largest gain", f"{np.abs(self.gain).max(initial=0.0):.4g}"),
         ]
-        rows += [("input at its start", np.array2string(self.u[0], precision=4))]
+        rows += [("input at its start", np.array2string(self.u[0], precision=4, suppress_small=True))]
         return html_table(repr(self), (), rows)
 
     def plot(self, dynamics: Any = None) -> Any:
-        """Planned states and inputs over absolute time as a Plotly figure; ``dynamics``: whose names they have (left out: numbers)."""
-        from wbmpc.plots.notebook import figure, names_of, trajectories
+        """Planned states and inputs over absolute time as a Plotly figure; ``dynamics``: whose names and units they have (left out: numbers)."""
+        from wbmpc.plots.notebook import figure, trajectories
 
-        names = names_of(dynamics, self.x.shape[1], self.u.shape[1])
-        return figure(trajectories(self.times, self.x, self.u, names))
+        return figure(trajectories(self.times, self.x, self.u, dynamics))
 
     @property
     def end(self) -> float:

@@ -23,12 +23,12 @@ class PolicyQueue:
             self._queue.append((t, policy))
 
     def activate(self, t: float) -> None:
-        """Make the newest policy that is due at time ``t`` the current one."""
+        """Make the newest policy that is due at time ``t`` [s] the current one."""
         while self._queue and self._queue[0][0] <= t + 1e-9:
             self.current = self._queue.popleft()[1]
 
     def at(self, t: float) -> Policy | None:
-        """The policy that will be active at time ``t``."""
+        """The policy that will be active at time ``t`` [s]."""
         found = self.current
         for start, policy in self._queue:
             if start <= t + 1e-9:

@@ -152,7 +152,8 @@ class Obstacles:
         velocity: ArrayLike = (0.0, 0.0, 0.0),
         seen: float | None = None,
     ) -> None:
-        """Put an obstacle somewhere else; its shape, standard deviations and frame stay. Raises :class:`InputError` naming it."""
+        """Put an obstacle somewhere else: ``position`` (3) [m], ``orientation`` (4) (left out: as it was), ``velocity`` (3) [m/s], and when
+        it was ``seen`` [s]. Its shape, standard deviations and frame stay. Raises :class:`InputError` naming it."""
         _named(name)
         with self._lock:  # as a whole: another thread may remove or replace it
             if name not in self._obstacles:
@@ -165,7 +166,7 @@ class Obstacles:
             )  # fmt: skip
 
     def set_frame(self, name: str, position: ArrayLike, orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
-        """Where the axes of ``frame=name`` are in the world: position (3) [m] and quaternion (4)."""
+        """Where the axes of ``frame=name`` are in the world: ``position`` (3) [m] and ``orientation`` (4)."""
         who = f"frame '{name}'"
         if not isinstance(name, str) or name == WORLD:
             raise InputError(f"{who}: another name than '{WORLD}' is needed")

@@ -87,7 +87,7 @@ class Path:
 
     @classmethod
     def line(cls, start: ArrayLike, end: ArrayLike, quaternion: ArrayLike | None = None) -> Path:
-        """Straight from ``start`` (3) to ``end`` (3) [m]."""
+        """Straight from ``start`` (3) to ``end`` (3) [m], with one ``quaternion`` (4) all the way (left out: not turned)."""
         return cls([real_numbers("path, start", start), real_numbers("path, end", end)], quaternion)
 
     @classmethod
@@ -98,7 +98,8 @@ class Path:
         normal: ArrayLike = (0.0, 0.0, 1.0),
         quaternion: ArrayLike | None = None,
     ) -> Path:
-        """Round and round ``center`` (3) [m] from ``start`` (3) on, to the left seen from the tip of ``normal`` (3)."""
+        """Round and round ``center`` (3) [m] from ``start`` (3) on, to the left seen from the tip of ``normal`` (3), with
+        one ``quaternion`` (4) all the way (left out: not turned)."""
         middle, axis = real_numbers("path, center", center), real_numbers("path, normal", normal)
         arm, size = real_numbers("path, start", start) - middle, float(np.linalg.norm(axis))
         if size < LEAST or abs(axis @ arm) > 1e-6 * size * np.linalg.norm(arm) or np.linalg.norm(arm) < LEAST:

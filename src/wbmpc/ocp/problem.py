@@ -41,7 +41,7 @@ class SystemDynamics(Protocol):
 
 
 class OptimalControlProblem:
-    """minimize Σ ∫ cost dt + terminal cost, subject to ẋ = f(x, u) and constraints, over ``horizon`` seconds.
+    """minimize Σ ∫ cost dt + terminal cost, subject to ẋ = f(x, u) and constraints, over ``horizon`` [s].
 
     ``dynamics``: the system, ẋ = f(x, u) with x (nx), u (nu); ``terms``: costs and constraints by name, in the order in which they were added.
 

@@ -54,7 +54,7 @@ class Reference:
 
     @classmethod
     def constant(cls, value: ArrayLike) -> Reference:
-        """One value for all times."""
+        """One ``value`` (width,) for all times."""
         return cls(np.zeros(1), np.atleast_2d(real_numbers("reference", value)))
 
     @classmethod

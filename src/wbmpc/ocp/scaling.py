@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 #: Half range [rad] of a continuous joint; largest speed [rad/s] of one without a limit.
 _TURNS, _FAST = np.pi, 2.0
+#: Numbers of a pose, and of one in the plane.
+_POSE, _BASE = 6, 3
 #: Random postures of the arm whose spread is its reach.
 _POSTURES = 400
 
@@ -32,13 +34,20 @@ def scaled_weights(
     robot: RobotModel, end_effector: float = 4000.0, input: float = 0.4, posture: float = 0.5
 ) -> ScaledWeights:
     """Position ``end_effector`` [1/m²] and orientation that times (reach / 4)²; every input ``input`` over the square of its limit; every
-    arm joint ``posture`` over the square of half its range."""
+    arm joint ``posture`` over the square of half its range, times :func:`free_share`."""
     limits, arm = robot.limits, robot.state["arm"]
     effector = end_effector * np.array([1.0] * 3 + [(reach(robot) / 4.0) ** 2] * 3)
     half = np.minimum(0.5 * (limits.state_upper[arm] - limits.state_lower[arm]), _TURNS)
     maximum = np.where(np.isfinite(limits.input_upper), limits.input_upper, _FAST)
     rates = {group: list(input / maximum[robot.input[group]] ** 2) for group in robot.input.groups}
-    return ScaledWeights(effector, posture / half**2, rates)
+    return ScaledWeights(effector, free_share(robot) * posture / half**2, rates)
+
+
+def free_share(robot: RobotModel) -> float:
+    """How much of a posture can be kept while the end effector follows poses: all of it by a robot with as many joints more than a pose
+    has numbers as a base in the plane, none without any more: its posture would pull against every pose but home's."""
+    base = _BASE if robot.description.base.moves else 0
+    return float(np.clip((len(robot.state.groups["arm"]) + base - _POSE) / _BASE, 0.0, 1.0))
 
 
 def reach(robot: RobotModel) -> float:

@@ -30,7 +30,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class ModeSchedule:
-    """``modes[i]`` holds from ``events[i - 1]`` up to (not including) ``events[i]`` [s, absolute time]."""
+    """``modes[i]`` holds from ``events[i - 1]`` up to (not including) ``events[i]``; ``events`` [s] are absolute times."""
 
     modes: tuple[Mode, ...]
     events: tuple[float, ...] = ()

@@ -101,8 +101,11 @@ def hint(plot: Plot) -> str:
 
 def _further(outside: Sequence[float], label: str) -> str:
     unit = label.rpartition("[")[2].rstrip("]") if "[" in label else ""
-    nearest = min(map(abs, outside))
-    return f" ({nearest:.4g} {unit}".rstrip() + " and further are outside of the picture: a double click shows them)"
+    both = min(outside) < 0.0 < max(outside)
+    nearest = f" ({abs(min(outside, key=abs)) if both else min(outside, key=abs):.4g} {unit}".rstrip()
+    if len(outside) == 1:
+        return f"{nearest} is outside of the picture: a double click shows it)"
+    return f"{nearest} and further are outside of the picture: a double click shows them)"
 
 
 def _finite(limits: tuple[float, float] | None) -> list[float]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from wbmpc.plots.figures import hint, plotly_figure
 from wbmpc.plots.series import Plot, Series
+from wbmpc.units import by_unit, with_unit
 
 #: Height of a plot in a figure [pixels].
 _HEIGHT = 260
@@ -24,27 +25,19 @@ def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object
     return f"<div><b>{html.escape(title)}</b><table>{head}{''.join(line('td', row) for row in rows)}</table></div>"
 
 
-def trajectories(
-    times: np.ndarray, x: np.ndarray, u: np.ndarray, names: tuple[Sequence[str], Sequence[str]]
-) -> list[Plot]:
-    """States (N + 1, nx) and inputs (N, nu), held over each interval, at ``times`` (N + 1,) [s]; ``names`` of both."""
-    held = np.repeat(times, 2)[1:-1]
-    return [
-        Plot("States", "time [s]", "state [SI]", [Series(n, times, row) for n, row in zip(names[0], x.T, strict=True)]),
-        Plot(
-            "Inputs",
-            "time [s]",
-            "input [SI]",
-            [Series(n, held, np.repeat(row, 2)) for n, row in zip(names[1], u.T, strict=True)],
-        ),
-    ]
+def trajectories(times: np.ndarray, x: np.ndarray, u: np.ndarray, dynamics: Any = None) -> list[Plot]:
+    """States (N + 1, nx) and inputs (N, nu), held over each interval, at ``times`` (N + 1,) [s]: a plot for each unit.
 
-
-def names_of(dynamics: Any, nx: int, nu: int) -> tuple[Sequence[str], Sequence[str]]:
-    """Names of states and inputs: those of ``dynamics``, numbered ones for None."""
-    if dynamics is None:
-        return [f"x[{i}]" for i in range(nx)], [f"u[{i}]" for i in range(nu)]
-    return dynamics.state.names, dynamics.input.names
+    Names and units are those of ``dynamics``; numbers for None.
+    """
+    held, plots = np.repeat(times, 2)[1:-1], []
+    for what, symbol, t, rows in (("state", "x", times, x.T), ("input", "u", held, np.repeat(u, 2, axis=0).T)):
+        layout = None if dynamics is None else getattr(dynamics, what)
+        names = [f"{symbol}[{i}]" for i in range(len(rows))] if layout is None else layout.names
+        for unit, places in by_unit([""] * len(rows) if layout is None else layout.units).items():
+            lines = [Series(names[i], t, rows[i]) for i in places]
+            plots.append(Plot(f"{what.capitalize()}s", "time [s]", with_unit(what, unit), lines))
+    return plots
 
 
 def figure(plots: Sequence[Plot]) -> Any:

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from wbmpc.errors import InputError
+from wbmpc.recording.quantities import Columns
 from wbmpc.recording.reader import Recording
 from wbmpc.robots.frames import BASE, MAP
+from wbmpc.units import with_unit
 
 #: Share of the width that the robot has [%].
 _PICTURE = 60
@@ -79,11 +81,16 @@ def _plots(recording: Recording) -> list[dict[str, Any]]:
     states_topic = topics.get("/joint_states")
     known = states_topic is not None and states_topic.kind == "sensor_msgs/JointState"
     joints = list(states_topic.last()["name"]) if known and states_topic else []
-    states = lambda part: [(f"/joint_states.{part}[{i}]", name) for i, name in enumerate(joints)]
+    units = Columns(recording)
+    by_unit: dict[str, list[tuple[str, str]]] = {}
+    for part, title in (("velocity", "Joint speeds"), ("effort", "Drives")):
+        for i, name in enumerate(joints):
+            titled_so = with_unit(title, units.unit("/joint_states", f"{part}.{name}", len(joints)))
+            by_unit.setdefault(titled_so, []).append((f"/joint_states.{part}[{i}]", name))
     forces = [(f"{t}.wrench.force.z", t.removeprefix("/contact/")) for t in topics if t.startswith("/contact/")]
     titled = {
-        "End effector and reference [m]": hands, "Solve time and period [s]": solve, "Joint speeds [rad/s]": states("velocity"),
-        "Drives [N m]": states("effort"), "Vertical contact forces [N]": forces,
+        "End effector and reference [m]": hands, "Solve time and period [s]": solve, **by_unit,
+        "Vertical contact forces [N]": forces,
     }  # fmt: skip
     return [_plot(title, lines) for title, lines in titled.items() if lines]
 

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.recording.quantities import column_unit, entry_name, joint_groups
+from wbmpc.recording.quantities import Columns
 from wbmpc.recording.reader import Recording
 from wbmpc.result import Plot, Series
+from wbmpc.units import with_unit
 
 #: What is measured in a unit, for labels.
 _QUANTITIES = {
@@ -22,7 +23,7 @@ def overview(recording: Recording) -> list[Plot]:
     drawn = [
         _end_effector_path(recording),
         _end_effector_error(recording),
-        _joint_speeds(recording),
+        *_joint_speeds(recording),
         _solve_times(recording),
     ]
     plots = [p for p in drawn if p is not None]
@@ -44,28 +45,22 @@ def _under(recording: Recording, prefix: str) -> list[str]:
 
 
 def _columns(recording: Recording, topic: str, title: str) -> list[Plot]:
-    table, kind = recording.table(topic), recording.topics[topic].kind
+    table = recording.table(topic)
     columns = {n: c for n, c in table.columns.items() if c.dtype.kind == "f"}
     if not columns:
         raise InputError(f"{recording.path}: topic '{topic}' holds no numbers to plot")
-    joints, by_unit = joint_groups(recording.settings), {}  # type: dict[str, tuple[str, ...]], dict[str, list[Series]]
+    about, found = Columns(recording), dict[str, list[Series]]()
     for name, column in columns.items():
-        shown = (
-            name.partition(".")[2]
-            if kind == "sensor_msgs/JointState"
-            else entry_name(topic, name, len(columns), joints)
-        )
-        line = Series(shown, table.times, column)
-        by_unit.setdefault(column_unit(topic, kind, name), []).append(line)
-    several = len(by_unit) > 1
+        line = Series(about.name(topic, name, len(columns)), table.times, column)
+        found.setdefault(about.unit(topic, name, len(columns)), []).append(line)
     return [
-        Plot(f"{title}, {unit}" if several else title, "time [s]", _label(topic, unit), lines)
-        for unit, lines in by_unit.items()
+        Plot(f"{title}, {unit}" if unit and len(found) > 1 else title, "time [s]", _label(topic, unit), lines)
+        for unit, lines in found.items()
     ]
 
 
 def _label(topic: str, unit: str) -> str:
-    return f"{_QUANTITIES.get(unit, topic.rpartition('/')[2].replace('_', ' '))} [{unit}]"
+    return with_unit(_QUANTITIES.get(unit, topic.rpartition("/")[2].replace("_", " ")), unit)
 
 
 def positions(recording: Recording, topic: str) -> tuple[np.ndarray, np.ndarray] | None:
@@ -104,12 +99,15 @@ def _end_effector_error(recording: Recording) -> Plot | None:
     )
 
 
-def _joint_speeds(recording: Recording) -> Plot | None:
+def _joint_speeds(recording: Recording) -> list[Plot]:
     if "/joint_states" not in recording.topics:
-        return None
-    table = recording.table("/joint_states")
-    lines = [Series(n[9:], table.times, c) for n, c in table.columns.items() if n.startswith("velocity.")]
-    return Plot("Joint speeds", "time [s]", "speed [rad/s]", lines)
+        return []
+    table, about, found = recording.table("/joint_states"), Columns(recording), dict[str, list[Series]]()
+    for name, column in table.columns.items():
+        if name.startswith("velocity."):
+            unit = about.unit("/joint_states", name, len(table.columns))
+            found.setdefault(unit, []).append(Series(name[9:], table.times, column))
+    return [Plot("Joint speeds", "time [s]", with_unit("speed", unit), lines) for unit, lines in found.items()]
 
 
 def _solve_times(recording: Recording) -> Plot | None:

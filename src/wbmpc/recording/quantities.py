@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from wbmpc.errors import InputError
 from wbmpc.robots import load_description
+from wbmpc.units import force_unit, rate_unit
 
+if TYPE_CHECKING:
+    from wbmpc.recording.reader import Recording
+
+#: Record of a recording's metadata: units of the positions of joints by their name.
+JOINT_UNITS = "joint_units"
+#: Parts of JointState: how their units follow from that of the joint's position.
+_JOINT_PARTS: dict[str, Callable[[str], str]] = {"position": str, "velocity": rate_unit, "effort": force_unit}
 #: Units of columns by the end of their name, by message type.
 _FIELDS = {
-    "sensor_msgs/JointState": (("position", "rad"), ("velocity", "rad/s"), ("effort", "N m")),
     "geometry_msgs/WrenchStamped": (("wrench.force", "N"), ("wrench.torque", "N m")),
     "nav_msgs/Odometry": (("twist.twist.linear", "m/s"), ("twist.twist.angular", "rad/s")),
 }
@@ -19,37 +26,71 @@ _FIELDS = {
 _POSES = ((r"(position|translation)\.[xyz]$", "m"), (r"(orientation|rotation)\.[xyzw]$", "1"))
 #: Of arrays and numbers by topic; the first that fits is taken.
 _TOPICS = (
-    (r"/mpc/(solve_time|period)$", "s"), (r"/mpc/clearance$", "m"), (r"/mpc/", "1"), (r"/command/torque$", "N m"),
-    (r"/command/position$", "rad"), (r"/command/stiffness$", "N m/rad"), (r"/command/damping$", "N m s/rad"),
-    (r"/command/(arm|wheel|steer|leg|speed)$", "rad/s"), (r"/measured/(arm|wheel|steer|leg)$", "rad"), (r"/gyro$", "rad/s"),
-    (r"/accel$", "m/s²"), (r"/force$", "N"), (r"/brake$", "1"),
+    (r"/mpc/(solve_time|period)$", "s"), (r"/mpc/clearance$", "m"), (r"/mpc/", "1"), (r"/gyro$", "rad/s"), (r"/accel$", "m/s²"),
+    (r"/force$", "N"), (r"/brake$", "1"),
+)  # fmt: skip
+#: Of arrays of joints by topic: how their units follow from that of the joint's position; the first that fits is taken.
+_JOINT_TOPICS: tuple[tuple[str, Callable[[str], str]], ...] = (
+    (r"/command/torque$", force_unit), (r"/(command/position|measured/(arm|wheel|steer|leg))$", str),
+    (r"/command/stiffness$", lambda unit: f"{force_unit(unit)}/{unit}" if force_unit(unit) else ""),
+    (r"/command/damping$", lambda unit: f"{force_unit(unit)} s/{unit}" if force_unit(unit) else ""),
+    (r"/command/(arm|wheel|steer|leg|speed)$", rate_unit),
 )  # fmt: skip
 #: Of a log's channels; the first that fits is taken.
 _CHANNELS = (
-    (r"orientation|rotation|yaw|tilt", "rad"), (r"joint_speed|wheel_speed|gyro", "rad/s"), (r"torque|drive_force", "N m"), (r"force", "N"),
-    (r"slip|twist|velocity", "m/s"), (r"^base", "m, yaw: rad"), (r"^(hand|end_effector|error|ball)", "m"), (r"brake", "1"),
+    (r"quaternion|brake", "1"), (r"orientation|rotation|yaw|tilt", "rad"), (r"gyro", "rad/s"), (r"torque", "N m"), (r"^force", "N"),
+    (r"wheel_slip$", "m/s"), (r"^(hand|end_effector)", "m"),
 )  # fmt: skip
 #: What the entries of arrays are called whatever the robot.
 _AXES = {"gyro": ("x", "y", "z"), "accel": ("x", "y", "z"), "force": ("x", "y", "z")}
 
 
-def column_unit(topic: str, kind: str, column: str) -> str:
-    """The unit of a topic's column, of a message type ``kind``; "SI" where it is not known which."""
+class Columns:
+    """Names and units of what a recording's topics hold; "" for a unit that is not known."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._topics, self._groups = recording.topics, joint_groups(recording.settings)
+        self._units: Mapping[str, str] = recording.metadata.get(JOINT_UNITS, {})
+        #: Unit of what turns or slides without being a joint of the simulated world: known where nothing slides.
+        self._other = "rad" if set(self._units.values()) == {"rad"} else ""
+
+    def name(self, topic: str, column: str, count: int) -> str:
+        """What a ``column`` of a topic with ``count`` numbers is called."""
+        if self._topics[topic].kind == "sensor_msgs/JointState":
+            return column.partition(".")[2]
+        return entry_name(topic, column, count, self._groups)
+
+    def unit(self, topic: str, column: str, count: int) -> str:
+        """The unit of a ``column`` of a topic with ``count`` numbers."""
+        kind = self._topics[topic].kind
+        position = self._units.get(self.name(topic, column, count), self._other)
+        return column_unit(topic, kind, column, position)
+
+
+def column_unit(topic: str, kind: str, column: str, position: str = "") -> str:
+    """The unit of a topic's column, of a message type ``kind``; "" where it is not known which.
+
+    ``position``: the unit of the position of the joint that the column is of.
+    """
+    part = column.partition(".")[0]
+    if kind == "sensor_msgs/JointState" and part in _JOINT_PARTS:
+        return _JOINT_PARTS[part](position)
     for field, unit in _FIELDS.get(kind, ()):
         if column.startswith(field):
             return unit
     for pattern, unit in _POSES:
         if re.search(pattern, column):
             return unit
-    return next((unit for pattern, unit in _TOPICS if re.search(pattern, topic)), "SI")
+    for pattern, derived in _JOINT_TOPICS:
+        if re.search(pattern, topic):
+            return derived(position)
+    return next((unit for pattern, unit in _TOPICS if re.search(pattern, topic)), "")
 
 
 def channel_unit(channel: str) -> str:
-    """The unit of a log's channel, or of a topic; "SI" where it is not known which."""
-    if "/" in channel:
-        return next((unit for pattern, unit in _TOPICS if re.search(pattern, f"/{channel.strip('/')}")), "SI")
+    """The unit of a log's channel whose components have none of their own; "" where it is not known which."""
     last = channel.split(".")[-1]
-    return next((unit for pattern, unit in _CHANNELS if re.search(pattern, last)), "SI")
+    return next((unit for pattern, unit in _CHANNELS if re.search(pattern, last)), "")
 
 
 def joint_groups(settings: Any) -> dict[str, tuple[str, ...]]:

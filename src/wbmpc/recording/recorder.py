@@ -20,12 +20,13 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.plots.motion import Motion, picture_points
 from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
+from wbmpc.recording.quantities import JOINT_UNITS
 from wbmpc.recording.template import Template
 from wbmpc.recording.writer import LIMIT, McapFile, stamp
 from wbmpc.robots.frames import MAP, ODOM, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.simulation.lockstep import Ending, Running
-from wbmpc.simulation.scene import Scene
+from wbmpc.simulation.scene import Scene, joint_units
 
 _LOG = logging.getLogger(__name__)
 #: Rates [Hz] at which states, links and plans are written (at most the controller's).
@@ -94,6 +95,7 @@ class Recorder:
         self.file = McapFile(self.path, self.limit)
         for name, table in self.about.items():
             self.file.metadata(name, table)
+        self.file.metadata(JOINT_UNITS, joint_units(running.plant.model))
         self._scene, self._scenes = None, 0
         self._begin_loop(scene)
         self._put("/robot_description", "std_msgs/String", {"data": to_urdf(running.plant.description)}, latched=True)

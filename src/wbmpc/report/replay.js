@@ -56,16 +56,18 @@
     gl.linkProgram(made);
     return new Proxy(made, { get: (p, name) => name === "it" ? p : gl.getUniformLocation(p, name) });
   };
-  const solid = program(`layout(location=0) in vec3 p; layout(location=1) in vec3 n; uniform mat4 view; uniform vec4 q; uniform vec3 o; out vec3 normal;
+  const makeSolid = () => program(`layout(location=0) in vec3 p; layout(location=1) in vec3 n; uniform mat4 view; uniform vec4 q; uniform vec3 o; out vec3 normal;
     vec3 turn(vec3 v) { return v + 2.0 * cross(q.yzw, cross(q.yzw, v) + q.x * v); }
     void main() { normal = turn(n); gl_Position = view * vec4(turn(p) + o, 1.0); }`,
   `in vec3 normal; uniform vec4 color; out vec4 ink; void main() { vec3 n = normalize(normal) * (gl_FrontFacing ? 1.0 : -1.0);
     float light = 0.78 + 0.14 * n.z + 0.36 * max(dot(n, normalize(vec3(0.4, -0.6, 1.0))), 0.0); ink = vec4(color.rgb * light * color.a, color.a); }`);
-  const ribbon = program(`layout(location=0) in vec3 a; layout(location=1) in vec3 b; layout(location=2) in vec2 s; uniform mat4 view; uniform vec2 size;
+  const makeRibbon = () => program(`layout(location=0) in vec3 a; layout(location=1) in vec3 b; layout(location=2) in vec2 s; uniform mat4 view; uniform vec2 size;
     uniform float width; void main() { vec4 A = view * vec4(a, 1.0), B = view * vec4(b, 1.0); vec2 d = (B.xy / B.w - A.xy / A.w) * size;
     d = length(d) > 1e-6 ? normalize(d) : vec2(1.0, 0.0); vec4 c = mix(A, B, s.x); c.xy += vec2(-d.y, d.x) * s.y * width / size * c.w;
     gl_Position = A.w > 0.0 && B.w > 0.0 ? c : vec4(2.0, 2.0, 2.0, 1.0); }`,
   "uniform vec4 color; out vec4 ink; void main() { ink = vec4(color.rgb * color.a, color.a); }");
+
+  let solid = makeSolid(), ribbon = makeRibbon();
 
   const buffer = (numbers, sizes) => {
     const array = gl.createVertexArray(), stride = 4 * sizes.reduce((x, y) => x + y), held = gl.createBuffer();
@@ -90,7 +92,7 @@
     const all = i => path([...part.at.keys()].map(k => place(k, i)));
     part.trail = lines(all(0)); part.goal = lines(all(1));
     const near = part.bodies.map(b => Math.hypot(...[0, 1, 2].map(i => b[i] - part.bodies[part.robot][i]))).filter(d => d < 2.5);
-    part.distance = 0.9 + 1.9 * Math.max(...near);
+    part.distance = 0.9 + 2.3 * Math.max(...near);
     part.height = 0.45 * Math.max(0.5, ...part.bodies.filter((b, i) => Math.hypot(b[0] - part.bodies[part.robot][0], b[1] - part.bodies[part.robot][1]) < 2.5).map(b => b[2]));
     const reach = Math.ceil(part.half) + 4, [x, y] = part.middle.map(Math.round), grid = [];
     const step = Math.max(1, Math.ceil(reach / 30));
@@ -176,6 +178,13 @@
   canvas.addEventListener("keydown", event => { if (event.key === " ") { event.preventDefault(); button.click() } });
   document.addEventListener("replay-seek", event => { play(false); show(event.detail) });
   new ResizeObserver(redraw).observe(canvas);
+  // browsers take contexts away (too many pictures on a page, a driver that restarts): what they held is made anew
+  canvas.addEventListener("webglcontextlost", event => event.preventDefault());
+  canvas.addEventListener("webglcontextrestored", () => {
+    solid = makeSolid(); ribbon = makeRibbon();
+    for (const p of parts) delete p.at;
+    prepared(part); redraw();
+  });
   for (const { name } of parts) find(".part").add(new Option(name || "run"));
   find(".part").hidden = parts.length < 2;
   choose(0);

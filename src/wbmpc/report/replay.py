@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,18 +26,36 @@ def replay(motion: Motion | None) -> str:
     parts = [] if motion is None else [part for part in motion.parts if len(part.times) > 1]
     if not parts:
         return ""
+    return f"""<h2 id="replay">Replay</h2>{_player(parts, _LEGEND + " A click on a plot goes to its time.")}
+<script>addEventListener("load", () => {{ {beside("replay.js")} }})</script>"""
+
+
+def inline(motion: Motion) -> str:
+    """The same as a page of its own without anything else, for a frame inside another page. One picture stands still, without a bar."""
+    parts = [part for part in motion.parts if part.times]
+    plays = any(len(part.times) > 1 for part in parts)
+    still = "" if plays else ".replay .bar { display: none }"
+    predicted = any(np.isfinite(points[2:]).any() for part in parts for points in part.points)
+    return f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>Robot</title><style>{beside("page.css")}
+body {{ background: none }} .replay canvas {{ height: calc(100vh - {100 if plays else 40}px) }} {still}</style>
+{_player(parts, _LEGEND if predicted else "Drag to turn.")}<script>{beside("replay.js")}</script></html>"""
+
+
+_LEGEND = """<span class="trail">■</span> end effector <span class="goal">■</span> its reference <span class="plan">■</span> predicted
+<span class="base">■</span> predicted base. Drag to turn."""
+
+
+def _player(parts: Sequence[Part], hint: str) -> str:
     data = json.dumps([_part(part) for part in parts], separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    return f"""<h2 id="replay">Replay</h2><div class="card replay">
+    return f"""<div class="card replay">
 <canvas tabindex="0" aria-label="The robot"></canvas>
 <div class="bar"><button type="button" class="play">Play</button><input type="range" aria-label="Time" min="0" value="0" step="any">
 <output></output><select class="speed" aria-label="Speed"><option value="0.25">¼ ×</option><option value="0.5">½ ×</option>
 <option value="1" selected>1 ×</option><option value="2">2 ×</option><option value="5">5 ×</option></select>
 <select class="part" aria-label="Part" hidden></select><button type="button" class="out" aria-label="Farther">−</button>
 <button type="button" class="in" aria-label="Nearer">+</button><label><input type="checkbox" class="follow" checked> follow</label></div>
-<p class="hint"><span class="trail">■</span> end effector <span class="goal">■</span> its reference <span class="plan">■</span> predicted
-<span class="base">■</span> predicted base. Drag to turn. A click on a plot goes to its time.</p>
-<script type="application/json" class="data">{data}</script></div>
-<script>addEventListener("load", () => {{ {beside("replay.js")} }})</script>"""
+<p class="hint">{hint}</p>
+<script type="application/json" class="data">{data}</script></div>"""
 
 
 def _part(part: Part) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.robots.actuation import number
+from wbmpc.robots.mesh_points import mesh_points
 from wbmpc.robots.model_file import ModelFile, file_of
 
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
     """Raise :class:`InputError` naming both figures where the shapes of a wheel, or of a body that is a ball, have another
     radius than the description.
 
-    A wheel without round shapes about its axis, of meshes that are not loaded, or of several bodies (whose tire may be another
-    one) cannot be checked.
+    A wheel without round shapes about its axis, of meshes that cannot be read (see :func:`wbmpc.robots.mesh_points.mesh_points`), or of
+    several bodies (whose tire may be another one) cannot be checked.
     """
     for radius in description.base.radii():
         if radius.sphere:
@@ -47,7 +48,7 @@ def drawn_radius(description: RobotDescription, model: mujoco.MjModel, wheel: st
 
 def radius_of(file: ModelFile, model: mujoco.MjModel, wheel: str) -> float | None:
     """The same of a file that is read and compiled."""
-    return _of_model(model, wheel) if file.root is None else _of_urdf(file.root, wheel)
+    return _of_model(model, wheel) if file.root is None else _of_urdf(file, file.root, wheel)
 
 
 def _compare(description: RobotDescription, radius: Radius, drawn: float | None) -> None:
@@ -96,8 +97,8 @@ def _along(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 # ---------------------------------------------------------------------- URDF, whose shapes MuJoCo is not given
-def _of_urdf(root: ElementTree.Element, joint: str) -> float | None:
-    """The same of a URDF's own text; None where the wheel has a mesh, whose size the text does not say."""
+def _of_urdf(file: ModelFile, root: ElementTree.Element, joint: str) -> float | None:
+    """The same of a URDF's own text and its mesh files; None where one of the wheel's cannot be read."""
     element = next((j for j in root.iter("joint") if j.get("name") == joint), None)
     child = None if element is None else element.find("child")
     link = next((k for k in root.iter("link") if child is not None and k.get("name") == child.get("link")), None)
@@ -112,15 +113,20 @@ def _of_urdf(root: ElementTree.Element, joint: str) -> float | None:
     for shape in [*link.findall("collision"), *link.findall("visual")]:
         geometry = shape.find("geometry")
         kinds = [] if geometry is None else list(geometry)
-        if any(kind.tag == "mesh" for kind in kinds):
-            return None
         origin = shape.find("origin")
         roll, pitch, yaw = _vector(origin, "rpy", (0.0, 0.0, 0.0))
-        beside = np.linalg.norm(np.cross(_vector(origin, "xyz", (0.0, 0.0, 0.0)), axis))
-        along = lie.euler_zyx_to_rotation(yaw, pitch, roll)[:, 2]
+        center, turned = _vector(origin, "xyz", (0.0, 0.0, 0.0)), lie.euler_zyx_to_rotation(yaw, pitch, roll)
+        beside = np.linalg.norm(np.cross(center, axis))
         for kind in kinds:
+            if kind.tag == "mesh":
+                at = file.locate(kind.get("filename", ""))
+                points = None if at is None else mesh_points(at)
+                if points is None:
+                    return None
+                placed = (points * _vector(kind, "scale", (1.0, 1.0, 1.0))) @ turned.T + center
+                found.append(float(np.linalg.norm(np.cross(placed, axis), axis=1).max()))
             radius = number(kind.get("radius"))
-            if kind.tag == "cylinder" and not _along(along, axis):
+            if kind.tag == "cylinder" and not _along(turned[:, 2], axis):
                 continue
             if kind.tag in ("cylinder", "sphere") and radius is not None and beside <= BESIDE * radius:
                 found.append(radius)

@@ -34,7 +34,7 @@ from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain
 from wbmpc.ros2.dds_listener import Take, Watch, silence
 from wbmpc.ros2.dds_qos import POLICIES, dds_qos, ros_qos, ros_type
-from wbmpc.ros2.dds_source import DdsWriter, FilteredTopic, matched
+from wbmpc.ros2.dds_source import GRAPH_LOCK, FilteredTopic, cannot_talk, matched
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
@@ -49,8 +49,9 @@ _HEADER = {"client": idl_types.uint64, "number": idl_types.int64}
 _HEADER_SIZE = 16
 #: A node announces its endpoints when it has made them; in this time [s] that has come.
 _ANNOUNCED = 1.0
-#: The package reads the QoS of endpoints through buffers that all threads of the process share.
-_GRAPH_LOCK = threading.Lock()
+#: What the user data of a service's endpoints begin with, at its client and at its server.
+_CLIENT, _SERVER = "clientid=", "serviceid="
+_FOREIGN = "is of another RMW than rmw_cyclonedds, whose services are others"
 #: Nodes that are open. A reader that Python collects lives on in DDS, which then calls a listener that is gone: the
 #: package takes the weak reference, which is dead by then, for a sign that the reader was deleted already.
 _OPEN: set[DdsNode] = set()
@@ -126,7 +127,7 @@ class DdsNode:
         def take(reader: DataReader) -> None:
             with self._lock:  # taking too: another thread may bring what came later
                 for data, handle in self._small(name, reader, largest):
-                    source = DdsWriter(handle, reader, filtered) if filtered is not None else None
+                    source = filtered.writer(reader, handle) if filtered is not None else None
                     if deferred:
                         self._deferred.put(name, call, (data, source), len(data))
                     else:
@@ -158,10 +159,10 @@ class DdsNode:
         self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False,
         rejected: Callable[[str], Mapping[str, Any]] = nothing,
     ) -> None:  # fmt: skip
-        """Answer a service. It is seen by peers of rmw_cyclonedds, not by those of Fast DDS."""
+        """Answer a service to clients of rmw_cyclonedds. Those of Fast DDS see it and get no answer, which the log says."""
         name = full_name(service)
         request_type, response_type = request(kind), response(kind)
-        mark = f"serviceid={_identity()};"
+        mark = f"{_SERVER}{_identity()};"
         replies = self._topic(f"rr{name}Reply", response_type, _HEADER)
         writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
 
@@ -189,10 +190,14 @@ class DdsNode:
                     with self._lock:
                         reply(asked)
 
+        def judge(reader: DataReader) -> None:
+            if cannot_talk(reader, _CLIENT):
+                self._limit.log(_LOG, logging.WARNING, name, f"{name}: who asks {_FOREIGN}: it gets no answer")
+
         self._own(self._writers, writer)
-        self._read(
-            self._topic(f"rq{name}Request", request_type, _HEADER), self._qos(DEFAULT, request_type, mark), take, None
-        )
+        requests = self._topic(f"rq{name}Request", request_type, _HEADER)
+        come = lambda reader: self._deferred.put(f"clients of {name}", judge, reader)
+        self._read(requests, self._qos(DEFAULT, request_type, mark), take, None, come=come)
 
     def call(self, service: str, kind: str, values: Mapping[str, Any], timeout: float = 5.0) -> Any:
         """Ask a service and wait for its answer [s]. Raises :class:`RunAborted` if none comes, :class:`InputError` in a callback
@@ -200,7 +205,7 @@ class DdsNode:
         name = full_name(service)
         LOCAL.check_waits(f"calls {name}")
         request_type, response_type = request(kind), response(kind)
-        mark = f"clientid={_identity()};"
+        mark = f"{_CLIENT}{_identity()};"
         requests, replies = (
             self._topic(f"rq{name}Request", request_type, _HEADER),
             self._topic(f"rr{name}Reply", response_type, _HEADER),
@@ -213,8 +218,8 @@ class DdsNode:
         body = self.types.encode(request_type, values)
         end = time.monotonic() + timeout
         try:
-            while not (matched(writer) and matched(reader)):
-                _wait(end, f"{name}: no server")
+            while not (matched(writer) and matched(reader)) or cannot_talk(writer, _SERVER):
+                _wait(end, f"{name}: its server {_FOREIGN}" if matched(writer) else f"{name}: no server")
             write(writer, body[:4] + head + body[4:], self._where(requests), self, threading.RLock())
             while True:
                 for data, _ in _taken(reader):
@@ -262,7 +267,7 @@ class DdsNode:
 
     def _endpoints(self, side: int, topic: str) -> list[Endpoint]:
         target, found = f"rt{full_name(topic)}", []
-        with _GRAPH_LOCK:  # callbacks do not wait for it
+        with GRAPH_LOCK:  # callbacks do not wait for it
             known = self._known[side]
             # changes only: the whole graph of a robot takes milliseconds, in which no other thread of Python's runs
             for s in self._graph[side].take(N=4096):
@@ -309,10 +314,12 @@ class DdsNode:
         return self.network.domain, topic.name
 
     def _read(
-        self, topic: Any, qos: DdsQos, take: Take, of: DdsNode | None, mismatch: Callable[[int], None] | None = None
-    ) -> DataReader:
-        """A reader that calls ``take``; ``of``: the node that it does not hear, None for a service. The package calls listeners
-        before the reader is complete, with None for a reader: what came then is taken as soon as it is."""
+        self, topic: Any, qos: DdsQos, take: Take, of: DdsNode | None, mismatch: Callable[[int], None] | None = None,
+        come: Take | None = None,
+    ) -> DataReader:  # fmt: skip
+        """A reader that calls ``take``, and ``come`` when it has another peer; ``of``: the node that it does not hear, None for a
+        service. The package calls listeners before the reader is complete, with None for a reader: what came then is taken as
+        soon as it is."""
         complete: list[DataReader] = []
         where = self._where(topic)
 
@@ -321,12 +328,17 @@ class DdsNode:
                 with LOCAL.callback(where, of):
                     take(complete[0])
 
+        def peers(_: DataReader | None) -> None:
+            if complete and come is not None:
+                come(complete[0])
+
         unregister = LOCAL.add(where, of)
-        reader = DataReader(self._participant, topic, qos=qos, listener=Watch(mismatch, call))
+        reader = DataReader(self._participant, topic, qos=qos, listener=Watch(mismatch, call, peers if come else None))
         self._unregister[reader] = unregister
         complete.append(reader)
         self._own(self._readers, reader)
         take(reader)
+        peers(reader)
         return reader
 
     def _end(self, reader: DataReader) -> None:

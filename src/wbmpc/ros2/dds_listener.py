@@ -12,10 +12,15 @@ Take = Callable[[DataReader], None]
 
 
 class Watch(Listener):  # type: ignore[misc]
-    """``take`` for new data; ``mismatch`` with the number of the policy in which two endpoints do not agree."""
+    """``take`` for new data; ``mismatch`` with the number of the policy in which two endpoints do not agree; ``come`` when a
+    reader has one more writer, or one less."""
 
-    def __init__(self, mismatch: Callable[[int], None] | None, take: Take | None = None) -> None:
+    def __init__(
+        self, mismatch: Callable[[int], None] | None, take: Take | None = None, come: Take | None = None
+    ) -> None:
         super().__init__()
+        if come is not None:
+            self.set_on_subscription_matched(lambda reader, _: come(reader))
         if take is not None:
             self.set_on_data_available(take)
         if mismatch is not None:

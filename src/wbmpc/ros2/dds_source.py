@@ -7,11 +7,13 @@ history and does not wake Python. It is a filter of the topic by the sample's de
 from __future__ import annotations
 
 import ctypes
+import threading
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-from cyclonedds.core import DDSException
+from cyclonedds.core import DDSException, Policy
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.internal import load_cyclonedds
 from cyclonedds.pub import DataWriter
@@ -53,6 +55,8 @@ no:
 }}
 """
 
+#: The package reads the QoS of endpoints through buffers that all threads of the process share.
+GRAPH_LOCK = threading.Lock()
 #: So many writers of a topic are looked through.
 _MATCHED = 1000
 # the package asks for the count, then for as many, and fails where another one has come in between
@@ -60,6 +64,12 @@ _peers = {
     DataReader: load_cyclonedds().dds_get_matched_publications,
     DataWriter: load_cyclonedds().dds_get_matched_subscriptions,
 }
+#: A description of a writer (dds_builtintopic_endpoint_t) begins with its GUID, of so many bytes.
+_GUID = 16
+_look = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_int32, ctypes.c_uint64)(
+    ("dds_get_matched_publication_data", load_cyclonedds())
+)
+_free = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(("dds_builtintopic_free_endpoint", load_cyclonedds()))
 
 
 def matched(entity: DataReader | DataWriter) -> list[int]:
@@ -67,6 +77,21 @@ def matched(entity: DataReader | DataWriter) -> list[int]:
     found = (ctypes.c_uint64 * _MATCHED)()
     count = _peers[type(entity)](ctypes.c_int32(entity._ref), found, ctypes.c_size_t(_MATCHED))
     return list(found[: min(max(count, 0), _MATCHED)])  # below 0: the entity is gone itself
+
+
+def cannot_talk(entity: DataReader | DataWriter, mark: str) -> bool:
+    """Whether a service's reader or writer has peers, but none with ``mark`` in its user data. rmw_cyclonedds writes who asks into the
+    message, and its endpoints have a mark; Fast DDS has that in the inline QoS of RTPS, which Cyclone DDS neither writes nor shows."""
+    look = (
+        entity.get_matched_publication_data if isinstance(entity, DataReader) else entity.get_matched_subscription_data
+    )
+    marks = []
+    for handle in matched(entity):
+        with suppress(DDSException), GRAPH_LOCK:  # who has gone meanwhile counts for nothing
+            peer = look(handle)
+            if peer is not None:
+                marks.append(mark.encode() in (peer.qos[Policy.Userdata].data if Policy.Userdata in peer.qos else b""))
+    return bool(marks) and not any(marks)
 
 
 class _Filter(ctypes.Structure):
@@ -85,34 +110,61 @@ def _code() -> tuple[Any, int]:
 
 
 class FilteredTopic:
-    """A topic for one reader, whose messages all pass until :meth:`prefer`. Keep it as long as the participant."""
+    """A topic for one reader, whose messages all pass until :meth:`prefer`. Keep it as long as the participant.
+
+    Writers are known by their GUIDs: one whose lease ended, and who is heard again, has the same one under another handle."""
 
     def __init__(self, participant: DomainParticipant, like: Topic) -> None:
         self.topic = Topic(participant, like.name, like.data_type)
         self._memory = (ctypes.c_uint64 * 2)()
+        self._guids: dict[int, bytes] = {}
+        self._preferred = b""
         entry = _Filter(_BY_DESCRIPTION, _code()[1], ctypes.addressof(self._memory))
         status = load_cyclonedds().dds_set_topic_filter_extended(ctypes.c_int32(self.topic._ref), ctypes.byref(entry))
         if status < 0:
             raise DDSException(status, f"while filtering {like.name}")
 
-    def prefer(self, writer: int) -> None:
-        """All messages of the writer with this handle pass, those of others one in :data:`RARELY`."""
-        self._memory[0] = writer
+    def writer(self, reader: DataReader, handle: int) -> DdsWriter:
+        """Whose a message is that has come to the topic's ``reader``."""
+        guid = self.guid(reader, handle)
+        if guid == self._preferred:
+            self._memory[0] = handle
+        return DdsWriter(guid, handle, reader, self)
+
+    def guid(self, reader: DataReader, handle: int) -> bytes:
+        """Of a writer; what is known of one that has gone is its handle."""
+        known = self._guids.get(handle)
+        if known is None:
+            description = _look(reader._ref, handle)
+            known = ctypes.string_at(description, _GUID) if description else handle.to_bytes(_GUID + 1, "little")
+            if description:
+                _free(description)
+            while len(self._guids) >= _MATCHED:
+                self._guids.pop(next(iter(self._guids)), None)
+            self._guids[handle] = known
+        return known
+
+    def prefer(self, writer: DdsWriter) -> None:
+        """All messages of a writer pass, those of others one in :data:`RARELY`."""
+        self._preferred, self._memory[0] = writer.guid, writer.handle
 
 
 @dataclass(frozen=True)
 class DdsWriter:
-    """See :class:`wbmpc.ros2.sources.Source`: the writer of a handle, as a reader of ``topic`` knows it."""
+    """See :class:`wbmpc.ros2.sources.Source`: the writer with a GUID, under a handle, as a reader of ``topic`` knows it."""
 
-    handle: int
+    guid: bytes
+    handle: int = field(compare=False)
     reader: DataReader = field(compare=False)
     topic: FilteredTopic = field(compare=False)
 
     def gone(self) -> bool:
         """Whether the reader has no such writer any more: it was deleted, or its process's lease has ended."""
         writers = matched(self.reader)
-        return len(writers) < _MATCHED and self.handle not in writers
+        if self.handle in writers or len(writers) >= _MATCHED:
+            return False
+        return all(self.topic.guid(self.reader, handle) != self.guid for handle in writers)
 
     def prefer(self) -> None:
         """Let all of its messages pass."""
-        self.topic.prefer(self.handle)
+        self.topic.prefer(self)

@@ -16,7 +16,7 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.base_adapter import BaseAdapter, Groups
-from wbmpc.ros2.base_driver import BaseWay
+from wbmpc.ros2.base_driver import HELD, BaseWay
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
@@ -38,7 +38,7 @@ _BACK = 0.02
 _CLOCK_DRIFT = 1e-4
 #: A reading of the gyro counts for so long [s] at most: longer than between two messages of 100 Hz, shorter than a base changes
 #: its turning by much.
-_HELD = 0.02
+_READING = 0.02
 #: While the robot is not commanded, one measurement in so many seconds is enough; so many messages wait for that at most.
 _STANDING, _WAITING = 0.01, 4000
 
@@ -100,13 +100,19 @@ class BusRobot:
             if not self._armed:
                 self._reader.reset()
             return
+        self._good("joints")
         previous, arrival = self._joints, time.perf_counter()
+        if (
+            self._way is not None
+        ):  # both say where the robot is, or nothing does: an estimate takes a way that stands for rest
+            if not self._way_goes_on(sample.stamp, arrival):
+                return
+            sample = self._way.with_way(sample)
         if previous is None or sample.stamp != previous[0].stamp or sample.stamp == 0.0:
             grown = 0.0 if previous is None else _CLOCK_DRIFT * max(arrival - previous[1], 0.0)
             self._behind = min(arrival - sample.stamp, self._behind + grown)
             self._joints = sample, arrival
             self._waiting.append(self._joints)
-        self._good("joints")
 
     def _take_imu(self, message: Any, source: Source | None = None) -> None:
         if not self._imu_source.takes(source):
@@ -189,6 +195,8 @@ class BusRobot:
         """Why the robot cannot be moved yet; empty if it can."""
         if self.fault:
             return self.fault
+        if without_way := self._without_way():
+            return without_way
         if self._joints is None:
             return f"no joint states on {self.settings.topics.joint_states} yet"
         age = self.age()
@@ -199,7 +207,15 @@ class BusRobot:
             return f"the joint states on {self.settings.topics.joint_states} have stopped for more than {limit:g} s"
         if self.adapter.needs_imu and self._inertial is None:
             return f"nothing on {self.settings.topics.imu} yet"
-        return self._without_way()
+        return ""
+
+    def _way_goes_on(self, stamp: float, arrival: float) -> bool:
+        """Whether the base's driver has said lately how far it went, for joint states of ``stamp`` [s]."""
+        assert self._way is not None
+        at = self._way.stamp
+        if at is None:
+            return False
+        return (stamp - at if isinstance(self.clock, BusClock) else arrival - self._went) <= HELD
 
     def _without_way(self) -> str:
         """Why it is not known how far a base that takes speeds goes; empty where it is."""
@@ -271,8 +287,6 @@ class BusRobot:
 
     def _measurement(self, sample: JointSample, arrival: float, imu: Inertial | None) -> Any:
         origin = self.clock.origin
-        if self._way is not None and self._way.stamp is not None:
-            sample = self._way.with_way(sample)
         return self.adapter.measurement(self.clock.now(), self._when(sample, arrival) - origin, sample, imu, origin)
 
     def _when(self, sample: JointSample, arrival: float) -> float:
@@ -313,7 +327,7 @@ class BusRobot:
         if self._inertial is None:
             return None
         taken = self._inertial[0]
-        return replace(taken, turning=taken.gyro if self._silent_imu() <= _HELD else None)
+        return replace(taken, turning=taken.gyro if self._silent_imu() <= _READING else None)
 
     def _silent_imu(self) -> float:
         assert self._inertial is not None

@@ -140,7 +140,7 @@ class RealTimeRunner(StopControl):
             set_priority(self._threads[0], self.settings.priority)
 
     def run(self, seconds: float) -> Report:
-        """Run for ``seconds`` or until it has stopped, then shut down, also after Ctrl-C. In virtual time the stop's ticks go on
+        """Run for ``seconds`` [s] or until it has stopped, then shut down, also after Ctrl-C. In virtual time the stop's ticks go on
         to the end."""
         self._check_new()
         try:

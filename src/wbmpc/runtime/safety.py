@@ -24,13 +24,13 @@ class SafeStop(RunAborted):
 
 @dataclasses.dataclass(frozen=True)
 class RealTimeSettings:
-    """Settings of the real-time runner; times in s, rates in Hz.
+    """Settings of the real-time runner.
 
-    ``control_rate``; ``max_policy_age`` after a policy became active (left out: its horizon), ``max_observation_age`` of what
-    the robot measured, ``patience``: for the first policy; beyond any of them the robot is stopped. ``watchdog``: a tick that
-    hangs longer than this stops the robot from another thread. Latency: the ``percentile`` of the last ``window`` delays from
-    observation to finished policy, plus ``margin``, in whole ticks, at most ``max_latency``. ``offset``: by how much the MPC's
-    ticks follow the controller's (left out: a fifth of the controller's period). ``records``: samples kept of each figure.
+    ``control_rate`` [Hz]; ``max_policy_age`` [s] after a policy became active (left out: its horizon), ``max_observation_age`` [s]
+    of what the robot measured, ``patience`` [s]: for the first policy; beyond any of them the robot is stopped. ``watchdog`` [s]: a
+    tick that hangs longer than this stops the robot from another thread. Latency: the ``percentile`` [%] of the last ``window`` delays
+    from observation to finished policy, plus ``margin`` [s], in whole ticks, at most ``max_latency`` [s]. ``offset`` [s]: by how much
+    the MPC's ticks follow the controller's (left out: a fifth of the controller's period). ``records``: samples kept of each figure.
     ``priority`` of the control thread in the kernel's real-time class (0: as the process).
     ``keep``: an MPC that fails or is late does not stop the robot, for one that balances would fall: its controller goes on with
     the last policy.

@@ -79,7 +79,7 @@ class Timing:
 
     @classmethod
     def of(cls, timestep: float, control_rate: float, mpc_rate: float, delay: float) -> Timing:
-        """Check rates [Hz] and delay [s] against the physics step [s]."""
+        """Check ``control_rate`` [Hz], ``mpc_rate`` [Hz] and ``delay`` [s] against the physics step ``timestep`` [s]."""
         steps = whole("control.rate", 1.0 / control_rate, timestep, "physics steps", rate=control_rate)
         period = steps * timestep
         if mpc_rate > control_rate:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import casadi as ca
-import mujoco
 import numpy as np
 
 from wbmpc import lie
@@ -13,10 +11,8 @@ from wbmpc.checks import numbers
 from wbmpc.control.direct import InputCommand, StateMeasurement
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.robots import load_spec
-from wbmpc.robots.checks import named
-from wbmpc.robots.couplings import put_followers
-from wbmpc.simulation.world import Array, Edit, World, add_floor, add_light, free_body
+from wbmpc.simulation.model_picture import ModelPicture
+from wbmpc.simulation.world import Array, Edit, World
 from wbmpc.types import Truth
 
 #: Length [s] of a step: nothing moves in between.
@@ -41,12 +37,7 @@ class ModelPlant:
         layout = mpc.dynamics.state
         self.x = numbers("start", "state", start, layout.size).copy()
         self._own = np.concatenate([np.arange(layout.size)[layout[group]] for group in robot.state.groups])
-        s = ca.SX.sym("x", robot.state.size)
-        root = robot.base.root(s)
-        self._root = ca.Function("root", [s], [root.position, root.quaternion])
-        self._steps, self._drawn, self._edit = 0, False, edit
-        self._world: World | None = None
-        self._shown: list[tuple[int, int]] = []
+        self._steps, self._drawn, self._picture = 0, False, ModelPicture(robot, edit)
 
     # ------------------------------------------------------------------ time
     @property
@@ -87,14 +78,10 @@ class ModelPlant:
         return True
 
     # ------------------------------------------------------------------ truth
-    def _base(self, x: Array) -> Array:
-        position, quaternion = self._root(x)
-        return np.concatenate([np.array(position).ravel(), np.array(quaternion).ravel()])
-
     def truth(self) -> Truth:
         """Poses by the model's kinematics."""
         x = self.x[self._own]
-        base, (tool, turn) = self._base(x), self.robot.pose(x)
+        base, (tool, turn) = self._picture.base(x), self.robot.pose(x)
         inside = lie.pose_compose(lie.pose_inverse(base), np.concatenate([tool, turn]))
         rotation = lie.quaternion_to_rotation(base[3:])
         yaw = x[self.robot.state["base"]][2] if "base" in self.robot.state else lie.rotation_to_euler_zyx(rotation)[0]
@@ -113,11 +100,9 @@ class ModelPlant:
     @property
     def world(self) -> World:
         """The bodies as the state has them."""
-        if self._world is None:
-            self._world = self._build()
         if not self._drawn:
-            self._arrange(self._world, self.x[self._own])
-        return self._world
+            self.arrange(self.x[self._own])
+        return self._picture.world
 
     @property
     def model(self) -> Any:
@@ -131,32 +116,5 @@ class ModelPlant:
 
     def arrange(self, state: Array) -> None:
         """Show another state (nx of the robot) until the next step."""
-        self._arrange(self.world, state)
-
-    def _build(self) -> World:
-        base, description = self.description.base, self.description
-        spec = load_spec(description, meshes=True)
-        with named(description.model):
-            add_floor(spec, 3, [0.8, 0.005, 1e-4], [0.02, 1.0])
-            add_light(spec.body(base.body) if base.moves else spec.worldbody)
-            if base.moves:
-                free_body(spec, base.body, description.source).add_freejoint(name="root")
-            if self._edit is not None:
-                self._edit(spec)
-        joints = {j.name for j in spec.joints}
-        names = list(dict.fromkeys(n for group in self.robot.state.groups.values() for n in group if n in joints))
-        world = World(spec, description, names, {})
-        flat = [n for group in self.robot.state.groups.values() for n in group]
-        self._shown = [(flat.index(n), int(world.model.joint(n).qposadr[0])) for n in names]
-        return world
-
-    def _arrange(self, world: World, x: Array) -> None:
-        if self.description.base.moves:
-            pose = self._base(x)
-            pose[2] -= self.robot.base.ground
-            world.place(pose)
-        for place, at in self._shown:
-            world.data.qpos[at] = x[place]
-        put_followers(world.model, world.data)
-        mujoco.mj_forward(world.model, world.data)
+        self._picture.arrange(state)
         self._drawn = True

@@ -201,3 +201,10 @@ class SceneReader:
                     total, moment, weight = forces.get(body, (np.zeros(3), np.zeros(3), 0.0))
                     forces[body] = (total + sign * force, moment + size * contact.pos, weight + size)
         return [Contact(self._names[b], f, p / w) for b, (f, p, w) in sorted(forces.items())]
+
+
+def joint_units(model: mujoco.MjModel) -> dict[str, str]:
+    """Units of the positions of a world's joints that turn or slide, by their names."""
+    known = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
+    joints = ((model.joint(i).name, mujoco.mjtJoint(int(model.jnt_type[i]))) for i in range(model.njnt))
+    return {name: known[kind] for name, kind in joints if name and kind in known}

@@ -1,4 +1,4 @@
-"""Compiled code of the interior point's μ from one iteration to the next, without fixed settings of real time.
+"""Compiled code of the interior point's μ from one iteration to the next.
 
 While the optimality error falls, μ follows the products of slacks and multipliers (the rule of LOQO: Vanderbei and Shanno 1999, "An
 interior-point algorithm for nonconvex nonlinear programming", section 4). Where the error has not fallen for several iterations, μ
@@ -27,6 +27,18 @@ def next_mu(mu: float, last: float, error: float, complementarity: float) -> flo
     while mu > last and max(error, complementarity - mu) <= 10.0 * mu:
         mu = max(last, min(0.2 * mu, mu**1.5))
     return mu
+
+
+@compiled
+def real_time_mu(mu: float, level: float, reach: float) -> float:
+    """μ after a step in real time: where it was raised it falls with steps of which slacks allow more than half (``reach``)."""
+    return max(level, 0.1 * mu) if reach > 0.5 else mu
+
+
+@compiled
+def raised_mu(mu: float, most: float, reach: float) -> float:
+    """A larger μ, at most ``most``, where slacks cut a step to ``reach``: where the barrier decides how far steps go, they grow with it."""
+    return min(mu / max(reach, 1e-3), most)
 
 
 @compiled

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.barrier_update import SHORT, adaptive_mu, next_mu, start_adaptive
+from wbmpc.solver.barrier_update import SHORT, adaptive_mu, next_mu, real_time_mu, start_adaptive
 from wbmpc.solver.compilation import Floats, Integers, compiled
-from wbmpc.solver.inequalities import limit_products, row_residual_at_iterate, rows_step, start_rows, take_rows
+from wbmpc.solver.inequalities import (
+    limit_products,
+    raise_barrier,
+    row_residual_at_iterate,
+    rows_step,
+    start_rows,
+    take_rows,
+)
 from wbmpc.solver.inequality_table import initial_violation, reset_violations
 from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
 from wbmpc.solver.memory_layout import (
@@ -71,7 +78,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     """What a solve starts from: its state, slacks and multipliers, for single shooting a motion."""
     state, rows = o[STATE], row_count(o) > 0
     m[state + StateField.BARRIER], m[state + StateField.FILTER_SIZE], m[state + StateField.SHIFT] = (
-        s[Setting.INITIAL_BARRIER],
+        max(s[Setting.INITIAL_BARRIER], s[Setting.KEEP_MULTIPLIERS] * m[state + StateField.BARRIER]),
         0.0,
         0.0,
     )
@@ -171,7 +178,9 @@ def settle_rows(
             adaptive_mu(m, state, after, errors, (mean, smallest), m[state + StateField.MAX_PRIMAL_STEP], level),
             s[Setting.MAX_BARRIER],
         )
-    if m[state + StateField.MAX_PRIMAL_STEP] < SHORT:  # the slacks are at the boundary, far from the central path
+    if s[Setting.KEEP_MULTIPLIERS] > 0.0:
+        after = real_time_mu(mu, level, m[state + StateField.MAX_PRIMAL_STEP])
+    elif m[state + StateField.MAX_PRIMAL_STEP] < SHORT:  # the slacks are at the boundary, far from the central path
         after = min(s[Setting.MAX_BARRIER], max(after, 10.0 * mu))
     if compute_kkt and (solved or alpha > 0.9):
         if residual > s[Setting.FEASIBILITY] and residual > 0.25 * last_residual:
@@ -261,12 +270,15 @@ def accept_step(
 
 @compiled
 def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float, limit: int) -> int:
-    """How many iterations there are to be after the last of ``limit``; ``cut``: its step was.
+    """How many iterations there are to be after the last of ``limit``; ``cut``: its step was. Also while
+    μ is raised: a plan that keeps far from limits is a slow one.
 
     Where inputs are still outside, a last one holds them within the rows."""
     state = o[STATE]
     short = (
-        cut or max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION]) > LIMIT_TOLERANCE
+        cut
+        or m[state + StateField.BARRIER] > s[Setting.BARRIER]
+        or max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION]) > LIMIT_TOLERANCE
     )
     if limit < int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS]) and (
         short or misses_equality(m, o, s)
@@ -304,6 +316,7 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         )
         and s[Setting.SINGLE_SHOOTING] == 0.0
     )
+    most, other = limit + int(s[Setting.MAX_EXTRA_ITERATIONS]), True
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
@@ -332,11 +345,14 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         if again and restart_from_rollout(m, o, x0, s):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
+        if it < most and m[state + StateField.MAX_PRIMAL_STEP] < SHORT and raise_barrier(m, o, s):
+            limit, other = max(limit, it + 1), True
+            continue
         drop = violation - m[state + StateField.REMAINING_VIOLATION]
         penalty, first = update_merit((cost, slope, curvature, drop), (kkt, last_kkt), penalty, first)
         last_kkt = kkt
         if s[Setting.COMPUTE_KKT] == 0.0:
-            first = longest_step(m, o, it == 1)
+            first = longest_step(m, o, other)
         alpha, _ = search(m, o, x0, s, (cost, violation, slope, drop), penalty, first)
         if alpha == 0.0:
             m[state + StateField.COST], m[state + StateField.VIOLATION] = log[row], log[row + 1]
@@ -345,7 +361,8 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
             continue
         log[row + 4] = alpha
         last_residual, changed = accept_step(m, o, s, alpha, kkt, violation, last_residual, level)
-        if changed > 0.0:
+        other = changed > 0.0
+        if other:
             last_kkt = np.inf
         if hold > 0.0:
             m[state + StateField.HOLD_INPUTS] = hold

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.solver.barrier_update import raised_mu
 from wbmpc.solver.compilation import LANES, Floats, Integers, compiled
 from wbmpc.solver.inequality_algebra import steps
 from wbmpc.solver.inequality_table import (
@@ -45,12 +46,14 @@ from wbmpc.solver.memory_layout import (
     ROW_N,
     ROW_S,
     ROW_T,
+    ROW_TOTAL,
     ROW_TRIAL,
     ROW_Y,
     ROWS,
     STATE,
     N,
     RowField,
+    Setting,
     StateField,
     U,
     X,
@@ -60,6 +63,7 @@ from wbmpc.solver.node_inequalities import (
     end_values,
     row_changes,
 )
+from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.simd_batch import evaluate_rows, load_block, take_rows_of_lane
 
 #: Of a sum, as a share of its largest part.
@@ -195,6 +199,34 @@ def limit_products(m: Floats, o: Integers, largest: float) -> None:
             if kind_of(m, o, r) == HARD and m[o[ROW_L] + q] * m[o[ROW_T] + q] > largest:
                 m[o[ROW_L] + q] = largest / m[o[ROW_T] + q]
                 m[o[ROW_Y] + q] = row_penalty(m, o, r) - m[o[ROW_L] + q]
+
+
+@compiled
+def raise_barrier(m: Floats, o: Integers, s: Floats) -> bool:
+    """A larger μ, with multipliers that belong to it, in real time; whether it was not as large as it may be.
+
+    After a jump of a reference the step passes many limits by far, which multipliers of the last solution do not feel, and the slack
+    nearest to zero cuts it to nearly nothing: again and again, since each such step makes only few rows felt. With l = μ/t of a
+    larger μ all are, at slacks that stay those of the iterate, which stays within its limits.
+    """
+    state = o[STATE]
+    mu, most = m[state + StateField.BARRIER], s[Setting.MAX_BARRIER]
+    for r in range(o[ROW_TOTAL]):
+        if kind_of(m, o, r) == HARD:
+            most = min(most, THRESHOLDS.slack_share * row_penalty(m, o, r))
+    if s[Setting.KEEP_MULTIPLIERS] == 0.0 or mu >= most:
+        return False
+    mu = raised_mu(mu, most, m[state + StateField.MAX_PRIMAL_STEP])
+    m[state + StateField.BARRIER] = mu
+    for k in range(o[N] + 1):
+        first, boxes, general = node_rows(o, k)
+        for j in range(boxes + general):
+            r, q = first + j, k * o[ROWS] + j
+            if kind_of(m, o, r) == HARD:
+                penalty = row_penalty(m, o, r)
+                m[o[ROW_L] + q] = min(max(m[o[ROW_L] + q], mu / m[o[ROW_T] + q]), 0.99 * penalty)
+                m[o[ROW_Y] + q] = penalty - m[o[ROW_L] + q]
+    return True
 
 
 @compiled

@@ -221,7 +221,8 @@ def next_longest(longest: float, last: float, along: float) -> float:
 def longest_step(m: Floats, o: Integers, first: bool) -> float:
     """Longest step to try, from how the direction has turned since the last iteration of the same solve; keeps the direction.
 
-    ``first``: this is the solve's first one. Between solves the measured state has changed too, so nothing can be reported."""
+    ``first``: this is the solve's first one, or μ is another one. Between solves the measured state has changed too, so nothing can be
+    reported."""
     state, along, size = o[STATE], 0.0, 0.0
     for i in range(o[N] * o[NU]):
         new, old = m[o[DU] + i], m[o[DU_LAST] + i]

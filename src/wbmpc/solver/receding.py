@@ -239,7 +239,7 @@ def forget(m: Floats, o: Integers) -> None:
     state = o[STATE]
     m[state + StateField.MAX_STEP], m[state + StateField.INFEASIBLE_SOLVES] = 0.0, 0.0
     m[state + StateField.BLOCKED_RESIDUAL], m[state + StateField.BLOCKED_TIME] = 0.0, 0.0
-    m[state + StateField.CONVERGED] = 0.0
+    m[state + StateField.CONVERGED], m[state + StateField.BARRIER] = 0.0, 0.0
     for i in range((o[N] + 1) * o[ROWS]):
         m[o[ROW_T] + i], m[o[ROW_L] + i] = 0.0, 0.0
 

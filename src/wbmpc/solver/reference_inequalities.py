@@ -64,6 +64,10 @@ class RowState:
         """As limit_products of the compiled solver."""
         self.l = np.where(self.hard, np.minimum(self.l, largest / self.t), self.l)
 
+    def raise_multipliers(self, mu: float) -> None:
+        """As raise_barrier of the compiled solver."""
+        self.l = np.where(self.hard, np.minimum(np.maximum(self.l, mu / self.t), 0.99 * self.penalty), self.l)
+
     def weights(self, mu: float) -> tuple[np.ndarray, np.ndarray]:
         """σ and e."""
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -48,6 +48,7 @@ class _Progress:
     bias: float = 0.0
     shift: float = 0.0
     size: float = 1.0
+    other: bool = True  # than the problem of the direction before
 
 
 class InterpretedSolver(InterpretedLineSearch):
@@ -73,7 +74,7 @@ class InterpretedSolver(InterpretedLineSearch):
         if delta > 0.0:
             self._shift(delta)
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
-        self.mu, self.shift = c.initial_barrier, 0.0
+        self.mu, self.shift = max(c.initial_barrier, c.keep_multipliers * self.mu), 0.0
         start_adaptive.python(ws.state, 0)
         ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS]] = 0.0
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
@@ -123,6 +124,7 @@ class InterpretedSolver(InterpretedLineSearch):
         state = self.ws.state
         state[[StateField.MAX_STEP, StateField.INFEASIBLE_SOLVES, StateField.BLOCKED_RESIDUAL]] = 0.0
         state[StateField.BLOCKED_TIME], state[StateField.CONVERGED] = 0.0, 0.0
+        self.mu = 0.0
         for rows in self.own:
             rows.l, rows.started = np.zeros_like(rows.l), False
 
@@ -200,6 +202,9 @@ class InterpretedSolver(InterpretedLineSearch):
         if run.again and self._starts_anew(x0, c):
             run.again, run.limit, run.last_kkt, run.first = False, run.limit + 1, np.inf, 1.0
             return None
+        if run.count < c.iterations + c.max_extra_iterations and self._raises_barrier(c):
+            run.limit, run.other = max(run.limit, run.count + 1), True
+            return None
         alpha, dual, primal = self._step_length(x0, s, c, cost, violation, kkt, run)
         if alpha == 0.0:
             self.ws.state[[StateField.COST, StateField.VIOLATION]] = row[:2]
@@ -218,6 +223,20 @@ class InterpretedSolver(InterpretedLineSearch):
         row[4] = self.ws.state[StateField.LAST_STEP] = alpha
         self._one_more(c, alpha, run)
         return None
+
+    def _raises_barrier(self, c: Any) -> bool:
+        """As raise_barrier of the compiled solver, where slacks cut the step short."""
+        from wbmpc.solver.barrier_update import SHORT, raised_mu
+
+        reach = min(r.reach(c.fraction_to_boundary)[0] for r in self.own)
+        weights = [THRESHOLDS.slack_share * r.penalty[r.hard].min(initial=np.inf) for r in self.own]
+        most = min([c.max_barrier, *weights])
+        if reach >= SHORT or not c.keep_multipliers or self.mu >= most:
+            return False
+        self.mu = float(raised_mu.python(self.mu, most, reach))
+        for rows in self.own:
+            rows.raise_multipliers(self.mu)
+        return True
 
     def _starts_anew(self, x0: np.ndarray, c: Any) -> bool:
         """As restart_from_rollout of the compiled solver."""
@@ -251,7 +270,7 @@ class InterpretedSolver(InterpretedLineSearch):
         run.first = max(0.5 * run.first, 0.01) if kkt > run.last_kkt and invisible else min(1.3 * run.first, 1.0)
         run.last_kkt = kkt
         if not c.compute_kkt:
-            run.first = self._longest_step(s["du"], run.count == 1)
+            run.first = self._longest_step(s["du"], run.other)
         primal, dual = (min(v) for v in zip(*(r.reach(c.fraction_to_boundary) for r in self.own), strict=True))
         base = (cost, violation, s["slope"], drop)
         return self._search(s, x0, c, base, run.penalty, run.first, primal), dual, primal
@@ -262,13 +281,14 @@ class InterpretedSolver(InterpretedLineSearch):
         run: _Progress,
     ) -> None:  # fmt: skip
         """As settle_rows of the compiled solver; ``lengths``: taken, primal, dual; ``found``: product, residual, violation."""
-        from wbmpc.solver.barrier_update import SHORT, adaptive_mu, next_mu
+        from wbmpc.solver.barrier_update import SHORT, adaptive_mu, next_mu, real_time_mu
 
         (alpha, primal, dual), (product, residual, violation) = lengths, found
         solved = not c.compute_kkt or kkt <= max(c.tolerance, 0.1 * residual)
         self.soft_residual += alpha * self.soft_step
         for rows in self.own:
             rows.take(alpha, dual, solved)
+        run.other = False
         if not self.has_rows:
             return
         after = next_mu.python(self.mu, run.level, error, product)
@@ -277,14 +297,18 @@ class InterpretedSolver(InterpretedLineSearch):
         if adapts:
             state[StateField.BARRIER], errors = self.mu, (max(kkt, violation, residual, product), error)
             after = min(adaptive_mu.python(state, 0, after, errors, products, primal, run.level), c.max_barrier)
-        after = min(c.max_barrier, max(after, 10.0 * self.mu)) if primal < SHORT else after
+        if c.keep_multipliers:
+            after = real_time_mu.python(self.mu, run.level, primal)
+        elif primal < SHORT:
+            after = min(c.max_barrier, max(after, 10.0 * self.mu))
         if c.compute_kkt and (solved or alpha > 0.9):
             if residual > c.feasibility and residual > 0.25 * run.last_residual:
                 run.last_kkt = np.inf
                 for r in self.own:
                     r.rho = min(4.0 * r.rho, 1e6)
             run.last_residual = residual
-        if after != self.mu:
+        run.other = after != self.mu
+        if run.other:
             if not (adapts and abs(after - self.mu) < 0.1 * kkt):
                 run.last_kkt = np.inf
             self.mu = after
@@ -300,6 +324,7 @@ class InterpretedSolver(InterpretedLineSearch):
         )
         if run.limit < maximum and (
             alpha < 0.9 * run.first
+            or self.mu > c.barrier
             or outside
             or self.ws.state[StateField.UNRELAXED_VIOLATION] > 0.0
             or self._misses_equality(c)

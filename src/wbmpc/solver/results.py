@@ -44,7 +44,7 @@ class SolverResults:
 
     @property
     def constants(self) -> np.ndarray:
-        """The model's parameters and all weights, read-only; which is which: ``problem.constant.slices``."""
+        """The model's parameters and all weights (n,), read-only; which is which: ``problem.constant.slices``."""
         return _read_only(self.ws.w[: self.problem.constant.size])
 
     @property
@@ -55,7 +55,7 @@ class SolverResults:
 
     @property
     def parameters(self) -> np.ndarray:
-        """The model's parameters, read-only."""
+        """The model's parameters (np,), read-only."""
         return _read_only(self.ws.w[self.problem.constant.slices["parameters"]])
 
     def non_finite_part(self) -> str:

@@ -19,7 +19,9 @@ class Thresholds:
     above 1. ``settled``: the largest step of a solution, however small the gradient is. ``at_rest``: the same for soft equalities,
     whose residual is then theirs. ``bias``: by how much a solution may still depend on the barrier parameter; ``min_barrier``: as far
     as it falls for that; ``max_barrier``: as far as it rises where slacks cut steps to less than a tenth. ``jammed``: steps that slacks
-    cut to less, with the measured state outside a limit, are replaced by a roll-out (``rollout_restart``).
+    cut to less, with the measured state outside a limit, are replaced by a roll-out (``rollout_restart``). ``raised``: in real time
+    the barrier parameter rises by at most this factor where slacks cut steps to less than a tenth, and to at most ``slack_share`` of
+    the weight of any slack, so that plans hardly use these.
     """
 
     divergence: float = 1e10
@@ -29,6 +31,8 @@ class Thresholds:
     min_barrier: float = 1e-18
     max_barrier: float = 0.1
     jammed: float = 0.25
+    raised: float = 3e4
+    slack_share: float = 1e-3
 
 
 THRESHOLDS = Thresholds()
@@ -53,7 +57,8 @@ class InteriorPoint:
 
     ``mode``: "converge" drives μ from ``initial_barrier`` to ``barrier`` (by default the solver's tolerance times 1e-4,
     and further down where the plan still depends on it, as with costs in tiny units); "real_time" keeps
-    it at ``barrier`` and starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one iteration
+    it at ``barrier``, but where slacks cut steps to nearly nothing, as after a jump of a reference: it then rises until they do not, and
+    falls with the steps that follow. It starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one iteration
     per solve is enough. Rows are in units of their range. ``fraction_to_boundary``: the share of the way to zero that slacks
     and multipliers may go in one step. ``max_extra_iterations``: at most so many more iterations while the step is cut below
     0.9 of the longest that is tried (docs/explanation/solver.md).
@@ -96,7 +101,9 @@ class InteriorPoint:
         min_slack = self.min_slack if self.min_slack is not None else (1e-3 if real_time else 1e-2)
         return {
             "initial_barrier": mu if real_time else max(self.initial_barrier, mu),
-            "max_barrier": mu if real_time else max(self.initial_barrier, THRESHOLDS.max_barrier, mu),
+            "max_barrier": THRESHOLDS.raised * mu
+            if real_time
+            else max(self.initial_barrier, THRESHOLDS.max_barrier, mu),
             "barrier": mu,
             "keep_multipliers": float(real_time),
             "min_slack": min_slack,

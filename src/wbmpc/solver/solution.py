@@ -78,11 +78,10 @@ class Solution:
         return html_table("Solution", (), [(name, value) for name, value in figures.items() if value != ""])
 
     def plot(self, dynamics: Any = None) -> Any:
-        """States and inputs over the horizon as a Plotly figure; ``dynamics``: whose names they have (left out: numbers)."""
-        from wbmpc.plots.notebook import figure, names_of, trajectories
+        """States and inputs over the horizon as a Plotly figure; ``dynamics``: whose names and units they have (left out: numbers)."""
+        from wbmpc.plots.notebook import figure, trajectories
 
-        names = names_of(dynamics, self.x.shape[1], self.u.shape[1])
-        return figure(trajectories(self.times, self.x, self.u, names))
+        return figure(trajectories(self.times, self.x, self.u, dynamics))
 
     def __str__(self) -> str:
         why = f" ({self.detail})" if self.detail else ""

@@ -198,7 +198,7 @@ class Solver(SolverResults):
             self.ws.x[:], self.ws.u[:] = start
 
     def use(self, x: np.ndarray, u: np.ndarray) -> None:
-        """Take states (N + 1, nx) and inputs (N, nu) as the result of the last solve, without feedback."""
+        """Take states x (N + 1, nx) and inputs u (N, nu) as the result of the last solve, without feedback."""
         self.warm_start(x, u)
         with self.exclusive:
             self.ws.k[:] = 0.0
@@ -245,7 +245,7 @@ class Solver(SolverResults):
 
     # ------------------------------------------------------------------ solve
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
-        """Shift by ``delta``, sample at ``t0``, iterate in place: (status code, iterations). Compiles nothing."""
+        """Shift by ``delta`` [s], sample at ``t0`` [s], iterate in place from ``x0`` (nx): (status code, iterations). Compiles nothing."""
         with self.exclusive:
             self._check_terms()
             if self.settings.backend == "interpreted":
@@ -285,7 +285,7 @@ class Solver(SolverResults):
         self._memory, self._table, self._start, self._numbers, self._log = (a.ctypes.data for a in arrays)
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
-        """State (nx) after h [s] under the input u (nu), with the solver's integrator and the present parameters; after k times h
+        """State (nx) after h [s] from x (nx) under the input u (nu), with the solver's integrator and the present parameters; after k times h
         under inputs (k, nu), one after the other. Raises :class:`InputError` for other shapes."""
         x, u, nx, nu = real_numbers("simulate", x), real_numbers("simulate", u), self.problem.nx, self.problem.nu
         if x.shape != (nx,) or u.ndim not in (1, 2) or u.shape[-1] != nu:
@@ -356,7 +356,7 @@ class Solver(SolverResults):
         return x0
 
     def certified(self, status: int, count: int, elapsed: float) -> Solution:
-        """What the last :meth:`run` left in the memory, with violations by name and the cause of its failure."""
+        """What the last :meth:`run` left in the memory after ``elapsed`` [s], with violations by name and the cause of its failure."""
         with self.exclusive, Interruptible():
             return diagnose(self, self.solution(status, count, elapsed))
 
@@ -371,7 +371,7 @@ class Solver(SolverResults):
         return _STATUS[code]
 
     def solution(self, status: int, count: int, elapsed: float) -> Solution:
-        """What the last :meth:`run` left in the memory."""
+        """What the last :meth:`run` left in the memory after ``elapsed`` [s]."""
         row = self.log[count - 1]
         return Solution(
             status=self.status(status),

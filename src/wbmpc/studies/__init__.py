@@ -15,6 +15,7 @@ EXPERIMENTS: dict[str, str] = {
     "legs": "wbmpc.studies.pankert2022.legs:EXPERIMENT",
     "swerve-fast": "wbmpc.studies.pankert2022.fast:EXPERIMENT",
     "swerve-plaster": "wbmpc.studies.pankert2022.plaster:EXPERIMENT",
+    "swerve-wipe": "wbmpc.studies.pankert2022.wipe:EXPERIMENT",
     "swerve-stability": "wbmpc.studies.pankert2022.stability:EXPERIMENT",
     "swerve-unified": "wbmpc.studies.pankert2022.unified:EXPERIMENT",
     "swerve-wobble": "wbmpc.studies.pankert2022.wobble:EXPERIMENT",

@@ -17,24 +17,14 @@ from wbmpc.report import document, goal_text, named, table, template
 from wbmpc.result import Metric
 from wbmpc.study.statistics import Paired, Rate
 from wbmpc.study.summary import Cell, Summary
-from wbmpc.units import Scale, scale
+from wbmpc.units import Scale, scale, with_unit
 
 #: Plots of one experiment, combinations of one plot, and runs that the list of failures shows, at most.
 MAX_PLOTS, MAX_SHOWN, MAX_FAILURES = 24, 40, 200
 #: Columns of a metric's table: see :func:`metric_rows`.
 HEADS = [
-    "settings",
-    "runs",
-    "failed",
-    "median [95 %]",
-    "5 %",
-    "95 %",
-    "worst",
-    "goal",
-    "",
-    "difference [95 %]",
-    "better in",
-]
+    "settings", "runs", "failed", "median [95 %]", "difference [95 %]", "better in", "goal", "", "5 %", "95 %", "worst",
+]  # fmt: skip
 
 
 def study_page(summary: Summary, beside: Path, definitions: Mapping[str, Definitions] | None = None) -> str:
@@ -50,7 +40,7 @@ def study_page(summary: Summary, beside: Path, definitions: Mapping[str, Definit
     warning = '<div class="card summary bad">The runs are of different states of the code.</div>' if several else ""
     lost = "".join(f"<p>{n} without a result: {html.escape(why)}</p>" for why, n in summary.lost.items())
     sections = "".join(_experiment(summary, name, beside, (definitions or {}).get(name, {})) for name in summary.shown)
-    head = f'<h1>{html.escape(summary.title)}</h1><p class="sub">{html.escape(about)}</p><p class="sub">{note}</p>'
+    head = f'<h1 class="broad">{html.escape(summary.title)}</h1><p class="sub">{html.escape(about)}</p><p class="sub">{note}</p>'
     return document(summary.title, f"{head}{warning}{lost}{sections}")
 
 
@@ -83,20 +73,15 @@ def metric_rows(summary: Summary, cells: Sequence[Cell], metric: str) -> list[li
         goal = goal_text(Metric(s.median, "", goal=target["goal"], least=target["least"]), shown)
         met = {True: "reached", False: "missed", None: ""}[summary.met(c, metric)]
         middle = with_interval(s.median, s.low, s.high, shown)
-        rows.append([c.label, str(s.count), rate_text(c.failures), middle, *map(shown.text, (s.p5, s.p95, s.worst)), goal, met,
-                     *comparison_cells(compared, shown)])  # fmt: skip
+        rows.append([c.label, str(s.count), rate_text(c.failures), middle, *comparison_cells(compared, shown), goal, met,
+                     *map(shown.text, (s.p5, s.p95, s.worst))])  # fmt: skip
     return rows
 
 
 def with_interval(value: float, low: float, high: float, shown: Scale) -> str:
     """``12.1 [11.8, 12.9] mm``; without the interval where there is none."""
     between = "" if math.isnan(low) else f"[{shown.text(low)}, {shown.text(high)}]"
-    return " ".join(part for part in (shown.text(value), between, unit_text(shown)) if part)
-
-
-def unit_text(shown: Scale) -> str:
-    """Nothing for numbers without a unit."""
-    return "" if shown.unit == "1" else shown.unit
+    return " ".join(part for part in (shown.text(value), between, shown.unit) if part)
 
 
 def rate_text(rate: Rate) -> str:
@@ -118,7 +103,7 @@ def _table(summary: Summary, cells: Sequence[Cell], metric: str) -> str:
         [f'<span class="{kinds[c]}">{c}</span>' if c in kinds else html.escape(c) for c in row]
         for row in metric_rows(summary, cells, metric)
     ]
-    return table(HEADS, rows, {1, 2, 3, 4, 5, 6, 7, 9})
+    return table(HEADS, rows, {1, 2, 3, 4, 6, 8, 9, 10})
 
 
 def _failures(cells: Sequence[Cell], beside: Path) -> str:
@@ -147,7 +132,7 @@ def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[s
     ]
     if not any(np.isfinite(v).any() for v in values):
         return []
-    label = f"{metric} [{shown.unit}]" if unit_text(shown) else metric
+    label = with_unit(metric, shown.unit)
     goals = {goal for c in cells if (goal := summary.target(c, metric)["goal"]) is not None}
     drawn = [(metric, _distribution(cells, values, label, [shown.factor * goal for goal in sorted(goals)]))]
     if 2 <= len(cells) <= 8 and any(v.size > 1 for v in values):

@@ -144,13 +144,13 @@ class Study:
     def _write_tuned(self, tuned: Tuned) -> None:
         """best.yaml, trials.json, and the page."""
         tune, title = self.definition.tune, self.definition.title
+        assert tune is not None
         if tuned.settings:
-            assert tune is not None
             about = f"{title}: the best of {len(tuned.trials)} trials on seeds {', '.join(map(str, tune.seeds))}"
             found = {**self.definition.settings, **tuned.settings}
             write_text(self.out / BEST, write_yaml(nested(found), {"": about}))
         write_text(self.out / TRIALS, json.dumps(tuned.trials, indent=1) + "\n")
-        write_text(self.out / PAGE, tune_page(title, tuned.trials, tuned.best, tuned.report is not None))
+        write_text(self.out / PAGE, tune_page(title, tune, tuned.trials, tuned.best, tuned.report is not None))
 
     def _task(self, run: Run) -> Task:
         """What a worker gets: names and settings, some hundred bytes."""

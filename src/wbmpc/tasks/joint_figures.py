@@ -11,7 +11,9 @@ from wbmpc.bases.base import System
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Plot, Series
+from wbmpc.simulation.scene import joint_units
 from wbmpc.types import Truth
+from wbmpc.units import by_unit, force_unit, rate_unit, with_unit
 
 Array = np.ndarray
 
@@ -36,17 +38,22 @@ class JointRecord:
             model = system.plant.model
             known = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
             self._driven = {n: known[n] for n in robot.description.limits.effort if n in known}
-        for channel, names in (
-            ("state_planned", own.names), ("input", system.mpc.dynamics.input.names),
-            ("joint_speed", self._named), ("drive_force", list(self._driven)),
+            self._force_units = {n: force_unit(unit) for n, unit in joint_units(model).items()}
+        inputs, driven = system.mpc.dynamics.input, list(self._driven)
+        positions = [unit for g in self._groups for unit in own.unit_groups[g]]
+        for channel, names, units in (
+            ("state_planned", own.names, own.units), ("input", inputs.names, inputs.units),
+            ("joint_speed", self._named, [rate_unit(unit) for unit in positions]),
+            ("drive_force", driven, [self._force_units[n] for n in driven]),
         ):  # fmt: skip
-            log.label(channel, names)
+            log.label(channel, names, units)
 
     def tick(self, t: float, truth: Truth, plans: Any) -> None:
         """Record time t [s]."""
         if "state" not in self._log.names:  # with the model alone it is that of the planner's dynamics
             whole = self._mpc.dynamics.state
-            self._log.label("state", whole.names if truth.state.size == whole.size else self._robot.state.names)
+            layout = whole if truth.state.size == whole.size else self._robot.state
+            self._log.label("state", layout.names, layout.units)
         self._log.add("state_planned", t, plans.current.state(t)[self._own])
         self._log.add("plan_violation", t, self._mpc.solve_info["violation"])
         if self._named and set(self._named) <= truth.joint_speeds.keys():
@@ -62,34 +69,18 @@ class JointRecord:
     def _inputs(self) -> list[Plot]:
         log, layout = self._log, self._mpc.dynamics.input
         t, u, limits = log.times("input"), log.array("input"), self._robot.limits
-        own = layout == self._robot.input
-        plots = []
+        own, plots = layout == self._robot.input, []
         for group, names in layout.groups.items():
-            part = layout[group]
-            bounds = list(zip(limits.input_lower[part], limits.input_upper[part], strict=True)) if own else None
+            bounds = list(zip(limits.input_lower, limits.input_upper, strict=True)) if own else None
             speeds = own and group in self._groups and f"{group}_velocity" not in self._robot.state
             actual = self._actual_speeds(names) if speeds else {}
-            lines = _pairs(names, t, actual, dict(zip(names, u[:, part].T, strict=True)), bounds)
-            plots.append(
-                Plot(
-                    f"{'Speeds' if actual else 'Planned inputs'}: {group}",
-                    "time [s]",
-                    self._unit(group, names, speeds),
-                    lines,
-                )
-            )
+            for unit, places in by_unit(layout.unit_groups[group]).items():
+                at, shown = [layout[group].start + i for i in places], [names[i] for i in places]
+                planned, limited = dict(zip(shown, u[:, at].T, strict=True)), bounds and [bounds[i] for i in at]
+                title = f"{'Speeds' if actual else 'Planned inputs'}: {group}"
+                label = with_unit("speed" if unit.endswith("/s") else "input", unit)
+                plots.append(Plot(title, "time [s]", label, _pairs(shown, t, actual, planned, limited)))
         return plots
-
-    def _unit(self, group: str, names: Sequence[str], speeds: bool) -> str:
-        if speeds:
-            return f"speed [{'m/s' if self._slides(names) else 'rad/s'}]"
-        if group in self._groups or group == "wheel":
-            return "input [N m]" if "base_velocity" in self._robot.state else "input [SI]"
-        return "speed [m/s, rad/s]" if set(names) <= {"v", "vx", "vy", "wz"} else "input [SI]"
-
-    def _slides(self, names: Sequence[str]) -> bool:
-        kinds = {link.joint: link.kind for link in self._robot.tree.links}
-        return any(kinds.get(name) == "prismatic" for name in names)
 
     def _actual_speeds(self, names: Sequence[str]) -> Mapping[str, Array]:
         if "joint_speed" not in self._log.channels:
@@ -102,15 +93,14 @@ class JointRecord:
         state, plots = log.array("state"), []
         state = state if state.shape[1] == planned.shape[1] else state[:, self._own]
         for group, names in self._groups.items():
-            part = self._robot.state[group]
-            factor, unit = (1e3, "mm") if self._slides(names) else (np.degrees(1.0), "°")
-            bounds = [
-                (factor * a, factor * b)
-                for a, b in zip(limits.state_lower[part], limits.state_upper[part], strict=True)
-            ]
-            actual, plan = (dict(zip(names, factor * v[:, part].T, strict=True)) for v in (state, planned))
-            lines = _pairs(names, t, actual, plan, bounds)
-            plots.append(Plot(f"Joint positions: {group}", "time [s]", f"position [{unit}]", lines))
+            start = self._robot.state[group].start
+            for unit, places in by_unit(self._robot.state.unit_groups[group]).items():
+                factor, shown = {"m": (1e3, "mm"), "rad": (np.degrees(1.0), "°")}.get(unit, (1.0, unit))
+                at, own = [start + i for i in places], [names[i] for i in places]
+                bounds = [(factor * limits.state_lower[i], factor * limits.state_upper[i]) for i in at]
+                actual, plan = (dict(zip(own, factor * v[:, at].T, strict=True)) for v in (state, planned))
+                lines = _pairs(own, t, actual, plan, bounds)
+                plots.append(Plot(f"Joint positions: {group}", "time [s]", with_unit("position", shown), lines))
         return plots
 
     def _forces(self) -> list[Plot]:
@@ -122,10 +112,11 @@ class JointRecord:
         plots = []
         for group, members in groups.items():
             names = [n for n in members if n in rows]
-            if names:
-                bounds = [(-effort[n], effort[n]) for n in names]
-                unit = "force [N]" if self._slides(names) else "torque [N m]"
-                plots.append(Plot(f"Drives: {group}", "time [s]", unit, _pairs(names, t, rows, {}, bounds)))
+            for unit, places in by_unit([self._force_units[n] for n in names]).items():
+                own = [names[i] for i in places]
+                bounds = [(-effort[n], effort[n]) for n in own]
+                label = with_unit("torque" if unit == "N m" else "force", unit)
+                plots.append(Plot(f"Drives: {group}", "time [s]", label, _pairs(own, t, rows, {}, bounds)))
         return plots
 
     def _violations(self) -> list[Plot]:
@@ -139,9 +130,12 @@ class JointRecord:
         violation = Series("constraints of the plan", t, log.array("plan_violation"))
         return [
             Plot(
-                "Outside of the joints' limits", "time [s]", "largest of all joints [SI]", [lines[0], _dashed(lines[1])]
+                "Outside of the joints' limits",
+                "time [s]",
+                "largest of all joints [m or rad]",
+                [lines[0], _dashed(lines[1])],
             ),
-            Plot("Violation of the plan's constraints", "time [s]", "1-norm [SI]", [violation]),
+            Plot("Violation of the plan's constraints", "time [s]", "1-norm", [violation]),
         ]
 
 

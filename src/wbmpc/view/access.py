@@ -2,7 +2,8 @@
 
 A page of any other site can make a browser send requests to this machine. The `Host` header defeats names that are made to
 resolve to it (DNS rebinding), the `Origin` header pages of others, the token everything else: other users of the machine, and
-the network where the view listens there.
+the network where the view listens there. The token is part of the address's path. A cookie would not do: browsers send those of a host to
+the servers at all of its ports, also to those of other users.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import re
 import secrets
 import socket
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -57,11 +57,7 @@ class Access:
     def url(self, port: int) -> str:
         """What a browser opens."""
         name = "localhost" if self.host in _WILDCARD else f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{name}:{port}" + (f"/?token={self.token}" if self.token else "")
-
-    def cookie(self, port: int) -> str:
-        """A `Set-Cookie` header's value. Cookies of one host are shared by all of its ports, so the name has the port."""
-        return f"{_cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+        return f"http://{name}:{port}" + (f"/{self.token}/" if self.token else "")
 
     # ------------------------------------------------------------------ requests
     def rejection(self, path: str, headers: Any, port: int) -> str:
@@ -71,28 +67,22 @@ class Access:
             return "the Host header is not the address of this view"
         if len(origins) > 1 or any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
             return "the request comes from a page of another origin"
-        if set(parse_qs(path.partition("?")[2], keep_blank_values=True)) - {"token"}:
-            return "the address has parameters other than the token"  # some would let the page talk to another server
-        if not (self.in_query(path) or self._in_cookie(headers, port)):
+        # the page adds where its messages go; another address there would let it talk to another server
+        query = parse_qs(path.partition("?")[2], keep_blank_values=True)
+        if query and query != {"websocket": [f"ws://{hosts[0].lower()}/{self.token}"]}:
+            return "the address has parameters that are not its own"
+        if self.inside(path) is None:
             return "the token is missing or wrong: open the address that the command printed"
         return ""
 
-    def in_query(self, path: str) -> bool:
-        """Whether the address has the token; true where none is needed."""
-        return self._is_token(parse_qs(path.partition("?")[2]).get("token", [""])[-1])
-
-    def _in_cookie(self, headers: Any, port: int) -> bool:
-        for header in headers.get_all("Cookie"):
-            try:
-                found = SimpleCookie(header).get(_cookie_name(port))
-            except CookieError:
-                continue
-            if found is not None and self._is_token(found.value):
-                return True
-        return False
-
-    def _is_token(self, text: str) -> bool:
-        return not self.token or hmac.compare_digest(text.encode(errors="replace"), self.token.encode())
+    def inside(self, path: str) -> str | None:
+        """What a request is for: its path without the token, which comes first where one is needed; None if it is not there."""
+        path = path.partition("?")[0]
+        if not self.token:
+            return path
+        first, _, rest = path.removeprefix("/").partition("/")
+        right = hmac.compare_digest(first.encode(errors="replace"), self.token.encode())
+        return f"/{rest}" if right and path.startswith("/") else None
 
     def _serves(self, authority: str, port: int) -> bool:
         """Whether a `Host` header names this server."""
@@ -104,10 +94,6 @@ class Access:
             return True
         own = socket.gethostname().lower()
         return self.host in _WILDCARD and (name in (own, f"{own}.local") or _is_address(name))
-
-
-def _cookie_name(port: int) -> str:
-    return f"wbmpc-{port}"
 
 
 def _is_address(name: str) -> bool:

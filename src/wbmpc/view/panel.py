@@ -17,6 +17,7 @@ from wbmpc.stability import CONFIGURATIONS
 from wbmpc.view import bounds
 from wbmpc.view.capture import add_capture
 from wbmpc.view.history import History
+from wbmpc.view.rejection import Rejection
 from wbmpc.view.scene import add_follow, add_legend, name_tab
 from wbmpc.view.snapshot import NUMBERS, plain, status_text
 from wbmpc.view.steering import Controls, no_requests
@@ -26,8 +27,8 @@ Array = np.ndarray
 _EVERY, _EVERY_PLOT = 3, 6
 #: How long a run may take to follow a click [s].
 _ANSWER = 1.0
-#: How long the page shows why something was not done, and how long a goal is left alone after it was moved last [s].
-_SHOWN, _HELD = 10.0, 10.0
+#: How long a goal is left alone after it was moved last [s].
+_HELD = 10.0
 #: Where a box is put first (3) [m].
 AHEAD = (1.5, 0.0, 0.3)
 #: Lines of the drives' groups: name and color.
@@ -46,7 +47,7 @@ class Panel:
         self.server, self._requests, self.controls = server, requests, controls
         self._values, self._lock = no_requests(), threading.Lock()  # the server calls back from several threads
         self._dragged, self._about, self._message, self._shown = False, "", "", ""
-        self._rejected, self._rejected_at, self._moved_at = "", -np.inf, -np.inf
+        self._rejection, self._moved_at = Rejection(), -np.inf
         server.gui.main_panel.dock_right()
         name_tab(server.gui, controls.title)
         self._status = server.gui.add_markdown(f"**{controls.title}**")
@@ -241,14 +242,12 @@ class Panel:
     def reject(self, reason: str) -> None:
         """Show for a while, from the next message on, why something that was asked for is not done. From any thread, at any rate:
         it costs nothing here."""
-        self._rejected, self._rejected_at = reason, time.monotonic()
+        self._rejection.show(reason)
 
     def _head(self) -> None:
         """Every change goes to all pages."""
         text = f"  \n**{plain(self._message)}**" if self._message else ""
-        if time.monotonic() < self._rejected_at + _SHOWN:
-            text += f"  \n**Not done:** {plain(self._rejected)}"
-        content = f"**{plain(self.controls.title)}**{self._about}{text}"
+        content = f"**{plain(self.controls.title)}**{self._about}{text}{self._rejection.text}"
         if content != self._shown:
             self._status.content = self._shown = content
 

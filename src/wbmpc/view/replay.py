@@ -17,6 +17,7 @@ from wbmpc.recording.plots import end_effector_error, positions
 from wbmpc.recording.reader import Recording
 from wbmpc.simulation.scene import Body, Contact, Scene
 from wbmpc.view.access import Access
+from wbmpc.view.rejection import Rejection
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, TRAIL, filled, ground, plain, status_text
 
 Array = np.ndarray
@@ -209,7 +210,8 @@ class Player:
 
         self.film, self.access = film, access
         self.server, guard = open_server(access, port)
-        guard.rejected = self._reject
+        self._rejection, self._about = Rejection(), ""
+        guard.rejected = self._rejection.show
         self.stage = ViewScene(self.server, film.scene)
         gui, self._start, self._end = self.server.gui, float(film.times[0]), float(film.times[-1])
         gui.main_panel.dock_right()
@@ -226,10 +228,6 @@ class Player:
         add_capture(gui, film.recording.title)
         self._plots = ReplayPlots(self.server, film.numbers, film.deadline)
 
-    def _reject(self, reason: str) -> None:
-        """Say on the page why something is not done, until another moment is shown."""
-        self._text.content = f"**Not done:** {plain(reason)}"
-
     @property
     def url(self) -> str:
         """Where a browser finds it."""
@@ -241,7 +239,13 @@ class Player:
         self.stage.show(s)
         self.stage.follow(s["poses"], bool(self._follow.value))
         numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
-        self._text.content = f"{self._title}, {t:.2f} s{status_text(numbers)}"
+        self._about = f", {t:.2f} s{status_text(numbers)}"
+        self._head()
+
+    def _head(self) -> None:
+        content = f"{self._title}{self._about}{self._rejection.text}"
+        if content != self._text.content:
+            self._text.content = content
 
     def run(self) -> None:
         """Play, again and again, until Ctrl-C. Without a browser nothing moves: a replay that was forgotten takes no time."""
@@ -256,6 +260,7 @@ class Player:
             if self._time.value != shown:
                 shown = float(self._time.value)
                 self.show(shown)
+            self._head()
             self._plots.show(shown)
             time.sleep(1.0 / RATE)
 

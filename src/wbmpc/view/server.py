@@ -9,12 +9,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from http import HTTPStatus
 from typing import Any
 
 import viser
 from websockets.asyncio import server as websockets_server
 from websockets.datastructures import Headers
+from websockets.frames import Frame, Opcode
 from websockets.http11 import Response
 from websockets.protocol import State
 
@@ -24,7 +26,8 @@ from wbmpc.view.access import Access
 from wbmpc.view.frames import LARGEST, checked
 
 _PATCH = threading.Lock()
-#: Rejected messages that cost their senders no time, and how many more of them are read in a second, of all pages together.
+#: Rejected messages that cost their senders no time, and how many more of them are read in a second, of all pages together; also
+#: what else than whole messages (pings, parts) one connection may send.
 _FREE, _REJECTED_RATE = 200, 500.0
 #: Connections at a time, of all clients together: each is an open file, and the run that is shown needs files too.
 MAX_CONNECTIONS = 100
@@ -47,6 +50,30 @@ class Throttle:
         now = self._clock()
         self._until = max(self._until, now - self._free / self._rate) + 1.0 / self._rate
         return max(self._until - now, 0.0)
+
+
+class Wakeup:
+    """An :class:`asyncio.Event` that any thread may set, for viser does so: it sets the event of a message's buffer in the thread that
+    sends, and then lets the server's thread set it, too. Only the latter wakes who waits. Made in the server's thread."""
+
+    def __init__(self) -> None:
+        self._event, self._set, self._thread = asyncio.Event(), False, threading.get_ident()
+
+    def set(self) -> None:
+        """There is something new."""
+        self._set = True
+        if threading.get_ident() == self._thread:
+            self._event.set()
+
+    def clear(self) -> None:
+        """It is taken in; in the server's thread."""
+        self._set = False
+        self._event.clear()
+
+    async def wait(self) -> None:
+        """Until there is something new; in the server's thread."""
+        if not self._set:
+            await self._event.wait()
 
 
 class Guard:
@@ -73,7 +100,9 @@ class Guard:
         """The answer to a request; None lets a WebSocket begin."""
         port = int(connection.local_address[1])
         reason = self.access.rejection(request.path, request.headers, port)
-        if reason:
+        if not reason and self.server is None:  # what browsers may find is still being made
+            response = Response(HTTPStatus.SERVICE_UNAVAILABLE.value, "Starting", Headers({"Content-Length": "0"}), b"")
+        elif reason:
             self.log.warning("view: a request was rejected: %s", reason)
             text = f"403: {reason}\n".encode()
             response = Response(
@@ -84,14 +113,12 @@ class Guard:
             )
         else:
             try:
-                response = serve(connection, request)
+                response = serve(connection, replace(request, path=self.access.inside(request.path)))
             except (OSError, ValueError):  # no name of a file
                 response = Response(HTTPStatus.NOT_FOUND.value, "Not Found", Headers({"Content-Length": "0"}), b"")
         if response is not None:
             for name, value in _HEADERS.items():
                 response.headers[name] = value
-            if not reason and self.access.token and self.access.in_query(request.path):
-                response.headers["Set-Cookie"] = self.access.cookie(port)
         return response
 
     # ------------------------------------------------------------------ messages
@@ -117,6 +144,14 @@ class Guard:
         self.connections[connection] = transport
         return True
 
+    def close_connection(self, transport: Any) -> None:
+        """End the connection of a client that floods."""
+        reason = "a connection was closed: it sent too many pings or parts of messages"
+        if not transport.is_closing():
+            self.log.warning("view: %s", reason)
+            self.rejected(reason)
+        transport.abort()
+
     def _input(self, uuid: str) -> Any:
         return None if self.server is None else self.server.gui._gui_input_handle_from_uuid.get(uuid)
 
@@ -129,6 +164,7 @@ class Guard:
 
         class Connection(websockets_server.ServerConnection):
             admitted = False
+            throttle: Throttle | None = None
 
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
                 self.admitted = guard.admit(self, transport)
@@ -139,6 +175,15 @@ class Guard:
                 guard.connections.pop(self, None)
                 if self.admitted:
                     super().connection_lost(exc)
+
+            def process_event(self, event: Any) -> None:
+                """Pings are answered, and parts of a message kept, as they come: who sends many of them would fill the memory."""
+                if isinstance(event, Frame) and not (event.fin and event.opcode in (Opcode.TEXT, Opcode.BINARY)):
+                    self.throttle = self.throttle or Throttle(_FREE, _REJECTED_RATE)
+                    if self.throttle.wait() > 0.0:
+                        guard.close_connection(self.transport)
+                        return
+                super().process_event(event)
 
             async def recv(self, decode: bool | None = None) -> Any:
                 while True:
@@ -173,5 +218,13 @@ def open_server(access: Access, port: int, label: str = "wbmpc") -> tuple[viser.
     if not guard.installed:  # another version of viser starts its server in another way: no client would be rejected
         server.stop()
         raise InputError("view: this version of viser cannot be guarded; valid: viser 1.1")
-    guard.server = server
+    websocket = server._websock_server
+
+    async def connected(client: Any) -> None:
+        for buffer in (websocket._broadcast_buffer, client._state.message_buffer):
+            if not isinstance(buffer.message_event, Wakeup):  # before anything waits for it
+                buffer.message_event = Wakeup()
+
+    websocket.on_client_connect(connected)
+    guard.server = server  # only now requests are answered
     return server, guard

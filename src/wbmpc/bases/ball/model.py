@@ -7,6 +7,7 @@ rotation R the wheels turn at ψ̇ = −(r / r_w) aᵀ Rᵀ (Ω − ω), Ω = (�
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from wbmpc.model.kinematics import Chain, FramePose, solve_spd
 from wbmpc.model.layout import Layout
 from wbmpc.model.tree import Frame, Link, Tree
 from wbmpc.robots import RobotDescription
+from wbmpc.units import force_unit, rate_unit
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Footprint
@@ -64,6 +66,14 @@ class BallBase:
         self.contacts = self._contacts(description.arm.tool)
         contact_forces = {group: axes for groups in self.contacts.values() for group in groups.values()}
         self.input = {"wheel": wheels, "arm": arm, **contact_forces}
+        units = {"base": ("m", "m", "rad", "rad", "rad"), "arm": self.tree.units(arm)}
+        self.state_units = {**units, **{f"{g}_velocity": [rate_unit(u) for u in own] for g, own in units.items()}}
+        self.input_units: dict[str, str | Sequence[str]] = {
+            "wheel": "N m",
+            "arm": [force_unit(u) for u in units["arm"]],
+        }
+        for groups in self.contacts.values():
+            self.input_units |= {group: {"force": "N", "moment": "N m"}[kind] for kind, group in groups.items()}
         self.mode: dict[str, list[str]] = {}
         self.parameters = {"disturbance": [*pose, *arm], **({} if self.contacts else {"force": axes})}
         self.parameters["push"] = ["x", "y"]

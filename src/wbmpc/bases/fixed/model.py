@@ -13,6 +13,7 @@ from wbmpc.model.joints import Limits, joint_home, joint_limits
 from wbmpc.model.kinematics import Chain, FramePose, constant
 from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription
+from wbmpc.units import rate_unit
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Footprint
@@ -28,6 +29,8 @@ class FixedBase:
         arm = list(description.arm.joints)
         self._joints = [tree.joint(n) for n in arm]
         self.state, self.input = {"arm": arm}, {"arm": arm}
+        self.state_units = {"arm": tree.units(arm)}
+        self.input_units = {"arm": [rate_unit(unit) for unit in self.state_units["arm"]]}
         self.mode: dict[str, list[str]] = {}
         self.parameters: dict[str, list[str]] = {}
         self.unit_quaternions: tuple[int, ...] = ()

@@ -17,6 +17,7 @@ from wbmpc.model.joints import Limits, joint_home, joint_limits
 from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about
 from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription
+from wbmpc.units import rate_unit
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Footprint
@@ -82,6 +83,11 @@ class PlanarBase:
         self._groups = tuple(joints)
         self.state: dict[str, list[str]] = {"base": ["x", "y", "yaw"], **joints}
         self.input: dict[str, list[str]] = {"base": list(names), **joints}
+        units = {group: tree.units(own) for group, own in joints.items()}
+        self.state_units = {"base": ("m", "m", "rad"), **units}
+        self.input_units = {
+            "base": (*["m/s"] * (len(names) - 1), "rad/s"), **{g: [rate_unit(u) for u in own] for g, own in units.items()}
+        }  # fmt: skip
         self.parameters: dict[str, list[str]] = {}
         self.mode: dict[str, list[str]] = {}
         self.mode_bounds: dict[str, tuple[float, float]] = {}

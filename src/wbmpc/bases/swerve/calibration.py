@@ -19,6 +19,7 @@ from wbmpc.estimation.fused_odometry import FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.wheels import ModuleGeometry
+from wbmpc.run_files import TEXTS
 
 Array = NDArray[np.float64]
 #: Times of channels that differ by less [s] are the same (a microsecond's rounding, or single precision, is no other time).
@@ -53,7 +54,7 @@ class WheelRecord:
         Raises :class:`InputError`."""
         for name in ("steer", "wheel", "place"):
             if name not in channels or f"{name}.time" not in channels:
-                known = sorted(c for c in channels if not c.endswith((".time", ".names")))
+                known = sorted(c for c in channels if not c.endswith((".time", *TEXTS)))
                 raise InputError(
                     f"{where}: there is no channel '{name}' with its '{name}.time'; a calibration needs steer, wheel and place "
                     f"(global poses: of a localization or a survey); this one has: {', '.join(known)}"

@@ -9,7 +9,7 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
-from wbmpc.default_problem import keep_clear, keep_upright, make_mpc
+from wbmpc.default_problem import ACCELERATION_SLACK, keep_clear, keep_upright, make_mpc
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Guess
 from wbmpc.mpc.mpc import MPC
@@ -110,7 +110,8 @@ def swerve_problem(
     ocp.add(Constraint("speeds", free_input, box, penalty=barrier, hard=hard))
     if limited:  # with a slack, unlike speeds: a brake that closes under a moving leg stops wheels harder than they may
         reachable = residuals.AccelerationLimit(robot, limited)
-        ocp.add(Constraint("accelerations", reachable, sets.NonNegative(), penalty=barrier, hard=hard))
+        free, slack = sets.NonNegative(), ACCELERATION_SLACK
+        ocp.add(Constraint("accelerations", reachable, free, penalty=barrier, hard=hard, slack=slack))
     return ocp
 
 

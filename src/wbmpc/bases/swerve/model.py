@@ -24,6 +24,7 @@ from wbmpc.model.layout import Layout
 from wbmpc.model.tree import Tree
 from wbmpc.model.wheels import ModuleGeometry
 from wbmpc.robots import RobotDescription
+from wbmpc.units import rate_unit
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Footprint
@@ -209,6 +210,11 @@ class SwerveBase:
         pose = ["x", "y", "z", "qw", "qx", "qy", "qz"] if self.quaternion else ["x", "y", "yaw"]
         self.state: dict[str, list[str]] = {"base": pose, **joints}
         self.input: dict[str, list[str]] = {"base": ["vx", "vy", "wz"], **joints}
+        units = {group: tree.units(names) for group, names in joints.items()}
+        self.state_units = {"base": ("m", "m", "m", *"1111") if self.quaternion else ("m", "m", "rad"), **units}
+        self.input_units = {
+            "base": ("m/s", "m/s", "rad/s"), **{g: [rate_unit(u) for u in own] for g, own in units.items()}
+        }  # fmt: skip
         self.mode: dict[str, list[str]] = {"brake": hinges} if hinges else {}
         self.mode_bounds = {group: (0.0, 1.0) for group in self.mode}
         self.brakes = dict.fromkeys(self.mode, "leg")

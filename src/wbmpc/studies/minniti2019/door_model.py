@@ -106,7 +106,8 @@ class WithDoor:
             )
         inner = robot.dynamics()
         self.robot, self.inner, self.opening = robot, inner, opening
-        self.state = Layout({**inner.state.groups, "door": ("angle", "rate")})
+        door, units = ("angle", "rate"), ("rad", "rad/s")
+        self.state = Layout({**inner.state.groups, "door": door}, {**inner.state.unit_groups, "door": units})
         self.input = inner.input
         place = ("hinge_x", "hinge_y", "closed", "offset")
         self.parameters = Layout({**inner.parameters.groups, "place": place, "impedance": IMPEDANCE})

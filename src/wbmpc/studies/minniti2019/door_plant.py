@@ -19,12 +19,11 @@ from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription
-from wbmpc.simulation.contacts import HANDLE, TOOL
+from wbmpc.simulation.contacts import HANDLE
 from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.tip import SOFT, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.simulation.world import Array
 
-#: The rubber tip: radius [m], mass [kg], softness of its contact (time constant [s], damping ratio).
-TIP_RADIUS, TIP_MASS, SOFT = 0.02, 0.05, (0.02, 1.0)
 #: Half the thickness [m] of the panel, its height [m], and how far [m] its lower edge is above the floor.
 HALF_THICKNESS, HEIGHT, CLEARANCE = 0.02, 1.8, 0.01
 #: A door that sticks is free once it has opened so far [rad].
@@ -97,32 +96,6 @@ class Door:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class ForceSensor:
-    """Three axes between end effector and tip, averaged between messages: noise (standard deviation) [N] of a message, and a constant
-    ``bias`` [N], drawn within ± this for each axis (what is left after zeroing)."""
-
-    noise: float = 0.1
-    bias: float = 0.1
-
-
-def add_tip(spec: mujoco.MjSpec, tool: str, grip: float, contact: tuple[float, float] = SOFT) -> None:
-    """A tip at the site ``tool`` with a force sensor in the end effector's axes."""
-    site = next((s for s in spec.sites if s.name == tool), None)
-    if site is None:
-        raise InputError(f"door: the end effector '{tool}' must be a site of the robot's file")
-    tip = site.parent.add_body(name="hand_tip", pos=site.pos, quat=site.quat)
-    tip.explicitinertial, tip.mass, tip.ipos = True, TIP_MASS, [0, 0, 0]
-    tip.inertia = [0.4 * TIP_MASS * TIP_RADIUS**2] * 3
-    tip.add_site(name="hand_force")
-    tip.add_geom(
-        name="hand_tip", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[TIP_RADIUS, 0, 0], mass=0, condim=3,
-        friction=[grip, 0.005, 1e-4], solref=contact, rgba=[0.1, 0.1, 0.1, 1], **TOOL,
-    )  # fmt: skip
-    kind, site_type = mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtObj.mjOBJ_SITE
-    spec.add_sensor(name="hand_force", type=kind, objtype=site_type, objname="hand_force")
-
-
 class DoorPlant(BallPlant):
     """A ball robot before a door. Its measurements also hold the ``force`` (3) [N] that the sensor in the end effector reads.
 
@@ -144,12 +117,12 @@ class DoorPlant(BallPlant):
             add_tip(spec, description.arm.tool, door.grip, door.contact)
             if door.friction_time is not None:
                 spec.add_pair(
-                    name="hand_tip_door", geomname1="hand_tip", geomname2="door", condim=3, solref=door.contact,
+                    name="hand_tip_door", geomname1=TIP, geomname2="door", condim=3, solref=door.contact,
                     friction=[door.grip, door.grip, 0.005, 1e-4, 1e-4], solreffriction=[door.friction_time, 1.0],
                 )  # fmt: skip
 
         super().__init__(description, state, torque, perturbation, seed, payload=payload, edit=edit)
-        self._tip, self._panel = self.model.geom("hand_tip").id, self.model.geom("door").id
+        self._tip, self._panel = self.model.geom(TIP).id, self.model.geom("door").id
         self._hinge = None if door.locked else self.model.joint("door")
         if self._hinge is not None:
             self._dof, self._q = int(self._hinge.dofadr[0]), int(self._hinge.qposadr[0])
@@ -211,14 +184,5 @@ class DoorPlant(BallPlant):
         return self._pressed.copy()
 
     def _panel_force(self) -> Array:
-        """Of the step that MuJoCo has just done: as soon as it looks for the contacts of the next one, their forces are not yet any
-        numbers in particular."""
-        total, local = np.zeros(3), np.zeros(6)
-        for c in range(self.data.ncon):
-            contact = self.data.contact[c]
-            if {contact.geom1, contact.geom2} != {self._tip, self._panel}:
-                continue
-            mujoco.mj_contactForce(self.model, self.data, c, local)
-            force = contact.frame.reshape(3, 3).T @ local[:3]  # on the second geom, by the first
-            total += force if contact.geom2 == self._panel else -force
-        return total
+        """Of the step that MuJoCo has just done."""
+        return contact_force(self.model, self.data, self._tip, self._panel)

@@ -35,7 +35,7 @@ class ServoedArm:
             )
         self._base, self._robot = base, robot
         self.state, self.mode = robot.state, Layout({})
-        self.input = Layout({"wheel": robot.input.groups["wheel"]})
+        self.input = Layout({"wheel": robot.input.groups["wheel"]}, {"wheel": robot.input.unit_groups["wheel"]})
         pose, arm = robot.state.groups["base"], robot.state.groups["arm"]
         self.parameters = Layout({"disturbance": pose, "goal": arm, "pace": ("all",)})
 

@@ -16,10 +16,10 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Drawing, Metric, Plot
 from wbmpc.simulation.lockstep import Progress
+from wbmpc.simulation.tip import SOFT
 from wbmpc.studies.minniti2019.door import HERE, believed, drawn_door, push_door
 from wbmpc.studies.minniti2019.door_control import RELAX
 from wbmpc.studies.minniti2019.door_figures import Trial
-from wbmpc.studies.minniti2019.door_plant import SOFT
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS

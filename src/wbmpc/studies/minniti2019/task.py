@@ -30,6 +30,7 @@ from wbmpc.studies.minniti2019.baselines import Parts, make_controller
 from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.types import Truth
+from wbmpc.units import force_unit
 
 IDEALIZATIONS = [
     "encoders, gyro and accelerometer have noise, bias and 5 ms of age; the start (position, heading) is known, and the floor "
@@ -207,11 +208,14 @@ def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallControll
 
 
 def _label(log: Log, robot: RobotModel) -> None:
-    own, driven = robot.state.names, [*robot.input.groups["wheel"], *robot.input.groups["arm"]]
-    for channel, names in (
-        ("state", own), ("estimate", own), ("torque", driven), ("feedback", driven), ("disturbance", robot.base.parameters["disturbance"]),
+    own, inputs = robot.state, robot.input
+    driven, torques = ([*groups["wheel"], *groups["arm"]] for groups in (inputs.groups, inputs.unit_groups))
+    forces = [force_unit(unit) for unit in (*own.unit_groups["base"], *own.unit_groups["arm"])]
+    for channel, names, units in (
+        ("state", own.names, own.units), ("estimate", own.names, own.units), ("torque", driven, torques), ("feedback", driven, torques),
+        ("disturbance", robot.base.parameters["disturbance"], forces),
     ):  # fmt: skip
-        log.label(channel, names)
+        log.label(channel, names, units)
 
 
 def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estimator: BallFilter) -> None:

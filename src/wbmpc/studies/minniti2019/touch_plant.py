@@ -7,8 +7,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from wbmpc.simulation.tip import TIP_RADIUS
 from wbmpc.simulation.world import Array
-from wbmpc.studies.minniti2019.door_plant import TIP_RADIUS, DoorPlant
+from wbmpc.studies.minniti2019.door_plant import DoorPlant
 
 
 class TouchPlant(DoorPlant):

@@ -87,6 +87,17 @@ _PLASTER: Definitions = {
     "base_error_rms_world": ("m", "rms distance of the estimated position of the base from the true one"),
     **_SLIP,
 }
+_WIPE: Definitions = {
+    "force_error_ratio": ("1", "rms error of the true normal force over the ordered one, from 0.1 s after its rise to the end of the way"),
+    "force_mean": ("N", "mean normal force in that time; true"),
+    "force_max": ("N", "largest normal force of the tip at any physics step; true"),
+    "touch_peak": ("N", "largest normal force in the first 0.1 s after the touch, at any physics step; true"),
+    "time_without_contact": ("s", "time with less than 0.1 N in the time in which the force is judged; true"),
+    **_both("path_error_rms", "m", "rms distance of the end effector from its reference, without what is along the wall's normal"),
+    **{n + "_along": about for n, about in _both("path_error_rms", "m", "rms error of the end effector along its way").items()},
+    "friction_error": ("1", "difference of the mean estimated friction coefficient of tip and wall from the true one"),
+    "base_travel": ("m", "how far the base drives along the wall; true"),
+}  # fmt: skip
 _WOBBLE: Definitions = {
     "roll_pitch_rate_max_*": ("rad/s", "largest true roll and pitch rate with one wheel on the block, by leg configuration"),
     "imu_rate_max_*": ("rad/s", "the same of the gyro, filtered and without its mean at rest, by leg configuration"),
@@ -153,6 +164,7 @@ DEFINITIONS: dict[str, Definitions] = {
     "swerve-stability": _STABILITY,
     "swerve-brakes": _BRAKES,
     "swerve-plaster": _PLASTER,
+    "swerve-wipe": _WIPE,
     "swerve-wobble": _WOBBLE,
     "swerve-drive": _DRIVE,
     "legs": _TOUR,

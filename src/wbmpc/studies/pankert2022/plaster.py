@@ -51,8 +51,13 @@ def room(spec: mujoco.MjSpec) -> None:
 
 
 def terrain(spec: mujoco.MjSpec) -> None:
-    """The wall; cables across the way, smooth bumps."""
+    """The wall, on a floor that is not even."""
     room(spec)
+    uneven_floor(spec)
+
+
+def uneven_floor(spec: mujoco.MjSpec) -> None:
+    """Cables across the way, smooth bumps."""
     common = {"friction": [0.75, 0.005, 1e-4], "solref": [0.01, 1.0], **GROUND}
     for x in CABLES:
         spec.worldbody.add_geom(

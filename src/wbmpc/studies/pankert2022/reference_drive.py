@@ -162,7 +162,7 @@ def drive(
     controller = SwerveController(robot, plant.truth().pose, period)
     phases = _phases(robot, settings)
     swings = any(p.brake.any() for p in phases)
-    wheels, total = WheelLog(log, robot.description.base.joint_groups()["wheel"]), sum(p.length for p in phases)
+    wheels, total = WheelLog(log, robot), sum(p.length for p in phases)
     home, arm = robot.state.split(robot.home), np.zeros(len(robot.input.groups["arm"]))
     legs, brake = home.get("leg", np.zeros(geometry.modules)), phases[0].brake
     with watched(plant, period, total, progress, controller) as tick:

@@ -24,6 +24,7 @@ from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.track_figures import SPEEDS, metrics, plots
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, swerve_robot
+from wbmpc.units import rate_unit
 
 NAME = "swerve-track"
 #: One row of the log for so many ticks.
@@ -42,13 +43,14 @@ IDEALIZATIONS = [
 
 def _label(log: Log, robot: RobotModel, driven: Sequence[str]) -> WheelLog:
     """Names of what is recorded; the part of the log that is of the wheels."""
-    wheels = robot.description.base.joint_groups()["wheel"]
-    for channel, names in (
-        ("state", robot.state.names), ("input", robot.input.names), ("arm", robot.input.groups["arm"]), ("joint_speed", driven),
-        ("wheel_command", wheels), ("wheel_slip", wheels),
+    wheels, state, inputs = robot.description.base.joint_groups()["wheel"], robot.state, robot.input
+    for channel, names, units in (
+        ("state", state.names, state.units), ("input", inputs.names, inputs.units),
+        ("arm", state.groups["arm"], state.unit_groups["arm"]), ("joint_speed", driven, [rate_unit(u) for u in robot.tree.units(driven)]),
+        ("wheel_command", wheels, "rad/s"), ("wheel_slip", wheels, "m/s"),
     ):  # fmt: skip
-        log.label(channel, names)
-    return WheelLog(log, wheels)
+        log.label(channel, names, units)
+    return WheelLog(log, robot)
 
 
 def build(settings: SwerveTrackSettings, seed: int) -> Scenario:

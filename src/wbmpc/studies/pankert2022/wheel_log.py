@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from wbmpc.bases.swerve.calibration import WheelRecord
@@ -27,13 +25,15 @@ def record_of(log: Log) -> WheelRecord:
 
 
 class WheelLog:
-    """Writes the channels that a calibration reads: one row for ``every`` messages. ``wheels``: what they are called."""
+    """Writes the channels that a calibration reads: one row for ``every`` messages of ``robot``."""
 
-    def __init__(self, log: Log, wheels: Sequence[str], every: int = 4) -> None:
+    def __init__(self, log: Log, robot: RobotModel, every: int = 4) -> None:
         self.log, self.every = log, every
         self._count, self._gyro = 0, list[float]()
-        for channel in ("steer", "wheel", "leg", "brake"):
-            log.label(channel, wheels)
+        wheels, legs = robot.description.base.joint_groups()["wheel"], set(robot.state.unit_groups.get("leg", ()))
+        moved = legs.pop() if len(legs) == 1 else ""
+        for channel, unit in (("steer", "rad"), ("wheel", "rad"), ("leg", moved), ("brake", "1")):
+            log.label(channel, wheels, unit)
 
     def add(self, t: float, m: SwerveMeasurement, brake: np.ndarray | None = None) -> None:
         """Take in the message of time ``t`` [s] on the log's clock, and what brakes (n, 1 = open) were commanded before it."""

@@ -41,7 +41,8 @@ class WithoutArm:
 
     def __init__(self, dynamics: Any) -> None:
         self.dynamics = dynamics
-        drop = lambda layout: Layout({g: n for g, n in layout.groups.items() if g != "arm"})
+        kept = lambda groups: {g: own for g, own in groups.items() if g != "arm"}
+        drop = lambda layout: Layout(kept(layout.groups), kept(layout.unit_groups))
         self.state, self.input = drop(dynamics.state), drop(dynamics.input)
         self.parameters, self.mode = dynamics.parameters, dynamics.mode
         self.unit_quaternions = dynamics.unit_quaternions

@@ -1,0 +1,40 @@
+"""The page of a search. Truth: the trials and the definition that it is made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from wbmpc.study.definition import Tuning
+from wbmpc.study.tune_page import tune_page
+
+TRIALS: list[dict[str, Any]] = [
+    {"trial": k, "values": [3.0 - k, 1.5 + k], "feasible": k != 1, "pruned": False, "settings": {"gain": 10.0**k, "offset": 0.5 * k}}
+    for k in range(3)
+]  # fmt: skip
+
+
+def tuning(**more: Any) -> Tuning:
+    search = {"gain": {"from": 1, "to": 100, "log": True}, "offset": {"from": 0, "to": 1}}
+    terms = [{"metric": "error", "limit": 5}, {"metric": "effort", "limit": 9, "maximize": True}]
+    return Tuning.model_validate({"seeds": [0], "search": search, "minimize": terms, **more})
+
+
+def test_objectives_have_names_and_axes_are_as_they_were_searched() -> None:
+    pytest.importorskip("plotly")
+    page = tune_page("t", tuning(pareto=True), TRIALS, TRIALS[0], False)
+    assert "Best: trial 0, error and effort, as large as possible: 3, 1.5." in page
+    assert "<th class=n>error</th><th class=n>effort, as large as possible</th>" in page
+    assert page.count('"type":"log"') == 1  # gain's alone, though offset has values far apart too
+    assert "effort, as large as possible against error" in page
+
+
+def test_a_sum_is_one_objective() -> None:
+    pytest.importorskip("plotly")
+    summed = [{**t, "values": [sum(t["values"])]} for t in TRIALS]
+    page = tune_page("t", tuning(), summed, summed[0], False)
+    assert (
+        "Best: trial 0, error + effort, as large as possible: 4.5." in page
+        and " against " not in page.partition("<h1>")[2]
+    )
