@@ -32,11 +32,11 @@ from wbmpc.view.replay import Film
 ROOT = Path(__file__).parents[1]
 GALLERY = ROOT / "docs" / "gallery.md"
 IMAGES = ROOT / "docs" / "images" / "gallery"
-#: Pixels of a clip and of a figure, which is drawn so many times finer; how long a clip is [s].
+#: Pixels of a clip and of a figure, which is drawn so many times finer and then smoothed; how long a clip is [s].
 CLIP, FIGURE, FINER, SECONDS = (360, 202), (520, 320), 2, 4.0
 COLORS = 32
 #: Titles of the figures that say most, where it is not the report's first: a part of the title.
-TITLES: dict[str, str] = {}
+TITLES = {"hold": "End effector error", "end-effector-track": "End effector error"}
 DRAW = """([title, width, height, scale]) => {
   const all = [...document.querySelectorAll(".js-plotly-plot")];
   const named = all.find(p => title && p.closest(".card").textContent.includes(title)) || all[0];
@@ -62,6 +62,7 @@ def figure(page: Page, run: Path, name: str) -> str:
         return ""
     title, found = page.evaluate(DRAW, [TITLES.get(name, ""), *FIGURE, FINER])
     picture = Image.open(io.BytesIO(base64.b64decode(found.partition(",")[2]))).convert("RGB")
+    picture = picture.resize(FIGURE, Image.Resampling.LANCZOS)
     picture.quantize(COLORS, dither=Image.Dither.NONE).save(IMAGES / f"{name}.png", optimize=True)
     return str(title)
 
@@ -80,7 +81,15 @@ def part(page: Page, run: Path, name: str) -> str:
     """An experiment's part of the page."""
     metrics: dict[str, Any] = json.loads((run / "metrics.json").read_text())
     speed, title = clip(run, name), figure(page, run, name)
-    pictures = {f"{speed:g} times as fast": f"![clip of {name}](images/gallery/{name}.webp)"} if speed else {}
+    pictures = (
+        {
+            "as fast as it was"
+            if speed == 1.0
+            else f"{speed:g} times as fast": f"![clip of {name}](images/gallery/{name}.webp)"
+        }
+        if speed
+        else {}
+    )
     pictures |= {title: f"![{title}](images/gallery/{name}.png)"} if title else {}
     summary = load(name).summary
     commit = metrics["versions"].get("commit", "unknown")[:10]
