@@ -9,7 +9,7 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
-from wbmpc.default_problem import ACCELERATION_SLACK, keep_clear, keep_upright, make_mpc
+from wbmpc.default_problem import ACCELERATION_SLACK, keep_apart, keep_clear, keep_upright, make_mpc
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Guess
 from wbmpc.mpc.mpc import MPC
@@ -126,11 +126,12 @@ def swerve_mpc(
     obstacles: Obstacles | None = None,
     stability: StabilitySettings | None = None,
     progress: bool = False,
+    self_clearance: bool = False,
 ) -> MPC:
     """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and upright by ``stability``; ``progress``:
-    see :func:`wbmpc.path_problem`."""
+    see :func:`wbmpc.path_problem`; ``self_clearance``: whether it keeps apart the pairs that the robot file lists."""
     ocp = swerve_problem(robot, settings, cost, side_softness, accelerations=True, allow_side_slip=allow_side_slip)
-    ocp = keep_upright(ocp, robot, stability)
+    ocp = keep_upright(keep_apart(ocp, robot) if self_clearance else ocp, robot, stability)
     ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
     return make_mpc(ocp, settings, stability, guess=guess, obstacles=obstacles)
 

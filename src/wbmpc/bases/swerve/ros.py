@@ -167,7 +167,9 @@ class SwerveRosAdapter(BaseAdapter):
         self._steering = SteeringGuess(robot, self._preview)
         self.pending = PendingChanges(self._steering)
         self.obstacles = obstacles_of(settings)
-        self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.pending, obstacles=self.obstacles)
+        self.mpc = swerve_mpc(
+            robot, settings.mpc, settings.cost, self.pending, obstacles=self.obstacles, self_clearance=True
+        )
         self._twists: Reference | None = None
         self._has_imu = False
         groups = robot.input.groups
