@@ -60,7 +60,7 @@ def draw(path: Path) -> None:
 
 WRITERS: dict[str, Callable[[Path], None]] = {
     "page.html": lambda path: write_text(path, "x" * 100_000),
-    "log.npz": save_log, "x.csv": save_table, "run.npz": save_table, "a.png": draw, "a.gif": draw, "a.mp4": draw,
+    "log.npz": save_log, "x.csv": save_table, "run.npz": save_table, "a.png": draw, "a.gif": draw, "a.webp": draw, "a.mp4": draw,
 }  # fmt: skip
 
 

@@ -165,6 +165,7 @@ def render(
     file: Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")],
     mp4: Annotated[Path | None, typer.Option(help="Write a film.")] = None,
     gif: Annotated[Path | None, typer.Option(help="Write an animated GIF.")] = None,
+    webp: Annotated[Path | None, typer.Option(help="Write an animated WebP: much smaller than a GIF.")] = None,
     png: Annotated[Path | None, typer.Option(help="Write a picture of the moment --start.")] = None,
     start: Annotated[float, typer.Option(help="From this time on (seconds).")] = 0.0,
     end: Annotated[float, typer.Option(help="Up to this time (seconds; default: all).")] = math.inf,
@@ -179,9 +180,11 @@ def render(
     from wbmpc.view.render import render as draw
     from wbmpc.view.replay import Film
 
-    targets = [(path, kind) for path, kind in ((mp4, ".mp4"), (gif, ".gif"), (png, ".png")) if path is not None]
+    targets = [
+        (path, kind) for path, kind in zip((mp4, gif, webp, png), (".mp4", ".gif", ".webp", ".png")) if path is not None
+    ]
     if not targets:
-        raise InputError("render: what to write is missing; valid: --mp4 FILE, --gif FILE, --png FILE")
+        raise InputError("render: what to write is missing; valid: --mp4 FILE, --gif FILE, --webp FILE, --png FILE")
     for path, kind in targets:
         if path.suffix.lower() != kind:
             raise InputError(f"--{kind[1:]}: '{path}' must end in {kind}")
