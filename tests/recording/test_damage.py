@@ -176,6 +176,28 @@ def test_a_message_that_is_none_of_its_type_names_file_and_topic(tmp_path: Path)
         read_recording(path).table("/end_effector/pose")
 
 
+def test_joints_without_their_numbers_name_file_and_topic(tmp_path: Path) -> None:
+    """It was a traceback of zip."""
+    path, header = tmp_path / "run.mcap", {"stamp": stamp(0.0), "frame_id": "map"}
+    file = McapFile(path)
+    joints = {"header": header, "name": ["a", "b"], "position": np.zeros(2), "velocity": np.zeros(1), "effort": []}
+    file.put("/joint_states", "sensor_msgs/JointState", 0.0, joints)
+    file.close()
+    with pytest.raises(InputError, match=rf"^{path}: /joint_states: a message has not as many numbers as names"):
+        read_recording(path).table("/joint_states")
+
+
+def test_an_end_of_zeros_is_not_followed(whole: Path, tmp_path: Path) -> None:
+    """A power cut leaves them. Each nine zeros are a record: a gigabyte of them took minutes, and five times its size in memory."""
+    path, data = tmp_path / "run.mcap", whole.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    before = contents(read_recording(path))
+    path.write_bytes(data[: len(data) // 2] + bytes(1_000_000))
+    found = read_recording(path)
+    assert contents(found) == before and len(found.damage) < 2000
+    assert found.damage[-1].startswith("nothing is read from byte ")
+
+
 @pytest.mark.parametrize("name", KINDS)
 def test_a_topic_of_another_type_is_left_out(tmp_path: Path, name: str) -> None:
     """Pages and films read these topics by name. One of another type, or of two, was a traceback of whatever its messages lack."""

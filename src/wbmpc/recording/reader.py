@@ -131,7 +131,12 @@ class Recording:
     def table(self, topic: str) -> Table:
         """The numbers and texts of a topic; a list of messages gives columns for each."""
         found = self[topic]
-        rows = [dict(_flat("", found.kind, message)) for _, message in found.messages()]
+        try:
+            rows = [dict(_flat("", found.kind, message)) for _, message in found.messages()]
+        except InputError:
+            raise
+        except ValueError:  # of zip
+            raise InputError(f"{found.where}: a message has not as many numbers as names") from None
         names = list(dict.fromkeys(name for row in rows for name in row))
         columns = {}
         for name in names:

@@ -28,6 +28,9 @@ _READ: dict[int, Callable[[ReadDataStream], McapRecord]] = {
 }  # fmt: skip
 #: Bytes of a chunk when it is unpacked, at most; what a compressed frame says that does not know its size.
 LARGEST_CHUNK, UNKNOWN = 256 * 1024 * 1024, 2**64 - 1
+#: After so many damaged records one after the other a file is not followed any further: a power cut leaves ends that are all zeros, each
+#: nine of which are a record.
+_LOST = 1000
 #: Kinds from here on are other programs' own.
 _PRIVATE = 0x80
 _CHECKSUM = "its checksum does not fit"
@@ -40,7 +43,7 @@ def records(data: bytes, damage: list[str]) -> Iterator[McapRecord]:
 
     What is wrong is appended to ``damage``: clauses without a full stop. A file that just ends in the middle is not damaged.
     """
-    at, summary, closed = len(MAGIC), 0, False
+    at, summary, closed, good = len(MAGIC), 0, False, 0
     while at + _HEAD.size <= len(data):
         kind, length = _HEAD.unpack_from(data, at)
         start, end = at + _HEAD.size, at + _HEAD.size + length
@@ -63,9 +66,13 @@ def records(data: bytes, damage: list[str]) -> Iterator[McapRecord]:
                 _compare(found.summary_crc, data[summary : end - 4])
             elif found is not None:
                 yield found
+            good = len(damage)
         except _DAMAGED as error:
             damage.append(f"the record at byte {at} ({_name(kind)}): {_describe(error)}")
         at = end
+        if len(damage) - good >= _LOST:
+            damage.append(f"nothing is read from byte {at} of {len(data)} on")
+            return
     if data[len(MAGIC) :].endswith(MAGIC) and not closed:  # it was closed once: what is missing is not its end
         damage.append(f"its records cannot be followed from byte {at} of {len(data)} on")
 
