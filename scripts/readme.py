@@ -23,10 +23,12 @@ UNITS = {"mm": 1e3, "m": 1.0, "%": 100.0, "s": 1.0, "rad": 1.0, "N": 1.0, "1": 1
 
 
 def of_study(file: Path) -> dict[str, dict[str, dict[str, Any]]]:
-    """By experiment and metric: median and worst of the study's first combination of it; a figure that is not finite is infinite.
-    Values of single runs are known of falls alone."""
+    """By experiment and metric: median and worst under the plain protocol; a figure that is not finite is infinite. Values of single runs
+    are known of falls alone."""
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for cell in json.loads(file.read_text())["cells"]:
+        if cell["condition"] not in ("", "protocol"):
+            continue
         known = lambda value: float("inf") if value is None else value
         own = {m: {key: known(f[key]) for key in ("median", "worst")} for m, f in cell["metrics"].items()}
         ended = [float(how == "fell") for how, n in cell.get("outcomes", {}).items() for _ in range(n)]
