@@ -266,14 +266,15 @@ def test_clips(run: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixtu
     imageio = pytest.importorskip("imageio.v3")
     graphics(run)
     size = ["--width", "160", "--height", "90"]
-    files = [tmp_path / f"a.{kind}" for kind in ("png", "gif", "mp4")]
+    files = [tmp_path / f"a.{kind}" for kind in ("png", "gif", "mp4", "webp")]
     options = [f"--{f.suffix[1:]}" for f in files]
     named = [text for pair in zip(options, map(str, files), strict=True) for text in pair]
     assert main(["render", str(run.folder), *named, "--start", "0.5", *size]) == 0
     assert "a.png: 1 picture\n" in capsys.readouterr().out
     still = imageio.imread(files[0])
     assert still.shape[:2] == (90, 160) and len(np.unique(still.reshape(-1, still.shape[2]), axis=0)) > 50
-    assert len(imageio.imread(files[1], index=None)) == 6 + 1  # 0.48 s at 12.5 Hz; both ends
+    for moving in files[1], files[3]:
+        assert len(imageio.imread(moving, index=None)) == 6 + 1  # 0.48 s at 12.5 Hz; both ends
     film = imageio.imread(files[2])
     assert len(film) == 15 and film.shape[1:3] == (90, 160)
     assert np.abs(film[0].astype(int) - still[..., :3].astype(int)).mean() < 6.0  # the same moment, compressed
@@ -287,7 +288,7 @@ def test_a_clip_shows_motion(run: SimpleNamespace) -> None:
 
 
 BAD = {
-    (): "what to write is missing; valid: --mp4 FILE, --gif FILE, --png FILE",
+    (): "what to write is missing; valid: --mp4 FILE, --gif FILE, --webp FILE, --png FILE",
     ("--mp4", "a.avi"): "--mp4: 'a.avi' must end in .mp4",
     ("--png", "a.png", "--start", "9"): "there is nothing to draw",
     ("--mp4", "a.mp4", "--width", "321"): "width and height must be even (its codec halves them), got 321 and 540",
