@@ -264,6 +264,8 @@ def graphics(run: SimpleNamespace) -> None:
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_clips(run: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     imageio = pytest.importorskip("imageio.v3")
+    from PIL import Image
+
     graphics(run)
     size = ["--width", "160", "--height", "90"]
     files = [tmp_path / f"a.{kind}" for kind in ("png", "gif", "mp4", "webp")]
@@ -274,7 +276,8 @@ def test_clips(run: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixtu
     still = imageio.imread(files[0])
     assert still.shape[:2] == (90, 160) and len(np.unique(still.reshape(-1, still.shape[2]), axis=0)) > 50
     for moving in files[1], files[3]:
-        assert len(imageio.imread(moving, index=None)) == 6 + 1  # 0.48 s at 12.5 Hz; both ends
+        with Image.open(moving) as clip:
+            assert clip.n_frames == 6 + 1  # 0.48 s at 12.5 Hz; both ends
     film = imageio.imread(files[2])
     assert len(film) == 15 and film.shape[1:3] == (90, 160)
     assert np.abs(film[0].astype(int) - still[..., :3].astype(int)).mean() < 6.0  # the same moment, compressed

@@ -42,9 +42,9 @@ Coefficient = Annotated[float, Field(ge=0, le=2)]
 class SwerveWipeSettings(DrivingSettings):
     """``force`` [N] along the normal; ``length`` [m] of the way on the wall; ``speed`` [m/s] along it; ``touch_speed`` [m/s] towards the wall,
     until it is touched. What the robot does not know, drawn per seed: ``wall_error`` [m]: both ends of the wall are up to this off;
-    ``grip``: friction coefficient of tip and wall, between two numbers; ``spring`` [N/m]: stiffness of the tip;
-    ``spring_error``: share by which the true one may differ. ``terrain``: cables and bumps on the floor, as of `swerve-plaster`. The other settings are
-    those of all experiments that drive."""
+    ``grip``: friction coefficient of tip and wall, between two numbers; ``spring`` [N/m]: stiffness of the tip; ``spring_error``: share by
+    which the true one may differ. ``terrain``: cables and bumps on the floor, as of `swerve-plaster`. The other settings are those of all
+    experiments that drive."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=100.0))
     robot: Robot = "swerve-ur10"
