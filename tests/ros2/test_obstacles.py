@@ -345,7 +345,7 @@ def test_a_robot_stops_when_its_detections_do(
     the last ones."""
     given: list[Any] = []
 
-    def made(*arguments: Any, obstacles: Any) -> Any:
+    def made(*arguments: Any, obstacles: Any, **options: Any) -> Any:
         given.append(obstacles)
         return swerve_mpc(*arguments)
 
