@@ -1,10 +1,10 @@
 """What ticks of an MPC cost after pushes and jumps of the goal, counted and timed: the distribution, and its worst.
 
-Usage: python benchmarks/tick_cost.py [--robot rezero swerve] [--ticks 2000] [--extra 10 1 0]
+Usage: python benchmarks/tick_cost.py [--robot rezero swerve arm] [--ticks 2000] [--extra 10 1 0]
 
-The state follows the plan with noise. Every 40 ticks, in turn, the state is pushed (ball robot: its speed; swerve robot: its place)
-or the end effector's goal jumps. ``--extra``: values of ``max_extra_iterations`` to compare. Counts do not depend on the machine: a
-direction is one linearization and factorization, a trial point one evaluation of cost and constraints.
+The state follows the plan with noise. Every 40 ticks, in turn, the state is pushed (ball robot: its speed; swerve robot: its place; arm:
+a joint) or the end effector's goal jumps. ``--extra``: values of ``max_extra_iterations`` to compare. Counts do not depend on the
+machine: a direction is one linearization and factorization, a trial point one evaluation of cost and constraints.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.types import Observation
 
-#: Ticks between two disturbances; state that a push changes, and by how much; jump of the end effector [m].
-EVERY, PUSH, JUMP = 40, {"rezero": ("base_velocity", 0, 0.4), "swerve": ("base", 1, 0.05)}, 0.1
+#: Ticks between two disturbances; jump of the end effector [m]; state that a push changes, and by how much.
+EVERY, JUMP = 40, 0.1
+PUSH = {"rezero": ("base_velocity", 0, 0.4), "swerve": ("base", 1, 0.05), "arm": ("arm", 1, 0.05)}
 
 
 def disturb(name: str, mpc: MPC, x: np.ndarray, count: int, reference: Reference) -> None:
