@@ -32,7 +32,7 @@ from wbmpc.view.replay import Film
 ROOT = Path(__file__).parents[1]
 GALLERY = ROOT / "docs" / "gallery.md"
 IMAGES = ROOT / "docs" / "images" / "gallery"
-#: Pixels of a clip and of a figure, which is drawn so many times finer and then smoothed; how long a clip is [s].
+#: Pixels of a clip and of a figure, which is drawn so many times finer and then smoothed; how long a clip is [s]; colors of a figure.
 CLIP, FIGURE, FINER, SECONDS = (360, 202), (520, 320), 2, 4.0
 COLORS = 32
 #: Titles of the figures that say most, where it is not the report's first: a part of the title.
@@ -81,16 +81,12 @@ def part(page: Page, run: Path, name: str) -> str:
     """An experiment's part of the page."""
     metrics: dict[str, Any] = json.loads((run / "metrics.json").read_text())
     speed, title = clip(run, name), figure(page, run, name)
-    pictures = (
-        {
-            "as fast as it was"
-            if speed == 1.0
-            else f"{speed:g} times as fast": f"![clip of {name}](images/gallery/{name}.webp)"
-        }
-        if speed
-        else {}
-    )
-    pictures |= {title: f"![{title}](images/gallery/{name}.png)"} if title else {}
+    pictures = {}
+    if speed:
+        pace = f"{speed:g} times as fast" if speed > 1.0 else "as fast as it was"
+        pictures[pace] = f"![clip of {name}](images/gallery/{name}.webp)"
+    if title:
+        pictures[title] = f"![{title}](images/gallery/{name}.png)"
     summary = load(name).summary
     commit = metrics["versions"].get("commit", "unknown")[:10]
     command = re.sub(r" --out \S+", "", metrics["command"])

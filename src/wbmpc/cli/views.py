@@ -165,7 +165,7 @@ def render(
     file: Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")],
     mp4: Annotated[Path | None, typer.Option(help="Write a film.")] = None,
     gif: Annotated[Path | None, typer.Option(help="Write an animated GIF.")] = None,
-    webp: Annotated[Path | None, typer.Option(help="Write an animated WebP: much smaller than a GIF.")] = None,
+    webp: Annotated[Path | None, typer.Option(help="Write an animated WebP, which is smaller than a GIF.")] = None,
     png: Annotated[Path | None, typer.Option(help="Write a picture of the moment --start.")] = None,
     start: Annotated[float, typer.Option(help="From this time on (seconds).")] = 0.0,
     end: Annotated[float, typer.Option(help="Up to this time (seconds; default: all).")] = math.inf,

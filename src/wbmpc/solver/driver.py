@@ -270,8 +270,8 @@ def accept_step(
 
 @compiled
 def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float, limit: int) -> int:
-    """How many iterations there are to be after the last of ``limit``; ``cut``: its step was. Also while
-    μ is raised: a plan that keeps far from limits is a slow one.
+    """How many iterations there are to be after the last of ``limit``; ``cut``: its step was.
+    There are more while μ is raised, too: a plan that keeps far from limits is a slow one.
 
     Where inputs are still outside, a last one holds them within the rows."""
     state = o[STATE]

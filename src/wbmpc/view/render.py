@@ -21,7 +21,7 @@ from wbmpc.view.replay import Film
 #: Pictures per second of clips: of a film, of pictures that move in a page.
 RATES = {".mp4": 30.0, ".gif": 12.5, ".webp": 12.5}
 GIF_COLORS = 64
-#: Of 100: edges stay clear, and a clip has about a tenth of a GIF's size.
+#: Of 100: edges stay clear, and a clip is smaller than a GIF.
 WEBP_QUALITY = 40
 #: A camera's elevations [rad], the best first; at how many moments of a clip it is looked whether something hides the robot.
 _ELEVATIONS, _LOOKS = (-0.38, -0.7, -1.0), 12

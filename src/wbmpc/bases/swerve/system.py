@@ -37,8 +37,9 @@ def make_mpc(
     """The MPC whose goal is home; ``changes`` of its settings."""
     settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})
     cost, guess = SwerveCost(state=StateCost(leg=LEG_WEIGHT)), PathGuess(robot) if progress else GoalGuess(robot)
-    more: dict[str, Any] = {"obstacles": obstacles, "stability": stability, "progress": progress}
-    mpc = swerve_mpc(robot, settings, cost, guess, self_clearance=True, **more)
+    mpc = swerve_mpc(
+        robot, settings, cost, guess, obstacles=obstacles, stability=stability, progress=progress, self_clearance=True
+    )
     stay_at_home(robot, mpc)
     return mpc
 
