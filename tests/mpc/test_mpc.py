@@ -226,8 +226,9 @@ def swerve_plan(n: int = 240) -> tuple[RobotModel, Trajectory]:
 def test_guess_steers_first_then_rolls(twist: tuple[float, float, float]) -> None:
     model, plan = swerve_plan()
     preview = lambda t, pose: np.tile(twist, (len(t), 1))
-    guess = SteeringGuess(model, preview)
-    guess(0.0, model.home, plan)
+    found = SteeringGuess(model, preview)(0.0, model.home, plan)
+    assert found is not None
+    plan = found
     base, steer, wheel = (plan.u[:, model.input[g]] for g in ("base", "steer", "wheel"))
     moving = np.abs(base).max(axis=1) > 1e-9
     assert moving.any() and not moving[0]

@@ -178,7 +178,9 @@ def test_a_plan_that_reconfigures_its_legs_on_the_way_is_left_as_it_is() -> None
 def test_a_guess_from_rest_rolls_as_base_and_legs_move_the_wheels() -> None:
     plan = reconfiguring(speed=0.0)
     x = MODEL.home.copy()
-    assert SteeringGuess(MODEL, lambda t, pose: np.tile(TWIST, (len(t), 1)))(0.0, x, plan) is plan
+    found = SteeringGuess(MODEL, lambda t, pose: np.tile(TWIST, (len(t), 1)))(0.0, x, plan)
+    assert found is not None
+    plan = found
     base, leg, rates = (plan.u[:, MODEL.input[g]] for g in ("base", "leg", "steer"))
     moves = np.flatnonzero(np.abs(base).max(axis=1) > 0.0)
     assert 0 < moves[0] < 60 and np.all(np.diff(moves) == 1) and moves[-1] == len(base) - 1

@@ -63,15 +63,16 @@ def keep_sides(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, 
     through = np.zeros(near.distance.shape, bool)
     through[1:] = inner < 0.0
     suspect = ((near.distance < 0.0) | through).any(axis=0)
-    for f, o in zip(*np.nonzero(suspect), strict=True):
+    for o in np.flatnonzero(suspect.any(axis=0)).tolist():
         obstacle = snapshot.obstacles[o]
         if isinstance(obstacle.shape, HalfSpace):
             continue
-        track = aside(snapshot, obstacle)
-        if track is None:
-            _keep_side(finder, snapshot, poses, near, through[:, f, o], int(f), int(o))
-        else:
-            _leave_track(finder, snapshot, poses, near, through[:, f, o], int(f), int(o), track)
+        track, frames = aside(snapshot, obstacle), np.flatnonzero(suspect[:, o]).tolist()
+        if track is not None:
+            _leave_track(finder, snapshot, poses, near, through[:, :, o], frames, o, track)
+            continue
+        for f in frames:
+            _keep_side(finder, snapshot, poses, near, through[:, f, o], f, o)
 
 
 def aside(snapshot: Snapshot, obstacle: Obstacle) -> Array | None:
@@ -83,27 +84,31 @@ def aside(snapshot: Snapshot, obstacle: Obstacle) -> Array | None:
 
 
 def _leave_track(
-    finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, through: NDArray[np.bool_], f: int, o: int,
+    finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, through: NDArray[np.bool_], frames: list[int], o: int,
     track: Array,
 ) -> None:  # fmt: skip
-    """Give nodes in a row that an obstacle runs over the normal across its ``track`` (3) along which they are least deep in it."""
+    """Give nodes of ``frames`` that an obstacle runs over a normal across its ``track`` (3): for all of them the one along which the
+    deepest is least deep. Frames that gave way to different sides would hold each other in the track."""
     obstacle = snapshot.obstacles[o]
     places, turn = snapshot.pose(obstacle, poses.times)
-    distance, normal = near.distance[:, f, o], near.normal[:, f, o]
-    met = (distance < 0.0) | through
-    starts = np.flatnonzero(met & ~np.concatenate([[False], met[:-1]]))
-    for start in starts.tolist():
+    met = [(k, f) for f in frames for k in _run_over(near.distance[:, f, o], near.normal[:, f, o], through[:, f])]
+    if not met:
+        return
+    sides = [[(n, *_gap(finder, obstacle, places[k], turn, poses, k, f, n)) for k, f in met] for n in (track, -track)]
+    chosen = max(sides, key=lambda side: min(gap for _, gap, _, _ in side))
+    for (k, f), (n, gap, point, level) in zip(met, chosen, strict=True):
+        near.normal[k, f, o], near.point[k, f, o], near.level[k, f, o], near.distance[k, f, o] = n, point, level, gap
+
+
+def _run_over(distance: Array, normal: Array, through: NDArray[np.bool_]) -> list[int]:
+    """Nodes of a frame, at ``distance`` (n) [m] along ``normal`` (n, 3), that an obstacle runs over: those in a row of which one changes
+    sides. A node that is touched and left to the side it was on is no matter of the track."""
+    met, nodes = (distance < 0.0) | through, []
+    for start in np.flatnonzero(met & ~np.concatenate([[False], met[:-1]])).tolist():
         end = start + int(np.argmin(np.append(met[start:], False)))
-        before = normal[max(start - 1, 0)]
-        # a node that is touched and left to the side it was on is no matter of the track
-        if not through[start:end].any() and (normal[start:end] @ before > 0.0).all():
-            continue
-        nodes = range(start, end)
-        one, other = ([_gap(finder, obstacle, places[k], turn, poses, k, f, n) for k in nodes] for n in (track, -track))
-        n, found = (track, one) if min(g[0] for g in one) >= min(g[0] for g in other) else (-track, other)
-        for k, (gap, point, level) in zip(nodes, found, strict=True):
-            near.normal[k, f, o], near.point[k, f, o], near.level[k, f, o] = n, point, level
-            near.distance[k, f, o] = gap
+        if through[start:end].any() or (normal[start:end] @ normal[max(start - 1, 0)] <= 0.0).any():
+            nodes += range(start, end)
+    return nodes
 
 
 def _gap(

@@ -226,6 +226,11 @@ class MPC:
         """The pair with the largest margin violation in the last plan, where the problem has clearance constraints."""
         return self._clear.last
 
+    def keeps_clear(self, times: np.ndarray, states: np.ndarray) -> bool:
+        """Whether states (n, nx of the problem) at ``times`` (n) [s] come much too near to nothing, or no nearer than the first of them is.
+        Obstacles are those of the last update."""
+        return not self._clear.active or self._clear.unsafe(times, states, np.inf) is None
+
     @property
     def solve_info(self) -> dict[str, float]:
         """Of the last plan: iterations in all, cost, constraint violation, optimality, solve time [s]; where the grid follows

@@ -17,6 +17,7 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.ocp.norms import AugmentedLagrangian
 from wbmpc.ocp.sets import Box, NonNegative
+from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.ocp.terms import Constraint
 
 #: Of the proximal multipliers of equality rows that cannot enter the Riccati recursion.
@@ -260,14 +261,15 @@ def _own_rows(
     z: ca.SX,
 ) -> None:
     multiplier = isinstance(term.penalty, AugmentedLagrangian)
+    held = not isinstance(term.residual, FollowsLastInput)
     kind = Kind.MULTIPLIER if multiplier else Kind.HARD
     widths = _paired_widths(sides, selection)
     scales = row_scales(r, z)
     for s, span in zip(sides, widths, strict=True):
         # hard rows in units of their range; without one, and with multipliers, of the variables
         width = float(scales[s.i]) if multiplier or span == 1.0 else span
-        # rows of inputs alone can always be held
-        slack = np.inf if with_input[s.i] and not with_state[s.i] else term.slack * width / span
+        # rows of inputs alone can always be held, but for those that move with the last command
+        slack = np.inf if held and with_input[s.i] and not with_state[s.i] else term.slack * width / span
         penalty = term.penalty.rho * width**2 if isinstance(term.penalty, AugmentedLagrangian) else slack
         if selection is not None:
             index, scale, shift = selection[s.i]

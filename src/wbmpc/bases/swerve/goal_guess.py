@@ -16,7 +16,6 @@ from wbmpc.solver import Trajectory
 
 if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
-    from wbmpc.mpc.references import References
 
 Array = np.ndarray
 #: Speed [m/s] of the way that is foreseen, its least time [s]; a goal nearer than this [m] is reached.
@@ -30,17 +29,19 @@ class GoalGuess:
         self.robot, self._base = robot, robot.state["base"]
         self.goal = robot.home[self._base].copy()
         self._guess = SteeringGuess(robot, self.preview)
-        self._references: References | None = None
+        self._mpc: MPC | None = None
 
     def bind(self, mpc: MPC) -> None:
         """Whose reference the goal is."""
-        self._references = mpc.reference
+        self._mpc = mpc
+        self._guess.bind(mpc)
 
     def __call__(self, t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
-        assert self._references is not None, "the guess of an MPC"
-        goal = self._references["state"].at(t)[self._base]
+        assert self._mpc is not None, "the guess of an MPC"
+        goal = self._mpc.reference["state"].at(t)[self._base]
         if _size(goal - self.goal) > THERE:
             self.goal, self._guess = goal.copy(), SteeringGuess(self.robot, self.preview)
+            self._guess.bind(self._mpc)
         return self._guess(t, x0, trajectory)
 
     def preview(self, times: Array, pose: Array) -> Array:

@@ -34,6 +34,7 @@ class PathGuess:
     def bind(self, mpc: MPC) -> None:
         """Whose path it is."""
         self._path = mpc.path
+        self._guess.bind(mpc)
 
     def _following(self) -> Following | None:
         following = None if self._path is None else self._path.following

@@ -11,13 +11,17 @@ plan stands still, the trajectories start from rolling inverse kinematics: wheel
 On the way the same is done from where wheels of the plan stop following the preview (a range ends, or a wheel would have to
 turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds
 ahead. Legs move meanwhile as the plan moves them.
+
+The preview knows nothing of obstacles. Where the base would run into one, a base at rest only turns its wheels, and a plan that is on
+its way, and may be so around that obstacle, goes on.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +30,9 @@ from wbmpc import lie
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.solver import Trajectory
+
+if TYPE_CHECKING:
+    from wbmpc.mpc.mpc import MPC
 
 #: Speeds [m/s] below which the guess is armed, above which it is armed again, and what counts as a previewed motion.
 SLOW, FAST, MOVING = 0.02, 0.04, 0.005
@@ -192,6 +199,11 @@ class SteeringGuess:
         self.limits = (robot.limits.state_lower[steer], robot.limits.state_upper[steer])
         self._armed, self._done = True, False
         self._next_check = -np.inf
+        self._mpc: MPC | None = None
+
+    def bind(self, mpc: MPC) -> None:
+        """Whose obstacles the guess keeps clear of."""
+        self._mpc = mpc
 
     def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
         base = self.robot.input["base"]
@@ -201,37 +213,43 @@ class SteeringGuess:
         elif current < SLOW:
             self._armed = True
         if not self._armed or self._done:
-            return trajectory if self._continue_plan(trajectory, t, x0) else None
+            return self._continue_plan(trajectory, t, x0)
         grid = trajectory.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
         soon = speed(self.preview(t + np.array([0.0, 0.5, 1.0]), x0[self.robot.state["base"]]))
         if soon.max() < MOVING or not self._stuck(trajectory, twists):
             return None
         self._done, self._next_check = True, t + WRITTEN
-        self._write(trajectory, twists, x0, self.plan(t, float(grid[-1]), x0, trajectory))
-        return trajectory
+        plan = self.plan(t, float(grid[-1]), x0, trajectory)
+        found = self._written(trajectory, twists, x0, plan)
+        return found if self._is_clear(t, found) else self._written(trajectory, twists, x0, plan, rests=True)
+
+    def _is_clear(self, t: float, trajectory: Trajectory) -> bool:
+        """Whether trajectories from ``t`` [s] on keep clear of what the MPC knows."""
+        return self._mpc is None or self._mpc.keeps_clear(t + trajectory.grid, trajectory.x)
 
     def _stuck(self, trajectory: Trajectory, twists: np.ndarray) -> bool:
         """Whether a base at rest needs a plan from inverse kinematics for ``twists`` (N + 1, 3)."""
         return True
 
-    def _continue_plan(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> bool:
-        """Where wheels of the plan stop following the preview, as at the end of their range, write the rest of it with a stop.
-
-        Returns whether it did."""
+    def _continue_plan(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> Trajectory | None:
+        """Where wheels of the plan stop following the preview, as at the end of their range, the plan with a stop written into the rest
+        of it; else None."""
         if t < self._next_check:
-            return False
+            return None
         self._next_check = t + POLL_PERIOD
         grid = trajectory.grid
         twists = self.preview(t + grid, x0[self.robot.state["base"]])
         lost = self._lost(trajectory, twists, x0)
         if lost is None:
-            return False
+            return None
         plan = self.plan(t, float(grid[-1]), x0, trajectory)
         stop = int(np.searchsorted(grid, plan.times[plan.stops[0]])) if plan.stops else lost
+        found = self._written(trajectory, twists, x0, plan, max(min(stop, lost) - 1, 0))
+        if not self._is_clear(t, found):
+            return None
         self._next_check = t + WRITTEN
-        self._write(trajectory, twists, x0, plan, max(min(stop, lost) - 1, 0))
-        return True
+        return found
 
     def _lost(self, trajectory: Trajectory, twists: np.ndarray, x0: np.ndarray) -> int | None:
         """First node from which on a wheel of the plan points elsewhere than the preview's ``twists`` ask for."""
@@ -265,19 +283,21 @@ class SteeringGuess:
         rates = trajectory.u[k, inputs["leg"]]
         return trajectory.x[k, state["leg"]] + rates * (times - grid[k])[:, None], rates
 
-    def _write(
-        self, trajectory: Trajectory, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0
-    ) -> None:
-        """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``."""
+    def _written(
+        self, trajectory: Trajectory, twists: np.ndarray, x0: np.ndarray, plan: SteeringPlan, start: int = 0,
+        rests: bool = False,
+    ) -> Trajectory:  # fmt: skip
+        """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``; ``rests``: all but the wheels."""
         state, inputs, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
-        grid, x, u = trajectory.grid, trajectory.x, trajectory.u
+        grid, x, u = trajectory.grid, trajectory.x.copy(), trajectory.u.copy()
+        found = replace(trajectory, x=x, u=u)
         legs, swings = self._legs(trajectory, grid)
         leg, steer, pose = legs[start], x0[state["steer"]].copy(), x0[state["base"]].copy()
         if start > 0:
             pose, steer = x[start, state["base"]].copy(), x[start, state["steer"]].copy()
         rolling, moving = start > 0, np.flatnonzero(speed(twists) > MOVING)
         if not moving.size:
-            return
+            return found
         for k, h in enumerate(np.diff(grid)[start:], start):
             # Where the reference rests, the wheels already turn to the motion that comes next (or stay after the last).
             later = moving[min(int(np.searchsorted(moving, k)), moving.size - 1)]
@@ -287,8 +307,9 @@ class SteeringGuess:
             rate = np.clip((target - steer) / h, -self.rate, self.rate)
             # from rest the wheels come first; a wheel of a base that rolls turns on unless it has to turn round
             rolling = bool(np.abs(target - steer).max() <= (BEND if rolling else 0.03))
-            swing = swings[k] if rolling else np.zeros(leg.size)
-            if not rolling:
+            moves = rolling and not rests
+            swing = swings[k] if moves else np.zeros(leg.size)
+            if not moves:
                 desired = np.zeros(3)
             x[k, state["base"]], x[k, state["steer"]] = pose, steer
             u[k, inputs["base"]], u[k, inputs["steer"]] = desired, rate
@@ -299,3 +320,4 @@ class SteeringGuess:
         x[-1, state["base"]], x[-1, state["steer"]] = pose, steer
         if "leg" in state:
             x[-1, state["leg"]] = leg
+        return found

@@ -161,6 +161,7 @@ class WheelFlipGuess(SteeringGuess):
 
     def bind(self, mpc: MPC) -> None:
         """Whose rolling rows' reference this sets."""
+        super().bind(mpc)
         self._references = mpc.reference
 
     def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
@@ -201,10 +202,10 @@ class WheelFlipGuess(SteeringGuess):
             self.turns = ()
         return stuck
 
-    def _continue_plan(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> bool:
-        """Whether anything was written: turns into the plan where wheels come to the end of their range."""
+    def _continue_plan(self, trajectory: Trajectory, t: float, x0: np.ndarray) -> Trajectory | None:
+        """The plan with turns written into it where wheels come to the end of their range; None without any."""
         if t < self._next_check - 1e-9:
-            return False
+            return None
         self._next_check = t + POLL_PERIOD
         times, ways, speeds = self._ways(t, float(trajectory.grid[-1]), x0)
         previous, written = self.turns, False
@@ -215,7 +216,7 @@ class WheelFlipGuess(SteeringGuess):
         if self._new:
             when = min(self._new[-1].end + 0.1, float(trajectory.start + trajectory.grid[-1]) - 0.1)
             self._mark = (when, float(self._planned(trajectory, self._new[-1].wheel, when)))
-        return written or bool(self._new)
+        return trajectory if written or self._new else None
 
     def _angles(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         state, modules = self.robot.state, self.robot.base.geometry.modules
