@@ -12,8 +12,8 @@ On the way the same is done from where wheels of the plan stop following the pre
 turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds
 ahead. Legs move meanwhile as the plan moves them.
 
-The preview knows nothing of obstacles. Where the base would run into one, a base at rest only turns its wheels, and a plan that is on
-its way, and may be so around that obstacle, goes on.
+The preview knows nothing of obstacles. Where the base would run into one, a plan that moves, and may do so around that obstacle, is left
+as it is; in one that rests only the wheels turn.
 """
 
 from __future__ import annotations
@@ -222,7 +222,11 @@ class SteeringGuess:
         self._done, self._next_check = True, t + WRITTEN
         plan = self.plan(t, float(grid[-1]), x0, trajectory)
         found = self._written(trajectory, twists, x0, plan)
-        return found if self._is_clear(t, found) else self._written(trajectory, twists, x0, plan, rests=True)
+        if self._is_clear(t, found):
+            return found
+        if speed(trajectory.u[:, base]).max() > FAST:  # the plan has its own way
+            return None
+        return self._written(trajectory, twists, x0, plan, rests=True)
 
     def _is_clear(self, t: float, trajectory: Trajectory) -> bool:
         """Whether trajectories from ``t`` [s] on keep clear of what the MPC knows."""
