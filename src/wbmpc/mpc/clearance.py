@@ -16,7 +16,7 @@ from wbmpc.mpc.braking import BrakingPlan, braking_plan, braking_time
 from wbmpc.mpc.guess import predicted
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import OptimalControlProblem, Reference, residuals
-from wbmpc.solver import Solver
+from wbmpc.solver import Solver, Trajectory
 
 Array = NDArray[np.float64]
 _TERMS = (residuals.Clearance, residuals.SelfClearance)
@@ -29,6 +29,9 @@ DEEPER = 0.003
 BRAKING_SOLVES, FIRST_BARRIER, BARRIER_SHARE = 5, 0.1, 0.4
 #: What is left [s] of a stop that should have ended.
 ENDING = 0.01
+#: Of plans that run into something later than that: how long [s] they do before another one is sought, how long [s] from one search to
+#: the next, and how much [m] clearer than the present plan it has to be.
+LATER, AGAIN, CLEARER = 0.06, 0.1, 0.05
 #: A plan has to be clear from now on for the duration of a stop and so much longer [s].
 REACTION = 0.2
 
@@ -46,6 +49,8 @@ class ClearanceRows:
         self.last = LeastClearance()
         #: when the stop ends [s] that the last plan is; None: it is none
         self._stops_at: float | None = None
+        #: when [s] another plan is sought, and how many have been in vain; None: the last plan is clear
+        self._search: tuple[float, int] | None = None
         self._snapshot = Snapshot()
         #: time and age, states of the plan, and what was predicted from it
         self._predicted: tuple[tuple[float, float], Array, tuple[Array, Array]] = (np.nan, np.nan), none, (none, none)
@@ -135,11 +140,7 @@ class ClearanceRows:
         self, t: float, stop: BrakingPlan, until: float, run: Callable[[float, int], None], unusable: Callable[[], bool]
     ) -> bool:
         """Whether solves from a stop find a plan that is clear, or clearer than the stop; else the stop is the result."""
-        self._solver.warm_start(stop.x, stop.u)
-        self._solver.reset()
-        for k in range(BRAKING_SOLVES):
-            with self._solver.barrier(FIRST_BARRIER * BARRIER_SHARE**k):
-                run(0.0, 1)
+        self._restart(stop.x, stop.u, run)
         found = self._runs_into(t, until)
         standing = self.unsafe(t + self._solver.node_times(t), stop.x, until)
         clearer = found is None or (standing is not None and standing.distance <= found.distance)
@@ -147,6 +148,39 @@ class ClearanceRows:
             return True
         self._solver.use(stop.x, stop.u)
         return False
+
+    def _restart(self, x: Array, u: Array, run: Callable[[float, int], None]) -> None:
+        """Solve from states x (N + 1, nx) and inputs u (N, nu) of now, with slacks and multipliers that begin anew."""
+        self._solver.warm_start(x, u)
+        self._solver.reset()
+        for k in range(BRAKING_SOLVES):
+            with self._solver.barrier(FIRST_BARRIER * BARRIER_SHARE**k):
+                run(0.0, 1)
+
+    def search_is_due(self, t: float) -> bool:
+        """Whether the plan of a solve at ``t`` [s] runs into something, if only later than the robot can stop, as plans have done for a while:
+        slacks that are used up in rows which exclude each other hold a plan where it is, however many iterations follow."""
+        if self.robot.base.balances or self._stops_at is not None or self._runs_into(t, np.inf) is None:
+            self._search = None
+            return False
+        if self._search is None:
+            self._search = t + LATER, 0
+        return t >= self._search[0] - 1e-9
+
+    def search(
+        self, t: float, x0: Array, plan: Trajectory, run: Callable[[float, int], None], unusable: Callable[[], bool]
+    ) -> bool:
+        """Solve at ``t`` [s] from ``x0`` (nx) once more: from the ``plan`` that is there, the next time from a stop. Whether what comes of it
+        is clear, or clearer by :data:`CLEARER`; if not, the solver has lost the plan."""
+        assert self._search is not None
+        before, (_, count) = self._runs_into(t, np.inf), self._search
+        start = plan if count % 2 == 0 else self._braking(t, x0, 0.0)[1]()
+        self._restart(start.x, start.u, run)
+        found = self._runs_into(t, np.inf)
+        clearer = before is None or found is None or found.distance > before.distance + CLEARER
+        taken = clearer and not unusable()
+        self._search = t + AGAIN, 0 if taken else count + 1
+        return taken
 
     def _braking(self, t: float, x0: Array, delta: float) -> tuple[float, Callable[[], BrakingPlan]]:
         """How long [s] a stop from ``x0`` (nx) at ``t`` [s] takes under the input that the last plan, ``delta`` [s] old, has then, and

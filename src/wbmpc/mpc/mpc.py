@@ -299,13 +299,18 @@ class MPC:
 
     def _solve_clear(self, t: float, x0: np.ndarray, delta: float, passes: int) -> None:
         """Solve with clearance rows; a plan that stops is the result where no other is clear."""
-        cause = self._clear.solve(
-            t, x0, None if self._t is None else delta, passes, lambda old, n: self._solve(t, x0, old, n), self._unusable
-        )
+        run = lambda old, n: self._solve(t, x0, old, n)
+        cause = self._clear.solve(t, x0, None if self._t is None else delta, passes, run, self._unusable)
         if cause is not None:
             self._outcome = (_USABLE, *self._outcome[1:])
             self.statistics.braking_plans += 1
             self._lines.log(_LOG, logging.WARNING, "clearance", f"MPC at {t:.3f} s: the robot brakes: {cause}")
+        elif self._clear.search_is_due(t):
+            plan, outcome = self.solver.trajectory(), self._outcome
+            if not self._clear.search(t, x0, plan, run, self._unusable):
+                self.solver.use(plan.x, plan.u)
+                self._outcome = outcome
+            self._clear.measure(t)
 
     def _unusable(self) -> bool:
         return bool(self._not_finite_part() or self._rejection())
