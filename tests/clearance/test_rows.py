@@ -181,6 +181,27 @@ def test_somebody_who_walks_over_a_standing_robot_makes_it_leave_the_track() -> 
     assert min(distances(rows, snapshot, t, x)[0, 0] for t, x in zip(grid, states)) < -0.1
 
 
+def test_all_frames_leave_a_track_to_the_same_side() -> None:
+    """Somebody walks between the legs of a standing robot: front legs alone would go on ahead, rear legs back. Truth: the signs of the
+    rows' slopes by the base's position across the track."""
+    robot = wb.load_robot("swerve-ur10")
+    residual = wb.residuals.Clearance(robot, slots=1)
+    rows, grid = rows_of(residual), np.linspace(0.0, 4.0, 21)
+    world, states = wb.Obstacles(), np.tile(robot.home, (21, 1))
+    world.set(
+        "person",
+        wb.shapes.Cylinder((0, 0, 0), (0, 0, 1.8), 0.2),
+        position=(-0.1, 2.5, 0.0),
+        velocity=(0, -1.2, 0),
+        seen=0.0,
+    )
+    function = evaluate(robot, residual)
+    values = [function(x, p) for x, p in zip(states, rows.refresh(world.snapshot(0.0), grid, states))]
+    h, slope = np.array([np.array(v[0]).ravel() for v in values]), np.array([np.array(v[1]) for v in values])
+    across = slope[..., robot.state["base"]][..., 0][h < -0.05]
+    assert across.size > 5 and len(np.unique(np.sign(across))) == 1
+
+
 def test_a_grid_keeps_the_robot_from_what_is_in_it() -> None:
     """Truth: the distance to the plane that the grid holds, less its error and what balls around the shapes add."""
     robot = wb.load_robot("differential-ur10")

@@ -63,6 +63,15 @@ def test_plans_follow_each_other_within_accelerations_and_stop_in_time() -> None
     assert 0.0 < nearest < 0.03  # and against the ranges
 
 
+def test_rows_that_begin_at_the_last_command_have_a_slack() -> None:
+    """Rows of inputs alone have none, since they can be held; those that move with the last command, beside rolling wheels, cannot always."""
+    model = robot("swerve-ur10")
+    mpc = swerve_mpc(model, SETTINGS, SwerveCost())
+    rows = {row.name: row.penalty for row in mpc.solver.problem.path.rows}
+    assert np.isinf([v for n, v in rows.items() if n.startswith("speeds.")]).all()
+    assert np.isfinite([v for n, v in rows.items() if n.startswith("accelerations.")]).all()
+
+
 def test_accelerations_are_joints_of_the_robot(tmp_path) -> None:  # type: ignore[no-untyped-def]
     text = robot("swerve-ur10").description.source
     source = Path(text).read_text().replace("model: swerve.xml", f"model: {robot('swerve-ur10').description.model}")

@@ -10,6 +10,7 @@ import pytest
 
 import wbmpc as wb
 from clearing import TrueDistance, keep_clear, reach_problem, run, write_arm
+from wbmpc.bases.swerve.system import make_mpc
 from wbmpc.clearance.rows import Clearance
 from wbmpc.mpc.braking import braking_plan, braking_time
 
@@ -91,6 +92,48 @@ def test_a_moving_obstacle_passes_and_the_robot_goes_on() -> None:
     only(truth, DRIVEN)
     ran = run(mpc, robot, truth, lambda t: [place(t)], change, 4.0)
     assert ran.least > MARGIN - 0.010 and ran.missed < 0.02
+
+
+@pytest.mark.parametrize("velocity", [(-0.252, -0.294), (-0.65, 0.9)])
+def test_a_swerve_robot_at_rest_evades_who_walks_through_it(velocity: tuple[float, float]) -> None:
+    """In three seconds the person would be in the middle of the robot. Truth: distances of its shapes along the motion, and that no solve fails."""
+    robot, world = wb.load_robot("swerve-ur10"), wb.Obstacles()
+    mpc = make_mpc(robot, world)
+    person, v = wb.shapes.Cylinder((0, 0, 0), (0, 0, 1.8), 0.2), np.array([*velocity, 0.0])
+    x, places, states = robot.home.copy(), [], []
+    for k in range(180):
+        t = 0.02 * k
+        places.append([0.1, 0.05, 0.0] + (t - 3.0) * v)
+        world.set("person", person, position=places[-1], velocity=v, seen=t)
+        states.append(x)
+        x = mpc.solver.simulate(x, mpc.update(wb.Observation(t, x)).u[0], 0.02)
+    truth = TrueDistance(robot, [(CYLINDER, [0.2, 0.9])])
+    assert min(truth(x, [p + [0, 0, 0.9]]) for x, p in zip(states, places, strict=True)) > 0.01
+    assert mpc.statistics.failures == 0
+
+
+def test_a_plan_that_stays_in_an_obstacle_is_sought_anew_from_itself_and_then_from_a_stop() -> None:
+    """Solves that change nothing stand for those that are stuck: the start of each search is what is left in the solver."""
+    robot, world = wb.load_robot("differential-ur10"), wb.Obstacles()
+    mpc = driving(robot, world, 3.0)
+    rows, solver, nothing = mpc._clear, mpc.solver, lambda age, passes: None
+    grid = solver.node_times(0.0)
+    u = np.zeros((len(grid) - 1, robot.input.size))
+    u[:, robot.input["base"]] = [0.5, 0.0]
+    x = np.tile(robot.home, (len(grid), 1))
+    x[:, robot.state["base"]] += np.outer(0.5 * grid, [1.0, 0.0, 0.0])
+    solver.warm_start(x, u)
+    world.set("box", wb.shapes.Box((0.1, 0.3, 0.2)), position=(0.5 + 0.5 * grid[-1], 0.0, 0.2))
+    rows.update_snapshot(0.0)
+    assert [rows.search_is_due(t) for t in (0.0, 0.02, 0.06)] == [False, False, True]
+    plan = solver.trajectory()
+    assert not rows.search(0.06, x[0], plan, nothing, lambda: False)
+    assert np.array_equal(solver.trajectory().x, x)
+    assert not rows.search_is_due(0.08) and rows.search_is_due(0.16)
+    assert rows.search(0.16, x[0], plan, nothing, lambda: False)  # the stop is clear
+    ends = solver.trajectory().x[-2:, robot.state["base"]]
+    assert np.abs(ends[1] - ends[0]).max() < 1e-9 and 0.0 < ends[1, 0] < 0.5
+    assert not rows.search_is_due(0.18)
 
 
 def test_the_policy_says_what_its_plan_is_nearest_to(tmp_path: Path) -> None:

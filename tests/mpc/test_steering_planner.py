@@ -241,3 +241,36 @@ def test_aligned_wheels_have_a_common_center(seed: int) -> None:
     assert np.linalg.svd(rows(aligned))[1][-1] < 1e-9
     assert np.abs(aligned - steer).max() <= np.pi / 2 + 1e-9
     np.testing.assert_allclose(aligned_steering(G, STATE["leg"], aligned), aligned, atol=1e-6)
+
+
+class Walled:
+    """Stands for an MPC: nothing may be beyond ``wall`` [m] along x."""
+
+    def __init__(self, wall: float) -> None:
+        self.wall = wall
+
+    def keeps_clear(self, times: np.ndarray, states: np.ndarray) -> bool:
+        return bool(states[:, MODEL.state["base"]][:, 0].max() < self.wall)
+
+
+@pytest.mark.parametrize("wall", [0.2, 100.0])
+def test_a_guess_from_rest_goes_no_farther_than_obstacles_let_it(wall: float) -> None:
+    """A plan at rest gets the motion that is foreseen, or, where that runs into something, its wheels' turn alone; a plan that moves is left."""
+    sideways = np.array([0.3, 0.3, 0.0])
+    x, rests = MODEL.home.copy(), at_rest(MODEL.home, 6.0)
+
+    def guess() -> SteeringGuess:
+        made = SteeringGuess(MODEL, lambda t, pose: np.tile(sideways, (len(t), 1)))
+        made.bind(Walled(wall))  # type: ignore[arg-type]
+        return made
+
+    found = guess()(0.0, x, rests)
+    assert found is not None
+    base, steer = found.u[:, MODEL.input["base"]], found.x[:, MODEL.state["steer"]]
+    assert (np.abs(base).max() > 0.2) == (wall > 6.0)
+    v = wheel_velocities(G, x[MODEL.state["leg"]], sideways)
+    heading = G.wheel_heading + x[MODEL.state["leg"]] + steer[-1]
+    assert np.abs(v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)).max() < 0.01
+    moving = at_rest(MODEL.home, 6.0)
+    moving.u[10:, MODEL.input["base"]] = [0.0, -0.2, 0.0]  # its own way, later
+    assert (guess()(0.0, x, moving) is None) == (wall < 6.0)

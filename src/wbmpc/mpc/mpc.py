@@ -31,6 +31,8 @@ from wbmpc.types import Observation
 _LOG = logging.getLogger("wbmpc")
 #: A status code of the solver for a plan that is used.
 _USABLE = 1
+#: How deep [m] in something an initial guess may be.
+LITTLE = 0.3
 
 
 class MPC:
@@ -227,9 +229,10 @@ class MPC:
         return self._clear.last
 
     def keeps_clear(self, times: np.ndarray, states: np.ndarray) -> bool:
-        """Whether states (n, nx of the problem) at ``times`` (n) [s] come much too near to nothing, or no nearer than the first of them is.
-        Obstacles are those of the last update."""
-        return not self._clear.active or self._clear.unsafe(times, states, np.inf) is None
+        """Whether states (n, nx of the problem) at ``times`` (n) [s] are at most a little in something, where solves push plans out, or no
+        deeper than the first of them is. Obstacles are those of the last update."""
+        found = self._clear.unsafe(times, states, np.inf) if self._clear.active else None
+        return found is None or found.distance > -LITTLE
 
     @property
     def solve_info(self) -> dict[str, float]:
