@@ -244,17 +244,17 @@ def test_aligned_wheels_have_a_common_center(seed: int) -> None:
 
 
 class Walled:
-    """Stands for an MPC: nothing may be beyond ``wall`` [m] along x."""
+    """Stands for an MPC: beyond ``wall`` [m] along x something moves."""
 
     def __init__(self, wall: float) -> None:
         self.wall = wall
 
-    def keeps_clear(self, times: np.ndarray, states: np.ndarray) -> bool:
+    def evades(self, times: np.ndarray, states: np.ndarray) -> bool:
         return bool(states[:, MODEL.state["base"]][:, 0].max() < self.wall)
 
 
 @pytest.mark.parametrize("wall", [0.2, 100.0])
-def test_a_guess_from_rest_goes_no_farther_than_obstacles_let_it(wall: float) -> None:
+def test_a_guess_does_not_run_into_what_moves(wall: float) -> None:
     """A plan at rest gets the motion that is foreseen, or, where that runs into something, its wheels' turn alone; a plan that moves is left."""
     sideways = np.array([0.3, 0.3, 0.0])
     x, rests = MODEL.home.copy(), at_rest(MODEL.home, 6.0)

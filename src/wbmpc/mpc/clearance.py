@@ -104,6 +104,13 @@ class ClearanceRows:
         found += [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self._around.values()]
         return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)
 
+    def evades(self, times: Array, states: Array) -> bool:
+        """See :meth:`wbmpc.mpc.mpc.MPC.evades`."""
+        moving = tuple(o for o in self._snapshot.obstacles if o.velocity.any())
+        world = Snapshot(moving, self._snapshot.frames)
+        around = self._around.values() if moving else ()
+        return all(r.deepest(world, times, states, (1.0 - TOLERATED) * r.margin, DEEPER) is None for r in around)
+
     # ------------------------------------------------------------------ solves that end clear, or in a stop
     def solve(
         self, t: float, x0: Array, delta: float | None, passes: int, run: Callable[[float, int], None],

@@ -31,8 +31,6 @@ from wbmpc.types import Observation
 _LOG = logging.getLogger("wbmpc")
 #: A status code of the solver for a plan that is used.
 _USABLE = 1
-#: How deep [m] in something an initial guess may be.
-LITTLE = 0.3
 
 
 class MPC:
@@ -228,11 +226,9 @@ class MPC:
         """The pair with the largest margin violation in the last plan, where the problem has clearance constraints."""
         return self._clear.last
 
-    def keeps_clear(self, times: np.ndarray, states: np.ndarray) -> bool:
-        """Whether states (n, nx of the problem) at ``times`` (n) [s] are at most a little in something, where solves push plans out, or no
-        deeper than the first of them is. Obstacles are those of the last update."""
-        found = self._clear.unsafe(times, states, np.inf) if self._clear.active else None
-        return found is None or found.distance > -LITTLE
+    def evades(self, times: np.ndarray, states: np.ndarray) -> bool:
+        """Whether states (n, nx of the problem) at ``times`` (n) [s] keep clear of the obstacles that move, as those of the last update are."""
+        return self._clear.evades(times, states)
 
     @property
     def solve_info(self) -> dict[str, float]:

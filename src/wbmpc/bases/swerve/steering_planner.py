@@ -12,8 +12,9 @@ On the way the same is done from where wheels of the plan stop following the pre
 turn by more than it can): up to there the plan is kept, and the stop in which they turn about is written into it seconds
 ahead. Legs move meanwhile as the plan moves them.
 
-The preview knows nothing of obstacles. Where the base would run into one, a plan that moves, and may do so around that obstacle, is left
-as it is; in one that rests only the wheels turn.
+The preview knows nothing of obstacles. Rows push a plan out of what stands; what moves a plan evades in time, which is not found again once
+it is overwritten. Where the preview meets something that moves, a plan that moves is left as it is; in one that rests only the wheels
+turn.
 """
 
 from __future__ import annotations
@@ -202,7 +203,7 @@ class SteeringGuess:
         self._mpc: MPC | None = None
 
     def bind(self, mpc: MPC) -> None:
-        """Whose obstacles the guess keeps clear of."""
+        """Whose moving obstacles the guess keeps clear of."""
         self._mpc = mpc
 
     def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
@@ -229,8 +230,8 @@ class SteeringGuess:
         return self._written(trajectory, twists, x0, plan, rests=True)
 
     def _is_clear(self, t: float, trajectory: Trajectory) -> bool:
-        """Whether trajectories from ``t`` [s] on keep clear of what the MPC knows."""
-        return self._mpc is None or self._mpc.keeps_clear(t + trajectory.grid, trajectory.x)
+        """Whether trajectories from ``t`` [s] on keep clear of what moves."""
+        return self._mpc is None or self._mpc.evades(t + trajectory.grid, trajectory.x)
 
     def _stuck(self, trajectory: Trajectory, twists: np.ndarray) -> bool:
         """Whether a base at rest needs a plan from inverse kinematics for ``twists`` (N + 1, 3)."""
