@@ -28,6 +28,7 @@ from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.input_file import read_file
 from wbmpc.json_file import load_json
 from wbmpc.model.robot import load_robot
+from wbmpc.obstacles.scene import read_scene
 from wbmpc.recording.messages import decode, encode
 from wbmpc.recording.reader import read_recording
 from wbmpc.recording.records import MAGIC
@@ -36,6 +37,7 @@ from wbmpc.robots.doctor import examine_robot
 from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.packages import find_package
 from wbmpc.run_files import read_log
+from wbmpc.study.definition import load_definition
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -508,3 +510,23 @@ def test_a_home_directory_that_is_missing_is_an_error_with_its_key(tmp_path: Pat
     )
     with pytest.raises(InputError, match=f"robot.yaml: {key}: '~no-such-user-at-all"):
         load_description(path)
+
+
+@pytest.mark.parametrize(
+    ("read", "text"),
+    [
+        (lambda path: configure(FakeSettings, (), "fake", path), "mpc.rate: {long}"),
+        (load_definition, "experiments: {{hold: {{}}}}\nseeds: {long}"),
+        (load_definition, "experiments: {{hold: {{}}}}\nseeds: 1\nconditions: {many}"),
+        (load_description, "name: {long}"),
+        (lambda path: list(read_scene(path)), "obstacles: {{a: {{sphere: {{radius: {long}}}}}}}"),
+        (lambda path: list(read_scene(path)), "obstacles: {{a: {long}}}"),
+    ],
+)
+def test_a_message_is_shorter_than_what_it_is_about(read: Callable[[Path], object], text: str, tmp_path: Path) -> None:
+    """A list of 7000 numbers, or as many keys, filled a terminal."""
+    path = tmp_path / "file.yaml"
+    path.write_text(text.format(long=[1.5] * 7000, many={f"a{k}": 1 for k in range(3000)}))
+    with pytest.raises(InputError) as caught:
+        read(path)
+    assert len(str(caught.value)) < 1500 + len(str(path))

@@ -143,7 +143,7 @@ def finite(who: str, **values: float) -> None:
         except TypeError:
             good = None
         if good is None or isinstance(value, bool | np.bool_):
-            raise InputError(f"{who}: '{name}' needs one finite number, got {value!r}")
+            raise InputError(f"{who}: '{name}' needs one finite number, got {value!r:.80}")
         if not good:
             raise NotFinite(f"{who}: '{name}' must be finite, got {value}")
 

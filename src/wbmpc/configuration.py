@@ -20,6 +20,8 @@ from wbmpc.yaml_file import load_yaml, parse_yaml
 POSITIVE = "> 0"
 #: The discriminator of settings that are one of several models.
 KIND = "kind"
+#: Faults of one validation that a message names.
+MAX_FAULTS = 10
 
 
 class OnlyWith:
@@ -311,7 +313,7 @@ def describe(error: ValidationError, model: type[BaseModel] | None = None) -> st
         shown = (
             ""
             if isinstance(fault["input"], (Mapping, BaseModel)) or fault["type"] == "missing"
-            else f"={fault['input']!r}"
+            else f"={fault['input']!r:.80}"
         )
         if fault["type"] == "tuple_type":
             example = "names in brackets are needed, e.g. [one, other]"
@@ -324,7 +326,8 @@ def describe(error: ValidationError, model: type[BaseModel] | None = None) -> st
             continue
         text = fault["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
         faults.append(f"{key}{shown}: {text[:1].lower()}{text[1:]}".removeprefix(": "))
-    return "; ".join(faults)
+    more = [f"and {len(faults) - MAX_FAULTS} more"] if len(faults) > MAX_FAULTS else []
+    return "; ".join(faults[:MAX_FAULTS] + more)
 
 
 def _of_file(model: type[BaseModel], path: Path, where: str) -> list[tuple[str, Any]]:

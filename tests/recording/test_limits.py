@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import json
 import re
+import struct
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 
 from command_line import shell
 from wbmpc.cli import main
 from wbmpc.cli.directories import size_of
 from wbmpc.errors import InputError
 from wbmpc.recording.reader import read_recording
+from wbmpc.recording.records import MAGIC, records
 from wbmpc.recording.writer import McapFile
+from wbmpc.simulation.scene import Scene
 
 RNG = np.random.default_rng(3)
 
@@ -115,3 +120,55 @@ def test_a_run_that_fits_is_no_part(tmp_path: Path) -> None:
     file.put("/x", "std_msgs/Float64", 0.0, [1.0])
     file.close()
     assert read_recording(tmp_path).earlier == ""
+
+
+def _record(kind: int, body: bytes) -> bytes:
+    """As the MCAP specification has it: kind, length, content."""
+    return struct.pack("<BQ", kind, len(body)) + body
+
+
+def _chunk(data: bytes, size: int | None = None, compression: bytes = b"zstd") -> bytes:
+    packed = zstandard.compress(data) if compression == b"zstd" else lz4.frame.compress(data)
+    head = struct.pack("<QQQII", 0, 1, len(data) if size is None else size, 0, len(compression))
+    return _record(6, head + compression + struct.pack("<Q", len(packed)) + packed)
+
+
+_PRIVATE, _MESSAGE = _record(0x80, b""), _record(5, struct.pack("<HIQQ", 1, 0, 0, 0) + bytes(12))
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        (_chunk(bytes(8_000_000)) * 2000, "more records"),
+        (_chunk(_record(0x80, bytes(8_000_000))) * 2000, "unpacked, which no recording of"),
+        (_chunk(_PRIVATE * 900_000) * 200, "more records"),
+        (_chunk(_MESSAGE * 200_000) * 20, "more records"),
+        (_PRIVATE * 3_000_000, "records, which no recording of"),
+    ],
+)
+def test_what_becomes_far_larger_than_its_file_is_an_error(rows: bytes, says: str, tmp_path: Path) -> None:
+    """Each took a reader from half a minute to many, and gigabytes. The test's time limit would end it."""
+    path = tmp_path / "run.mcap"
+    path.write_bytes(MAGIC + rows)
+    with pytest.raises(InputError, match=says) as caught:
+        read_recording(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
+def test_a_chunk_that_is_larger_than_it_says_is_damaged(compression: bytes) -> None:
+    damage: list[str] = []
+    bomb = _chunk(_MESSAGE + bytes(50_000_000), len(_MESSAGE), compression)
+    assert not list(records(MAGIC + bomb, damage)) and len(damage) == 1
+    fine: list[str] = []
+    assert len(list(records(MAGIC + _chunk(_MESSAGE * 3, None, compression), fine))) == 3 and not fine
+
+
+def test_a_scene_of_a_recording_is_one_that_can_be_drawn() -> None:
+    body, shape = {"name": "a", "parent": "world", "moves": True}, {
+        "body": "a", "kind": "sphere", "size": [1, 1, 1], "pose": [0] * 7, "color": [1] * 4, "vertices": [], "faces": [],
+    }  # fmt: skip
+    assert Scene.of_plain({"robot": "a", "bodies": [body], "shapes": [shape]}).robot == "a"
+    for bodies, shapes in ((20_000, 1), (1, 20_000)):
+        with pytest.raises(TypeError, match=f"{bodies} bodies and {shapes} shapes; at most 2000 and 5000 are drawn"):
+            Scene.of_plain({"robot": "a", "bodies": [body] * bodies, "shapes": [shape] * shapes})

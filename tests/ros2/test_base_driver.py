@@ -17,7 +17,7 @@ from wbmpc import lie
 from wbmpc.bases.planar_motion.odometry import KNOWN
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.ros2.base_driver import HELD, BaseWay, ordered_speeds
+from wbmpc.ros2.base_driver import HELD, LONGEST_WAY, BaseWay, ordered_speeds
 from wbmpc.ros2.joints import JointSample
 from wbmpc.ros2.settings import Controller, joint_groups, settings_of
 
@@ -120,6 +120,26 @@ def test_a_goal_over_the_bus(robot: RobotModel, tmp_path: Path) -> None:
         assert s.until(lambda: any("/base_controller/odom" in v.value for v in says()))
     finally:
         s.close()
+
+
+@pytest.mark.parametrize("silent", [1.0, 7.0, 9.0, 11.0, 15.0, 20.0])
+@pytest.mark.parametrize("turning", [0.5, -0.5])
+def test_a_driver_that_was_silent_may_have_turned_by_more_than_half_a_turn(
+    robot: RobotModel, silent: float, turning: float
+) -> None:
+    """With the turn beyond π the other way round the base was 0.3 m beside where it is. Truth: the constant twist."""
+    way, pose, twist = BaseWay(robot), np.array([3.0, -1.0, 0.7]), np.array([0.3, -CENTER * turning, turning])
+    way.read(odometry(10.0, pose, twist))
+    way.read(odometry(10.0 + silent, lie.se2_step(pose, twist * silent), twist))
+    np.testing.assert_allclose(way_at(way, 10.0 + silent), np.array([0.3, turning]) * silent, atol=1e-9)
+
+
+def test_after_a_whole_turn_at_once_the_way_is_bounded(robot: RobotModel) -> None:
+    way = BaseWay(robot)
+    way.read(odometry(10.0, [0.0, 0.0, 0.0], (0.0, 0.0, 1.0)))
+    way.read(odometry(10.0 + 2.0 * np.pi, [0.1, 0.0, 0.0], (0.0, 0.0, 1.0)))
+    found = way_at(way, 10.0 + 2.0 * np.pi)
+    assert abs(found[0]) <= LONGEST_WAY * 0.1 and abs(found[1]) < 7.0
 
 
 @needs_dds

@@ -104,6 +104,13 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_reported(pair: Calla
         (number(HAND, -1.0), "valid: 0 to"),
         (number(HAND, np.nan), "a finite number is needed"),
         ({"name": HAND, "value": {"type": 4, "string_value": "much"}}, "float is needed, got str"),
+        (
+            {"name": HAND, "value": {"type": 8, "double_array_value": [1.0, 2.0]}},
+            "float is needed, got an array of doubles",
+        ),
+        ({"name": HAND, "value": {"type": 9, "string_array_value": ["1"]}}, "float is needed, got an array of strings"),
+        ({"name": HAND, "value": {"type": 77}}, "float is needed, got the unknown type 77"),
+        ({"name": HAND, "value": {"type": 0}}, "float is needed, got nothing (a parameter cannot be deleted)"),
         ({"name": HAND, "value": {"type": 8, "double_array_value": [1.0]}}, "float is needed"),
     ],
 )

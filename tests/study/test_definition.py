@@ -80,6 +80,8 @@ WRONG = {
     "experiments: [VALLEY]\nseeds: 3\nvery: {}": "unknown key 'very' (did you mean 'vary'?); valid: title, experiments",
     "experiments: [VALLEY]\nseeds: 3\nvary: {control.gian: [1]}": "unknown key 'control.gian'",
     "experiments: [VALLEY]\nseeds: 3\nvary: {control.gain: [-1]}": "control.gain=-1: input should be greater than 0",
+    "experiments: [VALLEY]\nseeds: 3\nvary: {offset: {from: 0, to: yes, steps: 4}}": "to: a number is needed, not true or false",
+    "experiments: [VALLEY]\nseeds: 3\ndraws: on": "draws: a number is needed, not true or false",
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: 5}": "vary.offset=5: a list, or a mapping with from, to and steps",
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: {from: 3, to: 1, steps: 4}}": "from=3 must be below to=1",
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: {from: 0, to: 1, steps: 4, log: true}}": "a log range needs from > 0",

@@ -119,6 +119,46 @@ def test_a_full_disk_is_one_message(tmp_path: Path) -> None:
             store.add({"key": "a-1", "outcome": "completed"})
 
 
+ROW = {"key": "a-1", "experiment": "VALLEY", "outcome": "completed"}
+
+
+@pytest.mark.parametrize("line", ["[" * 100_000, "5", "{}", '{"key": [1]}', json.dumps({**ROW, "outcome": None})])
+def test_a_journal_of_another_program_is_an_error(line: str, tmp_path: Path) -> None:
+    (tmp_path / "journal.jsonl").write_text(line + "\n")
+    with Store(tmp_path) as store, pytest.raises(InputError, match=r"journal.jsonl: "):
+        store.outcomes()
+
+
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ({"a": [1]}, "column 'key' of texts is missing"),
+        ({**{name: [text] for name, text in ROW.items()}, "key": [5]}, "column 'key' of texts is missing"),
+        ({name: [text, None] for name, text in ROW.items()}, "rows that do not say of which run"),
+        ({name: [text] * 1_000_001 for name, text in ROW.items()}, "has 1000001 rows; at most 1000000"),
+    ],
+)
+def test_a_table_of_another_program_is_an_error(columns: dict[str, Any], says: str, tmp_path: Path) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    count = len(next(iter(columns.values())))
+    rows = pyarrow.table({**columns, "wall_time": [1.0] * count})
+    pyarrow.parquet.write_table(rows, tmp_path / "runs.parquet")
+    with Store(tmp_path) as store:
+        for read in (store.outcomes, store.table):
+            with pytest.raises(InputError, match=f"runs.parquet: .*{says}"):
+                read()
+
+
+@pytest.mark.parametrize("name", [".lock", "study.json", "journal.jsonl", "runs.parquet", "index.html"])
+def test_a_pipe_in_a_studys_folder_is_an_error(name: str, tmp_path: Path) -> None:
+    """Writing into it would wait for its reader."""
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name}: is a pipe or a folder"), Store(tmp_path):
+        pass
+
+
 class Full:
     """A file on a disk that takes some bytes of what is written."""
 

@@ -63,7 +63,7 @@ def unpacked(raw: bytes) -> list[dict[str, Any]]:
 def check_access(url: str) -> None:
     """Foreign origins and hosts, no token and a wrong one get status 403, for pages and WebSockets; a page with the token gets in."""
     place, token = urlsplit(url).netloc, urlsplit(url).path.strip("/")
-    port, base = place.split(":")[1], f"http://{place}"
+    port, base = str(urlsplit(url).port), f"http://{place}"
     wrong = f"{base}/{'A' * len(token)}/"
     for foreign in (
         "http://evil.example",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -27,6 +28,14 @@ def headers(*pairs: tuple[str, str]) -> Headers:
     for name, value in pairs:
         found[name] = value
     return found
+
+
+def ipv6() -> bool:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        return False
+    return True
 
 
 def rejected(access: Access, *pairs: tuple[str, str], path: str = "/") -> bool:
@@ -127,6 +136,44 @@ def test_tokens_are_random_and_needed_beyond_this_machine(capsys: pytest.Capture
     ):
         assert main([*command, "--host", "0.0.0.0", "--no-token"]) == 2
         assert "--no-token: --host 0.0.0.0 is reached from other machines" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("host", ["203.0.113.9", "no.such.host.invalid", "a b", "127.0.0.1:80", "x" * 300, "fe80::1"])
+def test_an_address_of_another_machine_is_an_error_at_once(
+    host: str, recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """viser tries a thousand ports at it, and then waits for ever. 203.0.113.0/24 is nobody's (RFC 5737)."""
+    assert main(["replay", str(recording), "--host", host]) == 2
+    err = capsys.readouterr().err
+    assert f"--host: '{host[:80]}' is no address of this machine" in err and "valid: 127.0.0.1, ::1 or localhost" in err
+
+
+def test_addresses_are_written_as_browsers_write_them() -> None:
+    """A browser that is given 127.1 asks for 127.0.0.1; and `localhost` may be another user's server for the other version of IP."""
+    for host, url in {
+        "127.1": "http://127.0.0.1:80", "[127.0.0.1]": "http://127.0.0.1:80", "0": "http://127.0.0.1:80",
+        "0.0.0.0": "http://127.0.0.1:80", "localhost": "http://localhost:80",
+    }.items():  # fmt: skip
+        access = Access.of(host)
+        assert access.url(80) == f"{url}/{access.token}/"
+        assert not rejected(Access(access.host, ""), ("Host", f"{url[7:-3]}:8080"))
+
+
+@pytest.mark.skipif(not ipv6(), reason="this machine has no IPv6")
+def test_ipv6_gets_in_with_the_token() -> None:
+    """``::`` is every address, those of IPv4 too."""
+    from wbmpc.view.server import open_server
+
+    for host in ("::1", "[::1]", "0:0:0:0:0:0:0:1", "::"):
+        server, guard = open_server(Access.of(host), free_port())
+        try:
+            url = guard.access.url(server.get_port()).replace("localhost", "[::1]")
+            assert url.startswith("http://[::1]:")
+            check_access(url)
+            if host == "::":
+                check_access(url.replace("[::1]", "127.0.0.1"))
+        finally:
+            server.stop()
 
 
 def test_without_a_token_other_sites_stay_outside(recording: Path) -> None:

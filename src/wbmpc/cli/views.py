@@ -51,7 +51,7 @@ def open_view(title: str, host: str, port: int, no_token: bool = False, *, as_js
     from wbmpc.view.live import View
 
     shown = View(title, host, port, opened=partial(print_address, as_json=as_json), with_token=not no_token)
-    warn(host)
+    warn(shown.access.host)
     return shown
 
 
@@ -110,7 +110,7 @@ def _view_realtime(robot: str, seed: int, host: str, port: int, no_token: bool, 
 
     opened = partial(print_address, as_json=as_json)
     shown = RealtimeView(f"{robot}, real time", robot, host, port, opened=opened, with_token=not no_token)
-    warn(host)
+    warn(shown.access.host)
     reason = "interrupted"
     try:
         with suppress(KeyboardInterrupt):
@@ -149,7 +149,7 @@ def replay(
         if html is not None:
             write_page(film, html, port)
         else:
-            warn(host)
+            warn(access.host)
             player = Player(film, access, port)
     if html is not None:
         typer.echo(json.dumps({"page": str(html)}) if as_json else f"the replay is in {html}")

@@ -58,12 +58,12 @@ def read_scene(path: str | Path, simulated: bool = False) -> Iterator[SceneObsta
     names = [str(name) for name in section]
     for name, entry in section.items():
         if isinstance(name, bool) or not isinstance(name, str | int) or not str(name).isprintable():
-            raise InputError(f"{path}: key 'obstacles': a name that can be printed is needed, got {name!r}")
+            raise InputError(f"{path}: key 'obstacles': a name that can be printed is needed, got {name!r:.80}")
         where = f"{path}: key 'obstacles.{name}'"
         if names.count(str(name)) > 1:  # 1 and "1" are two keys
             raise InputError(f"{where}: is there twice")
         if not isinstance(entry, Mapping):
-            raise InputError(f"{where}: a mapping with a shape is needed, got {entry!r}")
+            raise InputError(f"{where}: a mapping with a shape is needed, got {entry!r:.80}")
         if has_truths(entry):  # NumPy takes them for 1 and 0
             raise InputError(f"{where}: numbers are needed, not true or false")
         keys = (*_PLACES, *_SIMULATED) if simulated else _PLACES

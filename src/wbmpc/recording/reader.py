@@ -197,7 +197,10 @@ def read_recording(path: str | Path) -> Recording:
         raise InputError(
             f"{path}: is not a recording (MCAP): {'it does not begin like one' if data else 'it is empty'}"
         )
-    out = _Assembly(Recording(path, {}, {}, {}, False, damage)).of(records(data, damage))
+    try:
+        out = _Assembly(Recording(path, {}, {}, {}, False, damage)).of(records(data, damage))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     if not (out.topics or out.metadata):
         raise InputError(
             f"{path}: nothing can be read of this recording: {damage[0] if damage else 'it holds nothing yet'}"

@@ -31,7 +31,7 @@ def first_fault(error: ValidationError, data: dict[str, Any], root: type[BaseMod
         return fault["msg"].removeprefix("Value error, ") + more
     if fault["type"] == "base_type":
         return f"key '{key}.type': {fault['msg']}{more}"
-    got = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r}"
+    got = "" if fault["type"] == "missing" or isinstance(fault["input"], dict) else f", got {fault['input']!r:.80}"
     text = fault["msg"].removeprefix("Value error, ")
     return f"key '{key}': {text[0].lower()}{text[1:]}{got}{more}"
 

@@ -17,6 +17,8 @@ from wbmpc.ros2.joints import JointSample
 Array = np.ndarray
 #: Between two messages the way goes on with the speed of the last one for so long [s] at most.
 HELD = 0.1
+#: A way over a silence is at most so many times as long as the line between its ends: after whole turns nothing is known of it.
+LONGEST_WAY = 20.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class BaseWay:
     from anywhere. What is wrong with a message is an :class:`InputError`."""
 
     def __init__(self, robot: RobotModel) -> None:
-        self._inverse = np.linalg.pinv(robot.base.twist)
+        self._twist, self._inverse = robot.base.twist, np.linalg.pinv(robot.base.twist)
         self._seen: _Seen | None = None
 
     def read(self, message: Any) -> None:
@@ -46,9 +48,11 @@ class BaseWay:
         if last is not None and stamp < last.stamp:
             raise InputError(f"base odometry: its time went back by {last.stamp - stamp:.3f} s")
         way = np.zeros(len(self._inverse)) if last is None else last.way
+        speeds = self._inverse @ [linear[0], linear[1], angular[2]]
         if last is not None and last.pose is not None:
-            way = way + self._inverse @ lie.se2_log(last.pose, at)
-        self._seen = _Seen(stamp, at, way, self._inverse @ [linear[0], linear[1], angular[2]])
+            turn = 0.5 * float(self._twist[2] @ (last.speeds + speeds)) * (stamp - last.stamp)
+            way = way + self._inverse @ _arc(last.pose, at, turn)
+        self._seen = _Seen(stamp, at, way, speeds)
 
     def reset(self) -> None:
         """The next message may be of any time and place, and moves nothing."""
@@ -66,6 +70,20 @@ class BaseWay:
         assert seen is not None
         ahead = float(np.clip(sample.stamp - seen.stamp, 0.0, HELD))
         return replace(sample, groups={**sample.groups, "wheel": seen.way + ahead * seen.speeds})
+
+
+def _arc(start: Array, end: Array, expected: float) -> Array:
+    """Integral (3) of the constant body twist between two poses: of all that lead there, the one whose turn is nearest to what is
+    ``expected`` [rad]. A driver that was silent may have turned by more than π."""
+    short = lie.se2_log(start, end)
+    rounds = np.round((expected - short[2]) / (2.0 * np.pi))
+    if rounds == 0.0:
+        return short
+    turn = short[2] + 2.0 * np.pi * rounds
+    half, away = 0.5 * turn, np.asarray(end[:2]) - start[:2]
+    length = min(abs(half / np.sin(half)) if np.sin(half) else np.inf, LONGEST_WAY) * np.sign(half * np.sin(half))
+    c, s = np.cos(start[2] + half), np.sin(start[2] + half)  # along the chord
+    return np.array([length * (c * away[0] + s * away[1]), length * (c * away[1] - s * away[0]), turn])
 
 
 class TwistSender:

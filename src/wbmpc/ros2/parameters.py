@@ -22,6 +22,8 @@ TYPES: dict[type, tuple[int, str]] = {
     bool: (1, "bool_value"), int: (2, "integer_value"), float: (3, "double_value"), str: (4, "string_value"),
 }  # fmt: skip
 _READ = {number: field for number, field in TYPES.values()}
+#: The other types: no parameter here has them.
+_ARRAYS = {5: "bytes", 6: "bools", 7: "integers", 8: "doubles", 9: "strings"}
 #: More than any node here has.
 MAX_ASKED = 200
 #: As of ROS 2's own publishers of parameter events.
@@ -65,7 +67,7 @@ class Parameters:
         if target is float and type(value) is int:
             value = float(value)
         if type(value) is not target:
-            raise InputError(f"parameter '{name}': {target.__name__} is needed, got {type(value).__name__}")
+            raise InputError(f"parameter '{name}': {target.__name__} is needed, got {_kind(value)}")
         if isinstance(value, float) and not math.isfinite(value):
             raise InputError(f"parameter '{name}': a finite number is needed, got {value}")
         if p.range is not None and not p.range[0] <= float(value) <= p.range[1]:
@@ -91,10 +93,25 @@ def message_of(value: Value | None) -> dict[str, Any]:
     return {"type": number, field: value}
 
 
+@dataclass(frozen=True)
+class OtherValue:
+    """A value of a ``kind``, in words, that no parameter here has."""
+
+    kind: str
+
+
+def _kind(value: Any) -> str:
+    """What a value is, in words."""
+    if isinstance(value, OtherValue):
+        return value.kind
+    return "nothing (a parameter cannot be deleted)" if value is None else type(value).__name__
+
+
 def value_of(message: Any) -> Any:
-    """The value of a ParameterValue; a list or None for types that no parameter here has."""
+    """The value of a ParameterValue; None of one that is not set."""
     if message.type not in _READ:
-        return None
+        kind = f"an array of {_ARRAYS[message.type]}" if message.type in _ARRAYS else f"the unknown type {message.type}"
+        return None if message.type == 0 else OtherValue(kind)
     value = getattr(message, _READ[message.type])
     return {1: bool, 2: int, 3: float, 4: str}[message.type](value)
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 #: Contact forces below this [N] are none.
 _MIN_FORCE = 1e-9
+#: Of a scene from a file: more than a browser draws many times a second.
+MAX_BODIES, MAX_SHAPES = 2_000, 5_000
 _KINDS = {
     mujoco.mjtGeom.mjGEOM_PLANE: "plane",
     mujoco.mjtGeom.mjGEOM_BOX: "box",
@@ -87,16 +89,20 @@ class Scene:
 
 
 def _check(scene: Scene) -> None:
-    """Raise TypeError naming what of a scene from a file is of another kind than a drawing needs."""
+    """Raise TypeError naming what of a scene from a file is of another kind than a drawing needs, or too much for one."""
+    if len(scene.bodies) > MAX_BODIES or len(scene.shapes) > MAX_SHAPES:
+        raise TypeError(
+            f"{len(scene.bodies)} bodies and {len(scene.shapes)} shapes; at most {MAX_BODIES} and {MAX_SHAPES} are drawn"
+        )
     names = [body.name for body in scene.bodies]
     for body in scene.bodies:
         if not (isinstance(body.name, str) and isinstance(body.parent, str) and isinstance(body.moves, bool)):
             raise TypeError(f"a body needs a name, a parent and whether it moves, got {body!r:.80}")
     if scene.robot not in names:
         raise TypeError(f"there is no body of the robot's name {scene.robot!r:.40}")
-    known = set(_KINDS.values())
+    known, places = set(_KINDS.values()), {*names, "world"}
     for shape in scene.shapes:
-        if shape.kind not in known or shape.body not in (*names, "world"):
+        if shape.kind not in known or shape.body not in places:
             raise TypeError(
                 f"a shape of kind {shape.kind!r:.40} on body {shape.body!r:.40}; valid: {', '.join(sorted(known))}"
             )

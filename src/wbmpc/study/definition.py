@@ -43,6 +43,16 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truths(cls, data: Any) -> Any:
+        """Python takes true and false for 1 and 0."""
+        for name, field in cls.model_fields.items() if isinstance(data, Mapping) else ():
+            key = field.alias or name
+            if field.annotation in (int, float) and isinstance(data.get(key), bool):
+                raise ValueError(f"{key}: a number is needed, not true or false")
+        return data
+
 
 class _Bounds(Section):
     low: float = Field(alias="from")

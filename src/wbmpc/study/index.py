@@ -94,7 +94,7 @@ def _read(directory: Path, read: Any) -> StudyEntry:
 def _time(path: Path) -> datetime:
     try:
         return datetime.fromtimestamp(path.stat().st_mtime, UTC)
-    except OSError:
+    except (OSError, ValueError, OverflowError):  # also times of no calendar
         return datetime.fromtimestamp(0.0, UTC)
 
 

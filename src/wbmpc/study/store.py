@@ -16,16 +16,19 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from wbmpc.errors import InputError, NotWritten
+from wbmpc.input_file import read_file
 from wbmpc.output_file import whole_file
-from wbmpc.study.files import JOURNAL, PARTS, ROWS
+from wbmpc.study.files import ABOUT, BEST, DATABASE, JOURNAL, LOCK, PAGE, PARTS, ROWS, STATISTICS, TRIALS
 from wbmpc.study.work import ERROR, LOST
 
 if TYPE_CHECKING:
     import pyarrow
 
 MISSING = "studies need Dask, Optuna and pyarrow: pip install 'wbmpc[study]'"
-#: Rows of a part.
-PART = 5000
+#: Rows of a part, bytes of a journal of as many, and rows of a Parquet file, at most.
+PART, LARGEST, MAX_ROWS = 5000, 256 * 1024 * 1024, 1_000_000
+#: What each row has: of which run it is. Texts.
+_OF_RUN = ("key", "experiment", "outcome")
 #: Where a file's metadata has goals and papers' figures of metrics, by combination.
 TARGETS = "targets"
 Targets = dict[str, dict[str, dict[str, float | None]]]
@@ -66,7 +69,11 @@ class Store:
 
     def __enter__(self) -> Self:
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._lock = (self.folder / ".lock").open("w")
+        for name in (LOCK, ABOUT, JOURNAL, ROWS, STATISTICS, TRIALS, DATABASE, BEST, PAGE):
+            path = self.folder / name
+            if path.is_fifo() or path.is_dir():  # writing into a pipe would wait for its reader
+                raise InputError(f"{path}: is a pipe or a folder; remove it, or give another --out")
+        self._lock = (self.folder / LOCK).open("w")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -102,7 +109,7 @@ class Store:
         """A line that was not finished when the disk or the process ended is cut off."""
         if not self._journal.is_file():
             return
-        data = self._journal.read_bytes()
+        data = read_file(self._journal, LARGEST)
         whole = data[: data.rfind(b"\n") + 1]
         self._count = whole.count(b"\n")
         if len(whole) < len(data):
@@ -130,9 +137,11 @@ class Store:
         if not self._journal.is_file():
             return []
         try:
-            return [json.loads(line) for line in self._journal.read_text("utf-8").splitlines()]
-        except ValueError as error:
+            rows = [json.loads(line) for line in read_file(self._journal, LARGEST).decode("utf-8").splitlines()]
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{self._journal}: this is no journal of a study ({error})") from error
+        _check(self._journal, rows)
+        return rows
 
     def _make_part(self) -> None:
         rows = self._journal_rows()
@@ -156,8 +165,7 @@ class Store:
         names = ("key", "experiment", "outcome", "wall_time")
         found: dict[str, dict[str, Any]] = {}
         for path in self._files():
-            for row in _read(path, list(names)).to_pylist():
-                found[row["key"]] = row
+            found |= {row["key"]: row for row in _read(path, list(names)).to_pylist()}
         for row in self._journal_rows():
             found[row["key"]] = {name: row.get(name, float("nan")) for name in names}
         return found
@@ -190,13 +198,38 @@ class Store:
         return _read(self.folder / ROWS, columns)
 
 
+def _check(path: Path, rows: list[Any]) -> None:
+    """Raise :class:`InputError` unless each row of a journal is a mapping and says of which run it is."""
+    for number, row in enumerate(rows, start=1):
+        for name in _OF_RUN:
+            if not isinstance(row, dict) or not isinstance(row.get(name, "" if name == "experiment" else None), str):
+                raise InputError(f"{path}: row {number}: '{name}' must be a text; this was not written by a study")
+
+
+def _check_table(path: Path) -> None:
+    """Raise :class:`InputError` for a Parquet file of other columns than a study's, or of too many rows: before they are unpacked."""
+    import pyarrow.types as types
+
+    about = parquet().read_metadata(path)
+    if about.num_rows > MAX_ROWS:
+        raise InputError(f"{path}: has {about.num_rows} rows; at most {MAX_ROWS} are read")
+    schema = about.schema.to_arrow_schema()
+    for name in _OF_RUN:
+        if name not in schema.names or not types.is_string(schema.field(name).type):
+            raise InputError(f"{path}: column '{name}' of texts is missing; this was not written by a study")
+
+
 def _read(path: Path, columns: list[str] | None) -> pyarrow.Table:
     import pyarrow
 
     try:
-        return parquet().read_table(path, columns=columns)
+        _check_table(path)
+        found = parquet().read_table(path, columns=columns)
     except (OSError, pyarrow.ArrowException) as error:
         raise InputError(f"{path}: this is no Parquet file of a study, or not whole ({error})") from error
+    if any(found[name].null_count for name in _OF_RUN if name in found.column_names):
+        raise InputError(f"{path}: has rows that do not say of which run they are; this was not written by a study")
+    return found
 
 
 def _merge(files: list[Path], latest: Mapping[str, Path], target: Path) -> None:

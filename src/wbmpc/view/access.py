@@ -22,7 +22,7 @@ from wbmpc.errors import InputError
 #: Bytes of randomness in a token.
 _BYTES = 32
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
-_WILDCARD = ("", "0.0.0.0", "::")
+_WILDCARD = ("0.0.0.0", "::")
 _AUTHORITY = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::([0-9]{1,5}))?")
 
 
@@ -45,18 +45,27 @@ class Access:
     def of(cls, host: str, with_token: bool = True) -> Access:
         """A rule with a fresh random token, or without one, which only a loopback address may be.
 
-        Raises :class:`InputError` for another address without a token.
+        Raises :class:`InputError` for another address without a token, and for what is no address of this machine.
         """
+        host = _canonical(host)
         if not (with_token or is_loopback(host)):
             raise InputError(
                 f"--no-token: --host {host} is reached from other machines, which needs the token; valid: leave out --no-token, "
                 f"or --host 127.0.0.1"
             )
+        _check_own(host)
         return cls(host, secrets.token_urlsafe(_BYTES) if with_token else "")
 
+    @property
+    def binding(self) -> str:
+        """What the server binds to: asyncio takes ``::`` for IPv6 alone, and the empty string for both versions."""
+        return "" if self.host == "::" else self.host
+
     def url(self, port: int) -> str:
-        """What a browser opens."""
-        name = "localhost" if self.host in _WILDCARD else f"[{self.host}]" if ":" in self.host else self.host
+        """What a browser opens. Never a name for one version of IP: with the other one it may lead to another user's server, which
+        would get the token."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "localhost"}.get(self.host, self.host)
+        name = f"[{host}]" if ":" in host else host
         return f"http://{name}:{port}" + (f"/{self.token}/" if self.token else "")
 
     # ------------------------------------------------------------------ requests
@@ -94,6 +103,29 @@ class Access:
             return True
         own = socket.gethostname().lower()
         return self.host in _WILDCARD and (name in (own, f"{own}.local") or _is_address(name))
+
+
+def _canonical(host: str) -> str:
+    """An address as browsers write it in their requests, as 127.0.0.1 of 127.1; names as they are."""
+    bare = host[1:-1] if host.startswith("[") and host.endswith("]") else host
+    try:
+        found = str(socket.getaddrinfo(bare, None, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)[0][4][0])
+    except (OSError, UnicodeError):
+        return host or "::"  # a name
+    return str(ipaddress.ip_address(found))
+
+
+def _check_own(host: str) -> None:
+    """Raise :class:`InputError` for what this machine cannot listen on."""
+    try:
+        for family, kind, _, _, address in socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM):
+            with socket.socket(family, kind) as one:
+                one.bind(address)
+    except (OSError, UnicodeError) as error:
+        raise InputError(
+            f"--host: '{host[:80]}' is no address of this machine that a browser reaches ({error}); valid: 127.0.0.1, ::1 or "
+            f"localhost (this machine alone), 0.0.0.0 or :: (every address), or one of its addresses or names"
+        ) from None
 
 
 def _is_address(name: str) -> bool:

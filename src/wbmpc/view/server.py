@@ -214,7 +214,7 @@ def open_server(access: Access, port: int, label: str = "wbmpc") -> tuple[viser.
     """A server at the address of ``access``, and its guard. A busy ``port`` is passed over."""
     guard = Guard(access)
     with guard.guard_new_server():
-        server = viser.ViserServer(host=access.host, port=port, label=label, verbose=False)
+        server = viser.ViserServer(host=access.binding, port=port, label=label, verbose=False)
     if not guard.installed:  # another version of viser starts its server in another way: no client would be rejected
         server.stop()
         raise InputError("view: this version of viser cannot be guarded; valid: viser 1.1")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import socket
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -23,7 +22,7 @@ class Window:
     """A view at ``url``. ``opened(url)`` is called once the server answers; no browser is waited for.
 
     ``with_token``: whether the address has a random token, without which requests are rejected; only a loopback ``host`` may be
-    without, else :class:`InputError` is raised.
+    without, and it must be of this machine, else :class:`InputError` is raised.
     """
 
     def __init__(
@@ -33,7 +32,7 @@ class Window:
             raise InputError("view: this needs viser: pip install 'wbmpc[viz]'")
         if not 0 < port < 65536:
             raise InputError(f"--port: must be 1 to 65535, got {port}")
-        self.title, self.host, self.port, self.opened = title, host, port, opened
+        self.title, self.port, self.opened = title, port, opened
         self.access = Access.of(host, with_token)
         self.process: Any = None
 
@@ -45,12 +44,6 @@ class Window:
     def start(self, scene: Scene, controls: Controls, shown: Fields, drawer: Drawer | None = None) -> None:
         """Start the server's process; returns when it answers. ``shown``: shapes of the messages that are drawn;
         ``drawer``: called there, makes what turns such messages into snapshots (left out: they are snapshots)."""
-        try:  # a process of its own would report it only after its time limit
-            socket.create_server((self.host, 0)).close()
-        except OSError as e:
-            raise InputError(
-                f"view: the server did not start: --host {self.host} is no address of this machine ({e})"
-            ) from e
         self.shown, self.requests, self.board = Mailbox.shared(shown), Mailbox.shared(REQUESTS), Board.shared(BOARD)
         arguments = (scene.plain(), controls, self.shown, self.requests, self.board, self.access, self.port, drawer)
         self.process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
