@@ -15,7 +15,7 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.model.robot import load_robot
 from wbmpc.simulation.film import SceneModel
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.simulation.render import Camera, Renderer
+from wbmpc.simulation.render import REFERENCE, Camera, Renderer
 from wbmpc.studies.minniti2019 import steps as rezero_steps
 from wbmpc.view.realtime import scene_of
 from wbmpc.view.render import overview
@@ -42,7 +42,7 @@ def save(name: str, picture: np.ndarray) -> None:
 def draw(plant: BallPlant, camera: Camera, line: np.ndarray) -> np.ndarray:
     """The plant with the way that its end effector is asked to go."""
     with Renderer(plant, SIZE[0] * FINER, SIZE[1] * FINER) as renderer:
-        return renderer.frame(camera, line)
+        return renderer.frame(camera, [(REFERENCE, line)])
 
 
 def rezero() -> None:

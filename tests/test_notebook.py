@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -20,6 +21,28 @@ def solution() -> wb.Solution:
 def objects() -> list[object]:
     found = solution()
     return [wb.load_robot("panda"), found, wb.Policy.of(found, 10.0), run(FakeSettings(), 3)]
+
+
+def mpc() -> wb.MPC:
+    system = wb.Ode({"body": ["place", "speed"]}, {"force": ["push"]}, lambda x, u: ca.vertcat(x[1], u[0]))
+    ocp = wb.OptimalControlProblem(system, horizon=2.0, intervals=4, first_interval=0.1)
+    ocp.add(wb.Cost("place", wb.residuals.State(system), 1.0))
+    ocp.add(wb.Cost("force", wb.residuals.Input(system), 0.1))
+    return wb.MPC(ocp, rate=20.0)
+
+
+def test_an_mpc_and_its_problem_show_themselves() -> None:
+    """The line is that of the settings; the table counts solves; the plot's steps are the grid's."""
+    pytest.importorskip("plotly")
+    made = mpc()
+    assert repr(made) == "MPC(20 Hz, SQP, 2 s, 4 intervals, 2 states, 1 inputs)"
+    made.reset(np.zeros(2))
+    made.update(wb.Observation(t=0.0, x=np.array([1.0, 0.0])))
+    shown = made._repr_html_()
+    assert "<td style=text-align:left>solves</td><td style=text-align:left>1</td>" in shown and "place, force" in shown
+    (line,) = made.ocp.plot().data
+    assert list(line.x[::2]) == pytest.approx(made.ocp.grid[:-1], rel=1e-5)  # numbers of plots have six digits
+    assert list(line.y[::2]) == pytest.approx(1e3 * np.diff(made.ocp.grid), rel=1e-5)
 
 
 def test_reprs_are_short_and_tables_escape_what_they_show() -> None:

@@ -32,7 +32,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.result import Drawing, Metric, MpcStatistics, OutcomeName, Plot, RunResult, Series
 from wbmpc.simulation.contacts import Contacts
-from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, run_lockstep
+from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, preparing, run_lockstep
 from wbmpc.types import Plant
 
 #: Unit and definition of metrics by name; ``*`` in a name stands for anything, and the first that fits counts.
@@ -182,8 +182,9 @@ def run_scenario(
     definitions: Definitions | None = None,
 ) -> RunResult:  # fmt: skip
     """Build a scenario, run its parts and report. A run that ended before its first record has neither metrics nor plots."""
-    scenario = build(settings, seed)
-    run = run_parts(scenario, progress)
+    with preparing(progress):
+        scenario = build(settings, seed)
+        run = run_parts(scenario, progress)
     planners = [o.mpc for o in run.outcomes.values() if o.mpc is not None]
     statistics = _statistics(planners[-1]) if planners else None
     if progress is not None and statistics is None:

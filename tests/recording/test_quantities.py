@@ -58,6 +58,9 @@ def test_units_of_channels() -> None:
         "wheel_slip": "m/s",
         "state": "",
         "torque": "N m",
+        "sliding": "m/s",
+        "planned_clearance": "m",
+        "coefficient": "1",
     }
     assert {name: channel_unit(name) for name in known} == known
 

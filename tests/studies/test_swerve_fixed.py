@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveMeasurement
+from wbmpc.compare import Run, _components
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
@@ -36,6 +39,16 @@ def test_all_controllers_drive(result) -> None:  # type: ignore[no-untyped-def]
         m["tracking_error_rms_mpc"], rel=0.2
     )  # the only motion
     assert m["longest_standstill"] < 0.5
+
+
+def test_every_channel_says_its_units(result) -> None:  # type: ignore[no-untyped-def]
+    """In `log plot` and `compare`: one for each component."""
+    log = result.log
+    run = Run(Path(), {}, {n: log.array(n) for n in log.channels}, labels=log.names, units=log.units)
+    for channel in log.channels:
+        names, units = _components(run, channel)
+        assert len(names) == len(units) == run.log[channel].shape[1] and all(units), channel
+    assert log.units["steer_mpc"] == ("rad",) * 4 and log.units["wheel_ik"] == ("rad/s",) * 4
 
 
 def test_the_bases_really_move(result) -> None:  # type: ignore[no-untyped-def]

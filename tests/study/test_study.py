@@ -248,6 +248,49 @@ def test_a_search_finds_the_best_of_its_trials_on_its_own_seeds(tmp_path: Path) 
         other.tune(workers=0)
 
 
+def test_a_front_is_what_no_trial_beats_and_the_least_sum_is_kept(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    text = TUNE.replace(
+        "minimize: [{metric: error, limit: 100}]", "minimize: [{metric: error, limit: 100}, {metric: effort, limit: 9}]"
+    )
+    made = Study.load(study(tmp_path, text + "  pareto: true\n"), tmp_path / "out")
+    tuned = made.tune(workers=0)
+    values = {t["trial"]: t["values"] for t in tuned.trials}
+    beaten = {k for k, a in values.items() for b in values.values() if b != a and b[0] <= a[0] and b[1] <= a[1]}
+    assert {t["trial"] for t in tuned.front} == values.keys() - beaten and len(tuned.front) > 1
+    assert tuned.best is not None and sum(tuned.best["values"]) == min(sum(values[t["trial"]]) for t in tuned.front)
+    assert tuned.settings == tuned.best["settings"]
+
+
+def traces(page: Path) -> list[dict[str, Any]]:
+    """What all plots of a page draw."""
+    calls = page.read_text().split("Plotly.newPlot(")[1:]
+    found = (json.JSONDecoder().raw_decode(c[c.index("[") :])[0] for c in calls if c.lstrip().startswith('"'))
+    return [trace for data in found for trace in data]
+
+
+def test_heat_maps_and_scatters_keep_conditions_apart(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    vary = (
+        "vary: {control.gain: [1, 3], offset: [0.0, 0.2]}\nconditions: {protocol: {}, far: {settings: {shift: 7.0}}}\n"
+    )
+    file = tmp_path / "maps.yaml"
+    file.write_text(f"experiments: [{HERE / 'valley.py'}]\nseeds: 300-302\nmetrics: [error]\n{vary}")
+    made = Study.load(file, tmp_path / "maps")
+    made.run(workers=0)
+    maps = [trace for trace in traces(made.out / "index.html") if trace["type"] == "heatmap"]
+    shifts = {0.0, 7.0}
+    assert {round(m["z"][0][0] - error(1, 0.0, 1), 9) for m in maps} == shifts and len(maps) == 2
+    assert {(m["zmin"], m["zmax"]) for m in maps} == {(error(3, 0.0, 1), 7.0 + error(1, 0.2, 1))}  # one scale of colors
+    file.write_text(file.read_text().replace(", offset: [0.0, 0.2]", ", offset: [0.0]").replace("[1, 3]", "[1, 2, 3]"))
+    other = Study.load(file, tmp_path / "scatter")
+    other.run(workers=0)
+    assert {t["name"] for t in traces(other.out / "index.html") if t["type"] == "scatter"} >= {
+        "protocol, offset=0.0",
+        "far, offset=0.0",
+    }
+
+
 def test_constraints_and_pruning(tmp_path: Path) -> None:
     pytest.importorskip("optuna")
     limits = "  constraints: {error: 5}\n  prune: true\n"

@@ -23,18 +23,27 @@ def tuning(**more: Any) -> Tuning:
 
 def test_objectives_have_names_and_axes_are_as_they_were_searched() -> None:
     pytest.importorskip("plotly")
-    page = tune_page("t", tuning(pareto=True), TRIALS, TRIALS[0], False)
-    assert "Best: trial 0, error and effort, as large as possible: 3, 1.5." in page
+    page = tune_page("t", tuning(pareto=True), TRIALS, [TRIALS[0]], False)
+    assert "trial 0, error and effort, as large as possible: 3, 1.5." in page
     assert "<th class=n>error</th><th class=n>effort, as large as possible</th>" in page
-    assert page.count('"type":"log"') == 1  # gain's alone, though offset has values far apart too
+    assert page.count('"type":"log"') == 2  # gain's alone, of each objective, though offset has values far apart too
     assert "effort, as large as possible against error" in page
 
 
 def test_a_sum_is_one_objective() -> None:
     pytest.importorskip("plotly")
     summed = [{**t, "values": [sum(t["values"])]} for t in TRIALS]
-    page = tune_page("t", tuning(), summed, summed[0], False)
+    page = tune_page("t", tuning(), summed, [summed[0]], False)
     assert (
         "Best: trial 0, error + effort, as large as possible: 4.5." in page
         and " against " not in page.partition("<h1>")[2]
     )
+
+
+def test_a_front_is_listed_and_no_trial_is_called_the_best() -> None:
+    pytest.importorskip("plotly")
+    front = [TRIALS[2], TRIALS[0]]
+    page = tune_page("t", tuning(pareto=True), TRIALS, front, False).partition("<h1>")[2]
+    assert "2 trials that none beats in every objective" in page and "Best" not in page and "best" not in page
+    listed = page.partition("The front: 2 trials")[2].partition("Trials by")[0]
+    assert [cell.partition("<")[0] for cell in listed.split("<tr><td class=n>")[1:]] == ["2", "0"]

@@ -23,12 +23,13 @@ class Inner(BaseModel):
 
 
 class ValleySettings(BaseModel):
-    """``goal`` [m]: of the error; ``fall_from``: seeds from this on fall; ``die_at``: the process of this seed is killed; ``raise_at``: this
-    one has an error."""
+    """``goal`` [m]: of the error; ``shift`` [m] adds to it; ``fall_from``: seeds from this on fall; ``die_at``: the process of this seed is
+    killed; ``raise_at``: this one has an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     control: Inner = Inner()
     offset: float = 0.0
+    shift: float = 0.0
     goal: float = 0.5
     robot: str = "one"
     fall_from: int = 10**9
@@ -53,7 +54,8 @@ def run(s: ValleySettings, seed: int, progress: Callable[[float, str], None] | N
     fell = seed >= s.fall_from
     # a run that fell measured little before its end
     metrics = {
-        "error": Metric(1e-6 if fell else error(s.control.gain, s.offset, seed), "m", paper=1.0, goal=s.goal),
+        "error": Metric(1e-6 if fell else s.shift + error(s.control.gain, s.offset, seed), "m", paper=1.0, goal=s.goal),
+        "effort": Metric(s.control.gain, "1"),
         "threads": Metric(float(os.environ.get("OMP_NUM_THREADS", "0")), "1"),
     }
     mpc = MpcStatistics.of(50.0, [0.001, 0.003], 10)

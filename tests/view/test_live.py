@@ -28,7 +28,7 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.recording.reader import read_recording
 from wbmpc.robots import load_description
 from wbmpc.runtime.shared_memory import Mailbox
-from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep, watched
+from wbmpc.simulation.lockstep import PREPARATION, Ending, Running, Watch, run_lockstep, watched
 from wbmpc.simulation.scene import SceneReader
 from wbmpc.view.session import run_session, system_of
 from wbmpc.view.steering import REQUESTS, no_requests
@@ -303,6 +303,30 @@ def test_a_run_without_an_mpc_is_shown_on_this_machine_alone() -> None:
             assert listening(view.port) == {"0100007F"}
         assert [len(view.scene.shapes)] == [len(SceneReader(plant.model, "body").scene.shapes)]
         assert all(np.isfinite(s["poses"]).all() and np.isnan(s["goal"]).all() for s in shown)
+    finally:
+        view.close()
+
+
+def test_a_drive_before_the_run_is_announced_and_cannot_be_pushed() -> None:
+    """Its calibration is kept for later runs: a push would be in all of them."""
+    view, pushed = live.View("test", port=free_port()), []
+    try:
+        for name in (PREPARATION, ""):
+            plant = SwervePlant(load_description("swerve-ur10"))
+            with watched(plant, 0.01, 0.4, Watch(None, (view,), name)) as tick:
+                assert view.board.text == (f"{PREPARATION} (0 s)" if name else "")
+                push = {
+                    **no_requests(),
+                    "pushes": np.array(1.0),
+                    "push": np.array([0.0, 300.0, 0.0]),
+                    "push_time": np.array(0.2),
+                }
+                panel_of(view).write(**push)
+                for k in range(40):
+                    tick(0.01 * k, SwerveCommand.stop())
+                    plant.step(SwerveCommand.stop(), 20)
+            pushed.append(view.steered)
+        assert pushed == [False, True]
     finally:
         view.close()
 

@@ -290,6 +290,26 @@ def test_a_clip_shows_motion(run: SimpleNamespace) -> None:
     assert np.abs(pictures[2] - pictures[0]).max() > 20
 
 
+def near_color(picture: np.ndarray, color: tuple[int, int, int]) -> int:
+    """How many pixels are about of a color."""
+    return int((np.abs(picture.astype(int) - color).max(axis=2) < 12).sum())
+
+
+def test_labels_say_what_lines_are_at_the_edges_of_a_clip(run: SimpleNamespace) -> None:
+    pytest.importorskip("PIL")
+    graphics(run)
+    drawn = {on: next(render._pictures(run.film, np.array([0.5]), (320, 180), on)) for on in (True, False)}
+    snapshot = run.film.snapshot(0.5)
+    there = [name for name in render.LINES if np.isfinite(snapshot[name]).all(axis=1).sum() > 1]
+    assert "reference" in there
+    differs = np.any(drawn[True] != drawn[False], axis=2)
+    assert differs[:20].any() and differs[-20:].any() and not differs[20:-20].any()  # labels, at the edges alone
+    assert all(
+        near_color(drawn[True][:20], render.LINES[name]) > near_color(drawn[False][:20], render.LINES[name])
+        for name in there
+    )
+
+
 BAD = {
     (): "what to write is missing; valid: --mp4 FILE, --gif FILE, --webp FILE, --png FILE",
     ("--mp4", "a.avi"): "--mp4: 'a.avi' must end in .mp4",

@@ -117,6 +117,8 @@ def tune(
     else:
         if found.report is not None:
             _print(found.report)
+        if len(found.front) > 1:
+            typer.echo(f"{len(found.front)} trials that none beats in every objective; of the one with the least sum:")
         for key, value in found.settings.items():
             typer.echo(printable(f"{key}: {value}"))
         typer.echo(f"the best settings are in {best}" if found.settings else "no trial keeps the constraints")

@@ -172,6 +172,7 @@ def render(
     speed: Annotated[float, typer.Option(help="Of the clip against the run.")] = 1.0,
     width: Annotated[int, typer.Option(min=16, max=1920, help="Pixels.")] = 960,
     height: Annotated[int, typer.Option(min=16, max=1080, help="Pixels.")] = 540,
+    labels: Annotated[bool, typer.Option(help="Title, time and the meaning of lines on it.")] = True,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
@@ -192,7 +193,7 @@ def render(
     if not start >= 0.0:
         raise InputError(f"--start: must not be negative, got {start:g}")
     film = Film(read_recording(file))
-    drawn = {str(path): draw(film, path, (start, end), (width, height), speed) for path, _ in targets}
+    drawn = {str(path): draw(film, path, (start, end), (width, height), speed, labels) for path, _ in targets}
     if as_json:
         typer.echo(json.dumps({"pictures": drawn}))
         return

@@ -14,6 +14,7 @@ from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.checks import check_events_fit, check_settings, check_vector
 from wbmpc.mpc.clearance import ClearanceRows
+from wbmpc.mpc.described import Described
 from wbmpc.mpc.guess import Bound, Guess, check_found, check_guess
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.path import PathProgress
@@ -33,7 +34,7 @@ _LOG = logging.getLogger("wbmpc")
 _USABLE = 1
 
 
-class MPC:
+class MPC(Described):
     """One problem solved again and again from the shifted last solution.
 
     ``ocp``: the problem. ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import casadi as ca
 import numpy as np
@@ -141,6 +141,15 @@ class OptimalControlProblem:
             for name, term in self.terms.items()
         ]  # fmt: skip
         return html_table(repr(self).partition(";")[0] + ")", ["term", "kind", "residual", "rows", "at", "modes"], rows)
+
+    def plot(self) -> Any:
+        """Its grid as a Plotly figure: how long each interval is, over the horizon."""
+        from wbmpc.plots.notebook import figure
+        from wbmpc.plots.series import Plot, Series
+
+        held = np.repeat(self.grid, 2)[1:-1]
+        lines = [Series("interval", held, np.repeat(1e3 * np.diff(self.grid), 2))]
+        return figure([Plot(f"{self.intervals} intervals", "time [s]", "length [ms]", lines)])
 
     def add(self, term: Term) -> None:
         """Add a term; its name must be new. Solvers that were made before raise :class:`InputError` at their next solve."""

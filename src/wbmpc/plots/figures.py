@@ -15,7 +15,8 @@ from wbmpc.plots.series import Drawing, Plot, Series
 MAX_POINTS = 1500
 #: Width of a legend in the narrowest card [pixels], of an entry's mark, and of a letter, about.
 _LEGEND, _MARK, _LETTER = 360, 45, 6.3
-_COLORS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
+#: Of lines that mean nothing else.
+COLORS = ["#1f5fa8", "#d1495b", "#2a9d6f", "#8a5fbf", "#c98a1b", "#4aa3c7", "#7a7a7a", "#b0467f"]
 #: What a line's name says in every plot, by its color; and what may stand behind a signal's name, whose color it then has.
 _MEANINGS = {"world": 0, "true": 0, "estimated frame": 1, "odometry": 1, "reference": 6, "period": 6}
 _KINDS = ("reference", "commanded", "planned", "estimated", "measured", "world", "estimated frame")
@@ -63,13 +64,13 @@ def _signal(line: Series) -> str:
 def _colors(lines: Sequence[Series]) -> list[str]:
     """A color for each line: what a name means keeps its color in all plots, and "x, reference" has that of "x"."""
     signals = [_signal(line) for line in lines]
-    free = (c for c in range(len(_COLORS)) if c not in _MEANINGS.values() or not set(signals) & set(_MEANINGS))
+    free = (c for c in range(len(COLORS)) if c not in _MEANINGS.values() or not set(signals) & set(_MEANINGS))
     chosen = {name: line.color for name, line in zip(signals, lines, strict=True) if line.color is not None}
     for name in dict.fromkeys(signals):
         if name not in chosen:
             chosen[name] = _MEANINGS[name] if name in _MEANINGS else next(free, len(chosen))
     return [
-        _COLORS[(chosen[name] if line.color is None else line.color) % len(_COLORS)]
+        COLORS[(chosen[name] if line.color is None else line.color) % len(COLORS)]
         for name, line in zip(signals, lines, strict=True)
     ]
 

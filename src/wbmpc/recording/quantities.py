@@ -39,7 +39,8 @@ _JOINT_TOPICS: tuple[tuple[str, Callable[[str], str]], ...] = (
 #: Of a log's channels; the first that fits is taken.
 _CHANNELS = (
     (r"quaternion|brake", "1"), (r"orientation|rotation|yaw|tilt", "rad"), (r"gyro", "rad/s"), (r"torque", "N m"), (r"^force", "N"),
-    (r"wheel_slip$", "m/s"), (r"^(hand|end_effector)", "m"),
+    (r"wheel_slip$|^sliding$", "m/s"), (r"^(hand|end_effector)", "m"),
+    (r"clearance|penetration|margin|^feet$|^zero_moment_point$|^wall$", "m"), (r"coefficient|^grip$|^pushing$|^touching$", "1"),
 )  # fmt: skip
 #: What the entries of arrays are called whatever the robot.
 _AXES = {"gyro": ("x", "y", "z"), "accel": ("x", "y", "z"), "force": ("x", "y", "z")}

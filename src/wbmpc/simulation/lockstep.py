@@ -8,6 +8,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeVar, cast
 
@@ -38,6 +39,8 @@ _LOG = logging.getLogger("wbmpc")
 Progress = Callable[[float, str], None]
 #: How long [s] the robot is held at a stop after a run that ended early, at least, and until it rests, at most.
 STOP_TIME, LONGEST_STOP = 0.5, 5.0
+#: Name of the loop of a drive that calibrates the robot before its run.
+PREPARATION = "calibration drive, before the run"
 #: Of a run [s]: what is longer is a mistake.
 LONGEST_RUN = 1e6
 
@@ -140,6 +143,28 @@ def part(progress: Progress | None, k: int, count: int, name: str = "") -> Progr
 
 def _watchers(progress: Progress | None) -> tuple[tuple[Watcher, ...], str]:
     return (progress.watchers, progress.name) if isinstance(progress, Watch) else ((), "")
+
+
+_PREPARING: ContextVar[Progress | None] = ContextVar("preparing", default=None)
+
+
+@contextmanager
+def preparing(progress: Progress | None) -> Iterator[None]:
+    """While a run is built: the ``progress`` of what drives before it, which :func:`preparation` gives."""
+    token = _PREPARING.set(progress)
+    try:
+        yield
+    finally:
+        _PREPARING.reset(token)
+
+
+def preparation() -> Progress | None:
+    """Of a drive before the run that is being built, with its ``live`` watchers alone: the drive is no part of the run's recording."""
+    outer = _PREPARING.get()
+    if outer is None:
+        return None
+    report = lambda share, note: outer(0.0, f"{PREPARATION}: {note}")
+    return Watch(report, tuple(w for w in _watchers(outer)[0] if getattr(w, "live", False)), PREPARATION)
 
 
 @contextmanager

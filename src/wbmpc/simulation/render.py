@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import platform
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import TracebackType
@@ -17,6 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from wbmpc.errors import WbmpcError
 
 Image = NDArray[np.uint8]
+Color = tuple[int, int, int]
+#: Colors (0 to 255) of what is drawn over a robot: its end effector's reference, its way, predicted ways of end effector and base.
+REFERENCE, TRAIL, END_EFFECTOR, BASE = (230, 70, 30), (60, 70, 85), (30, 110, 220), (40, 160, 90)
+#: Width of lines over the height of a picture. Points of the shadow map for each row of a picture, and at most: more are not seen, and
+#: cost most of a small picture. Sides of round bodies, in small pictures (so many rows) and in others.
+_WIDTH, _SHADOW, _SHADOWS = 1.0 / 110.0, 4.0, 4096
+_SMALL, _SIDES, _MORE_SIDES = 300, (20, 10, 2), (28, 16, 4)
 
 
 class Drawable(Protocol):
@@ -49,14 +57,18 @@ def default_camera(plant: Drawable) -> Camera:
 
 
 class Renderer:
-    """Draws one plant: ``frame`` gives RGB pictures (height, width, 3). Without ``shadows`` it is ten times faster."""
+    """Draws one plant: ``frame`` gives RGB pictures (height, width, 3). Without ``shadows`` it is several times faster."""
 
     def __init__(self, plant: Drawable, width: int = 960, height: int = 540, *, shadows: bool = True) -> None:
         self.plant, model = plant, plant.model
         _use_egl_without_screen()
         model.vis.global_.offwidth = max(width, int(model.vis.global_.offwidth))
         model.vis.global_.offheight = max(height, int(model.vis.global_.offheight))
-        model.vis.quality.offsamples = 4 if shadows else 0
+        quality = model.vis.quality
+        quality.offsamples = 4 if shadows else 0
+        quality.shadowsize = min(_SHADOWS, 2 ** round(np.log2(_SHADOW * height)))
+        quality.numslices, quality.numstacks, quality.numquads = _SIDES if height <= _SMALL else _MORE_SIDES
+        self._width, self._brightness = max(1.0, _WIDTH * height), 0.5 if shadows else 1.0
         try:
             self._renderer = mujoco.Renderer(model, height, width)
         except (ImportError, RuntimeError, mujoco.FatalError) as error:
@@ -66,8 +78,9 @@ class Renderer:
         flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         flags[mujoco.mjtRndFlag.mjRND_HAZE] = False
 
-    def frame(self, camera: Camera | None = None, lines: ArrayLike | None = None) -> Image:
-        """The present state; ``lines`` (m, 3) [m]: a polyline in the world, e.g. a reference path of the end effector."""
+    def frame(self, camera: Camera | None = None, lines: Sequence[tuple[Color, ArrayLike]] = ()) -> Image:
+        """The present state; ``lines``: polylines in the world, each a color (0 to 255) and points (m, 3) [m], as a reference path of
+        the end effector. Points that are not finite are left out."""
         model, data = self.plant.model, self.plant.data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
@@ -79,20 +92,20 @@ class Renderer:
         view.azimuth, view.elevation = np.degrees(camera.azimuth), np.degrees(camera.elevation)
         model.vis.global_.fovy = float(np.degrees(camera.field))
         self._renderer.update_scene(data, view)
-        if lines is not None:
-            self._draw(np.asarray(lines, float))
+        for color, points in lines:
+            self._draw(color, np.asarray(points, float).reshape(-1, 3))
         return np.array(self._renderer.render(), dtype=np.uint8)
 
-    def _draw(self, points: NDArray[np.float64]) -> None:
-        scene = self._renderer.scene
-        room = scene.maxgeom - scene.ngeom
-        stride = max(1, -(-len(points) // max(room - 1, 1)))
-        points = points[::stride]
-        for start, end in pairwise(points):
+    def _draw(self, color: Color, points: NDArray[np.float64]) -> None:
+        points = points[np.isfinite(points).all(axis=1)]
+        scene, line = self._renderer.scene, mujoco.mjtGeom.mjGEOM_LINE
+        stride = max(1, -(-len(points) // max(scene.maxgeom - scene.ngeom - 1, 1)))
+        # with shadows the picture is drawn twice, and what both draw is added
+        rgba = np.array([*(self._brightness * np.array(color) / 255.0), 1.0], np.float32)
+        for start, end in pairwise(points[::stride]):
             geom = scene.geoms[scene.ngeom]
-            kind, color = mujoco.mjtGeom.mjGEOM_CAPSULE, np.array([0.9, 0.25, 0.1, 1.0], np.float32)
-            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), color)
-            mujoco.mjv_connector(geom, kind, 0.006, start, end)
+            mujoco.mjv_initGeom(geom, line, np.zeros(3), np.zeros(3), np.zeros(9), rgba)
+            mujoco.mjv_connector(geom, line, self._width, start, end)
             scene.ngeom += 1
 
     def close(self) -> None:

@@ -13,6 +13,7 @@ from urllib.parse import quote
 import numpy as np
 
 from wbmpc.experiment import Definitions, definition_of
+from wbmpc.plots.figures import COLORS
 from wbmpc.report import document, goal_text, named, table, template
 from wbmpc.result import Metric
 from wbmpc.study.statistics import Paired, Rate
@@ -21,6 +22,9 @@ from wbmpc.units import Scale, scale, with_unit
 
 #: Plots of one experiment, combinations of one plot, and runs that the list of failures shows, at most.
 MAX_PLOTS, MAX_SHOWN, MAX_FAILURES = 24, 40, 200
+#: Combinations that a paired plot compares, at most.
+MAX_PAIRED = 8
+_BLUE = COLORS[0]
 #: Columns of a metric's table: see :func:`metric_rows`.
 HEADS = [
     "settings", "runs", "failed", "median [95 %]", "difference [95 %]", "better in", "goal", "", "5 %", "95 %", "worst",
@@ -49,9 +53,17 @@ def _experiment(summary: Summary, name: str, beside: Path, definitions: Definiti
     metrics = summary.shown[name]
     heads = {m: named(m, definition_of(m, definitions)[1]) for m in metrics}
     tables = "".join(f"<h3>{heads[m]}</h3>{_table(summary, cells, m)}" for m in metrics)
-    plots = [plot for m in metrics for plot in _plots(summary, cells, m)][:MAX_PLOTS]
-    cards = "".join(f'<div class="card"><h3>{html.escape(title)}</h3>{figure}</div>' for title, figure in plots)
-    return f'<h2>{html.escape(name)}</h2>{tables}<div class="plots">{cards}</div>{_failures(cells, beside)}'
+    plots = [plot for m in metrics for plot in _plots(summary, cells, m)]
+    cards = "".join(
+        f'<div class="card{" wide" if wide else ""}"><h3>{html.escape(title)}</h3>{figure}</div>'
+        for title, figure, wide in plots[:MAX_PLOTS]
+    )
+    more = (
+        f"<p>{len(plots) - MAX_PLOTS} more plots are left out: 'metrics' in the study's file chooses.</p>"
+        if len(plots) > MAX_PLOTS
+        else ""
+    )
+    return f'<h2>{html.escape(name)}</h2>{tables}<div class="plots">{cards}</div>{more}{_failures(cells, beside)}'
 
 
 def metric_scale(summary: Summary, cells: Sequence[Cell], metric: str) -> Scale:
@@ -123,8 +135,8 @@ def _failures(cells: Sequence[Cell], beside: Path) -> str:
 
 
 # ---------------------------------------------------------------------- plots
-def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[str, str]]:
-    """Those that the data allow: title and figure."""
+def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[str, str, bool]]:
+    """Those that the data allow: title, figure, and whether it is as wide as the page."""
     shown, cells = metric_scale(summary, cells, metric), cells[:MAX_SHOWN]
     values = [
         shown.factor * np.where(c.completed, c.figures.get(metric, np.full(c.seeds.size, np.nan)), np.nan)
@@ -134,16 +146,20 @@ def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[s
         return []
     label = with_unit(metric, shown.unit)
     goals = {goal for c in cells if (goal := summary.target(c, metric)["goal"]) is not None}
-    drawn = [(metric, _distribution(cells, values, label, [shown.factor * goal for goal in sorted(goals)]))]
-    if 2 <= len(cells) <= 8 and any(v.size > 1 for v in values):
-        drawn.append((f"{metric}, seed by seed", _pairs(cells, values, label)))
+    few = len(cells) <= MAX_PAIRED
+    drawn = [(metric, _distribution(cells, values, label, [shown.factor * goal for goal in sorted(goals)]), not few)]
+    if few and len(cells) > 1 and any(v.size > 1 for v in values):
+        drawn.append((f"{metric}, seed by seed", _pairs(cells, values, label), False))
     numeric = [
         k for k in cells[0].varied if len({_number(c.varied.get(k)) for c in cells}) > 1 and _is_numeric(cells, k)
     ]
     if len(numeric) >= 2 and len(cells) >= 4:
-        drawn.append((f"{metric}, medians", _heat_map(cells, values, numeric[:2], label)))
+        drawn += [
+            (f"{metric}, medians{f': {n}' if n else ''}", f, False)
+            for n, f in _heat_maps(cells, values, numeric[:2], label)
+        ]
     elif len(numeric) == 1 and len(cells) > 2:
-        drawn.append((f"{metric} over {numeric[0]}", _scatter(cells, values, numeric[0], label)))
+        drawn.append((f"{metric} over {numeric[0]}", _scatter(cells, values, numeric[0], label), False))
     return drawn
 
 
@@ -155,37 +171,51 @@ def _number(value: Any) -> Any:
     return value if isinstance(value, int | float | str) else str(value)
 
 
-def figure_html(figure: Any, x: str, y: str) -> str:
+def _others(cell: Cell, keys: Sequence[str]) -> str:
+    """What of a combination is not in ``keys``: its condition, robot and other settings; empty where there is nothing else."""
+    left = {k: v for k, v in cell.varied.items() if k not in keys}
+    return ", ".join([part for part in (cell.condition, cell.robot) if part] + [f"{k}={v}" for k, v in left.items()])
+
+
+def _broken(label: str) -> str:
+    """A combination's name as HTML, a line for each setting."""
+    return html.escape(label).replace(", ", "<br>")
+
+
+def figure_html(figure: Any, x: str, y: str, height: int = 360, legend: bool = False) -> str:
     """A figure on the page's ground, with titles of its axes."""
     figure.update_layout(
-        template=template(), height=360, margin={"l": 60, "r": 16, "t": 12, "b": 60}, xaxis_title=html.escape(x), yaxis_title=html.escape(y),
-        hovermode="closest", showlegend=False, font={"family": "system-ui, sans-serif", "size": 12},
+        template=template(), height=height, margin={"l": 60, "r": 16, "t": 12, "b": 60}, xaxis_title=html.escape(x), yaxis_title=html.escape(y),
+        hovermode="closest", showlegend=legend, font={"family": "system-ui, sans-serif", "size": 12},
+        legend={"orientation": "h", "y": -0.2, "yanchor": "top"},
     )  # fmt: skip
     options = {"displaylogo": False, "responsive": True, "displayModeBar": "hover"}
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config=options))
 
 
 def _distribution(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str, goals: Sequence[float]) -> str:
-    """Every run a point beside its box; the goals dashed."""
+    """Every run a point on its box, from the first combination down; the goals dashed."""
     import plotly.graph_objects as go
 
-    figure = go.Figure()
+    figure, lines = go.Figure(), 1
     for c, v in zip(cells, values, strict=True):
-        keep = np.isfinite(v)
+        keep, name = np.isfinite(v), _broken(c.label) if len(cells) <= MAX_PAIRED else html.escape(c.label)
+        lines = max(lines, 1 + name.count("<br>"))
         figure.add_box(
-            y=v[keep].tolist(), name=html.escape(c.label), boxpoints="all", jitter=0.5, pointpos=0, line={"width": 1.2},
-            marker={"color": "#1f5fa8", "size": 4}, text=[f"seed {s}" for s in c.seeds[keep]],
+            x=v[keep].tolist(), name=name, boxpoints="all", jitter=0.5, pointpos=0, line={"width": 1.2},
+            marker={"color": _BLUE, "size": 4}, text=[f"seed {s}" for s in c.seeds[keep]],
         )  # fmt: skip
     for goal in goals:
-        figure.add_hline(y=goal, line={"dash": "dash", "width": 1, "color": "#7a7a7a"})
-    return figure_html(figure, "", label)
+        figure.add_vline(x=goal, line={"dash": "dash", "width": 1, "color": "#7a7a7a"})
+    figure.update_yaxes(autorange="reversed")
+    return figure_html(figure, label, "", max(360, 100 + (8 + 15 * lines) * len(cells)))
 
 
 def _pairs(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str) -> str:
     """A line for each seed over the combinations."""
     import plotly.graph_objects as go
 
-    names = [html.escape(c.label) for c in cells]
+    names = [_broken(c.label) for c in cells]
     by_seed: dict[int, list[float | None]] = {}
     for k, (c, v) in enumerate(zip(cells, values, strict=True)):
         for seed, value in zip(c.seeds.tolist(), v.tolist(), strict=True):
@@ -193,41 +223,60 @@ def _pairs(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str) -> s
     figure = go.Figure()
     for seed, line in list(by_seed.items())[:MAX_FAILURES]:
         figure.add_scatter(
-            x=names, y=line, name=f"seed {seed}", mode="lines+markers", line={"width": 1}, marker={"size": 4}
-        )
+            x=names, y=line, name=f"seed {seed}", mode="lines+markers", opacity=0.55,
+            line={"width": 1, "color": _BLUE}, marker={"size": 4},
+        )  # fmt: skip
     return figure_html(figure, "", label)
 
 
-def _heat_map(cells: Sequence[Cell], values: Sequence[np.ndarray], keys: Sequence[str], label: str) -> str:
-    """Medians over two settings; of others that are varied too, the median of the medians."""
+def _heat_maps(
+    cells: Sequence[Cell], values: Sequence[np.ndarray], keys: Sequence[str], label: str
+) -> list[tuple[str, str]]:
+    """Medians over two settings: name and map of each of what else there is (conditions, robots, other settings), in the same colors."""
+    medians = [float(np.nanmedian(v)) if np.isfinite(v).any() else None for v in values]
+    known = [m for m in medians if m is not None]
+    groups = dict.fromkeys(_others(c, keys) for c in cells)
+    found = []
+    for name in groups:
+        mine = [(c, m) for c, m in zip(cells, medians, strict=True) if _others(c, keys) == name]
+        found.append((name, _heat_map(mine, keys, label, (min(known), max(known)))))
+    return found
+
+
+def _heat_map(
+    medians: Sequence[tuple[Cell, float | None]], keys: Sequence[str], label: str, span: tuple[float, float]
+) -> str:
     import plotly.graph_objects as go
 
-    x, y = (sorted({c.varied[key] for c in cells}) for key in keys)
-    z: list[list[float | None]] = [[None] * len(x) for _ in y]
-    for j, below in enumerate(y):
-        for i, left in enumerate(x):
-            at = [
-                v for c, v in zip(cells, values, strict=True) if (c.varied[keys[0]], c.varied[keys[1]]) == (left, below)
-            ]
-            known = [float(np.nanmedian(v)) for v in at if np.isfinite(v).any()]
-            z[j][i] = float(np.median(known)) if known else None
+    x, y = (sorted({c.varied[key] for c, _ in medians}) for key in keys)
+    at = {(c.varied[keys[0]], c.varied[keys[1]]): m for c, m in medians}
+    z = [[at.get((left, below)) for left in x] for below in y]
     names = [[f"{v:g}" for v in axis] for axis in (x, y)]
     figure = go.Figure(
-        go.Heatmap(x=names[0], y=names[1], z=z, colorscale="Viridis", colorbar={"title": html.escape(label)})
-    )
+        go.Heatmap(x=names[0], y=names[1], z=z, zmin=span[0], zmax=span[1], colorscale="Viridis", texttemplate="%{z:.3~g}",
+                   colorbar={"title": {"text": html.escape(label), "side": "right"}})
+    )  # fmt: skip
     figure.update_xaxes(type="category")
     figure.update_yaxes(type="category")
     return figure_html(figure, keys[0], keys[1])
 
 
 def _scatter(cells: Sequence[Cell], values: Sequence[np.ndarray], key: str, label: str) -> str:
-    """Every run over a setting."""
+    """Every run over a setting, in a color for each of what else there is."""
     import plotly.graph_objects as go
 
-    x = [float(c.varied[key]) for c, v in zip(cells, values, strict=True) for _ in v]
-    y = [value if math.isfinite(value) else None for v in values for value in v.tolist()]
-    seeds = [f"seed {s}" for c in cells for s in c.seeds]
-    figure = go.Figure(go.Scatter(x=x, y=y, mode="markers", text=seeds, marker={"color": "#1f5fa8", "size": 6}))
-    if min(x) > 0.0 and max(x) > 50.0 * min(x):
+    figure, lowest, highest = go.Figure(), math.inf, -math.inf
+    groups = dict.fromkeys(_others(c, [key]) for c in cells)
+    for k, name in enumerate(groups):
+        mine = [(c, v) for c, v in zip(cells, values, strict=True) if _others(c, [key]) == name]
+        x = [float(c.varied[key]) for c, v in mine for _ in v]
+        y = [value if math.isfinite(value) else None for _, v in mine for value in v.tolist()]
+        seeds = [f"seed {s}" for c, _ in mine for s in c.seeds]
+        color = COLORS[k % len(COLORS)]
+        figure.add_scatter(
+            x=x, y=y, mode="markers", text=seeds, name=html.escape(name), marker={"color": color, "size": 6}
+        )
+        lowest, highest = min(lowest, *x), max(highest, *x)
+    if lowest > 0.0 and highest > 50.0 * lowest:
         figure.update_xaxes(type="log")
-    return figure_html(figure, key, label)
+    return figure_html(figure, key, label, legend=len(groups) > 1)

@@ -123,9 +123,8 @@ class Study:
             trials, best = list(tuner.trials()), tuner.best()
             settings = settings_of_trial(best[0], self.definition.tune) if best else {}
             summary = self._before_and_after(settings, there, progress) if settings else None
-        tuned = Tuned(
-            settings, next((t for t in trials if best and t["trial"] == best[0].number), None), trials, summary
-        )
+        by_number = {t["trial"]: t for t in trials}
+        tuned = Tuned(settings, tuple(by_number[t.number] for t in best), trials, summary)
         self._write_tuned(tuned)
         return tuned
 
@@ -150,7 +149,7 @@ class Study:
             found = {**self.definition.settings, **tuned.settings}
             write_text(self.out / BEST, write_yaml(nested(found), {"": about}))
         write_text(self.out / TRIALS, json.dumps(tuned.trials, indent=1) + "\n")
-        write_text(self.out / PAGE, tune_page(title, tune, tuned.trials, tuned.best, tuned.report is not None))
+        write_text(self.out / PAGE, tune_page(title, tune, tuned.trials, tuned.front, tuned.report is not None))
 
     def _task(self, run: Run) -> Task:
         """What a worker gets: names and settings, some hundred bytes."""
@@ -194,18 +193,30 @@ def row_about(run: Run) -> Row:
 
 @dataclass(frozen=True)
 class Tuned:
-    """What a search found: the ``settings`` of the ``best`` trial (empty, None: none keeps the constraints), all ``trials``, and the
-    study's own seeds before and after (``report``)."""
+    """What a search found: the ``settings`` of the ``best`` trial (empty, None: none keeps the constraints), the ``front`` of several
+    objectives (of one the best trial alone), whose first trial is ``best``, all ``trials``, and the study's own seeds before and after
+    with ``best`` (``report``)."""
 
     settings: dict[str, Any]
-    best: dict[str, Any] | None
+    front: tuple[dict[str, Any], ...]
     trials: list[dict[str, Any]]
     report: Summary | None
+
+    @property
+    def best(self) -> dict[str, Any] | None:
+        """The trial whose settings are kept."""
+        return self.front[0] if self.front else None
 
     def to_json(self) -> dict[str, Any]:
         """The object that ``--json`` prints."""
         report = None if self.report is None else self.report.to_json()
-        return {"settings": self.settings, "best": self.best, "trials": self.trials, "report": report}
+        return {
+            "settings": self.settings,
+            "best": self.best,
+            "front": list(self.front),
+            "trials": self.trials,
+            "report": report,
+        }
 
 
 class Clock:

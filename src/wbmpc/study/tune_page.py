@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
+from itertools import combinations
 from typing import Any
 
 from wbmpc.report import document, table
@@ -16,48 +17,72 @@ SHOWN = 50
 Trials = Sequence[dict[str, Any]]
 
 
-def tune_page(title: str, tune: Tuning, trials: Trials, best: dict[str, Any] | None, reported: bool) -> str:
-    """One HTML page that needs no network. ``trials``: as :meth:`wbmpc.study.tuning.Tuner.trials` gives them."""
+def tune_page(title: str, tune: Tuning, trials: Trials, front: Trials, reported: bool) -> str:
+    """One HTML page that needs no network. ``trials``: as :meth:`wbmpc.study.tuning.Tuner.trials` gives them; ``front``: those of
+    them that none beats in every objective, the one that is kept first (of one objective it alone; empty: none keeps the constraints)."""
     names = objectives(tune)
     whole = [t for t in trials if not t["pruned"]]
     feasible = sum(t["feasible"] for t in whole)
     link = ' <a href="report/index.html">Before and after on the reporting seeds.</a>' if reported else ""
     about = f"{len(trials)} trials, {len(trials) - len(whole)} pruned, {feasible} keep the constraints."
-    found = (
-        "No trial keeps the constraints."
-        if best is None
-        else f"Best: trial {best['trial']}, {html.escape(' and '.join(names))}: {_values(best)}."
-    )
-    kind = "bad" if best is None else ""
-    plots = [("Trials", _history(whole, names[0]))]
-    if len(names) > 1:
-        plots.append((f"{names[1]} against {names[0]}", _against(whole, names)))
+    kind, several = "" if front else "bad", len(names) > 1
+    # of several objectives there is no best over the trials
+    plots = [] if several else [("Trials", _history(whole, names[0]))]
+    plots += [
+        (f"{b} against {a}", _against(whole, front, names, (i, j)))
+        for (i, a), (j, b) in combinations(enumerate(names), 2)
+    ]
     keys = list(whole[0]["settings"]) if whole else []
-    plots += [(key, _slice(whole, key, names[0], getattr(tune.search.get(key), "log", False))) for key in keys]
+    plots += [
+        (
+            f"{name} over {key}" if several else key,
+            _slice(whole, key, name, getattr(tune.search.get(key), "log", False), place),
+        )
+        for key in keys
+        for place, name in enumerate(names)
+    ]
     cards = (
         "".join(f'<div class="card"><h3>{html.escape(n)}</h3>{figure}</div>' for n, figure in plots) if whole else ""
     )
+    others = sorted(whole, key=lambda t: (not t["feasible"], t["values"]))
+    heads = ["trial", *map(html.escape, names), "", *map(html.escape, keys)]
+    listed = (
+        f"<h2>The front: {len(front)} trials</h2>{_table(heads, front)}<h2>Trials by {html.escape(names[0])}</h2>"
+        if several
+        else f"<h2>The best {len(others[:SHOWN])}</h2>"
+    )
+    body = f"""<h1>{html.escape(title)}</h1><p class="sub">{about}{link}</p><div class="card summary {kind}">{_found(front, names)}</div>
+<h2>Trials</h2><div class="plots">{cards}</div>
+{listed}{_table(heads, others)}"""
+
+    return document(title, body)
+
+
+def _found(front: Trials, names: Sequence[str]) -> str:
+    """What came out of it."""
+    if not front:
+        return "No trial keeps the constraints."
+    what = html.escape(" and ".join(names))
+    kept = f"trial {front[0]['trial']}, {what}: {', '.join(number(v) for v in front[0]['values'])}."
+    if len(names) == 1:
+        return f"Best: {kept}"
+    return f"{len(front)} trials that none beats in every objective. Kept, for the least sum of the objectives: {kept}"
+
+
+def _table(heads: list[str], trials: Trials) -> str:
+    """The first :data:`SHOWN` of them."""
     rows = [
         [str(t["trial"]), *map(number, t["values"]), "" if t["feasible"] else "breaks constraints",
          *(html.escape(_text(v)) for v in t["settings"].values())]
-        for t in sorted(whole, key=lambda t: (not t["feasible"], t["values"]))[:SHOWN]
+        for t in trials[:SHOWN]
     ]  # fmt: skip
-    numeric = {k for k in range(2 + len(names) + len(keys)) if k != 1 + len(names)}
-    body = f"""<h1>{html.escape(title)}</h1><p class="sub">{about}{link}</p><div class="card summary {kind}">{found}</div>
-<h2>Trials</h2><div class="plots">{cards}</div>
-<h2>The best {len(rows)}</h2>{table(["trial", *map(html.escape, names), "", *map(html.escape, keys)], rows, numeric)}"""
-
-    return document(title, body)
+    return table(heads, rows, {k for k, head in enumerate(heads) if head})
 
 
 def objectives(tune: Tuning) -> list[str]:
     """What the values of a trial are: sums of metrics, or a metric each."""
     names = [f"{term.metric}, as large as possible" if term.maximize else term.metric for term in tune.minimize]
     return names if tune.pareto else [" + ".join(names)]
-
-
-def _values(trial: dict[str, Any]) -> str:
-    return ", ".join(number(v) for v in trial["values"])
 
 
 def _text(value: Any) -> str:
@@ -77,23 +102,29 @@ def _history(trials: Trials, name: str) -> str:
     return figure_html(figure, "trial", name)
 
 
-def _slice(trials: Trials, key: str, name: str, log: bool) -> str:
-    """The first objective over a setting."""
+def _slice(trials: Trials, key: str, name: str, log: bool, place: int) -> str:
+    """An objective over a setting."""
     import plotly.graph_objects as go
 
     x = [t["settings"][key] for t in trials]
-    figure = go.Figure(_points(trials, [str(v) if isinstance(v, list | dict | bool) else v for v in x]))
+    figure = go.Figure(_points(trials, [str(v) if isinstance(v, list | dict | bool) else v for v in x], place))
     if log:
         figure.update_xaxes(type="log")
     return figure_html(figure, key, name)
 
 
-def _against(trials: Trials, names: Sequence[str]) -> str:
-    """The second objective over the first: the best are at the lower left edge."""
+def _against(trials: Trials, front: Trials, names: Sequence[str], places: tuple[int, int]) -> str:
+    """An objective over another, and the front."""
     import plotly.graph_objects as go
 
-    figure = go.Figure(_points(trials, [t["values"][0] for t in trials], 1))
-    return figure_html(figure, names[0], names[1])
+    i, j = places
+    figure = go.Figure(_points(trials, [t["values"][i] for t in trials], j))
+    edge = sorted(front, key=lambda t: t["values"][i])
+    figure.add_scatter(
+        x=[t["values"][i] for t in edge], y=[t["values"][j] for t in edge], text=[f"trial {t['trial']}" for t in edge],
+        mode="lines+markers" if len(names) == 2 else "markers", line={"color": "#d1495b", "width": 1}, marker={"size": 8},
+    )  # fmt: skip
+    return figure_html(figure, names[i], names[j])
 
 
 def _points(trials: Trials, x: list[Any], place: int = 0) -> Any:

@@ -238,15 +238,15 @@ class Tuner:
         return f"{len(self.finished)} of {self.tuning.trials} trials{best}"
 
     def best(self) -> list[optuna.trial.FrozenTrial]:
-        """The best trial that keeps the constraints (several that none is better than in everything, with ``pareto``); empty where none
-        does."""
+        """The best trial that keeps the constraints; with ``pareto`` the front: those that no other beats in every objective, the least
+        sum of the objectives first. Empty where none keeps them."""
         state = _optuna().trial.TrialState.COMPLETE
         ended = self._found.get_trials(deepcopy=False, states=(state,))
         fine = [t for t in ended if feasible(t)]
         if not self.tuning.pareto:
             return sorted(fine, key=lambda t: t.values[0])[:1]
         beaten = lambda t: any(all(a <= b for a, b in zip(o.values, t.values)) and o.values != t.values for o in fine)
-        return [t for t in fine if not beaten(t)]
+        return sorted((t for t in fine if not beaten(t)), key=lambda t: sum(t.values))
 
     def trials(self) -> Iterator[dict[str, Any]]:
         """All finished trials as data."""

@@ -13,7 +13,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import LidarSettings
 from wbmpc.simulation.kept_calibration import kept
-from wbmpc.simulation.lockstep import run_lockstep
+from wbmpc.simulation.lockstep import preparation, run_lockstep
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.tasks.led_base import RAMP, Order, base_path, lead_base, ordered_twist
 from wbmpc.tasks.settings import moving_base
@@ -63,7 +63,7 @@ def drive(robot: RobotModel, perturbation: Perturbation, seed: int) -> tuple[Log
             log.add("gyro", t, np.mean(turning))
             turning.clear()
 
-    ending = run_lockstep(*made.parts, float(times[-1]), record)
+    ending = run_lockstep(*made.parts, float(times[-1]), record, preparation())
     return log, ending.reason
 
 

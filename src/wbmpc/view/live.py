@@ -17,7 +17,8 @@ from wbmpc import lie
 from wbmpc.errors import EndedByUser, InputError
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.recording.observer import Observer
-from wbmpc.simulation.lockstep import Ending, Running
+from wbmpc.simulation.lockstep import PREPARATION, Ending, Running
+from wbmpc.simulation.scene import Scene
 from wbmpc.view import bounds
 from wbmpc.view.actuator_load import Loads
 from wbmpc.view.core import LiveView, followed, numbers, timing
@@ -39,8 +40,11 @@ class View(LiveView):
 
     ``wants_reset``: whether the run ended in order to begin anew; ``ended``: whether the user ended it; ``steered``: whether
     its goals, weights, legs or forces were changed.
+    ``live``: it also shows what drives before the run, which nobody can steer: its calibration is kept.
     ``opened(url)`` is called once the server answers; no browser is waited for. Times in s.
     """
+
+    live = True
 
     def __init__(
         self,
@@ -52,6 +56,7 @@ class View(LiveView):
         with_token: bool = True,
     ) -> None:
         super().__init__(title, host, port, opened, with_token)
+        self._shown: tuple[Scene, bool] | None = None
         self.steered, self._factor, self._trail = False, Factor(), Trail()
         self._ticks, self._late_ticks, self._period = 0, 0, np.inf
         #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused: the last ones.
@@ -60,8 +65,9 @@ class View(LiveView):
 
     def open(self, running: Running) -> None:
         """Start the server's process for the world of a run; returns when it answers."""
-        self.scene = Observer(running).scene
-        self.start(self.scene, self._controls(running.mpc, self._loads_of(running).groups), fields(self.scene))
+        self.scene, before = self._shown = Observer(running).scene, running.name == PREPARATION
+        controls = self._controls(None if before else running.mpc, self._loads_of(running).groups, pushes=not before)
+        self.start(self.scene, controls, fields(self.scene))
 
     @staticmethod
     def _loads_of(running: Running) -> Loads:
@@ -81,16 +87,18 @@ class View(LiveView):
     def begin(self, running: Running) -> None:
         """Show this loop from now on; of one without MPC there are no goals and weights."""
         self.running, self._observer = running, Observer(running)
+        self._before = running.name == PREPARATION
         self.show_message("")
         self._ticks, self._late_ticks, self._period = 0, 0, running.timing.period
         self._factor.reset()
         self._trail.reset()
-        if self.process is not None and self._observer.scene != self.scene:
-            self.close()  # another world: browsers find the new server at the same place
+        if self.process is not None and (self._observer.scene, self._before) != self._shown:
+            self.close()  # another page: browsers find the new server at the same place
             self._requests = no_requests()
         if self.process is None:
             self.open(running)
-        self.show_message(self._previous)
+        name = f"{running.name} ({running.duration:.0f} s)" if self._before else running.name
+        self.show_message(", ".join(text for text in (name, self._previous) if text))
         self._loads = self._loads_of(running)
         self._legs = LegConfiguration(getattr(running.controller, "robot", None), self._observer.reader.joint_names)
         self._steering = Steering(running, self._observer.lift, self.reject)
@@ -114,7 +122,8 @@ class View(LiveView):
 
     def end(self, ending: Ending) -> None:
         """Say so; the last picture stays until :meth:`close`."""
-        self.show_message(f"The run is over: {ending.reason}" if ending.reason else "The run is over")
+        what = f"{PREPARATION}: done" if self._before else "The run is over"
+        self.show_message(f"{what}: {ending.reason}" if ending.reason else what)
         self._previous = f"Before: {ending.reason}" if ending.fell else ""
 
     # ------------------------------------------------------------------ time
@@ -138,7 +147,7 @@ class View(LiveView):
         self.lateness.append(-ahead)
         self._ticks += 1
         self._late_ticks += int(-ahead > self._period)
-        if ahead > 0.0:
+        if ahead > 0.0 and not self._before:  # the user waits for the run
             time.sleep(ahead)
         elif ahead < -_LATEST:
             self._anchor(t)
@@ -173,6 +182,8 @@ class View(LiveView):
             raise EndedByUser("begun anew in the view")
 
     def _steer(self, t: float) -> None:
+        if self._before:
+            return
         self._steering.apply(t, self._requests, self._drift)
         self.steered = self.steered or self._steering.used
 

@@ -13,11 +13,14 @@ import numpy as np
 from wbmpc.errors import InputError, WbmpcError
 from wbmpc.output_file import whole_file
 from wbmpc.simulation.film import SceneModel
-from wbmpc.simulation.render import Camera, Renderer
+from wbmpc.simulation.render import BASE, END_EFFECTOR, REFERENCE, TRAIL, Camera, Renderer
 from wbmpc.simulation.scene import Scene
 from wbmpc.view.camera import hidden, near
+from wbmpc.view.labels import Labels
 from wbmpc.view.replay import Film
 
+#: Lines of a snapshot, the last in front.
+LINES = {"reference": REFERENCE, "trail": TRAIL, "base_plan": BASE, "end_effector_plan": END_EFFECTOR}
 #: Pictures per second of clips: of a film, of pictures that move in a page.
 RATES = {".mp4": 30.0, ".gif": 12.5, ".webp": 12.5}
 GIF_COLORS = 64
@@ -31,10 +34,13 @@ NO_GRAPHICS = (
 )
 
 
-def render(film: Film, path: Path, times: tuple[float, float], size: tuple[int, int], speed: float = 1.0) -> int:
+def render(
+    film: Film, path: Path, times: tuple[float, float], size: tuple[int, int], speed: float = 1.0, labels: bool = True
+) -> int:
     """Draw from ``times[0]`` to ``times[1]`` [s] into a file by its ending: .mp4, .gif, .webp, or .png (the first moment alone).
 
-    ``size``: width, height; ``speed``: of the clip against the run. Returns the number of pictures.
+    ``size``: width, height; ``speed``: of the clip against the run; ``labels``: whether title, time and the meaning of lines stand on it. Returns
+    the number of pictures.
     """
     kind = path.suffix.lower()
     if kind not in (*RATES, ".png"):
@@ -53,7 +59,7 @@ def render(film: Film, path: Path, times: tuple[float, float], size: tuple[int, 
         if kind == ".png"
         else start + np.arange(int((end - start) * RATES[kind] / speed + 1e-6) + 1) * speed / RATES[kind]
     )
-    pictures = _pictures(film, moments, size)
+    pictures = _pictures(film, moments, size, labels)
     first = next(pictures)  # whether there are graphics at all shows before a file is begun
     existed = path.exists()
     path.open("ab").close()  # and whether it can be written, before all is drawn
@@ -64,7 +70,7 @@ def render(film: Film, path: Path, times: tuple[float, float], size: tuple[int, 
     return len(moments)
 
 
-def _pictures(film: Film, moments: np.ndarray, size: tuple[int, int]) -> Iterator[np.ndarray]:
+def _pictures(film: Film, moments: np.ndarray, size: tuple[int, int], labels: bool = True) -> Iterator[np.ndarray]:
     puppet = SceneModel(film.scene)
     puppet.place(film.snapshot(float(moments[0]))["poses"])
     try:
@@ -72,12 +78,18 @@ def _pictures(film: Film, moments: np.ndarray, size: tuple[int, int]) -> Iterato
     except WbmpcError as error:
         raise InputError(f"{NO_GRAPHICS} ({error})") from error
     camera = overview([film.snapshot(t)["poses"] for t in np.linspace(moments[0], moments[-1], _LOOKS)], film.scene)
+    drawn = Labels(size, film.recording.title) if labels else None
     with renderer:
         for t in moments:
             s = film.snapshot(float(t))
             puppet.place(s["poses"])
-            way = s["reference"][np.isfinite(s["reference"]).all(axis=1)]
-            yield renderer.frame(camera, way if len(way) else None)
+            lines = {
+                name: (color, s[name]) for name, color in LINES.items() if np.isfinite(s[name]).all(axis=1).sum() > 1
+            }
+            picture = renderer.frame(camera, list(lines.values()))
+            yield (
+                picture if drawn is None else drawn.on(picture, float(t), {n: color for n, (color, _) in lines.items()})
+            )
 
 
 def _write_png(path: Path, pictures: list[np.ndarray]) -> None:

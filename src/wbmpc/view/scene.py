@@ -13,14 +13,13 @@ import numpy as np
 import trimesh
 import viser
 
+from wbmpc.simulation.render import BASE, END_EFFECTOR, REFERENCE, TRAIL
 from wbmpc.simulation.scene import Scene, Shape
 from wbmpc.view.camera import camera_offset
 
 Array = np.ndarray
 #: Colors (0 to 255) of what is drawn over the scene, and thickness [m] of lines.
-REFERENCE, END_EFFECTOR, BASE, SUPPORT, TRIANGLE, PRESSURE, FORCE, TRAIL = (
-    (230, 70, 30), (30, 110, 220), (40, 160, 90), (120, 90, 180), (20, 170, 190), (240, 170, 20), (200, 40, 120), (60, 70, 85),
-)  # fmt: skip
+SUPPORT, TRIANGLE, PRESSURE, FORCE = (120, 90, 180), (20, 170, 190), (240, 170, 20), (200, 40, 120)
 _THICKNESS = 0.008
 #: What the colors mean, for a legend.
 LEGEND = {

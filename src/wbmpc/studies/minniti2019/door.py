@@ -176,6 +176,9 @@ def make_controller(
 
 def record_door(log: Log, t: float, plant: DoorPlant, controller: DoorController, plans: Any) -> None:
     """Forces, door and phases."""
+    for channel in ("door", "door_estimated"):
+        log.label(channel, ("angle", "rate"), ("rad", "rad/s"))
+    log.label("impedance", ("inertia", "damping", "resistance"), ("kg m²", "N m s/rad", "N m"))
     log.add("force", t, plant.contact_force())
     log.add("normal", t, plant.normal)
     log.add("door", t, np.array([plant.angle, plant.rate]))

@@ -82,6 +82,9 @@ def drive(
         controller = BallController(robot, mpc, torque, *own)
         mpc.reset(home, torque)
     single, target = Log(), torque.copy()
+    for channel in (f"acting_{name}", f"asked_{name}"):
+        log.label(channel, [*robot.input.groups["wheel"], *robot.input.groups["arm"]], "N m")
+    log.label(f"wanted_{name}", "xyz", "m")
 
     def record(t: float, command: Any, plans: Any) -> None:
         k = int(np.searchsorted(times, t + 1e-9, side="right")) - 1

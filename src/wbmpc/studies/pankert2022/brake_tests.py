@@ -107,7 +107,8 @@ def push(bench: Bench, name: str, is_open: bool, progress: Progress | None) -> f
         SwerveCommand.stop(modules, len(bench.robot.input.groups["arm"])), brake=np.full(modules, float(is_open))
     )
     _step(plant, command, 0.5, bench)
-    start, begin = plant.truth().pose, plant.time
+    start, begin, hinges = plant.truth().pose, plant.time, bench.robot.state.groups["leg"]
+    bench.log.label(channel, ("x", "y", "yaw", *hinges), ("m", "m", "rad", *("rad" for _ in hinges)))
     plant.push([0.0, bench.settings.push, 0.0])
     with watched(plant, 4 * bench.period, PUSH_TIME, progress) as tick:
         while plant.time < begin + PUSH_TIME:
@@ -118,7 +119,7 @@ def push(bench: Bench, name: str, is_open: bool, progress: Progress | None) -> f
             bench.log.add(
                 channel,
                 plant.time - begin,
-                [*(truth.pose - start), *(truth.joints[n] for n in bench.robot.state.groups["leg"])],
+                [*(truth.pose - start), *(truth.joints[n] for n in hinges)],
             )
     return farthest
 
@@ -151,6 +152,7 @@ def slip_torque(bench: Bench, progress: Progress | None) -> float:
     torque, step = 0.6 * BRAKE_TORQUE, TORQUE_RAMP / bench.settings.control.rate
     plant.external = lambda m, d: d.qfrc_applied.__setitem__(hinge.dofadr[0], torque)
     begin, longest = plant.time, (1.5 * BRAKE_TORQUE - torque) / TORQUE_RAMP
+    bench.log.label("slip", ("torque", "angle", "load of the wheel"), ("N m", "rad", "N"))
     with watched(plant, bench.period, longest, progress) as tick:
         while torque < 1.5 * BRAKE_TORQUE:
             tick(plant.time - begin, stop)
@@ -169,6 +171,7 @@ def slide_force(bench: Bench, name: str, progress: Progress | None) -> float:
     stop = SwerveCommand.stop(bench.robot.base.geometry.modules, len(bench.robot.input.groups["arm"]))
     _step(plant, stop, 0.5, bench)
     start, begin, force = plant.truth().pose, plant.time, 200.0
+    bench.log.label(f"slide_{name}", ("force", "way", "force over friction"), ("N", "m", "1"))
     with watched(plant, bench.period, 1800.0 / FORCE_RAMP, progress) as tick:
         while force < 2000.0 and not plant.fell:
             plant.push([0.0, force, 0.0])
@@ -228,6 +231,8 @@ def fault(bench: Bench, kind: str | None, progress: Progress | None) -> Found:
     if kind == "closed":
         plant.brakes.fail(tried, "closed")
     hinge = plant.model.joint(robot.state.groups["leg"][tried]).dofadr[0]
+    hinges = robot.state.groups["leg"]
+    bench.log.label(f"fault_{kind or 'none'}", [*hinges, *(f"{n}, reference" for n in hinges)], "rad")
     with watched(plant, period, SWING_PERIOD + 3.0, progress, controller) as tick:
         for k in range(round((SWING_PERIOD + 3.0) / period)):
             t = k * period

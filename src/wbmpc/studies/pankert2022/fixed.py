@@ -120,6 +120,10 @@ def drive(
         controller.supervision.report = closed_brakes(robot, mpc)
     stand_still(plant, controller, timing, settings.settle_time)
 
+    joints = robot.description.base.joint_groups()
+    for part, group, unit in (("slip", "wheel", "m/s"), ("wheel", "wheel", "rad/s"), ("steer", "steer", "rad")):
+        log.label(f"{part}_{name}", joints[group], unit)
+
     def record(t: float, command: Any, plans: Any) -> None:
         if round(t / timing.period) % 4:
             return

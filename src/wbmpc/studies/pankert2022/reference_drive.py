@@ -28,7 +28,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LidarSettings, Robot, Settings
 from wbmpc.simulation.kept_calibration import kept
-from wbmpc.simulation.lockstep import Progress, watched
+from wbmpc.simulation.lockstep import Progress, preparation, watched
 from wbmpc.simulation.perturbation import Perturbation, SoundBrakes, quantize
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
@@ -205,7 +205,7 @@ def track_arm(robot: RobotModel, settings: Perturbation, poses: int, seed: int, 
 def _driven(robot: RobotModel, settings: SwerveCalibrateSettings, seed: int) -> WheelCalibration:
     """The calibration from a reference drive; :class:`RunAborted` for a drive that did not come to its end."""
     log = Log()
-    *_, reason = drive(robot, settings, seed, log, odometry=False)
+    *_, reason = drive(robot, settings, seed, log, preparation(), odometry=False)
     if reason:
         raise RunAborted(f"the reference drive for the calibration: {reason}")
     return calibrate(robot.base.geometry, record_of(log))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.base import System
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
@@ -24,6 +25,7 @@ from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.track_figures import SPEEDS, metrics, plots
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, swerve_robot
+from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.units import rate_unit
 
 NAME = "swerve-track"
@@ -46,7 +48,7 @@ def _label(log: Log, robot: RobotModel, driven: Sequence[str]) -> WheelLog:
     wheels, state, inputs = robot.description.base.joint_groups()["wheel"], robot.state, robot.input
     for channel, names, units in (
         ("state", state.names, state.units), ("input", inputs.names, inputs.units),
-        ("arm", state.groups["arm"], state.unit_groups["arm"]), ("joint_speed", driven, [rate_unit(u) for u in robot.tree.units(driven)]),
+        ("arm", state.groups["arm"], state.unit_groups["arm"]), ("drive_speed", driven, [rate_unit(u) for u in robot.tree.units(driven)]),
         ("wheel_command", wheels, "rad/s"), ("wheel_slip", wheels, "m/s"),
     ):  # fmt: skip
         log.label(channel, names, units)
@@ -78,7 +80,7 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     every = timing.period * np.arange(round(references.duration / timing.period))
     positions, turns = references.pose(every[::ROWS])
     driven = [n for g in SPEEDS for n in robot.input.groups.get(g, ())]
-    wheels = _label(log, robot, driven)
+    wheels, joints = _label(log, robot, driven), JointRecord(log, robot, System(plant, controller, mpc, timing))
 
     def record(t: float, command: Any, plans: Any) -> None:
         m = controller.measured
@@ -106,14 +108,15 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         log.add("wheel_command", t, command.wheel)
         log.add("arm", t, m.arm)
         log.add("wheel_slip", t, truth.slip)
-        log.add("joint_speed", t, [truth.joint_speeds[n] for n in driven])
+        log.add("drive_speed", t, [truth.joint_speeds[n] for n in driven])
+        joints.tick(t, truth, plans)
 
     loop = Loop(plant, controller, mpc, timing, references.duration, record)
     return Scenario.single(
         log,
         loop.run,
         lambda run: metrics(log, references),
-        lambda run: plots(log, robot, references),
+        lambda run: [*plots(log, robot, references), *joints.plots()],
         IDEALIZATIONS,
     )
 

@@ -55,7 +55,7 @@ def metrics(log: Log, references: TrackReferences) -> dict[str, Metric]:
 
 def _speed_ratios(log: Log, robot: RobotModel) -> list[Series]:
     """By group of joints the largest true speed over its limit."""
-    t, speed = log.times("joint_speed"), np.abs(log.array("joint_speed"))
+    t, speed = log.times("drive_speed"), np.abs(log.array("drive_speed"))
     series, start = [], 0
     for group in (g for g in SPEEDS if g in robot.input):
         limit = robot.limits.input_upper[robot.input[group]]

@@ -128,6 +128,14 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     stand_still(plant, controller, timing, settings.settle_time)
     mpc.reset(home)
     log, stance_of = Log(), StanceOf(robot)
+    for channel, group, unit in (
+        ("leg", "leg", "rad"),
+        ("leg_reference", "leg", "rad"),
+        ("steer", "steer", "rad"),
+        ("wheel_slip", "wheel", "m/s"),
+    ):
+        log.label(channel, robot.description.base.joint_groups()[group], unit)
+    log.label("state", robot.state.names, robot.state.units)
 
     def record(now: float, command: Any, plans: Any) -> None:
         if round(now / timing.period) % 4:

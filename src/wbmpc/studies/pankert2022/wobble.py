@@ -115,6 +115,7 @@ def _simulate(
             if t >= case.start - REST + 0.5:
                 log.add(f"gyro_{key}", t - case.start, measured.gyro[:2])
                 if judged:
+                    log.label(f"rate_{key}", "xy", "rad/s")
                     log.add(f"rate_{key}", t - case.start, plant.data.qvel[3:5])
                     log.add(f"force_{key}", t - case.start, plant.truth().wheel_force)
             now, later = case.arm(np.array([t, t + 1.0 / RATE]), joints)
