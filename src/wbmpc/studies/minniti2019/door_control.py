@@ -83,8 +83,8 @@ class Push:
     """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the end effector starts from ``start`` (3) [m] at time
     ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``opening_angle`` [rad] or, touch or not, at time ``give_up`` [s]
     and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries;
-    ``soonest`` (gap [m]) [s]: how long the way to the panel takes at least; ``lead`` [m]: how far ahead
-    of an end effector that has not touched the panel is believed to be at least, 0: it stays where it was; ``friction``: coefficient
+    ``fastest`` (gap [m], times (n) [s]) [m/s]: limits of the speed so long after the end effector was so far before the panel (None: no
+    limit; the plan leans for the force before the touch); ``friction``: coefficient
     that is planned with, at first if the robot ``learns`` it."""
 
     force: Callable[[float], float]
@@ -97,8 +97,7 @@ class Push:
     back: float
     reach: float
     tip_weight: float
-    soonest: Callable[[float], float]
-    lead: float
+    fastest: Callable[[float, Array], Array] | None
     friction: float
     learns: bool
 
@@ -118,7 +117,7 @@ class DoorController(BallController):
         self.impedance, self.identify = self.filter.impedance, identify
         self.with_door = "door" in mpc.ocp.dynamics.state
         self.modes = modes(self.with_door)
-        self.contact, self.sensor = (ContactMonitor(**LIGHT) if push.lead > 0.0 else ContactMonitor()), ForceMonitor()
+        self.contact, self.sensor = (ContactMonitor(**LIGHT) if push.fastest else ContactMonitor()), ForceMonitor()
         self.phase = "approach"
         self.force = np.zeros(3)  # of the world on the end effector, world axes [N]
         self.door = np.zeros(2)
@@ -275,8 +274,8 @@ class DoorController(BallController):
     def _not_there(self, end_effector: Array) -> None:
         """An end effector (3) [m] that touches nothing is before the panel: one that comes slowly would else stop where the panel is believed to
         be."""
-        past = self.geometry.gap(end_effector, 0.0) + self.push.lead
-        if self.push.lead > 0.0 and past > 0.0:
+        past = self.geometry.gap(end_effector, 0.0)
+        if self.push.fastest and past > 0.0:
             self.geometry = self.geometry.moved(past)
 
     def _ends(self, t: float) -> bool:
@@ -322,7 +321,7 @@ class DoorController(BallController):
         order: tuple[Mode, ...]
         events: tuple[float, ...]
         free, push = self.modes["free"], self.modes["moving" if self.moving or now < self.touched + UNMOVED else "held"]
-        if self.phase == "release":
+        if self.phase == "release" or (self.phase == "approach" and self.push.fastest and not self.contact.touching):
             order, events = (free,), ()
         elif self.contact.touching:
             order, events = ((push, free), (self.push.give_up,)) if self.push.give_up > now else ((free,), ())
@@ -338,7 +337,7 @@ class DoorController(BallController):
         normal = self.geometry.directions(float(self.door[0]))[1]
         speed = max(float(normal @ velocity), 0.5 * self.push.speed)
         gap = -self.geometry.gap(end_effector, float(self.door[0]))
-        return max(now + SOON, self.push.begin, self.measured.time + max(gap / speed, self.push.soonest(gap)))
+        return max(now + SOON, self.push.begin, self.measured.time + gap / speed)
 
     def _look_ahead(self, until: float, plans: PolicyQueue) -> None:
         mpc, schedule = self.mpc, self.schedule(until)
@@ -356,10 +355,20 @@ class DoorController(BallController):
         mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
         if "cone" in mpc.ocp.terms:
             mpc.reference["cone"] = Reference(times, np.column_stack([normals, np.full(times.size, self.friction)]))
+        if "approach" in mpc.ocp.terms:
+            mpc.reference["approach"] = Reference(times, self._fastest(times)[:, None])
         if "panel" in mpc.ocp.terms:
             mpc.reference["panel"] = Reference(times, np.where(times < open_at, FAR, 0.0)[:, None])
         if "lean" in mpc.ocp.terms:
             mpc.reference["lean"] = Reference(times, -target[:, None] * normals[:, :2])
+
+    def _fastest(self, times: Array) -> Array:
+        """The limit (n) [m/s] of the speed of an end effector that comes to the panel, at ``times`` (n) [s]."""
+        if self.phase not in ("approach", "push") or not self.push.fastest:
+            return np.full(times.size, FAR)
+        assert self.measured is not None
+        gap = -self.geometry.gap(self._end_effector(self.measured.state)[0], float(self.door[0]))
+        return self.push.fastest(max(gap, 0.0), np.maximum(times - self.measured.time, 0.0))
 
     def _opens(self, times: Array, angles: Array) -> float:
         """When [s] the door is open, by its angles [rad] at times [s] of the last plan: infinite if not within them."""
