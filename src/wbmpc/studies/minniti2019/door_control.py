@@ -14,6 +14,7 @@ believed lets go, as one does that has found no door in time; the force is zero 
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,11 +26,12 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, LeverFit
-from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, end_effector_motion, place_of
+from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, arm_jacobian, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
 from wbmpc.studies.minniti2019.force import ForceMonitor
 from wbmpc.studies.minniti2019.grip import GripMonitor
@@ -64,6 +66,10 @@ CLOSER_SHARE, MAX_CLOSING = 0.5, 0.5
 #: Forces [N] at which a contact begins, at once, and ends that the end effector comes to slowly, and after how long [s] without a force: what
 #: inertia the sensor carries hardly counts, and a hard tip bounces until the plan presses it on.
 LIGHT = {"on": 0.8, "off": 0.4, "debounce": 0.0, "release": 0.06}
+#: The push is corrected by what is measured within this time [s]; of so many torques it is known which push went with them.
+EXCESS_TIME, ASKED = 0.05, 16
+#: The push [N] of a touch that no plan knows yet: no plan pushes less than :data:`UNPLANNED` [N] that does.
+FIRST, UNPLANNED = 4.0, 0.1
 #: Points of the references over the horizon.
 POINTS = 27
 
@@ -129,6 +135,10 @@ class DoorController(BallController):
         self.sensorless = SensorlessForce(robot)
         self.grip, self.sliding = GripMonitor(push.friction), np.zeros(2)
         self._let_go = push.start
+        self._arm_jacobian = arm_jacobian(robot)
+        self._seen = 0.0  # the measured push [N], as late as the estimated one
+        self._asked: deque[float] = deque(maxlen=ASKED)  # pushes [N] that went with the last torques
+        self.excess = 0.0  # by how much [N] the push is more than that
         self._found: list[str] = []
 
     # ------------------------------------------------------------------ state
@@ -153,6 +163,7 @@ class DoorController(BallController):
         self._compare(measurement.time)
         self._follow(measurement.time, *motion[:2])
         self._judge_grip(motion)
+        self._learn_excess()
 
     def _pushed(self) -> Array:
         return self.force[:2]
@@ -186,9 +197,12 @@ class DoorController(BallController):
         self.force = force if touching else np.zeros(3)
 
     def _compare(self, t: float) -> None:
-        """The sensor's force against the one that the motion says, along the panel's normal."""
+        """The sensor's force against the one that the motion says, along the panel's normal: both as late as the latter, for the force of a
+        touch grows within that time."""
         touching, normal = self.contact.touching, self.geometry.directions(float(self.door[0]))[1]
-        measured, estimated = float(-normal @ self.force), float(-normal @ self.sensorless.force)
+        estimated = float(-normal @ self.sensorless.force)
+        self._seen += self.sensorless.observer.share(self.period) * (float(-normal @ self.force) - self._seen)
+        measured = self._seen
         watched = t >= self.push.begin and (touching or self.phase != "release")
         for fault in self.sensor.update(t, self.period, touching, measured, estimated if watched else measured):
             self._distrust(fault.time)
@@ -309,6 +323,30 @@ class DoorController(BallController):
         x = super().state()
         return np.concatenate([x, self.door]) if self.with_door else x
 
+    def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
+        """As of every ball robot; the push that goes with torques that are sent is kept. A touch that the plan does not know yet is
+        pressed on at once: a hard tip would have left the panel before the next plan."""
+        feedforward, target = super()._law(t, x, policy, acts)
+        if acts and policy is not None:
+            normal = self.geometry.directions(float(self.door[0]))[1]
+            push = float(-normal @ policy.law(t, x)[-3:])
+            if self.push.fastest and self.phase == "push" and push < UNPLANNED:
+                jacobian = self._arm_jacobian(x[: self.robot.state.size])
+                push, target = FIRST, target.copy()
+                target[-jacobian.shape[1] :] += FIRST * (normal @ jacobian)
+            self._asked.append(push)
+        return feedforward, target
+
+    def _learn_excess(self) -> None:
+        """The push that is measured against the one that the plan has with the same torques: an end effector that is believed to move
+        while it stands presses harder or less."""
+        late = self._late()
+        if self.phase != "push" or not self.contact.touching or late >= len(self._asked):
+            self.excess = 0.0
+            return
+        push = float(-self.geometry.directions(float(self.door[0]))[1] @ self.force)
+        self.excess += self.period / EXCESS_TIME * (push - self._asked[-1 - late] - self.excess)
+
     # ------------------------------------------------------------------ plan
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """As of every ball robot; phases and references over the horizon from then on are set."""
@@ -350,6 +388,7 @@ class DoorController(BallController):
         target *= np.clip(1.0 - (times - open_at) / RELAX, 0.0, 1.0)
         if self.phase == "approach":
             target = np.minimum(target, self._anticipated(until))
+        target = np.maximum(target - self.excess, 0.0)
         mpc.set_schedule(schedule)
         mpc.reference["end_effector"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
         mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))

@@ -94,7 +94,7 @@ class LimitedApproach(Settings):
     it; ``growth`` [1/s]: of the limit with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place."""
 
     kind: Literal["limited"] = "limited"
-    touch_speed: Positive = 0.01
+    touch_speed: Positive = 0.012
     growth: Positive = 5.0
     known_to: Weight = 0.010
 
