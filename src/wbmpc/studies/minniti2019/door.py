@@ -142,7 +142,7 @@ def make_controller(
     push = Push(
         target, end_effector, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
         back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
-        fastest=None if isinstance(approach, FreeApproach) else approach.fastest,
+        fastest=None if isinstance(approach, FreeApproach) else approach.fastest, lead=settings.scheme.lead,
         friction=settings.scheme.friction, learns=isinstance(settings.scheme.cone, EstimatedCone),
     )  # fmt: skip
     for body in ("body", "push_body"):

@@ -34,7 +34,7 @@ from wbmpc.studies.minniti2019.door_filter import DoorFilter, LeverFit
 from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, arm_jacobian, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
 from wbmpc.studies.minniti2019.force import ForceMonitor
-from wbmpc.studies.minniti2019.grip import GripMonitor
+from wbmpc.studies.minniti2019.grip import SPEED_TIME, GripMonitor
 from wbmpc.studies.minniti2019.momentum import SensorlessForce
 from wbmpc.types import Observation
 
@@ -52,7 +52,7 @@ ANTICIPATED, OVERDUE = (16.0, 8.0), 2.0
 NEVER = 1e6
 #: How long [s] the force fades when the door is open, and how fast [m/s] the end effector goes back.
 RELAX, RETURN_SPEED = 0.8, 0.3
-#: A door moves when it is faster than this [rad/s], and rests below a third of it.
+#: A door moves when it is faster than this [rad/s] on average over :data:`SPEED_TIME`, and rests below a third of it.
 MOVING = 0.03
 #: Before this time [s] after the touch a door that has not moved yet is planned to.
 UNMOVED = 0.1
@@ -90,7 +90,8 @@ class Push:
     ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``opening_angle`` [rad] or, touch or not, at time ``give_up`` [s]
     and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries;
     ``fastest`` (gap [m], times (n) [s]) [m/s]: limits of the speed so long after the end effector was so far before the panel (None: no
-    limit; the plan leans for the force before the touch); ``friction``: coefficient
+    limit); ``lead`` [m]: how far ahead of an end effector that has not touched the panel is believed to be at least, 0 with a limit: the plan
+    knows of no touch before it is felt; ``friction``: coefficient
     that is planned with, at first if the robot ``learns`` it."""
 
     force: Callable[[float], float]
@@ -104,6 +105,7 @@ class Push:
     reach: float
     tip_weight: float
     fastest: Callable[[float, Array], Array] | None
+    lead: float
     friction: float
     learns: bool
 
@@ -129,7 +131,7 @@ class DoorController(BallController):
         self.door = np.zeros(2)
         self.touched = self.relaxed = self.released = np.inf
         self.fit = LeverFit(geometry.lever(push.start, 0.0))
-        self.moving = False
+        self.moving, self._mean_rate = False, 0.0
         self.lever = geometry.lever(push.start, 0.0)
         self._end_effector = end_effector_motion(robot)
         self.sensorless = SensorlessForce(robot)
@@ -239,7 +241,9 @@ class DoorController(BallController):
         else:
             self.door = np.array([max(self.door[0] - self._closing() * self.period, 0.0), 0.0])
         limit = MOVING / 3.0 if self.moving else MOVING
-        self.moving = bool(touching and abs(self.door[1]) > limit)
+        share = 1.0 - np.exp(-self.period / SPEED_TIME)
+        self._mean_rate = self._mean_rate + share * (self.door[1] - self._mean_rate) if touching else 0.0
+        self.moving = bool(touching and abs(self._mean_rate) > limit)
         self._identify(end_effector)
         if self.phase == "push" and (self.door[0] >= self.push.open or t >= self.push.give_up - RELAX):
             self.phase, self.relaxed = "relax", t
@@ -288,7 +292,7 @@ class DoorController(BallController):
     def _not_there(self, end_effector: Array) -> None:
         """An end effector (3) [m] that touches nothing is before the panel: one that comes slowly would else stop where the panel is believed to
         be."""
-        past = self.geometry.gap(end_effector, 0.0)
+        past = self.geometry.gap(end_effector, 0.0) + self.push.lead
         if self.push.fastest and past > 0.0:
             self.geometry = self.geometry.moved(past)
 
@@ -359,7 +363,8 @@ class DoorController(BallController):
         order: tuple[Mode, ...]
         events: tuple[float, ...]
         free, push = self.modes["free"], self.modes["moving" if self.moving or now < self.touched + UNMOVED else "held"]
-        if self.phase == "release" or (self.phase == "approach" and self.push.fastest and not self.contact.touching):
+        unforeseen = self.phase == "approach" and not self.contact.touching and self.push.fastest and not self.push.lead
+        if self.phase == "release" or unforeseen:
             order, events = (free,), ()
         elif self.contact.touching:
             order, events = ((push, free), (self.push.give_up,)) if self.push.give_up > now else ((free,), ())

@@ -91,12 +91,15 @@ class FreeApproach(Settings):
 
 class LimitedApproach(Settings):
     """A touch at a speed that is limited, wherever the panel is. ``touch_speed`` [m/s]: the limit at the panel, towards it and along
-    it; ``growth`` [1/s]: of the limit with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place."""
+    it; ``growth`` [1/s]: of the limit with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place;
+    ``leans``: the plan leans for the force before the touch, as a door needs that gives way; the touch of a slow end effector then recedes before
+    it (left out: the plan knows of no touch before it is felt)."""
 
     kind: Literal["limited"] = "limited"
     touch_speed: Positive = 0.012
     growth: Positive = 5.0
     known_to: Weight = 0.010
+    leans: bool = False
 
     def fastest(self, gap: float, after: Array) -> Array:
         """The limit (n) [m/s] at times ``after`` (n) [s] an end effector was ``gap`` [m] before the believed panel, if it comes at that limit."""
@@ -124,6 +127,14 @@ class DoorScheme(Settings):
     def friction(self) -> float:
         """The friction coefficient that is planned with before anything is known of the panel's."""
         return self.cone.least if isinstance(self.cone, EstimatedCone) else getattr(self.cone, "friction", np.inf)
+
+    @property
+    def lead(self) -> float:
+        """How far [m] ahead of an end effector that has not touched the panel is believed to be at least where plans lean for the touch: they
+        close a gap by g̈ + 2 λ ġ + λ² g = 0, slow ones at λ g / 2: at this distance with the speed of the touch."""
+        if isinstance(self.contact, FreeWrench) or not getattr(self.approach, "leans", False):
+            return 0.0
+        return 2.0 * self.approach.touch_speed / self.contact.baumgarte  # type: ignore[union-attr]
 
     @property
     def nearer(self) -> float:
