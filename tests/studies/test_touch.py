@@ -176,3 +176,24 @@ def test_the_longest_loss() -> None:
 def test_settings_that_nothing_reads_are_rejected(given: str) -> None:
     with pytest.raises(InputError):
         configure(load("touch").config_type, [given], "touch")
+
+
+def test_noise_of_the_speed_moves_no_panel_that_rests() -> None:
+    """Speeds of an end effector that stands have a deviation of 0.02 m/s; a door that turns at 0.1 rad/s moves."""
+    controller, rng = DoorController.__new__(DoorController), np.random.default_rng(3)
+    controller.geometry, controller.phase, controller.period = believed(HAND), "push", 0.0025
+    controller.contact = SimpleNamespace(touching=True)  # type: ignore[assignment]
+    controller.push = SimpleNamespace(open=1.0, give_up=9.0)  # type: ignore[assignment]
+    controller.sensor = SimpleNamespace(fault="")  # type: ignore[assignment]
+    controller._place_door = controller._identify = lambda end_effector: None  # type: ignore[method-assign]
+    controller.moving, controller._mean_rate, controller.door = False, 0.0, np.zeros(2)
+    normal = controller.geometry.directions(0.0)[1]
+    place = controller.geometry.place(0.0, 0.7, HAND[2])
+    seen = {}
+    for speed in (0.0, 0.07):
+        moving = []
+        for k in range(200):
+            controller._follow(0.0025 * k, place, (speed + 0.02 * rng.normal()) * normal)
+            moving.append(controller.moving)
+        seen[speed] = np.mean(moving)
+    assert seen[0.0] == 0.0 and seen[0.07] > 0.8
