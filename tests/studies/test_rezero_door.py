@@ -178,8 +178,9 @@ def test_what_the_sensor_does_not_measure_ends_the_push(phase: str, touching: bo
     controller.push = SimpleNamespace(begin=0.5, give_up=3.0, open=1.0)  # type: ignore[assignment]
     controller.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
     controller.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([1.0, 0.0, 0.0])))  # type: ignore[assignment]
-    controller.sensorless = SimpleNamespace(force=np.zeros(3))  # type: ignore[assignment]
-    controller.sensor, controller._found = ForceMonitor(), []
+    observer = SimpleNamespace(share=lambda interval: 1.0)  # an estimate that is not late
+    controller.sensorless = SimpleNamespace(force=np.zeros(3), observer=observer)  # type: ignore[assignment]
+    controller.sensor, controller._found, controller._seen = ForceMonitor(), [], 0.0
     times = np.arange(0.0, 3.0, controller.period)
     ended = np.inf
     for t in times:

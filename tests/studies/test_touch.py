@@ -19,7 +19,7 @@ from wbmpc.simulation.lockstep import Ending
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door import believed
-from wbmpc.studies.minniti2019.door_control import LIGHT, DoorController
+from wbmpc.studies.minniti2019.door_control import LIGHT, DoorController, modes
 from wbmpc.studies.minniti2019.door_model import WithDoor, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import Door
 from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, LimitedApproach
@@ -57,38 +57,71 @@ def test_the_force_at_physics_steps_is_what_turns_the_door(tip: str) -> None:
 
 def test_the_row_is_the_difference_of_allowed_and_true_speed() -> None:
     dynamics, geometry = WithDoor(ROBOT, 1.0), believed(HAND)
-    row = ApproachSpeed(dynamics, 0.01, 4.0)
+    row = ApproachSpeed(dynamics, 0.01)
     x, u, m = (ca.SX.sym(n, k) for n, k in (("x", dynamics.state.size), ("u", dynamics.input.size), ("m", 1)))
+    limit = ca.SX.sym("limit", 1)
     w = ca.DM(dynamics.parameters.vector({"place": place_of(geometry), "impedance": [2.5, 10.0, 3.0]}))
-    value = ca.Function("row", [x, u, m], [row(SimpleNamespace(all_x=x, all_u=u, parameters=w, mode=m))])
+    symbols = SimpleNamespace(all_x=x, all_u=u, parameters=w, mode=m, reference=limit)
+    value = ca.Function("row", [x, u, m, limit], [row(symbols)])
     motion, rng = end_effector_motion(ROBOT), np.random.default_rng(2)
-    for moved in (0.0, 0.12):  # before the panel, and beyond it
+    for allowed in (0.05, 0.01):
         for _ in range(5):
             state = HOME + 0.02 * rng.normal(size=HOME.size)
-            state[0] += moved
-            place, velocity, _ = motion(state)
-            gap, (along, normal) = geometry.gap(place, 0.0), geometry.directions(0.0)
-            allowed = 0.01 + 4.0 * max(-gap, 0.0)
-            found = np.array(value(np.concatenate([state, [0.0, 0.0]]), np.zeros(u.numel()), 1.0)).ravel()
+            _, velocity, _ = motion(state)
+            along, normal = geometry.directions(0.0)
+            found = np.array(value(np.concatenate([state, [0.0, 0.0]]), np.zeros(u.numel()), 1.0, allowed)).ravel()
             fast = [normal @ velocity, along @ velocity, -along @ velocity, velocity[2], -velocity[2]]
             assert 0.01 * found == pytest.approx(allowed - np.array(fast), abs=1e-9)
 
 
-def test_the_way_takes_as_long_as_its_differential_equation_says() -> None:
-    scheme = DoorScheme(approach=LimitedApproach(touch_speed=0.01, growth=4.0))
-    there = lambda t, left: left[0] - scheme.lead
+def test_no_row_of_the_approach_pushes_the_end_effector_off_the_panel() -> None:
+    """A barrier pushes along a row's derivative: those by positions are zero where nothing moves."""
+    dynamics = WithDoor(ROBOT, 1.0)
+    x, u, m = (ca.SX.sym(n, k) for n, k in (("x", dynamics.state.size), ("u", dynamics.input.size), ("m", 1)))
+    w = ca.DM(dynamics.parameters.vector({"place": place_of(believed(HAND)), "impedance": [2.5, 10.0, 3.0]}))
+    symbols = SimpleNamespace(all_x=x, all_u=u, parameters=w, mode=m, reference=ca.SX(0.05))
+    slope = ca.jacobian(ApproachSpeed(dynamics, 0.01)(symbols), x)[:, : ROBOT.state["base_velocity"].start]
+    value = ca.Function("slope", [x, u, m], [slope])
+    assert np.abs(np.array(value(np.concatenate([HOME, [0.0, 0.0]]), np.zeros(u.numel()), 1.0))).max() < 1e-9
+
+
+def test_the_limit_falls_as_its_differential_equation_says() -> None:
+    """Of an end effector that comes at the limit: ḋ = −(least + growth d) up to the panel, and the limit is that of the touch from there on."""
+    approach = LimitedApproach(touch_speed=0.01, growth=4.0)
+    there = lambda t, left: left[0]
     there.terminal = True  # type: ignore[attr-defined]
-    run = solve_ivp(lambda t, left: -(0.01 + 4.0 * left), (0.0, 10.0), [0.1], events=there, rtol=1e-9, atol=1e-12)
-    assert scheme.soonest(0.1) == pytest.approx(run.t_events[0][0], rel=1e-5)
-    assert scheme.soonest(0.5 * scheme.lead) == 0.0 and DoorScheme().soonest(0.1) == 0.0
-    # slow gaps close by g̈ + 2 λ ġ + λ² g = 0
+    times = np.linspace(0.0, 0.8, 9)
+    run = solve_ivp(
+        lambda t, left: -(0.01 + 4.0 * left), (0.0, 10.0), [0.1], events=there, dense_output=True, rtol=1e-9, atol=1e-12
+    )
+    assert run.t_events[0][0] > times[-1]
+    assert approach.fastest(0.1, times) == pytest.approx(0.01 + 4.0 * run.sol(times)[0], rel=1e-5)
+    assert approach.fastest(0.1, run.t_events[0] + np.array([0.0, 1.0])) == pytest.approx(0.01, rel=1e-5)
+
+
+def test_plans_that_lean_for_a_touch_close_its_gap_at_its_speed() -> None:
+    """Slow gaps close by g̈ + 2 λ ġ + λ² g = 0."""
+    scheme = DoorScheme(approach=LimitedApproach(touch_speed=0.01, leans=True))
     assert scheme.lead * DoorEquation().baumgarte / 2.0 == pytest.approx(0.01)
+    assert DoorScheme(approach=LimitedApproach()).lead == 0.0 and DoorScheme().lead == 0.0
 
 
-@pytest.mark.parametrize(("lead", "moves"), [(0.002, True), (0.0, False)])
+def test_a_touch_is_no_part_of_a_plan_before_it_is_felt() -> None:
+    controller = DoorController.__new__(DoorController)
+    controller.modes, controller.phase = modes(True), "approach"
+    controller.contact = SimpleNamespace(touching=False)  # type: ignore[assignment]
+    controller.push = SimpleNamespace(fastest=LimitedApproach().fastest, lead=0.0, give_up=9.0)  # type: ignore[assignment]
+    controller.moving, controller.touched = False, np.inf
+    assert controller.schedule(2.0).events[0] > 1e3
+    controller.phase, controller.touched, controller.contact.touching = "push", 2.0, True
+    plan = controller.schedule(3.0)
+    assert plan.modes[0].name == "held" and plan.events[0] == 9.0
+
+
+@pytest.mark.parametrize(("lead", "moves"), [(0.002, True), (0.0, True), (0.0, False)])
 def test_a_panel_that_is_not_touched_is_ahead(lead: float, moves: bool) -> None:
     controller = DoorController.__new__(DoorController)
-    controller.geometry, controller.push = believed(HAND), SimpleNamespace(lead=lead)  # type: ignore[assignment]
+    controller.geometry, controller.push = believed(HAND), SimpleNamespace(lead=lead, fastest=moves)  # type: ignore[assignment]
     normal = controller.geometry.directions(0.0)[1]
     before = controller.geometry.gap(HAND, 0.0)
     for way in (0.05, 0.12, 0.11):
@@ -143,3 +176,24 @@ def test_the_longest_loss() -> None:
 def test_settings_that_nothing_reads_are_rejected(given: str) -> None:
     with pytest.raises(InputError):
         configure(load("touch").config_type, [given], "touch")
+
+
+def test_noise_of_the_speed_moves_no_panel_that_rests() -> None:
+    """Speeds of an end effector that stands have a deviation of 0.02 m/s; a door that turns at 0.1 rad/s moves."""
+    controller, rng = DoorController.__new__(DoorController), np.random.default_rng(3)
+    controller.geometry, controller.phase, controller.period = believed(HAND), "push", 0.0025
+    controller.contact = SimpleNamespace(touching=True)  # type: ignore[assignment]
+    controller.push = SimpleNamespace(open=1.0, give_up=9.0)  # type: ignore[assignment]
+    controller.sensor = SimpleNamespace(fault="")  # type: ignore[assignment]
+    controller._place_door = controller._identify = lambda end_effector: None  # type: ignore[method-assign]
+    controller.moving, controller._mean_rate, controller.door = False, 0.0, np.zeros(2)
+    normal = controller.geometry.directions(0.0)[1]
+    place = controller.geometry.place(0.0, 0.7, HAND[2])
+    seen = {}
+    for speed in (0.0, 0.07):
+        moving = []
+        for k in range(200):
+            controller._follow(0.0025 * k, place, (speed + 0.02 * rng.normal()) * normal)
+            moving.append(controller.moving)
+        seen[speed] = np.mean(moving)
+    assert seen[0.0] == 0.0 and seen[0.07] > 0.8

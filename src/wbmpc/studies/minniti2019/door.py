@@ -25,7 +25,7 @@ from wbmpc.studies.minniti2019.door_control import FAR, DoorController, Push
 from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, worst_estimates
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door, DoorPlant
-from wbmpc.studies.minniti2019.door_problem import EstimatedCone, default_push_cost, door_problem
+from wbmpc.studies.minniti2019.door_problem import EstimatedCone, FreeApproach, default_push_cost, door_problem
 from wbmpc.studies.minniti2019.door_settings import DOORS, FORCE_GOAL, RezeroDoorSettings
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_robot, record_rezero
 
@@ -137,11 +137,12 @@ def make_controller(
 ) -> DoorController:  # fmt: skip
     """The controller at home, with its references and what it is to do."""
     end_effector, quaternion = robot.pose(home)
+    approach = settings.scheme.approach
     target = lambda t: force * float(np.clip(t / max(settings.rise_time, 1e-9), 0.0, 1.0))
     push = Push(
         target, end_effector, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
         back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
-        soonest=settings.scheme.soonest, lead=settings.scheme.lead,
+        fastest=None if isinstance(approach, FreeApproach) else approach.fastest, lead=settings.scheme.lead,
         friction=settings.scheme.friction, learns=isinstance(settings.scheme.cone, EstimatedCone),
     )  # fmt: skip
     for body in ("body", "push_body"):
@@ -149,6 +150,8 @@ def make_controller(
     for twist in ("twist", "push_twist"):
         mpc.reference[twist] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
+    if "approach" in mpc.ocp.terms:
+        mpc.reference["approach"] = Reference.constant(np.full(1, FAR))
     if "panel" in mpc.ocp.terms:
         mpc.reference["panel"] = Reference.constant(np.full(1, FAR))
     for pose in ("end_effector", "turn"):

@@ -14,6 +14,7 @@ believed lets go, as one does that has found no door in time; the force is zero 
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,14 +26,15 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, LeverFit
-from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, end_effector_motion, place_of
+from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, arm_jacobian, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
 from wbmpc.studies.minniti2019.force import ForceMonitor
-from wbmpc.studies.minniti2019.grip import GripMonitor
+from wbmpc.studies.minniti2019.grip import SPEED_TIME, GripMonitor
 from wbmpc.studies.minniti2019.momentum import SensorlessForce
 from wbmpc.types import Observation
 
@@ -50,7 +52,7 @@ ANTICIPATED, OVERDUE = (16.0, 8.0), 2.0
 NEVER = 1e6
 #: How long [s] the force fades when the door is open, and how fast [m/s] the end effector goes back.
 RELAX, RETURN_SPEED = 0.8, 0.3
-#: A door moves when it is faster than this [rad/s], and rests below a third of it.
+#: A door moves when it is faster than this [rad/s] on average over :data:`SPEED_TIME`, and rests below a third of it.
 MOVING = 0.03
 #: Before this time [s] after the touch a door that has not moved yet is planned to.
 UNMOVED = 0.1
@@ -64,6 +66,10 @@ CLOSER_SHARE, MAX_CLOSING = 0.5, 0.5
 #: Forces [N] at which a contact begins, at once, and ends that the end effector comes to slowly, and after how long [s] without a force: what
 #: inertia the sensor carries hardly counts, and a hard tip bounces until the plan presses it on.
 LIGHT = {"on": 0.8, "off": 0.4, "debounce": 0.0, "release": 0.06}
+#: The push is corrected by what is measured within this time [s]; of so many torques it is known which push went with them.
+EXCESS_TIME, ASKED = 0.05, 16
+#: The push [N] of a touch that no plan knows yet: no plan pushes less than :data:`UNPLANNED` [N] that does.
+FIRST, UNPLANNED = 4.0, 0.1
 #: Points of the references over the horizon.
 POINTS = 27
 
@@ -83,8 +89,9 @@ class Push:
     """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the end effector starts from ``start`` (3) [m] at time
     ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``opening_angle`` [rad] or, touch or not, at time ``give_up`` [s]
     and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries;
-    ``soonest`` (gap [m]) [s]: how long the way to the panel takes at least; ``lead`` [m]: how far ahead
-    of an end effector that has not touched the panel is believed to be at least, 0: it stays where it was; ``friction``: coefficient
+    ``fastest`` (gap [m], times (n) [s]) [m/s]: limits of the speed so long after the end effector was so far before the panel (None: no
+    limit); ``lead`` [m]: how far ahead of an end effector that has not touched the panel is believed to be at least, 0 with a limit: the plan
+    knows of no touch before it is felt; ``friction``: coefficient
     that is planned with, at first if the robot ``learns`` it."""
 
     force: Callable[[float], float]
@@ -97,7 +104,7 @@ class Push:
     back: float
     reach: float
     tip_weight: float
-    soonest: Callable[[float], float]
+    fastest: Callable[[float, Array], Array] | None
     lead: float
     friction: float
     learns: bool
@@ -118,18 +125,22 @@ class DoorController(BallController):
         self.impedance, self.identify = self.filter.impedance, identify
         self.with_door = "door" in mpc.ocp.dynamics.state
         self.modes = modes(self.with_door)
-        self.contact, self.sensor = (ContactMonitor(**LIGHT) if push.lead > 0.0 else ContactMonitor()), ForceMonitor()
+        self.contact, self.sensor = (ContactMonitor(**LIGHT) if push.fastest else ContactMonitor()), ForceMonitor()
         self.phase = "approach"
         self.force = np.zeros(3)  # of the world on the end effector, world axes [N]
         self.door = np.zeros(2)
         self.touched = self.relaxed = self.released = np.inf
         self.fit = LeverFit(geometry.lever(push.start, 0.0))
-        self.moving = False
+        self.moving, self._mean_rate = False, 0.0
         self.lever = geometry.lever(push.start, 0.0)
         self._end_effector = end_effector_motion(robot)
         self.sensorless = SensorlessForce(robot)
         self.grip, self.sliding = GripMonitor(push.friction), np.zeros(2)
         self._let_go = push.start
+        self._arm_jacobian = arm_jacobian(robot)
+        self._seen = 0.0  # the measured push [N], as late as the estimated one
+        self._asked: deque[float] = deque(maxlen=ASKED)  # pushes [N] that went with the last torques
+        self.excess = 0.0  # by how much [N] the push is more than that
         self._found: list[str] = []
 
     # ------------------------------------------------------------------ state
@@ -154,6 +165,7 @@ class DoorController(BallController):
         self._compare(measurement.time)
         self._follow(measurement.time, *motion[:2])
         self._judge_grip(motion)
+        self._learn_excess()
 
     def _pushed(self) -> Array:
         return self.force[:2]
@@ -187,9 +199,12 @@ class DoorController(BallController):
         self.force = force if touching else np.zeros(3)
 
     def _compare(self, t: float) -> None:
-        """The sensor's force against the one that the motion says, along the panel's normal."""
+        """The sensor's force against the one that the motion says, along the panel's normal: both as late as the latter, for the force of a
+        touch grows within that time."""
         touching, normal = self.contact.touching, self.geometry.directions(float(self.door[0]))[1]
-        measured, estimated = float(-normal @ self.force), float(-normal @ self.sensorless.force)
+        estimated = float(-normal @ self.sensorless.force)
+        self._seen += self.sensorless.observer.share(self.period) * (float(-normal @ self.force) - self._seen)
+        measured = self._seen
         watched = t >= self.push.begin and (touching or self.phase != "release")
         for fault in self.sensor.update(t, self.period, touching, measured, estimated if watched else measured):
             self._distrust(fault.time)
@@ -226,7 +241,9 @@ class DoorController(BallController):
         else:
             self.door = np.array([max(self.door[0] - self._closing() * self.period, 0.0), 0.0])
         limit = MOVING / 3.0 if self.moving else MOVING
-        self.moving = bool(touching and abs(self.door[1]) > limit)
+        share = 1.0 - np.exp(-self.period / SPEED_TIME)
+        self._mean_rate = self._mean_rate + share * (self.door[1] - self._mean_rate) if touching else 0.0
+        self.moving = bool(touching and abs(self._mean_rate) > limit)
         self._identify(end_effector)
         if self.phase == "push" and (self.door[0] >= self.push.open or t >= self.push.give_up - RELAX):
             self.phase, self.relaxed = "relax", t
@@ -276,7 +293,7 @@ class DoorController(BallController):
         """An end effector (3) [m] that touches nothing is before the panel: one that comes slowly would else stop where the panel is believed to
         be."""
         past = self.geometry.gap(end_effector, 0.0) + self.push.lead
-        if self.push.lead > 0.0 and past > 0.0:
+        if self.push.fastest and past > 0.0:
             self.geometry = self.geometry.moved(past)
 
     def _ends(self, t: float) -> bool:
@@ -310,6 +327,30 @@ class DoorController(BallController):
         x = super().state()
         return np.concatenate([x, self.door]) if self.with_door else x
 
+    def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
+        """As of every ball robot; the push that goes with torques that are sent is kept. A touch that the plan does not know yet is
+        pressed on at once: a hard tip would have left the panel before the next plan."""
+        feedforward, target = super()._law(t, x, policy, acts)
+        if acts and policy is not None:
+            normal = self.geometry.directions(float(self.door[0]))[1]
+            push = float(-normal @ policy.law(t, x)[-3:])
+            if self.push.fastest and self.phase == "push" and push < UNPLANNED:
+                jacobian = self._arm_jacobian(x[: self.robot.state.size])
+                push, target = FIRST, target.copy()
+                target[-jacobian.shape[1] :] += FIRST * (normal @ jacobian)
+            self._asked.append(push)
+        return feedforward, target
+
+    def _learn_excess(self) -> None:
+        """The push that is measured against the one that the plan has with the same torques: an end effector that is believed to move
+        while it stands presses harder or less."""
+        late = self._late()
+        if self.phase != "push" or not self.contact.touching or late >= len(self._asked):
+            self.excess = 0.0
+            return
+        push = float(-self.geometry.directions(float(self.door[0]))[1] @ self.force)
+        self.excess += self.period / EXCESS_TIME * (push - self._asked[-1 - late] - self.excess)
+
     # ------------------------------------------------------------------ plan
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """As of every ball robot; phases and references over the horizon from then on are set."""
@@ -322,7 +363,8 @@ class DoorController(BallController):
         order: tuple[Mode, ...]
         events: tuple[float, ...]
         free, push = self.modes["free"], self.modes["moving" if self.moving or now < self.touched + UNMOVED else "held"]
-        if self.phase == "release":
+        unforeseen = self.phase == "approach" and not self.contact.touching and self.push.fastest and not self.push.lead
+        if self.phase == "release" or unforeseen:
             order, events = (free,), ()
         elif self.contact.touching:
             order, events = ((push, free), (self.push.give_up,)) if self.push.give_up > now else ((free,), ())
@@ -338,7 +380,7 @@ class DoorController(BallController):
         normal = self.geometry.directions(float(self.door[0]))[1]
         speed = max(float(normal @ velocity), 0.5 * self.push.speed)
         gap = -self.geometry.gap(end_effector, float(self.door[0]))
-        return max(now + SOON, self.push.begin, self.measured.time + max(gap / speed, self.push.soonest(gap)))
+        return max(now + SOON, self.push.begin, self.measured.time + gap / speed)
 
     def _look_ahead(self, until: float, plans: PolicyQueue) -> None:
         mpc, schedule = self.mpc, self.schedule(until)
@@ -351,15 +393,26 @@ class DoorController(BallController):
         target *= np.clip(1.0 - (times - open_at) / RELAX, 0.0, 1.0)
         if self.phase == "approach":
             target = np.minimum(target, self._anticipated(until))
+        target = np.maximum(target - self.excess, 0.0)
         mpc.set_schedule(schedule)
         mpc.reference["end_effector"] = Reference.poses(times, self._path(times, angles), self.push.quaternion)
         mpc.reference["force"] = Reference(times, np.column_stack([normals, target]))
         if "cone" in mpc.ocp.terms:
             mpc.reference["cone"] = Reference(times, np.column_stack([normals, np.full(times.size, self.friction)]))
+        if "approach" in mpc.ocp.terms:
+            mpc.reference["approach"] = Reference(times, self._fastest(times)[:, None])
         if "panel" in mpc.ocp.terms:
             mpc.reference["panel"] = Reference(times, np.where(times < open_at, FAR, 0.0)[:, None])
         if "lean" in mpc.ocp.terms:
             mpc.reference["lean"] = Reference(times, -target[:, None] * normals[:, :2])
+
+    def _fastest(self, times: Array) -> Array:
+        """The limit (n) [m/s] of the speed of an end effector that comes to the panel, at ``times`` (n) [s]."""
+        if self.phase not in ("approach", "push") or not self.push.fastest:
+            return np.full(times.size, FAR)
+        assert self.measured is not None
+        gap = -self.geometry.gap(self._end_effector(self.measured.state)[0], float(self.door[0]))
+        return self.push.fastest(max(gap, 0.0), np.maximum(times - self.measured.time, 0.0))
 
     def _opens(self, times: Array, angles: Array) -> float:
         """When [s] the door is open, by its angles [rad] at times [s] of the last plan: infinite if not within them."""

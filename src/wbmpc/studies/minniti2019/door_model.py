@@ -199,3 +199,11 @@ def end_effector_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Arr
         return np.array(p).ravel(), np.array(v).ravel(), np.array(w).ravel()
 
     return motion
+
+
+def arm_jacobian(robot: RobotModel) -> Callable[[Array], Array]:
+    """How the end effector's position (3) [m] changes with the arm's joints (3, m) [m/rad] at a state (nx) of the robot."""
+    x = ca.SX.sym("x", robot.state.size)
+    place = robot.frame_pose(x, robot.tool).position
+    function = ca.Function("arm_jacobian", [x], [ca.jacobian(place, x)[:, robot.state["arm"]]])
+    return lambda state: np.array(function(state))

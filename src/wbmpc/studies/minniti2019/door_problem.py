@@ -17,6 +17,7 @@ from wbmpc.studies.minniti2019.door_model import WithDoor
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
 from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed, BodyClearance, PanelContact
 
+Array = np.ndarray
 PUSHING = ("held", "moving")
 #: What base and elbow keep away from a panel [m], whose angle is known to 0.05 rad.
 KEPT = 0.06
@@ -90,12 +91,19 @@ class FreeApproach(Settings):
 
 class LimitedApproach(Settings):
     """A touch at a speed that is limited, wherever the panel is. ``touch_speed`` [m/s]: the limit at the panel, towards it and along
-    it; ``growth`` [1/s]: of the limit with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place."""
+    it; ``growth`` [1/s]: of the limit with the distance; ``known_to`` [m]: the panel is no farther than that from its probable place;
+    ``leans``: the plan leans for the force before the touch, as a door needs that gives way; the touch of a slow end effector then recedes before
+    it (left out: the plan knows of no touch before it is felt)."""
 
     kind: Literal["limited"] = "limited"
-    touch_speed: Positive = 0.01
+    touch_speed: Positive = 0.012
     growth: Positive = 5.0
     known_to: Weight = 0.010
+    leans: bool = False
+
+    def fastest(self, gap: float, after: Array) -> Array:
+        """The limit (n) [m/s] at times ``after`` (n) [s] an end effector was ``gap`` [m] before the believed panel, if it comes at that limit."""
+        return np.maximum((self.touch_speed + self.growth * gap) * np.exp(-self.growth * after), self.touch_speed)
 
 
 class DoorScheme(Settings):
@@ -122,25 +130,16 @@ class DoorScheme(Settings):
 
     @property
     def lead(self) -> float:
-        """How far [m] ahead of an end effector that has not touched the panel is believed to be at least. The plan closes a gap by
-        g̈ + 2 λ ġ + λ² g = 0, slow ones at λ g / 2: at this distance with the speed of the touch."""
-        if isinstance(self.approach, FreeApproach) or isinstance(self.contact, FreeWrench):
+        """How far [m] ahead of an end effector that has not touched the panel is believed to be at least where plans lean for the touch: they
+        close a gap by g̈ + 2 λ ġ + λ² g = 0, slow ones at λ g / 2: at this distance with the speed of the touch."""
+        if isinstance(self.contact, FreeWrench) or not getattr(self.approach, "leans", False):
             return 0.0
-        return 2.0 * self.approach.touch_speed / self.contact.baumgarte
+        return 2.0 * self.approach.touch_speed / self.contact.baumgarte  # type: ignore[union-attr]
 
     @property
     def nearer(self) -> float:
         """How far [m] before its probable place a panel is believed to be until it is touched: as near as it may be."""
         return 0.0 if isinstance(self.approach, FreeApproach) else self.approach.known_to
-
-    def soonest(self, gap: float) -> float:
-        """Time [s] in which an end effector comes from ``gap`` [m] before the believed panel to :attr:`lead` before it, at the limit of the
-        approach's speed."""
-        if isinstance(self.approach, FreeApproach) or gap <= self.lead:
-            return 0.0
-        touch_speed, growth = self.approach.touch_speed, self.approach.growth
-        speed = lambda left: touch_speed + growth * left
-        return float(np.log(speed(gap) / speed(self.lead)) / growth)
 
 
 def default_push_cost(scheme: DoorScheme) -> PushCost:
@@ -168,7 +167,7 @@ def door_problem(
             )
         )
         if isinstance(scheme.approach, LimitedApproach):
-            slow = ApproachSpeed(dynamics, scheme.approach.touch_speed, scheme.approach.growth)
+            slow = ApproachSpeed(dynamics, scheme.approach.touch_speed)
             near = RelaxedBarrier(settings.barrier_mu, 0.1)
             ocp.add(Constraint("approach", slow, sets.NonNegative(), modes=("free",), penalty=near, hard=hard))
         apart = BodyClearance(dynamics, HALF_THICKNESS, KEPT)

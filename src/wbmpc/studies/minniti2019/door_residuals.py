@@ -44,29 +44,28 @@ class PanelContact:
 
 @dataclass(frozen=True)
 class ApproachSpeed:
-    """How much slower than it may an end effector comes to the panel, ``least`` + ``rate`` · d − ġ, and moves along it and up,
-    ``least`` + ``rate`` · d ∓ ṡ, over ``least``, for the distance d = −g [m] that is left, and none beyond the panel.
+    """How much slower than it may an end effector comes to the panel, L − ġ, and moves along it and up, L ∓ ṡ, over ``least``, for the
+    limit L [m/s] of the reference (1), which is ``least`` [m/s] at the panel.
 
-    A touch is then no faster than ``least`` [m/s], an impact of a hard tip, whose force grows with its speed, no harder, and a tip
-    slides no farther before friction stops it. ``rate`` [1/s]: how fast the speed falls on the way. ``dynamics``: a
+    A touch is then no faster than that, an impact of a hard tip, whose force grows with its speed, no harder, and a tip slides no
+    farther before friction stops it. The limit is a reference and no function of the planned distance: the barrier of a row that
+    has more room far from the panel would hold the end effector away from it. ``dynamics``: a
     :class:`wbmpc.studies.minniti2019.door_model.WithDoor`.
     """
 
     dynamics: Any
     least: float
-    rate: float
 
-    size, reference = 5, 0
+    size, reference = 5, 1
     groups = {"approach": slice(0, 1), "along": slice(1, 5)}  # noqa: RUF012
 
     def __post_init__(self) -> None:
-        positive("approach speed", least=self.least, rate=self.rate)
+        positive("approach speed", least=self.least)
 
     def __call__(self, s: Symbols) -> ca.SX:
-        place, speed, _ = self.dynamics.contact_motion(s.all_x, s.all_u, s.parameters, s.mode)
-        left = ca.fmax(-place[0], 0.0)
+        _, speed, _ = self.dynamics.contact_motion(s.all_x, s.all_u, s.parameters, s.mode)
         fast = ca.vertcat(speed[0], speed[1], -speed[1], speed[2], -speed[2])
-        return (self.least + self.rate * left - fast) / self.least
+        return (s.reference[0] - fast) / self.least
 
 
 @dataclass(frozen=True)

@@ -51,10 +51,13 @@ class MomentumObserver:
             # M v − M⁻ v⁻ = M̄ Δv + ΔM v̄: the second part is Ṁ v, which is no force
             pushed = 0.5 * (mass + last_mass) @ (v - last_v) / interval
             unknown = pushed - force + self.bias(q, middle)
-            share = 1.0 - np.exp(-self.bandwidth * interval)
-            self.residual = self.residual + share * (unknown - self.residual)
+            self.residual = self.residual + self.share(interval) * (unknown - self.residual)
         self._previous = (mass, v)
         return self.residual
+
+    def share(self, interval: float) -> float:
+        """Which share of a change of the force the residual follows within an ``interval`` [s]."""
+        return float(1.0 - np.exp(-self.bandwidth * interval))
 
     def zero(self) -> None:
         """Take the present residual for the model's error: nothing touches now. Raises :class:`InputError` before an update."""

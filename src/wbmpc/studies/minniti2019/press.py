@@ -41,7 +41,7 @@ class PressSettings(RezeroDoorSettings):
     tip: Literal["hard", "soft"] = "soft"
     surface: Literal["door", "wall"] = "door"
     force: float = Field(16.0, gt=0, le=200.0)
-    scheme: DoorScheme = DoorScheme(approach=LimitedApproach())
+    scheme: DoorScheme = DoorScheme(approach=LimitedApproach(leans=True))
     settle_time: float = Field(1.5, ge=0.5, le=60.0)
     rise_time: float = Field(0.3, ge=0, le=10.0)
     final_hold_time: float = Field(0.2, ge=0.1, le=60.0)

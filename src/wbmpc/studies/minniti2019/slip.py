@@ -34,7 +34,7 @@ class SlipSettings(PressSettings):
         (0.1, 0.2, 0.4, 0.8), min_length=1, max_length=8
     )
     compare: Annotated[bool, OnlyWith({"scheme.cone.kind": "estimated"})] = True
-    scheme: DoorScheme = DoorScheme(approach=LimitedApproach(), cone=EstimatedCone())
+    scheme: DoorScheme = DoorScheme(approach=LimitedApproach(leans=True), cone=EstimatedCone())
     timeout: float = Field(10.0, ge=1.0, le=120.0)
 
     only_with: ClassVar[Rules] = PressSettings.only_with

@@ -16,7 +16,7 @@ from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.door_problem import FreeApproach, LimitedApproach
+from wbmpc.studies.minniti2019.door_problem import DoorScheme, FreeApproach, LimitedApproach
 from wbmpc.studies.minniti2019.press import THINNED, PressSettings, press, pushes
 from wbmpc.studies.minniti2019.touch_figures import Touch, metrics, plots
 
@@ -33,6 +33,7 @@ class TouchSettings(PressSettings):
         (0.05, 0.1, 0.2, 0.3), min_length=1, max_length=8
     )
     compare: Annotated[bool, OnlyWith({"scheme.approach.kind": "limited"})] = True
+    scheme: DoorScheme = DoorScheme(approach=LimitedApproach())
     timeout: float = Field(7.0, ge=1.0, le=120.0)
 
     only_with: ClassVar[Rules] = {**PressSettings.only_with, **unused("speed")}
