@@ -9,6 +9,7 @@ from wbmpc import lie
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors, fit_errors
 from wbmpc.errors import InputError
+from wbmpc.estimation import strokes
 from wbmpc.estimation.strokes import Strokes
 
 Array = np.ndarray
@@ -19,8 +20,9 @@ RADIUS, SPEED = np.array([0.002, -0.001, 0.0015, -0.0025]), np.array([0.0, -0.01
 PERIOD, STAND = 0.02, 1.0
 
 
-def channels(noise: float = 0.0) -> dict[str, Array]:
-    """Ahead, back, left, right, turns to both sides of 4 m and half a turn, 10 s each; poses at 10 Hz with ``noise`` [m, 0.4 rad]."""
+def channels(noise: float = 0.0, ramp: float = 0.0) -> dict[str, Array]:
+    """Ahead, back, left, right, turns to both sides of 4 m and half a turn, 10 s each, of which speeds rise and fall over a ``ramp`` [s];
+    poses at 10 Hz with ``noise`` [m, 0.4 rad]."""
     rng, true = np.random.default_rng(1), WheelErrors(RADIUS, SPEED, np.zeros((7, 7))).corrected(RATES)
     wheel, pose, t, found = np.zeros(4), np.zeros(3), 0.0, dict[str, list[Array | float]]()
     for k in range(7):
@@ -36,7 +38,9 @@ def channels(noise: float = 0.0) -> dict[str, Array]:
                 found.setdefault("place", []).append(np.array([*seen, 0.005, 0.005, 0.002]))
                 found.setdefault("place.time", []).append(t)
             if moves:
-                wheel, pose = wheel + true @ twist * PERIOD, lie.se2_step(pose, twist * PERIOD)
+                left = (min(i, round(10.0 / PERIOD) - i) + 0.5) * PERIOD
+                way = twist * PERIOD * (min(left / ramp, 1.0) / (1.0 - ramp / 10.0) if ramp else 1.0)
+                wheel, pose = wheel + true @ way, lie.se2_step(pose, way)
             t += PERIOD
     return {name: np.array(rows) for name, rows in found.items()}
 
@@ -66,11 +70,19 @@ def test_the_way_by_wheels_is_right_once_their_errors_are_known(noise: float, of
 
 
 def test_strokes_are_between_stands_and_poses_of_one_stand_are_averaged() -> None:
-    strokes = Strokes.of(channels(), "drive")
-    assert len(strokes.begin) == 6
-    moved, _ = strokes.moved()
+    found = Strokes.of(channels(), "drive")
+    assert len(found.turned) == 6
+    moved, _ = found.moved()
     np.testing.assert_allclose(moved[:4, :2], [[4, 0], [-4, 0], [0, 4], [0, -4]], atol=1e-9)
-    np.testing.assert_allclose(strokes.std[1, 0], 0.005 / np.sqrt(8), rtol=0.15)  # 8 or so poses at 10 Hz
+    np.testing.assert_allclose(found.std[1, 0], 0.005 / np.sqrt(8), rtol=0.15)  # 8 or so poses at 10 Hz
+
+
+def test_a_base_that_creeps_to_its_stands_shows_its_true_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Encoders that count meters let a base creep for 30 mm within a stand: as far as these wheels roll in 0.3 rad."""
+    monkeypatch.setattr(strokes, "STILL", 0.3)
+    wheels = fit_errors(odometry, (4, 3), channels(ramp=4.0), "drive")
+    for twist in np.eye(3):
+        assert np.abs(drift(wheels, twist)).max() < 1e-4
 
 
 def test_a_record_that_contradicts_itself_is_an_error() -> None:

@@ -29,11 +29,13 @@ STEPS, CHANGE, MISFIT = 3, 1e-4, 9.0
 
 @dataclass(frozen=True)
 class Strokes:
-    """Rows ``begin`` and ``end`` (k) of a record of encoders, in the middle of k + 1 stands, whose mean ``poses`` (k + 1, 3) have standard
-    deviations ``std`` (k + 1, 3)."""
+    """What the encoders read over each of k strokes, ``turned`` (rows, n), from one of k + 1 stands to the next: its ends are where they were
+    on average while the poses of the stands were taken, whose means ``poses`` (k + 1, 3) have standard deviations ``std`` (k + 1, 3).
 
-    begin: Array
-    end: Array
+    (A base creeps at the ends of a stand by more than its poses are off: what is compared must be of the same moments.)
+    """
+
+    turned: tuple[Array, ...]
     poses: Array
     std: Array
 
@@ -49,19 +51,24 @@ class Strokes:
         times = channels["wheel.time"]
         turned = np.hstack([channels[n] for n in ("wheel", "steer") if n in channels and channels[n].size])
         at, places = channels["place.time"], channels["place"]
-        rows, poses, std = [], [], []
+        rows, readings, poses, std = [], [], [], []
         for first, last in _stands(times, turned):
             within = (at >= times[first]) & (at <= times[last])
             if within.any():
                 weights = 1.0 / places[within, 3:] ** 2
-                poses.append((weights * places[within, :3]).sum(axis=0) / weights.sum(axis=0))
                 std.append(1.0 / np.sqrt(weights.sum(axis=0)))
+                weights /= weights.sum(axis=0)
+                poses.append((weights * places[within, :3]).sum(axis=0))
+                readings.append(weights.mean(axis=1) @ np.array([np.interp(at[within], times, a) for a in turned.T]).T)
                 rows.append(int(np.argmin(np.abs(times - at[within].mean()))))
         if len(rows) < 2:
             raise InputError(
                 f"{source}: the base stands {len(rows)} times with global poses; a calibration needs strokes between two stands or more"
             )
-        return cls(np.array(rows[:-1]), np.array(rows[1:]), np.array(poses), np.array(std))
+        strokes = [
+            np.vstack([readings[k], turned[rows[k] + 1 : rows[k + 1]], readings[k + 1]]) for k in range(len(rows) - 1)
+        ]
+        return cls(tuple(strokes), np.array(poses), np.array(std))
 
     def moved(self) -> tuple[Array, Array]:
         """How the base moved over each stroke (k, 3) in axes of where it began, and the derivative (k, 3, 6) by the poses of both its
@@ -97,18 +104,19 @@ def _stands(times: Array, turned: Array) -> list[tuple[int, int]]:
     return found
 
 
-#: Motion (3) of the base by its wheels over rows ``begin`` to ``end``, in axes of where it began, and its length (2) [m, rad], for errors (p).
-MotionByWheels = Callable[[Array, int, int], tuple[Array, Array]]
+#: Motion (3) of the base by its wheels for errors (p) and what the encoders read (rows, n), in axes of where it began, and its length (2)
+#: [m, rad].
+MotionByWheels = Callable[[Array, Array], tuple[Array, Array]]
 
 
 def fit_strokes(strokes: Strokes, motion: MotionByWheels, std: Array, source: str) -> tuple[Array, Array]:
     """Errors (p) of the wheels with which ``motion`` by them agrees best with where the base stood, and their covariance (p, p). ``std`` (p):
     what they may be off before. Raises :class:`InputError` where no errors explain the poses."""
-    count, size = len(strokes.begin), len(std)
+    count, size = len(strokes.turned), len(std)
     precision = np.diag(1.0 / std**2)
     errors: Array = np.zeros(size)
     moved, by = strokes.moved()
-    over = lambda e: [motion(e, int(i), int(j)) for i, j in zip(strokes.begin, strokes.end, strict=True)]
+    over = lambda e: [motion(e, turned) for turned in strokes.turned]
     noise = _noise(strokes, by, np.array([way for _, way in over(errors)]))
     inverse = np.linalg.inv(noise)
     for step in range(STEPS + 1):

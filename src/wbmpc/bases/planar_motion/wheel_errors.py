@@ -62,15 +62,14 @@ def fit_errors(
     ``size``."""
     wheels, _ = size
     strokes = Strokes.of(channels, source)
-    times, wheel = channels["wheel.time"], channels["wheel"]
-    steer = channels.get("steer", np.zeros((len(times), 0)))
+    encoders = channels["wheel"].shape[1]
     split = lambda errors: WheelErrors(errors[:wheels], errors[wheels:], np.zeros((len(errors), len(errors))))
 
-    def motion(errors: Array, begin: int, end: int) -> tuple[Array, Array]:
+    def motion(errors: Array, turned: Array) -> tuple[Array, Array]:
         moving, way = odometry(split(errors)), np.zeros(2)
         before = moving.pose
-        for k in range(begin, end + 1):
-            moving.turn(float(times[k]), wheel[k], steer[k], None)
+        for k, row in enumerate(turned):
+            moving.turn(float(k), row[:encoders], row[encoders:], None)
             way += np.hypot(*(moving.pose - before)[:2]), abs(moving.pose[2] - before[2])
             before = moving.pose
         return moving.pose, way
