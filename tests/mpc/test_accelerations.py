@@ -94,7 +94,7 @@ def test_default_plans_change_speeds_no_faster_than_the_robot_file_says(tmp_path
     policy = mpc.update(wb.Observation(0.0, x))  # a first command has none before it
     for k in range(1, 20):
         x, t = mpc.simulate(x, policy.u[0], mpc.period), k * mpc.period
-        before = policy.feedforward(t)
+        before = policy.u[0]  # what is commanded until then
         policy = mpc.update(wb.Observation(t, x))
         changes.append(np.abs(policy.u[0] - before).max())
     assert 0.5 < max(changes) / (ACCELERATION_SHARE * 6.0 * mpc.period) < 1.05
@@ -109,3 +109,21 @@ def test_default_plans_keep_pairs_apart_that_the_robot_file_lists(tmp_path: Path
 def test_a_ball_robot_follows_a_clock() -> None:
     with pytest.raises(wb.InputError, match="valid: reference=clock"):
         wb.base_type("ball").mpc(wb.load_robot("rezero"), progress=True)
+
+
+@pytest.mark.parametrize("name", ["differential-ur10", "mecanum-ur10"])
+def test_plans_accelerate_wheels_no_faster_than_the_robot_file_says(name: str) -> None:
+    """A base that is to go ahead and turn at once. Truth: rad/s² of the wheels in the file, by the wheels' matrix."""
+    model = wb.load_robot(name)
+    mpc = default_mpc(model, default_settings(horizon=2.0, intervals=20))
+    goal = model.home.copy()
+    goal[:3] = [2.0, -0.5, 1.5]
+    position, turn = model.pose(goal)
+    mpc.reference["end_effector"] = wb.Reference.poses([0.0], [position], turn)
+    x, part, changes = model.home.copy(), model.input["base"], []
+    policy = mpc.update(wb.Observation(0.0, x))
+    for k in range(1, 15):
+        x, before = mpc.simulate(x, policy.u[0], mpc.period), policy.u[0]
+        policy = mpc.update(wb.Observation(k * mpc.period, x))
+        changes.append(np.abs(model.base.rates @ (policy.u[0] - before)[part]) / mpc.period)
+    assert 0.5 < (np.array(changes) / model.base.wheel_acceleration).max() < 0.91

@@ -339,9 +339,10 @@ class MPC(Described):
             _LOG.warning("mode schedule: from %.3f s on, %d %s", t, self.events_without_node, consequence)
 
     def _continue_from(self, t: float, delta: float) -> None:
-        """The input that is active at ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from."""
+        """The input that is active until ``t`` [s], ``delta`` after the last plan's start, is what the next plan starts from. (That which the
+        last plan has from ``t`` on is one change ahead already: with it every update would change the command twice as fast.)"""
         plan, horizon = self.solver.trajectory(copy=False), self.ocp.horizon
-        k = bisect_right(plan.grid, delta + 1e-9) - 1  # type: ignore[type-var]
+        k = max(bisect_right(plan.grid, delta - 1e-9) - 1, 0)  # type: ignore[type-var]
         current = plan.u[min(k, len(plan.u) - 1)]
         since = max(delta, self.period)
         for name, inputs in self._follow_last.items():

@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 _UP = np.array([0.0, 0.0, 1.0])
 #: Smallest ratio of singular values of the wheel matrix, turns counted at the wheels' distance, at which wheels hold the base.
 _SINGULAR = 1e-3
+#: Of the wheels' accelerations, what plans use: the rest is for the way from a plan to the next; slack of these limits, more than any
+#: goal pulls with: from a speed that plans may not have, they give way.
+ACCELERATION_SHARE, ACCELERATION_SLACK = 0.9, 1e6
 #: Feet whose spread across a line is a smaller share of that along it stand on the line.
 FLAT = 1e-3
 
@@ -152,15 +155,21 @@ class PlanarBase:
         return ca.SX(0, 1)
 
     def constraints(self, robot: RobotModel, *, hard: bool = True) -> list[Constraint]:
-        """Limits of the wheels' rates as shares of the largest; none where the description has no limit."""
+        """Limits of the wheels' rates as shares of the largest, and of their accelerations; none where the description has no limit."""
+        from wbmpc.bases.planar_motion.accelerations import WheelAccelerationLimit
         from wbmpc.ocp import Constraint, residuals, sets
 
-        limited = np.isfinite(self.wheel_upper)
-        if not limited.any():
-            return []
-        shares, m = constant(self.rates[limited] / self.wheel_upper[limited, None]), self.rates.shape[1]
-        rows = residuals.Expression(int(limited.sum()), lambda s: shares @ s.u[:m])
-        return [Constraint("wheels", rows, sets.Box(-1.0, 1.0), hard=hard)]
+        limited, found = np.isfinite(self.wheel_upper), []
+        if limited.any():
+            shares, m = constant(self.rates[limited] / self.wheel_upper[limited, None]), self.rates.shape[1]
+            rows = residuals.Expression(int(limited.sum()), lambda s: shares @ s.u[:m])
+            found.append(Constraint("wheels", rows, sets.Box(-1.0, 1.0), hard=hard))
+        if np.isfinite(self.wheel_acceleration).any():
+            change = WheelAccelerationLimit(robot, ["base"], ACCELERATION_SHARE)
+            found.append(
+                Constraint("wheel_accelerations", change, sets.NonNegative(), hard=True, slack=ACCELERATION_SLACK)
+            )
+        return found
 
     def fastest_rates(self) -> Array:
         """(n, m): the largest rates of driven wheels by each of the base's speeds."""

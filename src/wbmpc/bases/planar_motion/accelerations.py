@@ -1,0 +1,46 @@
+"""What wheels that are fixed to the body allow plans: each of them has one limit for all speeds of the base together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from wbmpc.model.kinematics import constant
+from wbmpc.ocp.residuals import AccelerationLimit
+from wbmpc.ocp.symbols import Symbols
+
+
+@dataclass(frozen=True)
+class WheelAccelerationLimit(AccelerationLimit):
+    """How far wheel rates are inside of what the wheels' accelerations allow, as shares of the range: ≥ 0.
+
+    Rows: below the upper bounds of the limited wheels (n), above the lower ones (n). Reference, time and ``share``: see
+    :class:`wbmpc.residuals.AccelerationLimit`. Its limits of the base's single speeds would allow a speed ahead and a turn at once what
+    wheels can do for one of them; a controller slows everything down then, the arm too, and what the arm does is not what was planned.
+    """
+
+    @property
+    def size(self) -> int:
+        return len(self.row_names)
+
+    @property
+    def groups(self) -> dict[str, slice]:
+        """The upper and the lower bounds."""
+        n = self.size // 2
+        return {"upper": slice(0, n), "lower": slice(n, 2 * n)}
+
+    @property
+    def row_names(self) -> list[str]:
+        wheels = np.flatnonzero(np.isfinite(self.robot.base.wheel_acceleration))
+        return [f"wheel {i} {side}" for side in ("upper", "lower") for i in wheels]
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        base, limits, m = self.robot.base, self.robot.limits, len(self.inputs)
+        limited = np.isfinite(base.wheel_acceleration)
+        rates, since = base.rates[limited], s.reference[m]
+        span = np.abs(rates) @ (limits.input_upper - limits.input_lower)[self.inputs]
+        change = self.share * constant(base.wheel_acceleration[limited]) * since + (since <= 0.0) * constant(span)
+        step = constant(rates) @ (s.u[self.inputs] - s.reference[:m])
+        return ca.vertcat((change - step) / constant(span), (change + step) / constant(span))
