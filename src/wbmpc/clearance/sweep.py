@@ -62,7 +62,7 @@ def keep_sides(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, 
     """Give nodes inside of or behind an obstacle the normal of the node before, in place."""
     through = np.zeros(near.distance.shape, bool)
     through[1:] = inner < 0.0
-    suspect = ((near.distance < 0.0) | through).any(axis=0)
+    suspect: NDArray[np.bool_] = np.any((near.distance < 0.0) | through, axis=0)
     for o in np.flatnonzero(suspect.any(axis=0)).tolist():
         obstacle = snapshot.obstacles[o]
         if isinstance(obstacle.shape, HalfSpace):
@@ -103,7 +103,8 @@ def _leave_track(
 def _run_over(distance: Array, normal: Array, through: NDArray[np.bool_]) -> list[int]:
     """Nodes of a frame, at ``distance`` (n) [m] along ``normal`` (n, 3), that an obstacle runs over: those in a row of which one changes
     sides. A node that is touched and left to the side it was on is no matter of the track."""
-    met, nodes = (distance < 0.0) | through, []
+    met = (distance < 0.0) | through
+    nodes: list[int] = []
     for start in np.flatnonzero(met & ~np.concatenate([[False], met[:-1]])).tolist():
         end = start + int(np.argmin(np.append(met[start:], False)))
         if through[start:end].any() or (normal[start:end] @ normal[max(start - 1, 0)] <= 0.0).any():

@@ -135,9 +135,9 @@ def reset(m: Floats, o: Integers, count: Integers, x: Floats, u: Floats) -> int:
 @compiled
 def follow_last(m: Floats, o: Integers, numbers: Floats, integers: Integers, follow: Integers, t: float, since: float,
                 delta: float) -> None:  # fmt: skip
-    """The active input at ``t``, ``delta`` after the last plan's start, as the reference of the terms that limit its change.
+    """The input that is active until ``t``, ``delta`` after the last plan's start, as the reference of the terms that limit its change.
     ``follow``: how many, then of each its slot, how many inputs, which. ``since`` [s]: when they were commanded."""
-    k = min(count_until(m, o[GRID], o[N] + 1, delta + 1e-9) - 1, o[N] - 1)
+    k = min(max(count_until(m, o[GRID], o[N] + 1, delta - 1e-9) - 1, 0), o[N] - 1)
     at = 1
     for _ in range(follow[0]):
         s, width = 4 + 6 * follow[at], follow[at + 1]
