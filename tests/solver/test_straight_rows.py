@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from toys import Rows, ToyDynamics
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.solver.memory_layout import StateField
 from wbmpc.types import Observation
 
 #: What an input may be outside [range of the row].
@@ -66,3 +69,22 @@ def test_rows_that_no_input_meets_are_reported_by_name(backend: str) -> None:
     mpc = MPC(ocp, SQP.real_time(backend=backend))
     mpc.reset(np.ones(2))
     assert not mpc.advance(Observation(0.0, np.ones(2)))
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_a_rejected_plan_names_what_it_is_rejected_for(backend: str) -> None:
+    """A row of inputs alone, one with a state and one of a state: the last two are missed by more."""
+    ocp = OptimalControlProblem(ToyDynamics(2, 2, lambda x, u, w, m: u), 1.0, 6)
+    ocp.add(Cost("all", Rows(4, lambda s: ca.vertcat(s.x, s.u)), 1.0))
+    ocp.add(Constraint("most", Rows(1, lambda s: 0.4 - s.u[0] - s.u[1]), sets.NonNegative(), hard=True))
+    ocp.add(Constraint("mixed", Rows(1, lambda s: s.x[0] + s.u[0] - 4.0), sets.NonNegative(), hard=True, slack=1.0))
+    ocp.add(Constraint("far", Rows(1, lambda s: s.x[1] - 4.0), sets.NonNegative(), hard=True, slack=1.0))
+    solver = Solver(ocp, SQP.real_time(backend=backend))
+    solver.run(np.ones(2), 0.0, 0.0)
+    worst = solver.violation_message(solver.status(0))
+    assert "mixed" in worst or "far" in worst
+    state, names = solver.ws.state, [row.name for row in solver.problem.path.rows]
+    most = next(k for k, name in enumerate(names) if name.startswith("most"))
+    state[[StateField.INPUT_VIOLATION, StateField.INPUT_VIOLATION_ROW]] = 0.05, 2 * solver.ws.rows_h.shape[1] + most
+    assert re.search(r"most.* at node 2$", solver.violation_message(Status.INPUT_INFEASIBLE))
+    assert solver.violation_message(solver.status(0)) == worst

@@ -99,14 +99,11 @@ def record_input_violations(m: Floats, o: Integers, k: int) -> None:
     _, boxes, general = node_rows(o, k)
     for j in range(boxes + general):
         if bounds_inputs(m, o, j):
-            field, by = (
-                o[STATE]
-                + (StateField.MIXED_VIOLATION if row_penalty(m, o, j) < np.inf else StateField.INPUT_VIOLATION),
-                -m[o[ROW_TRIAL] + j],
-            )
-            if by > max(m[o[STATE] + StateField.INPUT_VIOLATION], m[o[STATE] + StateField.MIXED_VIOLATION]):
-                m[o[STATE] + StateField.INPUT_VIOLATION_ROW] = k * o[ROWS] + j
-            m[field] = max(m[field], by)
+            mixed, by = row_penalty(m, o, j) < np.inf, -m[o[ROW_TRIAL] + j]
+            field = o[STATE] + (StateField.MIXED_VIOLATION if mixed else StateField.INPUT_VIOLATION)
+            if by > m[field]:
+                which = StateField.MIXED_VIOLATION_ROW if mixed else StateField.INPUT_VIOLATION_ROW
+                m[field], m[o[STATE] + which] = by, k * o[ROWS] + j
 
 
 @compiled

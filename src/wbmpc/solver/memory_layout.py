@@ -80,7 +80,7 @@ class StateField(IntEnum):
     )
     INPUT_VIOLATION = 13  # of rows of inputs alone
     MIXED_VIOLATION = 14  # of rows of inputs and states
-    INPUT_VIOLATION_ROW = 15  # which row is violated most
+    INPUT_VIOLATION_ROW = 15  # which of those of inputs alone is violated most
     COST = 16  # of the iterate
     VIOLATION = 17
     LAST_STEP = 18  # last step length, without a certificate
@@ -109,6 +109,7 @@ class StateField(IntEnum):
     # what the solve has cost
     DIRECTIONS = 39
     TRIAL_POINTS = 40
+    MIXED_VIOLATION_ROW = 41  # which of those of inputs and states is violated most
 
 
 class Setting(IntEnum):

@@ -50,10 +50,13 @@ class InterpretedLineSearch(InterpretedDirections):
     def _report_outside(self, k: int, rows: RowState, h: np.ndarray) -> None:
         """Remember by how much node k's inputs are outside, where its rows are h."""
         state, by = self.ws.state, np.where(rows.bounds_inputs, -h, 0.0)
-        if by.max(initial=0.0) > max(state[StateField.INPUT_VIOLATION], state[StateField.MIXED_VIOLATION]):
-            state[StateField.INPUT_VIOLATION_ROW] = k * self.ws.rows_h.shape[1] + int(np.argmax(by))
-        state[StateField.INPUT_VIOLATION] = max(state[StateField.INPUT_VIOLATION], by[~rows.soft].max(initial=0.0))
-        state[StateField.MIXED_VIOLATION] = max(state[StateField.MIXED_VIOLATION], by[rows.soft].max(initial=0.0))
+        for of, field, which in (
+            (~rows.soft, StateField.INPUT_VIOLATION, StateField.INPUT_VIOLATION_ROW),
+            (rows.soft, StateField.MIXED_VIOLATION, StateField.MIXED_VIOLATION_ROW),
+        ):
+            own = np.where(of, by, 0.0)
+            if own.max(initial=0.0) > state[field]:
+                state[[field, which]] = own.max(), k * self.ws.rows_h.shape[1] + int(np.argmax(own))
 
     def _report_passed(self, k: int, rows: RowState, h: np.ndarray) -> None:
         """Remember by how much node k's state is outside, where its rows are h."""

@@ -16,19 +16,21 @@ def violation_message(solver: Solver, status: Status) -> str:
     state = solver.ws.state
     if status is Status.EQUALITY_INFEASIBLE:
         return _equality_message(solver)
-    by, of_inputs = (
-        max(state[StateField.INPUT_VIOLATION], solver.limit_violation),
-        max(state[StateField.INPUT_VIOLATION], state[StateField.MIXED_VIOLATION]),
-    )
+    of_inputs = [(StateField.INPUT_VIOLATION, StateField.INPUT_VIOLATION_ROW)]
+    others = [
+        (StateField.MIXED_VIOLATION, StateField.MIXED_VIOLATION_ROW),
+        (StateField.STATE_VIOLATION, StateField.STATE_VIOLATION_ROW),
+    ]
+    # what a plan is rejected for, else the worst
+    fields = of_inputs if status is Status.INPUT_INFEASIBLE else of_inputs + others
+    field, which = max(fields, key=lambda f: state[f[0]])
+    by = float(state[field])
     if by <= LIMIT_TOLERANCE:
         return ""
-    node, row = divmod(
-        int(state[StateField.INPUT_VIOLATION_ROW if of_inputs == by else StateField.STATE_VIOLATION_ROW]),
-        solver.ws.rows_h.shape[1],
-    )
+    node, row = divmod(int(state[which]), solver.ws.rows_h.shape[1])
     limit = (solver.problem.path if node < len(solver.ws.u) else solver.problem.end).rows[row]
     message = f"hard limit missed: {limit.name} by {by * limit.unit:.3g} at node {node}"
-    if of_inputs == by:
+    if field is not StateField.STATE_VIOLATION:
         return message
     return f"{message}, {'not yet reached' if state[StateField.UNRELAXED_VIOLATION] == by else 'where its slack gives way'}"
 
