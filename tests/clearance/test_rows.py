@@ -182,7 +182,7 @@ def test_somebody_who_walks_over_a_standing_robot_makes_it_leave_the_track() -> 
 
 
 def test_all_frames_leave_a_track_to_the_same_side() -> None:
-    """Somebody walks between the legs of a standing robot: front legs alone would go on ahead, rear legs back. Truth: the signs of the
+    """Somebody walks through the front of a standing robot: its front legs alone would go ahead, its body back. Truth: the signs of the
     rows' slopes by the base's position across the track."""
     robot = wb.load_robot("swerve-ur10")
     residual = wb.residuals.Clearance(robot, slots=1)
@@ -191,7 +191,7 @@ def test_all_frames_leave_a_track_to_the_same_side() -> None:
     world.set(
         "person",
         wb.shapes.Cylinder((0, 0, 0), (0, 0, 1.8), 0.2),
-        position=(-0.1, 2.5, 0.0),
+        position=(0.4, 2.5, 0.0),
         velocity=(0, -1.2, 0),
         seen=0.0,
     )
