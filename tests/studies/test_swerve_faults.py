@@ -41,8 +41,9 @@ def no_mpc(*_: Any, **__: Any) -> Any:
     """What an experiment needs of an MPC that is never asked: compiling one takes a second."""
     figures = SimpleNamespace(solve_times=[], solves=0, failures=0, no_step=0)
     idle = lambda *_: None
+    ocp = SimpleNamespace(dynamics=SWERVE)
     return SimpleNamespace(
-        rate=50.0, statistics=figures, reference={}, ocp=SimpleNamespace(dynamics=SWERVE), reset=idle, set_schedule=idle
+        rate=50.0, statistics=figures, reference={}, ocp=ocp, dynamics=SWERVE, reset=idle, set_schedule=idle
     )
 
 
