@@ -102,13 +102,13 @@ class SimNode:
         fixed.publish({"transforms": [self._imu_frame()]})
         described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
         described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
-        for name, controller in self._controllers.items():
-            target = [places[j] for j in controller.joints]
-            follow, largest = partial(self._follow, name, target), LONG if controller.takes == "trajectory" else SMALL
-            self.node.subscribe(controller.topic, controller.type, follow, DEFAULT, largest=largest)
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
         self._names = [n for names in self._order.values() for n in names]
+        for name, controller in self._controllers.items():  # last: commands may come at once
+            target = [places[j] for j in controller.joints]
+            follow, largest = partial(self._follow, name, target), LONG if controller.takes == "trajectory" else SMALL
+            self.node.subscribe(controller.topic, controller.type, follow, DEFAULT, largest=largest)
 
     def _imu_frame(self) -> dict[str, Any]:
         """As the URDF has it, or where the simulated one is: for those who run no robot_state_publisher."""
