@@ -1,4 +1,5 @@
-"""Messages that come while a node is being made. Truth: a bus that says something at every subscription, before it returns."""
+"""Nodes at their beginning and end. Truth: a bus that says something at every subscription, before it returns; a robot without torques,
+which falls."""
 
 from __future__ import annotations
 
@@ -65,3 +66,18 @@ def test_a_trajectory_may_come_as_soon_as_the_simulated_robot_listens() -> None:
         assert "/arm" in node.heard
     finally:
         node.close()
+
+
+def test_who_falls_says_what_counts_as_the_fall_and_why_it_came_to_it() -> None:
+    robot = load_robot("rezero")
+    node = open_node("falls", "dds", Network.of(private()))
+    try:
+        sim = SimNode(node, robot, settings_of(robot).model_validate({"use_sim_time": True}), factor=1e3)
+        with sim._changed:
+            for name in sim._controllers:
+                sim._answered(name)  # the first command, and the last
+        why = sim.spin(lambda: False, 20.0)
+    finally:
+        node.close()
+    assert sim.failed and "s because its base leaned by " in why and " the limit is " in why, why
+    assert "; no commands came on /wheel_controller/commands after 0.00 s" in why, why

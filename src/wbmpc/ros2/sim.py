@@ -190,16 +190,19 @@ class SimNode:
             if self.plant.diverged:
                 return "the simulation diverged"
             if self.plant.fell:
-                return f"the robot fell at {self.time:.2f} s{self._cause()}"
+                return f"the robot fell at {self.time:.2f} s because {self._cause()}"
         return "ended"
 
     def _cause(self) -> str:
-        """What is known of why the robot fell: commands that did not come, or physics that was too slow for its controller."""
+        """What counts as the fall, and what is known of why: commands that did not come, physics that was too slow for its controller."""
+        known = [self.plant.fall_reason]
         late = [n for n, heard in self._heard.items() if self.time - heard > COMMAND_TIMEOUT]
         if late:
             heard = max(self._heard[late[0]], 0.0)
-            return f" because no commands came on {self._controllers[late[0]].topic} after {heard:.2f} s"
-        return f"; the physics was too slow {self.behind} times" if self.behind else ""
+            known.append(f"no commands came on {self._controllers[late[0]].topic} after {heard:.2f} s")
+        if self.behind:
+            known.append(f"the physics was too slow {self.behind} times")
+        return "; ".join(known)
 
     def _advance(self) -> None:
         command = self._command()
