@@ -136,8 +136,14 @@ def test_a_file_is_an_experiment(
         ("x = 1\n", "mine.py: EXPERIMENT: a wbmpc.experiment.Experiment is needed, got NoneType"),
         ("EXPERIMENT = 3\n", "mine.py: EXPERIMENT: a wbmpc.experiment.Experiment is needed, got int"),
         ("x = 1\ny = = 2\n", "mine.py, line 2: cannot be imported: SyntaxError"),
-        ("import a_module_that_is_nowhere\n", "mine.py: cannot be imported: ModuleNotFoundError"),
-        ("1 / 0\n", "mine.py: cannot be imported: ZeroDivisionError"),
+        ("import a_module_that_is_nowhere\n", "mine.py, line 1: cannot be imported: ModuleNotFoundError"),
+        ("x = 1\n1 / 0\n", "mine.py, line 2: cannot be imported: ZeroDivisionError"),
+        ("raise SystemExit(7)\n", "mine.py, line 1: cannot be imported: SystemExit: 7"),
+        ("x = 1\0\n", "mine.py: cannot be imported: SyntaxError"),
+        (
+            "import sys\nsys.path.pop(0)\n",
+            "mine.py: EXPERIMENT: a wbmpc.experiment.Experiment is needed, got NoneType",
+        ),
         (OWN.replace("NAME", "../mine"), "experiment '../mine': valid in a name: letters"),
     ],
 )

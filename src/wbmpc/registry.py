@@ -15,7 +15,9 @@ from __future__ import annotations
 
 import re
 import sys
+import traceback
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -89,9 +91,11 @@ def load_mpc(problem: str) -> MPC:
         raise InputError(
             f"{path}: there is no {' and no '.join(names)}; valid: a function that returns an MPC, or an MPC"
         )
-    made = found() if callable(found) else found
+    called = name or "make_mpc"
+    with _mistakes_of(path, f"{called}() fails"):
+        made = found() if callable(found) else found
     if not isinstance(made, MPC):
-        raise InputError(f"{path}: {names[0] if name else 'make_mpc'}: an MPC is needed, got {type(made).__name__}")
+        raise InputError(f"{path}: {called}: an MPC is needed, got {type(made).__name__}")
     return made
 
 
@@ -106,15 +110,26 @@ def _imported(path: Path) -> ModuleType:
         sys.modules[name] = module  # annotations that are text are looked up there
         sys.path.insert(0, beside)
         try:
-            spec.loader.exec_module(module)
-        except WbmpcError:
-            raise
-        except Exception as error:
-            line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
-            raise InputError(f"{path}{line}: cannot be imported: {type(error).__name__}: {error}") from error
+            with _mistakes_of(path, "cannot be imported"):
+                spec.loader.exec_module(module)
         finally:
-            sys.path.remove(beside)
+            with suppress(ValueError):  # a program may do with the path what it likes
+                sys.path.remove(beside)
     return module
+
+
+@contextmanager
+def _mistakes_of(path: Path, what: str) -> Iterator[None]:
+    """Whatever a user's program raises, or that it ends the process, is an :class:`InputError` that names file and line."""
+    try:
+        yield
+    except WbmpcError:
+        raise
+    except (Exception, SystemExit) as error:
+        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == path.absolute()]
+        line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
+        where = "" if line is None else f", line {line}"
+        raise InputError(f"{path}{where}: {what}: {type(error).__name__}: {error}") from error
 
 
 def _checked(found: Any, where: str) -> Experiment:

@@ -272,10 +272,13 @@ PROGRAM = "import sys; sys.path.insert(0, {tests!r})\nfrom exported import troll
 
 def test_the_command_line_reads_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "problem.py"
-    file.write_text(PROGRAM.format(tests=str(Path(__file__).parents[1])))
+    program = PROGRAM.format(tests=str(Path(__file__).parents[1])) + "\n\ndef wrong():\n    return 1 / 0\n"
+    file.write_text(program)
+    line = len(program.splitlines())
     for problem, text in (
         (f"{file}:number", "an MPC is needed, got int"),
         (f"{file}:other", "there is no other"),
+        (f"{file}:wrong", f"problem.py, line {line}: wrong() fails: ZeroDivisionError: division by zero"),
         ("a.py", "no file 'a.py'"),
     ):
         assert call("export", problem, "--out", str(tmp_path / "out")) == 2

@@ -226,3 +226,21 @@ def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_rejected(pair
         p.send("/base_path", "nav_msgs/msg/Path", {"header": {"frame_id": "odom"}, "poses": poses})
         assert p.until(lambda t=says: t in p.control.request_queue.rejected), p.control.request_queue.rejected
         assert p.control.active_task is task and p.control.running
+
+
+def test_a_flood_of_goals_is_a_few_log_lines(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
+    """Goals of two kinds in turn, each of which is taken: five lines in 10 s, as of every cause."""
+    p = pair()
+    drive(p)
+    position, turned = p.control.robot.pose(p.control.adapter.snapshot()[1])
+    there = {"position": dict(zip("xyz", position, strict=True)), "orientation": dict(zip("wxyz", turned, strict=True))}
+    taken = set()
+    for _ in range(10):
+        p.go(2.0)
+        assert p.until(lambda: "base" in p.control.task)
+        p.send("/end_effector_goal", "geometry_msgs/msg/PoseStamped", {"header": {"frame_id": "odom"}, "pose": there})
+        assert p.until(lambda: "end effector" in p.control.task)
+        taken.add(p.control.task)
+    assert taken == {"end effector to a goal"}
+    lines = [r.getMessage() for r in caplog.records if r.getMessage().startswith("running: ")]
+    assert 0 < len(lines) <= 5 * (1 + int((caplog.records[-1].created - caplog.records[0].created) // 10.0)), lines

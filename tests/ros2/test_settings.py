@@ -83,6 +83,7 @@ controllers:
         ("{joints: {wheel_LF: fl}, ignore: [fl]}", "key 'ignore': 'fl' is our joint 'wheel_LF', which is needed"),
         ("node: a\nnode: b", "line 2, key 'node': is there twice"),
         ("topics: {odom: /a, imu: /b, odom: /c}", "line 1, key 'topics.odom': is there twice"),
+        (f"node: {201 * 'a'}", "a node's name has at most 200 characters"),
         ("frames: {world: ''}", "frames.world='': a name is needed"),
         ("frames: {world: /odom}", "frames.world='/odom': a frame's name begins with no / and has no spaces"),
         ("speeds: {base: .inf}", "speeds.base=inf"),

@@ -178,7 +178,7 @@ def run(
     ] = None,
     config: Annotated[Path | None, typer.Option(help="A YAML file of settings; --set comes after it.")] = None,
     list_settings: Annotated[
-        bool, typer.Option("--settings", help="List the settings, with defaults, units and ranges; run nothing.")
+        bool, typer.Option("--settings", help="List the settings, with values, units and ranges; run nothing.")
     ] = False,
     out: Annotated[
         Path | None, typer.Option(help="Directory for the files (default: a fresh runs/NAME-seedN).")
@@ -192,7 +192,10 @@ def run(
 ) -> None:
     """Run an experiment; write metrics.json, log.npz, report.html and run.mcap."""
     if list_settings:
-        show_settings(context.obj.open(name).config_type, name, as_json)
+        from wbmpc.configuration import configure
+
+        model, given = context.obj.open(name).config_type, bool(assignments or config)
+        show_settings(model, name, as_json, configure(model, assignments or [], name, config) if given else None)
         return
     shown = open_view(f"{name}, seed {seed}", host, port, no_token) if show else None
     show_results(

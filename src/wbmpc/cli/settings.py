@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 
-def show_settings(model: type[BaseModel], name: str, as_json: bool) -> None:
-    """Every setting of an experiment."""
+def show_settings(model: type[BaseModel], name: str, as_json: bool, values: BaseModel | None = None) -> None:
+    """Every setting of an experiment; ``values``: in place of the defaults."""
     from rich.markup import escape
 
     from wbmpc.settings_table import rows
 
-    found = list(rows(model))
+    found = list(rows(model, values=values))
     if as_json:
         typer.echo(json.dumps({"experiment": name, "settings": [asdict(row) for row in found]}))
         return
     shown = table(f"settings of {name} (--set KEY=VALUE, or a YAML file with --config)")
-    for title in ("setting", "default", "unit", "type and range", "meaning"):
+    for title in ("setting", "default" if values is None else "value", "unit", "type and range", "meaning"):
         shown.add_column(title)
     for row in found:
         cells = (row.key, row.default.strip("`"), row.unit, row.kind.replace("`", ""), row.help)

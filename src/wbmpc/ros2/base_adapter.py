@@ -76,7 +76,8 @@ class BaseAdapter(Protocol):
     ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as messages; ``inspect``, called in the
     node's own thread now and then, looks for those that would take too long in a tick.
     ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localization's pose at every tick;
-    after ``relocate`` the next one says where the robot is, whatever was known before. ``begin`` makes controller and MPC anew for a run
+    after ``relocate`` the next one says where the robot is, whatever was known before. ``origin``: when [s] the runner's clock was 0,
+    on the one behind it, which goes on from run to run. ``begin`` makes controller and MPC anew for a run
     from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``leg_commands``: what takes orders to
     the legs from the bus, None without hinges: ``ready()`` says why none can be taken, ``now()`` how brakes and legs are.
     ``obstacles``: what the MPC keeps clear of (:func:`obstacles_of` the settings); None: of nothing.
@@ -99,6 +100,7 @@ class BaseAdapter(Protocol):
     legs: Array | None = None
     parameters: Callable[[], Array] | None = None
     fix: Callable[[], Fix | None] | None = None
+    origin: Callable[[], float] | None = None
 
     @property
     def faults(self) -> list[str]:
@@ -120,6 +122,10 @@ class BaseAdapter(Protocol):
     ) -> Any: ...
     def stand(self, measurement: Any) -> None: ...
     def snapshot(self) -> tuple[float, Array] | None: ...
+    def on_runners_clock(self, time: float) -> float:
+        """A time [s] of the clock behind the runner's, which may be of before the run began."""
+        return time - (0.0 if self.origin is None else self.origin())
+
     def begin(self, x: Array) -> None: ...
     def references(self, task: Task, x: Array) -> dict[str, Reference]: ...
     def estimate(self) -> Estimate | None: ...

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 BACK_ENDS = ("auto", "rclpy", "dds")
 #: Characters of a name of a topic: with the prefix of its kind DDS takes 255.
 LONGEST_NAME = 247
+#: Of a node: the topics of its parameters' services, which begin with it, are names too.
+LONGEST_NODE_NAME = 200
 
 
 @dataclass(frozen=True)

@@ -73,6 +73,7 @@ class ControlNode:
         """What the node is made of, and its endpoints."""
         node, robot, settings = self.node, self.robot, self.settings
         self.adapter: BaseAdapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
+        self.adapter.origin = lambda: self.clock.origin
         steady = self.clock.steady if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady, self.now)
         self.external_pose = ExternalPose(self)
@@ -131,7 +132,7 @@ class ControlNode:
         if self.state != self._logged:
             self._logged = self.state
             if self.runner is None or not self.runner.stopped:  # a stop is reported by the runner
-                _LOG.info("%s", self.state)
+                self._limit.log(_LOG, logging.INFO, self.state.split(":")[0], self.state)
         self.rosout.send()
 
     def close(self) -> None:
@@ -340,8 +341,7 @@ class ControlNode:
         return self.clock.lost(silence, lambda: bool(self.node.publishers("/clock")))
 
     def _check_clock(self) -> None:
-        clock = self.clock
-        if not isinstance(clock, BusClock):
+        if not isinstance(clock := self.clock, BusClock):
             return
         lost = self._clock_lost()
         anew = (

@@ -52,6 +52,8 @@ class BusRobot:
     """
 
     def __init__(self, node: Node, adapter: BaseAdapter, settings: RosSettings, clock: WallClock | BusClock) -> None:
+        if adapter.needs_imu and not settings.topics.imu:
+            raise InputError("topics.imu: this robot needs an inertial unit")
         self.adapter, self.settings, self.clock = adapter, settings, clock
         self._limit = RateLimit()
         self._wrong: dict[str, str] = {}  # what is wrong with the newest message, by topic
@@ -75,20 +77,22 @@ class BusRobot:
         self._armed = False
         self._stopping: float | None = None
         self._last = adapter.rest()
-        listen = partial(node.subscribe, qos=SENSOR, largest=SMALL, sourced=True)
-        listen(topics.joint_states, "sensor_msgs/msg/JointState", self._take_joints)
-        if topics.imu:
-            listen(topics.imu, "sensor_msgs/msg/Imu", self._take_imu)
-        elif adapter.needs_imu:
-            raise InputError("topics.imu: this robot needs an inertial unit")
         self._way = BaseWay(adapter.robot) if adapter.robot.description.base.takes_twist else None
         self._way_source = OneSource(topics.base_odom, self._forget_way)
         self._went = -np.inf  # when the base's driver last said how far it went
-        if self._way is not None:
-            listen(topics.base_odom, "nav_msgs/msg/Odometry", partial(self._take_way, self._way))
         self._senders = senders(node, adapter.robot, settings)
+        self._listen(node)
 
     # ------------------------------------------------------------------ from the bus
+    def _listen(self, node: Node) -> None:
+        """The last that is done at the beginning: a message may come as soon as somebody listens."""
+        topics, listen = self.settings.topics, partial(node.subscribe, qos=SENSOR, largest=SMALL, sourced=True)
+        listen(topics.joint_states, "sensor_msgs/msg/JointState", self._take_joints)
+        if topics.imu:
+            listen(topics.imu, "sensor_msgs/msg/Imu", self._take_imu)
+        if self._way is not None:
+            listen(topics.base_odom, "nav_msgs/msg/Odometry", partial(self._take_way, self._way))
+
     def _take_joints(self, message: Any, source: Source | None = None) -> None:
         ours = self._reader.concerns(message)
         if not (self._joint_source.takes(source) if ours else self._joint_source.follows(source)):

@@ -13,7 +13,7 @@ from wbmpc.bases import base_type
 from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.bus import full_name, name_fault
+from wbmpc.ros2.bus import LONGEST_NODE_NAME, full_name, name_fault
 from wbmpc.ros2.obstacle_settings import ObstacleSettings
 from wbmpc.settings import MpcSettings, Settings
 from wbmpc.yaml_file import load_yaml
@@ -233,6 +233,8 @@ class RosSettings(Settings):
     def _node(cls, name: str) -> str:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
             raise ValueError("a name of letters, digits and _ is needed")
+        if len(name) > LONGEST_NODE_NAME:
+            raise ValueError(f"a node's name has at most {LONGEST_NODE_NAME} characters")
         return name
 
     @property

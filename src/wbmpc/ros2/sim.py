@@ -102,13 +102,13 @@ class SimNode:
         fixed.publish({"transforms": [self._imu_frame()]})
         described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
         described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
-        for name, controller in self._controllers.items():
-            target = [places[j] for j in controller.joints]
-            follow, largest = partial(self._follow, name, target), LONG if controller.takes == "trajectory" else SMALL
-            self.node.subscribe(controller.topic, controller.type, follow, DEFAULT, largest=largest)
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
         self._names = [n for names in self._order.values() for n in names]
+        for name, controller in self._controllers.items():  # last: commands may come at once
+            target = [places[j] for j in controller.joints]
+            follow, largest = partial(self._follow, name, target), LONG if controller.takes == "trajectory" else SMALL
+            self.node.subscribe(controller.topic, controller.type, follow, DEFAULT, largest=largest)
 
     def _imu_frame(self) -> dict[str, Any]:
         """As the URDF has it, or where the simulated one is: for those who run no robot_state_publisher."""
@@ -190,16 +190,19 @@ class SimNode:
             if self.plant.diverged:
                 return "the simulation diverged"
             if self.plant.fell:
-                return f"the robot fell at {self.time:.2f} s{self._cause()}"
+                return f"the robot fell at {self.time:.2f} s because {self._cause()}"
         return "ended"
 
     def _cause(self) -> str:
-        """What is known of why the robot fell: commands that did not come, or physics that was too slow for its controller."""
+        """What counts as the fall, and what is known of why: commands that did not come, physics that was too slow for its controller."""
+        known = [self.plant.fall_reason]
         late = [n for n, heard in self._heard.items() if self.time - heard > COMMAND_TIMEOUT]
         if late:
             heard = max(self._heard[late[0]], 0.0)
-            return f" because no commands came on {self._controllers[late[0]].topic} after {heard:.2f} s"
-        return f"; the physics was too slow {self.behind} times" if self.behind else ""
+            known.append(f"no commands came on {self._controllers[late[0]].topic} after {heard:.2f} s")
+        if self.behind:
+            known.append(f"the physics was too slow {self.behind} times")
+        return "; ".join(known)
 
     def _advance(self) -> None:
         command = self._command()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import Brakes, Estimate, Fix, Groups, LegCommands, PendingChanges, obstacles_of
-from wbmpc.ros2.bus import Node
+from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import EndEffectorTrack, Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
@@ -44,8 +42,8 @@ CHANGES, POSTURES = 12, 5
 
 @dataclass(frozen=True)
 class BallMessage:
-    """What the sensors said at ``time`` [s] of the runner's clock, seen ``now``; gyro and accelerometer are averages since the
-    message before."""
+    """What the sensors said at ``time`` [s] of the runner's clock, whose zero is at ``origin`` [s], seen ``now``; gyro and
+    accelerometer are averages since the message before."""
 
     time: float
     now: float
@@ -53,6 +51,7 @@ class BallMessage:
     arm: Array
     gyro: Array
     accel: Array
+    origin: float = 0.0
 
 
 class BusBallController(BallController):
@@ -194,12 +193,12 @@ def same_pose(end_effector: EndEffectorTrack, i: int, k: int) -> bool:
     )
 
 
-class BallRosAdapter:
+class BallRosAdapter(BaseAdapter):
     """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. The controller's model is an MPC of its own: a solver's memory has one owner."""
 
     must_keep_running = needs_imu = True
     watches = "sensors and forces"
-    fix: Callable[[], Fix | None] | None = None
+    controller: BusBallController
 
     def __init__(self, robot: RobotModel, settings: BallRosSettings, period: float) -> None:
         self.robot, self.settings, self.period = robot, settings, period
@@ -209,16 +208,14 @@ class BallRosAdapter:
         self.mpc = rezero_mpc(robot, settings.mpc, settings.cost, self.obstacles)
         self._model = rezero_mpc(robot, settings.mpc, settings.cost)
         self.mpc.guess = self.pending
-        self.brakes: Brakes | None = None
-        self.legs: Array | None = None
         self._rest = {g: np.zeros(len(robot.input.groups[g])) for g in ("wheel", "arm")}
         self._place, self._spread = (
             np.zeros(3),
             0.0,
         )  # where the robot is put on the floor: x, y, yaw; how well that is known
-        self._standing: tuple[float, Array] | None = None
+        self._standing: tuple[float, Array] | None = None  # time [s] of the clock behind the runner's, state
         self._answer = np.zeros(6)
-        self.parameters: Callable[[], Array] = lambda: self._model.solver.parameters
+        self.parameters = lambda: self._model.solver.parameters
         self._torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
         robot.pose(robot.home)  # builds the functions: not in a tick
         robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])
@@ -232,7 +229,7 @@ class BallRosAdapter:
         )
         home = robot.home[robot.state["arm"]]
         self._lean_control = lean_control_of(settings, robot, home)
-        self.controller: BusBallController = self._new_controller(robot.home)
+        self.controller = self._new_controller(robot.home)
 
     def _new_controller(self, x: Array) -> BusBallController:
         s = self.settings
@@ -259,17 +256,10 @@ class BallRosAdapter:
         """Encoders that stand still, wheels that slip, a force that pushes the robot away."""
         return self.controller.faults
 
-    def inspect(self) -> None:
-        """Its filter finds them in the tick."""
-
     def problem(self, cost: RezeroCost) -> OptimalControlProblem:
         """The controller's problem with other weights, without its limit of the lean, which takes 0.2 s to make and has no weight:
         ticks go on meanwhile."""
         return rezero_problem(self.robot, self.settings.mpc, cost.model_copy(update={"lean": 0.0}))
-
-    def leg_commands(self, node: Node, ready: Callable[[], str], now: Callable[[], Any]) -> LegCommands | None:
-        """This robot has no legs."""
-        return None
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:
@@ -287,7 +277,7 @@ class BallRosAdapter:
     ) -> BallMessage:
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock."""
         assert imu is not None
-        return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel)
+        return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel, origin)
 
     def stand(self, m: BallMessage) -> None:
         """Before its first run a person, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
@@ -303,11 +293,11 @@ class BallRosAdapter:
             self._place = np.array([*fix[1][:2], nearest_angle(fix[1][2], self._place[2])])
             self._spread = float(np.sqrt(np.diag(fix[2]).max()))
         if fix is None and previous is not None and np.abs(previous[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
-            self._standing = m.time, previous[1]
+            self._standing = m.time + m.origin, previous[1]
             return
         x = self.robot.base.numeric.equilibrium(m.arm)[0].copy()
         x[:3] = self._place
-        self._standing = m.time, x
+        self._standing = m.time + m.origin, x
 
     def _reset(self, x: Array) -> None:
         """Nothing is known between times of two clocks: a person holds the robot again. A simulator that was started anew has put
@@ -321,20 +311,18 @@ class BallRosAdapter:
         seen = self.controller.seen
         if seen is not None:
             return seen.time - seen.age, seen.state
-        return self._standing
+        return None if self._standing is None else (self.on_runners_clock(self._standing[0]), self._standing[1])
 
     def begin(self, x: Array) -> None:
         """A new run: the robot stands upright and at rest, where it was last."""
+        last = self.snapshot()
         rest, self._torque = self.robot.base.numeric.equilibrium(x[self.robot.state["arm"]])
         self._place = x[:3].copy()
         start = rest.copy()
         start[:3] = self._place
         self.controller = self._new_controller(start)
-        self._standing = 0.0, start
+        self._standing = (0.0 if last is None else last[0]) - self.on_runners_clock(0.0), start
         self.mpc.reset(start, self._torque)
-
-    def swing(self, legs: Array) -> None:
-        """This robot has no legs."""
 
     def push(self, wrench: Array) -> None:
         """The end effector is to exert a wrench (6): the plan counts with the world's answer."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from wbmpc.bases.fixed.ros_settings import FixedRosSettings
@@ -15,6 +17,13 @@ from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 
 Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class BusMeasurement(StateMeasurement):
+    """``origin`` [s]: where the runner's clock has its zero, on the one behind it."""
+
+    origin: float = 0.0
 
 
 class FixedRosAdapter(BaseAdapter):
@@ -56,8 +65,8 @@ class FixedRosAdapter(BaseAdapter):
     def measurement(
         self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
     ) -> StateMeasurement:
-        """Joint states, read at ``at`` [s] of the runner's clock."""
-        return StateMeasurement(at, sample.groups["arm"])
+        """Joint states, read at ``at`` [s] of the runner's clock, whose zero is at ``origin`` [s]."""
+        return BusMeasurement(at, sample.groups["arm"], origin)
 
     def stand(self, measurement: StateMeasurement) -> None:
         """Follow the joints while they are not commanded."""
@@ -66,7 +75,10 @@ class FixedRosAdapter(BaseAdapter):
     def snapshot(self) -> tuple[float, Array] | None:
         """Time [s] of the runner's clock and the state (nx) measured for it; from any thread. None before the first."""
         seen = self.controller.measured
-        return None if seen is None else (seen.time, seen.state)
+        if seen is None:
+            return None
+        assert isinstance(seen, BusMeasurement)
+        return self.on_runners_clock(seen.time + seen.origin), seen.state
 
     def begin(self, x: Array) -> None:
         """A new run."""

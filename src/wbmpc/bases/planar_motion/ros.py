@@ -190,7 +190,9 @@ class PlanarRosAdapter(BaseAdapter):
             return None
         m, pose, _ = seen
         parts = {"base": pose, "steer": m.steer, "arm": m.arm}
-        return m.time, self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
+        return self.on_runners_clock(m.time + m.origin), self.robot.state.vector(
+            {g: parts[g] for g in self.robot.state.groups}
+        )
 
     def begin(self, x: Array) -> None:
         """A new run; the odometry goes on."""

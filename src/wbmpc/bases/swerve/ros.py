@@ -209,9 +209,10 @@ class SwerveRosAdapter(BaseAdapter):
     @property
     def faults(self) -> list[str]:
         """Brakes that do not answer, until their next command, or until they do after all."""
-        if self.brakes is None or self.controller.estimator.seen is None:
+        seen = self.snapshot()
+        if self.brakes is None or seen is None:
             return []
-        return [str(fault) for fault in self.brakes.doubted(self.controller.estimator.seen[0].time)]
+        return [str(fault) for fault in self.brakes.doubted(seen[0])]
 
     def inspect(self) -> None:
         """Judge the brakes by the ticks since the last update; the plan counts with what is found."""
@@ -267,7 +268,9 @@ class SwerveRosAdapter(BaseAdapter):
             return None
         m, pose = self.controller.estimator.seen
         parts = {"base": pose, "leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}
-        return m.time, self.robot.state.vector({g: parts[g] for g in self.robot.state.groups})
+        return self.on_runners_clock(m.time + getattr(m, "origin", 0.0)), self.robot.state.vector(
+            {g: parts[g] for g in self.robot.state.groups}
+        )
 
     def begin(self, x: Array) -> None:
         """A new run: the odometry goes on, the runner's clock starts at 0."""
