@@ -89,7 +89,7 @@ def check_meshes(subject: Subject) -> Iterator[Finding]:
         )
     unread = [name for name in file.meshes() if name not in missing and not name.lower().endswith(MESHES)]
     if unread:
-        text = f"of a format that is not read, '{unread[0]}' first: neither shown nor kept clear of anything"
+        text = f"of a format that is not read, '{unread[0]}' first: neither shown nor kept clear of anything, nor measured for wheel radii"
         yield Finding("info", "", f"{len(unread)} files", text, f"convert them to {' or '.join(MESHES[:2])}")
 
 
