@@ -296,6 +296,23 @@ def test_a_sensor_between_wrist_and_hand_does_not_end_the_arm(tmp_path: Path) ->
     assert "range" not in {f.check for f in examine_robot(str(path.with_suffix(".yaml"))).findings}
 
 
+def test_joints_that_move_the_whole_robot_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Files for planners that know no bases have them."""
+    path = model(tmp_path, DIFFERENTIAL + ARM)
+    moving = link("sliding") + joint(
+        "virtual_x", "base_footprint", "sliding", (0, 0, 0), "1 0 0", 'lower="-9" upper="9"', "prismatic"
+    )
+    path.write_text(
+        path.read_text().replace(
+            joint("stand", "base_footprint", "hull", (0, 0, 0)),
+            moving + joint("virtual_yaw", "sliding", "hull", (0, 0, 0), "0 0 1"),
+        )
+    )
+    assert main(["new", str(path), "--yes", "--out", str(tmp_path / "a.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert "'virtual_x', 'virtual_yaw' move wheels and arm, as the base type does: make them fixed in the file" in said
+
+
 def test_a_robot_file_is_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = new(model(tmp_path, DIFFERENTIAL + ARM))
     assert main(["new", str(path), "--yes"]) == 2
