@@ -19,6 +19,8 @@ from wbmpc.cli import main
 from wbmpc.configuration import configure
 from wbmpc.registry import REGISTRY, load
 from wbmpc.simulation.model_plant import ModelPlant
+from wbmpc.tasks.arm_reach import reached_share
+from wbmpc.tasks.following import Task
 from wbmpc.tasks.path_settings import Circle, Curve, Line, Poses, Sine, Table, carried_base, timed
 from wbmpc.tasks.settings import TaskSettings
 
@@ -90,6 +92,43 @@ def test_a_swerve_base_follows_a_path_at_its_own_speed() -> None:
     )
     m = run("end-effector-track", Path("swerve-ur10"), POSITION_ONLY, *more).metrics
     assert 0.6 < m["path_time"].value < 4.0 and m["contour_error_max_world"].value < 0.01
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5"])
+@pytest.mark.parametrize("path", ["line", "circle", "sine"])
+def test_a_path_that_nobody_sized_is_one_that_an_arm_alone_can_follow(robot: str, path: str) -> None:
+    """Truth: the tool's distance from the reference, and states within the ranges."""
+    m = run("end-effector-track", Path(robot), POSITION_ONLY, f"path={path}").metrics
+    assert m["end_effector_error_max"].value < 1e-3 and m["limit_violation_max"].value < 1e-6
+    assert m["path_time"].value < 60.0
+
+
+def test_a_path_out_of_an_arms_reach_is_announced(caplog: pytest.LogCaptureFixture) -> None:
+    """1 m straight ahead: more than what is left of an arm of 0.9 m."""
+    settings = configure(load("end-effector-track").config_type, ["robot=panda", "path.length=1"], "end-effector-track")
+    Task(settings)
+    said = re.search(
+        r"path: the arm of 'panda' can follow (0\.\d+) m of its 1 m; give a shorter 'path.length'", caplog.text
+    )
+    assert said and 0.1 < float(said[1]) < 0.4
+
+
+def test_an_arm_reaches_as_far_as_its_links(standing: Path) -> None:
+    """Truth: the farthest of random postures at the height of the path."""
+    robot = wb.load_robot(standing)
+    position, turn = robot.pose(robot.home)
+    states = np.tile(robot.home, (400, 1))
+    states[:, robot.state["arm"]] = np.random.default_rng(1).uniform(
+        robot.limits.state_lower, robot.limits.state_upper, (400, 2)
+    )
+    at = robot.poses(states)[:, :3]
+    shoulder_reach = np.ptp(at[:, 0]) / 2.0
+    far = np.linspace(position, position + [2.0 * shoulder_reach, 0.0, 0.0], 101)
+    turns = np.tile(turn, (101, 1))
+    share = reached_share(robot, far, turns)
+    edge = at[np.abs(at[:, 2] - position[2]) < 0.05, 0].max()
+    assert position[0] + share * 2.0 * shoulder_reach == pytest.approx(edge, abs=0.06)
+    assert reached_share(robot, np.tile(position, (5, 1)), turns[:5]) == 1.0
 
 
 def test_a_robot_whose_base_stands_holds_in_mujoco(standing: Path) -> None:

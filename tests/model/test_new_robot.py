@@ -280,6 +280,39 @@ def test_a_wrist_belongs_to_the_arm_whatever_it_moves_is_called(tmp_path: Path) 
         assert (arm.joints, arm.tool) == (joints, tool)
 
 
+def test_a_sensor_between_wrist_and_hand_does_not_end_the_arm(tmp_path: Path) -> None:
+    """Its joint has an empty range, so the hand behind it is fixed to the wrist; a bumper on such a joint is no wheel."""
+    limit, empty = 'lower="-2" upper="2" velocity="1.5"', 'lower="0" upper="0" velocity="1.5"'
+    hand = link("sensor_mount") + joint("wrist", "fore", "sensor_mount", (0.3, 0, 0), "1 0 0", limit)
+    hand += link("sensor_frame") + joint("sensor_joint", "sensor_mount", "sensor_frame", (0.05, 0, 0), "0 0 1", empty)
+    hand += link("tcp") + joint("tcp_fixed", "sensor_frame", "tcp", (0.1, 0, 0))
+    hand += link("bumper") + joint("bumper_joint", "hull", "bumper", (0.3, 0, RADIUS), "0 1 0", empty)
+    arm_alone = "".join(ARM.split(link("palm"))[:1])
+    path = model(tmp_path, DIFFERENTIAL + arm_alone + hand)
+    assert {w.joint for w in find_wheels(read_mechanism(read_model(path)))} == {"left_joint", "right_joint"}
+    d = load_robot(new(path)).description
+    assert (d.arm.joints, d.arm.tool) == (("pan", "lift", "elbow", "wrist"), "tcp")
+    assert d.fixed_joints == {"sensor_joint": 0.0, "bumper_joint": 0.0}
+    assert "range" not in {f.check for f in examine_robot(str(path.with_suffix(".yaml"))).findings}
+
+
+def test_joints_that_move_the_whole_robot_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Files for planners that know no bases have them."""
+    path = model(tmp_path, DIFFERENTIAL + ARM)
+    moving = link("sliding") + joint(
+        "virtual_x", "base_footprint", "sliding", (0, 0, 0), "1 0 0", 'lower="-9" upper="9"', "prismatic"
+    )
+    path.write_text(
+        path.read_text().replace(
+            joint("stand", "base_footprint", "hull", (0, 0, 0)),
+            moving + joint("virtual_yaw", "sliding", "hull", (0, 0, 0), "0 0 1"),
+        )
+    )
+    assert main(["new", str(path), "--yes", "--out", str(tmp_path / "a.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert "'virtual_x', 'virtual_yaw' move wheels and arm, as the base type does: make them fixed in the file" in said
+
+
 def test_a_robot_file_is_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = new(model(tmp_path, DIFFERENTIAL + ARM))
     assert main(["new", str(path), "--yes"]) == 2
@@ -313,6 +346,11 @@ def test_steering_axes_of_mecanum_wheels_can_be_held(tmp_path: Path) -> None:
     assert load_robot(new(path)).description.base.type == "swerve"
     d = load_robot(new(path, "--base", "omnidirectional")).description
     assert d.base.rollers == "mecanum" and {f"w{k}_steer" for k in range(4)} <= d.fixed_joints.keys()
+    # a caster's wheel trails its axis: one right under it is none
+    path.write_text(path.read_text().replace("_steer", "_caster_joint"))
+    assert load_robot(new(path)).description.base.type == "omnidirectional"
+    path.write_text(path.read_text().replace(wheel("w0", (0, 0, 0), "w0_fork"), wheel("w0", (-0.04, 0, 0), "w0_fork")))
+    assert load_robot(new(path)).description.base.type != "omnidirectional"
 
 
 def test_a_heavy_torso_is_as_slow_as_the_robot_stands(tmp_path: Path) -> None:

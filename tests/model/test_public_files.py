@@ -153,6 +153,18 @@ def test_macros_that_do_not_end_well(body: str, message: str, tmp_path: Path, mo
         load_robot(robot_file(tmp_path, "a.xacro", MACROS))
 
 
+def test_macros_that_fail_at_a_default_name_the_arguments(tmp_path: Path) -> None:
+    """A file that is called by an argument which is empty unless it is given, as descriptions of a family of robots do."""
+    pytest.importorskip("xacrodoc")
+    family = '<xacro:arg name="arm" default=""/><xacro:include filename="arms/$(arg arm).xacro"/>'
+    text = urdf(
+        names='xmlns:xacro="http://www.ros.org/wiki/xacro"', macros='<xacro:arg name="top" default="1"/>' + family
+    )
+    path = robot_file(tmp_path, "a.urdf.xacro", text, xacro_arguments={"top": "1.2"})
+    with pytest.raises(InputError, match=r"arms/\.xacro.*; its arguments, which --argument NAME:=VALUE gives: arm$"):
+        load_robot(path)
+
+
 def test_macros_are_expanded(tmp_path: Path) -> None:
     pytest.importorskip("xacrodoc")
     path = robot_file(tmp_path, "a.urdf.xacro", MACROS, xacro_arguments={"top": "1.2"})

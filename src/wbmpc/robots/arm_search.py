@@ -15,7 +15,7 @@ GRIPPER = re.compile(
     r"finger|gripper|thumb|knuckle|jaw|claw|palm|hand(?!le)|suction|pinky|_index|_middle|_ring|puller", re.IGNORECASE
 )
 NO_ARM = re.compile(r"head|neck|camera|sensor|lidar|laser|kinect|antenna|tablet|screen|wheel|cast[eo]r", re.IGNORECASE)
-#: Joints that an arm ends with, though what they move may be called a hand, or like a gripper that is mounted on it.
+#: Joints that an arm ends with, though what they move may be called a hand, or like a gripper or sensor that is mounted on it.
 WRIST = re.compile(r"wrist", re.IGNORECASE)
 #: Frames of tools, the best first.
 TOOLS = [
@@ -46,8 +46,9 @@ class Arm:
 
 
 def find_arms(mechanism: Mechanism, others: Collection[str]) -> list[Arm]:
-    """Chains of joints that are not among ``others``, the likeliest arm first."""
-    joints = {n: j for n, j in mechanism.joints.items() if n not in others and not is_gripper(mechanism, j)}
+    """Chains of joints that can move and are not among ``others``, the likeliest arm first."""
+    moving = {n: j for n, j in mechanism.joints.items() if n not in others and not j.drive.no_range}
+    joints = {n: j for n, j in moving.items() if not is_gripper(mechanism, j)}
     ends = [j for j in joints.values() if not any(n in joints for n in mechanism.below(j.name))]
     chains = [tuple(n for n in (*end.above, end.name) if n in joints) for end in ends]
     chains = [c for c in chains if not _no_arm(mechanism, c)]
@@ -89,7 +90,7 @@ def _length(mechanism: Mechanism, chain: Sequence[str]) -> float:
 
 def _no_arm(mechanism: Mechanism, chain: tuple[str, ...]) -> bool:
     last = mechanism.joints[chain[-1]]
-    return bool(NO_ARM.search(last.name) or NO_ARM.search(last.body))
+    return bool(NO_ARM.search(last.name) or (NO_ARM.search(last.body) and not WRIST.search(last.name)))
 
 
 def _arm(mechanism: Mechanism, chain: tuple[str, ...], chains: list[tuple[str, ...]]) -> Arm:
@@ -107,9 +108,17 @@ def _name(chain: tuple[str, ...], chains: list[tuple[str, ...]]) -> str:
     return names.get(side[0].lower(), side[0].lower()) if side else own
 
 
+def _fixed_behind(mechanism: Mechanism, joint: Joint, last: Joint) -> bool:
+    """Whether a joint below ``last`` and all between them cannot move."""
+    return all(mechanism.joints[n].drive.no_range for n in (*joint.above[len(last.above) + 1 :], joint.name))
+
+
 def _tools(mechanism: Mechanism, last: Joint) -> Iterator[tuple[str, np.ndarray]]:
     """Frames behind a joint, the likeliest first: by their names, then the farthest."""
-    frames = list(mechanism.frames(last.body))
+    still = (
+        j for j in map(mechanism.joints.get, mechanism.below(last.name)) if j and _fixed_behind(mechanism, j, last)
+    )
+    frames = [frame for body in (last.body, *(j.body for j in still)) for frame in mechanism.frames(body)]
     good = [f for f in frames if not NO_TOOL.search(f[0])] or frames
 
     def rank(frame: tuple[str, np.ndarray]) -> tuple[int, float]:

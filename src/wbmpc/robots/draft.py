@@ -140,6 +140,7 @@ def body_of(draft: Draft) -> str:
     arm = mechanism.path(mechanism.parent(mechanism.joints[draft.arm.joints[0]].body))
     if not base_type(draft.base).Description.moves:
         return arm[1] if len(arm) > 1 else arm[0]
+    _check_whole_robot(draft)
     paths = [arm]
     for wheel in draft.subject.driven:
         first = (*mechanism.joints[wheel.joint].above, wheel.joint)[0]
@@ -147,11 +148,22 @@ def body_of(draft: Draft) -> str:
     common = [bodies[0] for bodies in zip(*paths) if len(set(bodies)) == 1]
     if len(common) < 2:
         raise InputError(
-            f"{mechanism.file.path}: wheels and arm have no common body but the world: no body is the base's"
+            f"{mechanism.file.path}: wheels and arm have no common body but the world: no body is the base's; where joints "
+            f"from '{draft.arm.joints[0]}' on move the whole robot, as the base type does, make them fixed in the file"
         )
     carrier = draft.mechanism.model.body(common[-1])
     weld = draft.mechanism.model.body_weldid
     return next(b for b in common[1:] if weld[draft.mechanism.model.body(b).id] == weld[carrier.id])
+
+
+def _check_whole_robot(draft: Draft) -> None:
+    """Raise :class:`InputError` naming joints above all wheels and the arm, with which files for planners move a base."""
+    mechanism, ends = draft.mechanism, [w.joint for w in draft.subject.driven] + [draft.arm.joints[-1]]
+    moved = [f"'{n}'" for n in mechanism.joints if all(n in mechanism.joints[end].above for end in ends)]
+    if moved and draft.subject.driven:
+        raise InputError(
+            f"{mechanism.file.path}: {', '.join(moved[:3])} move wheels and arm, as the base type does: make them fixed in the file"
+        )
 
 
 def held_joints(draft: Draft, body: str) -> dict[str, float]:

@@ -89,7 +89,7 @@ def check_meshes(subject: Subject) -> Iterator[Finding]:
         )
     unread = [name for name in file.meshes() if name not in missing and not name.lower().endswith(MESHES)]
     if unread:
-        text = f"of a format that is not read, '{unread[0]}' first: neither shown nor kept clear of anything"
+        text = f"of a format that is not read, '{unread[0]}' first: neither shown nor kept clear of anything, nor measured for wheel radii"
         yield Finding("info", "", f"{len(unread)} files", text, f"convert them to {' or '.join(MESHES[:2])}")
 
 
@@ -173,9 +173,10 @@ def check_velocities(subject: Subject) -> Iterator[Finding]:
 
 def check_ranges(subject: Subject) -> Iterator[Finding]:
     """Ranges from 0 to 0, which MuJoCo takes for none at all."""
-    given = {} if subject.description is None else subject.description.limits.position
+    d = subject.description
+    settled = set() if d is None else {*d.limits.position, *d.fixed_joints}
     for joint in subject.mechanism.joints.values():
-        if joint.drive.no_range and joint.name not in given:
+        if joint.drive.no_range and joint.name not in settled:
             used = subject.uses(joint.name)
             fix = f"hold it with 'fixed_joints: {{{joint.name}: 0}}'" + (
                 f", or give 'limits.position: {{{joint.name}: [LOWER, UPPER]}}'" if used else ""

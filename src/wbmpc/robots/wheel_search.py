@@ -16,6 +16,8 @@ _LOW = 0.15
 _TURNS = 4.0 * np.pi
 #: So many joints below a wheel are its rollers.
 _ROLLERS = 4
+#: A caster's wheel is at least this [m] behind its axis.
+_TRAIL = 1e-3
 CASTER = re.compile(r"cast[eo]r|passive|idler", re.IGNORECASE)
 
 
@@ -45,6 +47,11 @@ class Wheel:
         return np.asarray(along / np.linalg.norm(along))
 
     @property
+    def right_below(self) -> bool:
+        """Whether it stands under its steering axis, as no caster's wheel does."""
+        return self.steer is not None and self.offset < _TRAIL
+
+    @property
     def rollers(self) -> bool:
         """Whether the file draws rollers."""
         return len(self.held) >= _ROLLERS
@@ -55,6 +62,8 @@ def find_wheels(mechanism: Mechanism) -> list[Wheel]:
     found = [w for j in mechanism.joints.values() if (w := _wheel(mechanism, j)) is not None]
     lowest = min((w.center[2] for w in found), default=0.0)
     low = [w for w in found if w.center[2] <= lowest + _LOW]
+    if all(w.passive for w in low):  # a base on casters alone does not move: those that trail nothing are none
+        low = [replace(w, passive=w.passive and not w.right_below) for w in low]
     limited = [w for w in low if _has_limits(mechanism, w)]
     if not limited:
         return low
@@ -84,7 +93,7 @@ def _says_something(mechanism: Mechanism, joint: str) -> bool:
 def _wheel(mechanism: Mechanism, joint: Joint) -> Wheel | None:
     below = mechanism.below(joint.name)
     turns = joint.range is None or joint.range[1] - joint.range[0] >= _TURNS
-    if joint.kind != "hinge" or not (turns and joint.horizontal) or 0 < len(below) < _ROLLERS:
+    if joint.kind != "hinge" or joint.drive.no_range or not (turns and joint.horizontal) or 0 < len(below) < _ROLLERS:
         return None
     above = [mechanism.joints[n] for n in joint.above if n in mechanism.joints]
     hinges = [a for a in above if a.kind == "hinge" and a.vertical]

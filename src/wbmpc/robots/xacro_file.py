@@ -11,6 +11,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from wbmpc.errors import InputError
+from wbmpc.input_file import read_file
+from wbmpc.robots.file_limits import LARGEST
 from wbmpc.robots.limited_process import CLOCK, OutOfTime, run_limited
 from wbmpc.robots.packages import PACKAGE, find_package
 
@@ -20,6 +22,7 @@ _UNKNOWN = re.compile(r"Package not found: ([\w-]+)")
 #: A file of a package that is nowhere: pathlib makes one slash of two.
 _MISSING = re.compile(rf"{PACKAGE[:-1]}([\w-]+)/")
 _ARGUMENT = re.compile(r"Undefined substitution argument ([\w-]+)")
+_DECLARED = re.compile(rb"""<xacro:arg\s[^<>]*?\bname\s*=\s*["']([\w-]+)["']""")
 #: How long macros may take [s].
 SECONDS = CLOCK
 #: Expanded texts that are kept: a robot is read several times.
@@ -67,7 +70,14 @@ def _expanded(
             f"{name}: its macros need the argument '{argument[1]}'; give it with 'xacro_arguments: {{{argument[1]}: VALUE}}' in the "
             f"robot's YAML, or --argument {argument[1]}:=VALUE"
         )
-    raise InputError(f"{name}: its macros cannot be expanded: {text[:300]}")
+    raise InputError(f"{name}: its macros cannot be expanded: {text[:300]}{_declared(path, arguments)}")
+
+
+def _declared(path: Path, given: tuple[tuple[str, str], ...]) -> str:
+    """The arguments of a file that were not given, for a message: macros fail at their defaults, often empty texts."""
+    names = [n.decode() for n in _DECLARED.findall(read_file(path, LARGEST))]
+    left = ", ".join(dict.fromkeys(n for n in names if n not in dict(given)))
+    return f"; its arguments, which --argument NAME:=VALUE gives: {left[:200]}" if left else ""
 
 
 def _answer(path: Path, homes: Mapping[str, str], arguments: tuple[tuple[str, str], ...], name: str) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 #: Contact forces below this [N] are none.
 _MIN_FORCE = 1e-9
+#: A part of a robot without shapes is drawn as rods to the parts on it: radius, shortest [m], color.
+_ROD, _SHORTEST, _GRAY = 0.015, 0.03, (0.6, 0.6, 0.6, 1.0)
 #: Of a scene from a file: more than a browser draws many times a second.
 MAX_BODIES, MAX_SHAPES = 2_000, 5_000
 _KINDS = {
@@ -134,7 +136,8 @@ class SceneReader:
         self.model = model
         own = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
         self._names = [(names or {}).get(name, name) for name in own]
-        self.scene = Scene(robot, self._bodies(), self._shapes())
+        drawn = self._shapes()
+        self.scene = Scene(robot, self._bodies(), (*drawn, *self._rods(robot, {s.body for s in drawn})))
         self.joints = [i for i in range(model.njnt) if int(model.jnt_type[i]) >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
         self.parents = [self._names.index(b.parent) - 1 for b in self.scene.bodies]  # -1: the world
         self.joint_names = [model.joint(i).name or f"joint_{i}" for i in self.joints]
@@ -165,6 +168,24 @@ class SceneReader:
                 Shape(body, kind, tuple(map(float, m.geom_size[g])), pose, tuple(map(float, color)), vertices, faces)
             )
         return tuple(shapes)
+
+    def _rods(self, robot: str, drawn: set[str]) -> Iterator[Shape]:
+        """Of the robot's parts with a mass that have no shape, since their meshes are missing or of a format that is not read."""
+        m, root = self.model, self._names.index(robot)
+        for i in range(root + 1, m.nbody):
+            parent, length = int(m.body_parentid[i]), float(np.linalg.norm(m.body_pos[i]))
+            name = self._names[parent]
+            if (
+                m.body_rootid[i] != m.body_rootid[root]
+                or name in drawn
+                or not m.body_mass[parent]
+                or length < _SHORTEST
+            ):
+                continue
+            turn = np.empty(4)
+            mujoco.mju_quatZ2Vec(turn, m.body_pos[i] / length)
+            pose = (*map(float, 0.5 * m.body_pos[i]), *map(float, turn))
+            yield Shape(name, "capsule", (_ROD, 0.5 * length, 0.0), pose, _GRAY)
 
     def _mesh(self, mesh: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
         m = self.model

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
@@ -15,11 +16,13 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Path, Reference
 from wbmpc.result import Metric
 from wbmpc.settings import Settings
+from wbmpc.tasks.arm_reach import reached_share
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base, duration, follow, timed
 from wbmpc.tasks.paths import nearest_distance
 from wbmpc.tasks.settings import TaskSettings
 
 Array = np.ndarray
+_LOG = logging.getLogger(__name__)
 #: The end of a path is reached within this [m]; points of a path that errors are measured to; of a table of the base beside it.
 THERE, DENSE, TABLE = 0.01, 4001, 501
 #: How many times the clock's time a robot at its own speed is given.
@@ -59,6 +62,8 @@ class Task:
         given, self._since = settings.path, settings.settle_time
         start = mpc.path.pose(0.0) if progress else mpc.reference["end_effector"].at(0.0)
         self.path = given.smooth(robot, start[:3], start[3:])
+        if not robot.description.base.moves:
+            _warn_of_reach(robot, self.path)
         self._least = duration(self.path.length, given.speed)  # no robot is earlier
         if isinstance(settings.reference, ProgressReference):
             self.end = self._since + (settings.reference.time_limit or PATIENCE * (self._least + given.ramp))
@@ -85,6 +90,20 @@ class Task:
             "contour_error_rms_world": Metric(float(np.sqrt(np.mean(off**2))), "m"),
             "contour_error_max_world": Metric(float(off.max()), "m"),
         }
+
+
+def _warn_of_reach(robot: RobotModel, path: Path) -> None:
+    """Where a path leaves what the arm of a robot whose base stands can reach."""
+    poses = path.at(np.linspace(0.0, path.length, TABLE))
+    share = reached_share(robot, poses[:, :3], poses[:, 3:])
+    if share < 1.0:
+        _LOG.warning(
+            "path: the arm of '%s' can follow %.2g m of its %.3g m; give a shorter 'path.length' or another 'path.direction' (left out, a "
+            "length is chosen that it can follow)",
+            robot.description.name,
+            share * path.length,
+            path.length,
+        )
 
 
 def _base_goes_along(robot: RobotModel, mpc: MPC) -> bool:

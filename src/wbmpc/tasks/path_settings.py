@@ -19,11 +19,15 @@ from wbmpc.ocp import Path as SmoothPath
 from wbmpc.ocp import Reference
 from wbmpc.ocp.scaling import reach
 from wbmpc.settings import ReadBy, Settings
+from wbmpc.tasks.arm_reach import reached_share
 from wbmpc.tasks.paths import rise, risen
 
 Array = np.ndarray
-#: Length [m] of a path where nothing says it: of a robot whose base moves, and (times its reach) of one that stands.
-LENGTH, SHARE = 5.0, 0.5
+#: Length [m] of a path where nothing says it: of a robot whose base moves, and (times its reach) of one that stands, the first of these
+#: that the arm can follow with a margin.
+LENGTH, SHARES, MARGIN = 5.0, tuple(0.5 * 0.85**k for k in range(12)), 1.1
+#: Waves of a sine over its length, where nothing says them: aside, and up and down.
+ASIDE, LIFT = 0.06, 0.02
 #: Points of a path, interval [s] of its reference.
 POINTS, SAMPLED = 2001, 0.02
 #: Coordinates [m] of a path, poses of one, and time [s] that it takes, at most: what is longer is a mistake, and fills the memory.
@@ -40,7 +44,8 @@ class Curve:
 
 
 class PathSettings(Settings):
-    """``length`` [m] of the path (left out: 5, or half the reach of a robot whose base stands); ``direction`` [rad] from straight ahead, in
+    """``length`` [m] of the path (left out: 5, or of a robot whose base stands what its arm can
+    follow, up to half its reach); ``direction`` [rad] from straight ahead, in
     which it begins; ``speed`` [m/s]: along the arc; ``ramp`` [s]: over which the speed rises and falls."""
 
     length: float | None = Field(None, gt=1e-3, le=1000)
@@ -52,7 +57,14 @@ class PathSettings(Settings):
         """Length [m] of this robot's path."""
         if self.length is not None:
             return self.length
-        return LENGTH if robot.description.base.moves else SHARE * reach(robot)
+        if robot.description.base.moves:
+            return LENGTH
+        pose, lengths = robot.pose(robot.home), [share * reach(robot) for share in SHARES]
+        return next((length for length in lengths if self._followed(robot, MARGIN * length, *pose)), lengths[-1])
+
+    def _followed(self, robot: RobotModel, length: float, position: Array, quaternion: Array) -> bool:
+        curve = self._placed(length, position, quaternion)
+        return reached_share(robot, curve.points, curve.turns) == 1.0
 
     def offsets(self, length: float) -> tuple[Array, Array]:
         """Offsets (n, 3) [m] from the start, in axes with x straight ahead, and turns (n) [rad] about the vertical."""
@@ -60,7 +72,10 @@ class PathSettings(Settings):
 
     def curve(self, robot: RobotModel, position: Array, quaternion: Array) -> Curve:
         """The path from a pose of the end effector on."""
-        offsets, turns = self.offsets(self.size(robot))
+        return self._placed(self.size(robot), position, quaternion)
+
+    def _placed(self, length: float, position: Array, quaternion: Array) -> Curve:
+        offsets, turns = self.offsets(length)
         c, s = np.cos(self.direction), np.sin(self.direction)
         points = position + offsets @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         up = (0.0, 0.0, 1.0)
@@ -102,18 +117,20 @@ class Circle(PathSettings):
 
 
 class Sine(PathSettings):
-    """Straight ahead with waves, which grow over the first fifth. ``amplitude`` [m]: aside; ``lift`` [m]: up and down, with 0.7 times the
-    frequency; ``periods``: of the waves aside."""
+    """Straight ahead with waves, which grow over the first fifth. ``amplitude`` [m]: aside (left out: 0.06 of the length); ``lift`` [m]: up
+    and down, with 0.7 times the frequency (left out: 0.02 of the length); ``periods``: of the waves aside."""
 
     kind: Literal["sine"] = "sine"
-    amplitude: float = Field(0.3, ge=0, le=100)
-    lift: float = Field(0.1, ge=0, le=100)
+    amplitude: float | None = Field(None, ge=0, le=100)
+    lift: float | None = Field(None, ge=0, le=100)
     periods: float = Field(2.0, gt=0, le=1000)
 
     def offsets(self, length: float) -> tuple[Array, Array]:
         share = np.linspace(0.0, 1.0, POINTS)
         grown, phase = rise(share, 0.2), 2.0 * np.pi * self.periods * share
-        waves = [self.amplitude * grown * np.sin(phase), self.lift * grown * np.sin(0.7 * phase)]
+        aside = ASIDE * length if self.amplitude is None else self.amplitude
+        lift = LIFT * length if self.lift is None else self.lift
+        waves = [aside * grown * np.sin(phase), lift * grown * np.sin(0.7 * phase)]
         return np.stack([length * share, *waves], axis=1), 0.0 * share
 
 

@@ -18,6 +18,7 @@ from wbmpc.bases.planar_motion.plugin import PlanarBaseType
 from wbmpc.bases.planar_motion.proposal import axles, headings, propose
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import RobotDescription
+from wbmpc.robots.wheel_search import CASTER
 
 if TYPE_CHECKING:
     from wbmpc.bases.omnidirectional.plant import OmnidirectionalPlant
@@ -55,10 +56,11 @@ class OmnidirectionalBaseType(PlanarBaseType):
         if len(fixed) < 4 or np.ptp(axles(fixed, along[0])) < APART or np.ptp(axles(fixed, fixed[0].axle[:2])) < APART:
             return None
         seen = any(w.rollers or "mecanum" in f"{mechanism.file.path.name} {w.joint}".lower() for w in fixed)
+        stand_in = all(w.right_below and CASTER.search(str(w.steer)) for w in wheels)
         reason = f"{len(fixed)} parallel wheels on two axles" + (
             "; its steering axes only stand for rollers" if steers else "" if seen else "; wheels that skid: planar"
         )
-        fit = 0.2 if steers else 0.9 if seen else 0.5
+        fit = 0.95 if stand_in else 0.2 if steers else 0.9 if seen else 0.5
         return propose(fixed, fit, reason, {"rollers": "mecanum"}, ROLLERS("mecanum"))
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> PlanarBase:
