@@ -97,7 +97,7 @@ class SimNode:
         self._clock = self.node.publisher("/clock", "rosgraph_msgs/msg/Clock", Qos(depth=1))
         self._odom = self.node.publisher(TRUTH_ODOM, "nav_msgs/msg/Odometry")
         self._end_effector = self.node.publisher(TRUTH_END_EFFECTOR, "geometry_msgs/msg/PoseStamped")
-        self._reader, self._forces = SceneReader(self.plant.model, self.robot.description.name), {}  # type: ignore[var-annotated]
+        self._reader, self._forces = SceneReader(self.plant.model, self.robot.description.base.body), {}  # type: ignore[var-annotated]
         fixed = self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
         fixed.publish({"transforms": [self._imu_frame()]})
         described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
