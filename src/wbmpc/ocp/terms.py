@@ -83,7 +83,8 @@ class Constraint:
     Inequalities: relaxed barriers (``penalty=RelaxedBarrier(μ, δ)``), multipliers (``AugmentedLagrangian``), or ``hard``:
     a primal-dual interior point inside the Riccati recursion. A hard row that depends on the state holds wherever it can be
     held and else has the exact L1 ``slack`` penalty (per unit of the row's range and second); rows of inputs alone have
-    no slack. State rows do not apply to the measured state itself.
+    no slack, but for those that move with the last command (:class:`wbmpc.residuals.AccelerationLimit`). State rows do not apply to the
+    measured state itself.
     """
 
     name: str

@@ -78,9 +78,9 @@ class StateField(IntEnum):
     HOLD_INPUTS = (
         12  # trial inputs are held: 0 not at all, 1 within rows of inputs alone, 2 within rows with states too
     )
-    INPUT_VIOLATION = 13  # of rows of inputs alone
-    MIXED_VIOLATION = 14  # of rows of inputs and states
-    INPUT_VIOLATION_ROW = 15  # which of those of inputs alone is violated most
+    INPUT_VIOLATION = 13  # of rows of inputs without slack
+    MIXED_VIOLATION = 14  # of rows of inputs with one, as those with states have
+    INPUT_VIOLATION_ROW = 15  # which of those without slack is violated most
     COST = 16  # of the iterate
     VIOLATION = 17
     LAST_STEP = 18  # last step length, without a certificate
@@ -109,7 +109,7 @@ class StateField(IntEnum):
     # what the solve has cost
     DIRECTIONS = 39
     TRIAL_POINTS = 40
-    MIXED_VIOLATION_ROW = 41  # which of those of inputs and states is violated most
+    MIXED_VIOLATION_ROW = 41  # which of those with one is violated most
 
 
 class Setting(IntEnum):
