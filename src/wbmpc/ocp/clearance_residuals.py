@@ -20,6 +20,8 @@ from wbmpc.ocp.symbols import Symbols
 Pair = tuple[str, str]
 #: Numbers of a row's parameters: normal, point, offset; of two bodies: normal, both points, offset.
 WIDTH, SELF_WIDTH = 7, 10
+#: Of an arm's accelerations, what it brakes with before it comes near itself; the rest is for lag, delay, and what else it has to do.
+BRAKING_SHARE = 0.6
 
 
 @dataclass(frozen=True)
@@ -78,11 +80,17 @@ class Clearance:
 class SelfClearance:
     """Distance of each pair of the robot's frames, with all that is fixed to them, minus ``margin`` [m] (None: the robot file's
     ``collision.self.margin``), all to be at least zero. ``pairs``: None for those of the robot file, or the ones that sampling proposes
-    (:func:`wbmpc.obstacles.pairs.propose_pairs`)."""
+    (:func:`wbmpc.obstacles.pairs.propose_pairs`).
+
+    ``approach`` [s]: a pair comes nearer by no more than the rest of its distance h in that time, ḣ ≥ −h / approach, in place of h ≥ 0.
+    Speeds then fall no faster than joints can brake, whatever the distance is: limits that count from the last command let plans put
+    off an arm's braking from update to update until it is too late. None: :func:`stopping_time`; 0: the distance alone.
+    """
 
     robot: RobotModel
     pairs: Sequence[Pair] | None = None
     margin: float | None = None
+    approach: float | None = None
 
     def __post_init__(self) -> None:
         geometry = robot_geometry(self.robot)
@@ -93,9 +101,11 @@ class SelfClearance:
         if not pairs or any(a == b for a, b in pairs):
             raise InputError(f"self-clearance, pairs: at least one pair of two frames is needed, got {list(pairs)}")
         margin = self.robot.description.collision.self.margin if self.margin is None else self.margin
-        checks.not_negative("self-clearance", margin=margin)
+        approach = stopping_time(self.robot) if self.approach is None else self.approach
+        checks.not_negative("self-clearance", margin=margin, approach=approach)
         object.__setattr__(self, "pairs", pairs)
         object.__setattr__(self, "margin", float(margin))
+        object.__setattr__(self, "approach", float(approach))
 
     @property
     def size(self) -> int:
@@ -117,7 +127,21 @@ class SelfClearance:
             top = common_link(self.robot, frames[a].link, frames[b].link)
             gap = _below(chain, frames[a], row[3:6], top) - _below(chain, frames[b], row[6:9], top)
             out.append(ca.dot(row[:3], gap) - row[9] + _absent(row))
-        return ca.vertcat(*out)
+        distances = ca.vertcat(*out)
+        if not self.approach:
+            return distances
+        change = self.robot.dynamics()(s.x, s.u, s.parameters, s.mode)
+        return distances + self.approach * ca.jtimes(distances, s.x, change)
+
+
+def stopping_time(robot: RobotModel) -> float:
+    """How long [s] the slowest joint of the arm takes from full speed to rest with :data:`BRAKING_SHARE` of its acceleration; 0 where
+    nothing limits accelerations."""
+    arm, limits = robot.input["arm"], robot.limits
+    speeds = np.maximum(np.abs(limits.input_lower[arm]), np.abs(limits.input_upper[arm]))
+    rates = limits.input_rate[arm]
+    limited = np.isfinite(rates)
+    return float(np.max(speeds[limited] / (BRAKING_SHARE * rates[limited]), initial=0.0))
 
 
 def _absent(row: ca.SX) -> ca.SX:

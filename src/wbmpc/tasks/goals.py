@@ -7,10 +7,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from wbmpc.clearance.rows import SelfRows
+from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.obstacles.pairs import self_pairs
 from wbmpc.ocp import Reference
+from wbmpc.ocp.clearance_residuals import SelfClearance
 from wbmpc.result import Metric
 from wbmpc.settings import Positive
 from wbmpc.tasks.definitions import DEFINITIONS
@@ -19,6 +23,8 @@ from wbmpc.tasks.path_settings import follow
 from wbmpc.tasks.settings import TaskSettings
 
 Array = np.ndarray
+#: Postures that are drawn for a goal until one keeps the pairs of ``collision.self.pairs`` apart.
+DRAWS = 1000
 Way = Annotated[float, Field(ge=0, le=1000)]
 
 
@@ -35,16 +41,22 @@ class GoalsSettings(TaskSettings):
 
 
 def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Array:
-    """States (count, nx): the base further by a random way, the arm about its home."""
+    """States (count, nx): the base further by a random way, the arm about its home, where it is clear of the robot."""
     rng, arm = np.random.default_rng([seed, 20]), robot.state["arm"]
+    pairs = SelfRows(SelfClearance(robot)) if self_pairs(robot) else None
     low, high = robot.limits.state_lower[arm], robot.limits.state_upper[arm]
     home = robot.home[arm]
     low, high = np.where(np.isfinite(low), low, home - np.pi), np.where(np.isfinite(high), high, home + np.pi)
     low, high = np.maximum(low, home - np.pi), np.minimum(high, home + np.pi)
     states, at = np.tile(robot.home, (settings.count, 1)), np.zeros(2)
     for row in states:
-        share = settings.posture * rng.uniform(-1.0, 1.0, home.size)
-        row[arm] = home + np.where(share > 0.0, share * (high - home), share * (home - low))
+        for _ in range(DRAWS):
+            share = settings.posture * rng.uniform(-1.0, 1.0, home.size)
+            row[arm] = home + np.where(share > 0.0, share * (high - home), share * (home - low))
+            if pairs is None or pairs.measure(row[None]).min() >= pairs.margin:
+                break
+        else:
+            raise InputError(f"goals: none of {DRAWS} postures keeps the arm clear of the robot; valid: a smaller posture")
         if "base" in robot.state:
             heading, way = rng.uniform(-np.pi, np.pi), rng.uniform(min(settings.distance), max(settings.distance))
             at = at + way * np.array([np.cos(heading), np.sin(heading)])

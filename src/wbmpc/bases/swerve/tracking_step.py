@@ -88,9 +88,16 @@ def hold_base(law: Law, u: Floats) -> None:
 
 
 @compiled
+def own(law: Law, i: int) -> bool:
+    """Whether input ``i`` is of the steering or of the arm."""
+    return (i >= law.steer and i < law.steer + law.n) or (i >= law.arm and i < law.arm + law.m)
+
+
+@compiled
 def limit_acceleration(law: Law, sent: Floats, u: Floats) -> None:
-    """``sent`` (nu) goes towards u (nu) as far as accelerations allow within a period. All but the steering go the same share of
-    the way, which is as short as the worst of them needs; a closed brake stops its leg as hard as it likes."""
+    """``sent`` (nu) goes towards u (nu) as far as accelerations allow within a period. What rolls, base, legs and wheels, goes the same
+    share of the way, which is as short as the worst of them needs; a closed brake stops its leg as hard as it likes. Joints of the arm
+    go on their own, as plans count on: an arm that has to stop does not wait for wheels."""
     n, nu, leg, steer, excess = law.n, law.nu, law.leg, law.steer, law.excess
     together = 1.0
     for i in range(nu):
@@ -98,10 +105,10 @@ def limit_acceleration(law: Law, sent: Floats, u: Floats) -> None:
         if i >= leg and i < leg + law.legs and law.brake[i - leg] <= 0.5:
             over = 0.0
         excess[i] = max(over, 1.0)
-        if i < steer or i >= steer + n:
+        if not own(law, i):
             together = max(together, over)
     for i in range(nu):
-        if i < steer or i >= steer + n:
+        if not own(law, i):
             excess[i] = together
         sent[i] += (u[i] - sent[i]) / excess[i]
 
