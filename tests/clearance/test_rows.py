@@ -10,6 +10,7 @@ import wbmpc as wb
 from wbmpc.clearance.nearest import Poses
 from wbmpc.clearance.rows import ObstacleRows, SelfRows
 from wbmpc.model.robot import RobotModel
+from wbmpc.obstacles.pairs import draw_states
 from wbmpc.obstacles.world import Snapshot
 from wbmpc.ocp.symbols import Symbols
 
@@ -98,6 +99,32 @@ def test_parameters_of_zeros_are_no_obstacle() -> None:
     for residual in (wb.residuals.Clearance(robot), wb.residuals.SelfClearance(robot)):
         h, slope = evaluate(robot, residual)(robot.home, np.zeros(residual.reference))
         assert np.array_equal(np.array(h), np.ones((residual.size, 1))) and not np.array(slope).any()
+
+
+def test_pairs_come_nearer_no_faster_than_joints_brake() -> None:
+    """Truth: differences of the measured distance h along the motion under an input; and that of a joint which follows the bound
+    ḣ = −h / T from its full speed on: it brakes with L / T, no harder than its share of the limit a."""
+    robot = wb.load_robot("panda")
+    residual = wb.residuals.SelfClearance(robot, margin=0.01)
+    limits, arm = robot.limits, robot.input["arm"]
+    assert residual.approach == pytest.approx(float(np.max(limits.input_upper[arm] / (0.6 * limits.input_rate[arm]))))
+    x, u = ca.SX.sym("x", robot.state.size), ca.SX.sym("u", robot.input.size)
+    r, none = ca.SX.sym("r", residual.reference), ca.SX(0, 1)
+    h = ca.Function("h", [x, u, r], [residual(Symbols(x, u, none, none, r, x, u))])
+    rng, rows, checked = np.random.default_rng(3), rows_of(residual), 0
+    for state in draw_states(robot, 300, seed=1):
+        rates = rng.uniform(limits.input_lower, limits.input_upper)
+        parameters, distance = rows.refresh(state[None])[0], rows.measure(state[None])[0].copy()
+        ends = [rows.measure((state + s * 1e-5 * rates)[None])[0].copy() for s in (1.0, -1.0)]
+        near = (distance < 0.2) & (distance > 0.002)
+        slope = (ends[0][near] - ends[1][near]) / 2e-5
+        expected = distance[near] - 0.01 + residual.approach * slope
+        np.testing.assert_allclose(np.array(h(state, rates, parameters))[near, 0], expected, atol=2e-4)
+        checked += int(near.sum())
+    assert checked > 50
+    plain = wb.residuals.SelfClearance(robot, margin=0.01, approach=0.0)
+    assert not ca.depends_on(plain(Symbols(x, u, none, none, r, x, u)), u)
+    assert wb.residuals.SelfClearance(wb.load_robot("rezero")).approach == 0.0  # its torques are limited, not its accelerations
 
 
 def test_rows_of_two_bodies_do_not_depend_on_where_the_base_is() -> None:

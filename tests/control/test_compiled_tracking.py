@@ -70,7 +70,8 @@ def test_both_back_ends_say_the_same(planned: bool) -> None:
 
 
 def test_accelerations_go_one_share_of_the_way() -> None:
-    """Truth: the definition by NumPy. Closed brakes stop their legs as hard as they like; the steering is on its own."""
+    """Truth: the definition by NumPy. Closed brakes stop their legs as hard as they like; the steering and each joint of the arm are on
+    their own: an arm that has to stop does not wait for wheels."""
     rng, law = np.random.default_rng(1), laws(True)[0]
     plan, brake = policy(rng, 3.0), np.array([1.0, 0.0, 1.0, 0.0])
     steer, leg = ROBOT.input["steer"], ROBOT.input["leg"]
@@ -79,7 +80,7 @@ def test_accelerations_go_one_share_of_the_way() -> None:
     limit = ROBOT.limits.input_rate * PERIOD
     limit[leg] = np.where(brake > 0.5, limit[leg], np.inf)
     excess = np.maximum(np.abs(law.target) / limit, 1.0)
-    together = np.delete(np.arange(NU), steer)
+    together = np.setdiff1d(np.arange(NU), np.r_[steer, ROBOT.input["arm"]])
     excess[together] = excess[together].max()
     np.testing.assert_allclose(law.sent, law.target / excess, rtol=1e-12)
 

@@ -82,9 +82,9 @@ class SelfClearance:
     ``collision.self.margin``), all to be at least zero. ``pairs``: None for those of the robot file, or the ones that sampling proposes
     (:func:`wbmpc.obstacles.pairs.propose_pairs`).
 
-    ``approach`` [s]: a pair comes nearer by no more than the rest of its distance h in that time, ḣ ≥ −h / approach, in place of h ≥ 0.
-    Speeds then fall no faster than joints can brake, whatever the distance is: limits that count from the last command let plans put
-    off an arm's braking from update to update until it is too late. None: :func:`stopping_time`; 0: the distance alone.
+    ``approach`` [s]: the arm's joints bring a pair nearer by no more than the rest of its distance h in that time, ḣ ≥ −h / approach, in
+    place of h ≥ 0. Speeds then fall no faster than joints can brake, whatever the distance is: limits that count from the last command
+    let plans put off an arm's braking from update to update until it is too late. None: :func:`stopping_time`; 0: the distance alone.
     """
 
     robot: RobotModel
@@ -130,8 +130,9 @@ class SelfClearance:
         distances = ca.vertcat(*out)
         if not self.approach:
             return distances
-        change = self.robot.dynamics()(s.x, s.u, s.parameters, s.mode)
-        return distances + self.approach * ca.jtimes(distances, s.x, change)
+        arm = self.robot.state["arm"]
+        change = self.robot.dynamics()(s.x, s.u, s.parameters, s.mode)[arm]
+        return distances + self.approach * ca.jacobian(distances, s.x)[:, arm] @ change
 
 
 def stopping_time(robot: RobotModel) -> float:
