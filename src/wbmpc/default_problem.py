@@ -164,15 +164,15 @@ def keep_clear(
     ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
 ) -> OptimalControlProblem:
     """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is) and its arm clear of itself: who
-    evades folds it."""
+    evades folds it, as fast as it takes (pairs may come near each other at any speed)."""
     if obstacles is None:
         return ocp
     free = sets.NonNegative()
     rows = Constraint("clearance", residuals.Clearance(robot), free, at="path+terminal", hard=True, slack=slack)
     ocp.add(rows)
-    pairs = arm_pairs(robot)
-    if pairs and "self_clearance" not in ocp.terms:
-        own = residuals.SelfClearance(robot, pairs)
+    pairs = arm_pairs(robot) if ocp.terms.pop("self_clearance", None) is None else self_pairs(robot)
+    if pairs:
+        own = residuals.SelfClearance(robot, pairs, approach=0.0)
         ocp.add(Constraint("self_clearance", own, free, at="path+terminal", hard=True, slack=slack))
     return ocp
 

@@ -124,7 +124,9 @@ def test_pairs_come_nearer_no_faster_than_joints_brake() -> None:
     assert checked > 50
     plain = wb.residuals.SelfClearance(robot, margin=0.01, approach=0.0)
     assert not ca.depends_on(plain(Symbols(x, u, none, none, r, x, u)), u)
-    assert wb.residuals.SelfClearance(wb.load_robot("rezero")).approach == 0.0  # its torques are limited, not its accelerations
+    assert (
+        wb.residuals.SelfClearance(wb.load_robot("rezero")).approach == 0.0
+    )  # its torques are limited, not its accelerations
 
 
 def test_rows_of_two_bodies_do_not_depend_on_where_the_base_is() -> None:

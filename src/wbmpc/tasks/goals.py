@@ -56,7 +56,9 @@ def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Arra
             if pairs is None or pairs.measure(row[None]).min() >= pairs.margin:
                 break
         else:
-            raise InputError(f"goals: none of {DRAWS} postures keeps the arm clear of the robot; valid: a smaller posture")
+            raise InputError(
+                f"goals: none of {DRAWS} postures keeps the arm clear of the robot; valid: a smaller posture"
+            )
         if "base" in robot.state:
             heading, way = rng.uniform(-np.pi, np.pi), rng.uniform(min(settings.distance), max(settings.distance))
             at = at + way * np.array([np.cos(heading), np.sin(heading)])

@@ -98,7 +98,7 @@ def limit_acceleration(law: Law, sent: Floats, u: Floats) -> None:
     """``sent`` (nu) goes towards u (nu) as far as accelerations allow within a period. What rolls, base, legs and wheels, goes the same
     share of the way, which is as short as the worst of them needs; a closed brake stops its leg as hard as it likes. Joints of the arm
     go on their own, as plans count on: an arm that has to stop does not wait for wheels."""
-    n, nu, leg, steer, excess = law.n, law.nu, law.leg, law.steer, law.excess
+    nu, leg, excess = law.nu, law.leg, law.excess
     together = 1.0
     for i in range(nu):
         over = abs(u[i] - sent[i]) / (law.input_rate[i] * law.period)
