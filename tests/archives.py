@@ -54,7 +54,7 @@ def check_steps(steps, folder: Path) -> None:  # type: ignore[no-untyped-def]
     t, end_effector, s = log["hand.time"], log["hand"], steps.settings
     ball = robot("rezero")
     home = ball.pose(ball.home)[0]
-    lead, worst, rises = s["mpc"]["horizon"], [], []
+    lead, worst, rises = s["mpc"]["horizon"] if s["preview"] else 0.0, [], []
     for k, step in enumerate(STEPS):
         leave = s["settle_time"] + (k + 1) * s["hold_time"] - lead
         goal = home + np.array(step.move)

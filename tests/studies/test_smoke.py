@@ -111,7 +111,7 @@ def test_rezero_takes_its_steps(steps, tmp_path: Path) -> None:  # type: ignore[
     assert 0.1 < m["unreachable_rotation_error"] < np.pi / 6 + 0.1
     (turns,) = (p for p in steps.plots if "orientation against home" in p.title)
     before_it_leaves = (
-        STEPS.settle_time + 7 * STEPS.hold_time - STEPS.mpc.horizon - 0.2
+        STEPS.settle_time + 7 * STEPS.hold_time - STEPS.lead - 0.2
     )  # the seventh step is 30 degrees about the vertical
     at = {s.name: float(np.interp(before_it_leaves, s.x, s.y)) for s in turns.series}
     assert at["about z, reference"] == pytest.approx(30.0) and at["about x, reference"] == pytest.approx(0.0, abs=1e-9)
