@@ -8,9 +8,11 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from wbmpc import lie
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import WbmpcError
+from wbmpc.obstacles.solids import Solid, along, sphere
 from wbmpc.robots import load_description
 from wbmpc.simulation.film import SceneModel
 from wbmpc.simulation.render import Camera, Renderer, simplified
@@ -55,14 +57,20 @@ def test_lines_have_their_colors(shadows: Literal["none", "floor", "all"]) -> No
     assert 20 < changed.sum() < 2000 and near[changed].sum() > 0.3 * changed.sum() and not near[~changed].any()
 
 
-def test_a_shadow_on_the_floor_lies_along_the_sun() -> None:
-    """Truth: the ray past a ball's middle, and a pinhole camera that looks straight down: rows fall along y."""
+@pytest.mark.parametrize(
+    ("kind", "size"),
+    [("sphere", (0.1,)), ("capsule", (0.05, 0.3)), ("cylinder", (0.05, 0.3)), ("box", (0.3, 0.2, 0.1))],
+)
+def test_a_shadow_on_the_floor_lies_along_the_sun(kind: str, size: tuple[float, ...]) -> None:
+    """Truth: the ray past a body's middle, its outline from many points on it, and a pinhole camera that looks straight down: rows fall
+    along y."""
     camera = Camera((0.0, 0.0, 0.0), 5.0, 0.5 * np.pi, -0.5 * np.pi, 0.6, follow=False)
-    shape = Shape("ball", "sphere", (0.1,), (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (0.9, 0.2, 0.1, 1.0))
-    puppet = SceneModel(Scene("ball", (Body("ball", "world", True),), (shape,)))
+    lying = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)  # its z axis is along x
+    shape = Shape("body", kind, size, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (0.9, 0.2, 0.1, 1.0))
+    puppet = SceneModel(Scene("body", (Body("body", "world", True),), (shape,)))
     middle, pictures = np.array([0.2, -0.1, 0.8]), {}
-    puppet.place([[*middle, 1.0, 0.0, 0.0, 0.0]])
-    for shadows in ("none", "floor", "all"):
+    puppet.place([[*middle, *lying]])
+    for shadows in ("none", "floor"):
         try:
             renderer = Renderer(puppet, 320, 180, shadows=shadows, samples=0)  # type: ignore[arg-type]
         except WbmpcError as error:
@@ -70,11 +78,21 @@ def test_a_shadow_on_the_floor_lies_along_the_sun() -> None:
         with renderer:
             pictures[shadows] = renderer.frame(camera).astype(int)
     changed = np.argwhere(np.abs(pictures["floor"] - pictures["none"]).max(axis=2) > 20)
-    there = (middle - middle[2] / SUN[2] * np.array(SUN))[:2]
     pixels = 0.5 * 180 / np.tan(0.3) / 5.0  # for each meter on the floor
-    np.testing.assert_allclose((changed.mean(axis=0) - [89.5, 159.5]) / pixels, [-there[1], there[0]], atol=0.02)
-    area = np.pi * 0.1**2 / -SUN[2] * np.linalg.norm(SUN)  # of an ellipse
-    assert len(changed) / pixels**2 == pytest.approx(area, rel=0.1)
+    found = (changed - [89.5, 159.5])[:, ::-1] / [pixels, -pixels]
+    solid = {"sphere": lambda: sphere(size[0], np.zeros(3)), "box": lambda: Solid("box", np.array(size))}.get(
+        kind, lambda: along(kind, np.array([0.0, 0.0, -size[1]]), np.array([0.0, 0.0, size[1]]), size[0])
+    )()
+    turn = lie.quaternion_to_rotation(np.array(lying)) @ solid.rotation
+    # the outline across a direction on the floor is that of the body across what casts it
+    for direction in (np.array([1.0, 0.0]), np.array([0.0, 1.0]), np.array([0.6, 0.8])):
+        cast = np.array([*direction, -(direction @ np.array(SUN[:2])) / SUN[2]])
+        ends = [
+            float((middle + turn @ solid.support(sign * (cast @ turn)[None] / np.linalg.norm(cast))[0]) @ cast)
+            for sign in (-1.0, 1.0)
+        ]
+        seen = found @ direction
+        np.testing.assert_allclose([seen.min(), seen.max()], ends, atol=0.02)
 
 
 def test_lines_keep_their_way_with_few_points() -> None:

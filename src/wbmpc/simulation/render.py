@@ -124,6 +124,7 @@ class Renderer:
                 continue
             place, turn = _TO_FLOOR @ body.pos + _ABOVE, (_TO_FLOOR @ body.mat).ravel()
             mujoco.mjv_initGeom(shadow, body.type, np.asarray(body.size, float), place, turn, _SHADE)
+            shadow.size[:] = body.size  # those of a scene's bodies are in another order than those of a model's
             shadow.dataid, shadow.specular = body.dataid, 0.0
             scene.ngeom += 1
 
