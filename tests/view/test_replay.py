@@ -227,6 +227,23 @@ def test_what_a_replay_does_not_do_stays_on_its_page(run: SimpleNamespace) -> No
     assert rejection.text == ""
 
 
+def test_a_browser_begins_with_a_camera_that_looks_at_the_robot(run: SimpleNamespace) -> None:
+    """Before one has come: it takes the camera that there is then."""
+    pytest.importorskip("viser")
+    from wbmpc.view import replay
+    from wbmpc.view.access import Access
+    from wbmpc.view.camera import camera_offset
+
+    player = replay.Player(run.film, Access.of("127.0.0.1"), free_port())
+    try:
+        poses, camera = run.film.snapshot(float(run.film.times[0]))["poses"], player.server.initial_camera
+        robot = poses[run.film.scene.index, :3]
+        np.testing.assert_allclose(camera.look_at, robot, atol=1e-6)
+        np.testing.assert_allclose(np.array(camera.position) - robot, camera_offset(poses, run.film.scene), atol=1e-6)
+    finally:
+        player.server.stop()
+
+
 def test_without_a_browser_a_replay_does_not_move(run: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is drawn until somebody looks; then pictures follow each other. Clock and browsers are this test's."""
     pytest.importorskip("viser")
