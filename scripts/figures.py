@@ -22,6 +22,7 @@ from readme import fill_from_studies
 from wbmpc.units import scale
 
 ROOT = Path(__file__).parents[1]
+TABLE_AGE = ROOT / "docs" / "_ext" / "table_age.py"
 #: By first letters of an experiment's name, the page and mark of its robot.
 PAGES = {"swerve": "swerve", "rezero": "ball"}
 #: What the papers say of experiments for which they give no figure.
@@ -155,6 +156,8 @@ def main() -> None:
     if not made:
         raise SystemExit(f"figures: {given.runs} holds no finished studies: wbmpc study swerve-goals")
     kept = fill_from_studies(given.readme, of_goals)
+    if given.readme == ROOT / "README.md":
+        subprocess.run([sys.executable, str(TABLE_AGE), "--write"], stdout=subprocess.DEVNULL, check=True)
     print(json.dumps({"studies": made, "kept in the README": kept}))
 
 

@@ -5,7 +5,8 @@ A mark is a comment, which is not shown, before the figure and after it:
     <!--= swerve-track hand_error_mean_odometry mm -->1.2 mm (2.1)<!--/-->
 
 names an experiment, a metric, a unit, and may end in ``median`` or ``worst`` (else both: median and worst in brackets), or in
-``count`` (in how many runs a metric is not 0; of falls alone). The mark ``commit`` takes the commits that the figures are of. Marks
+``count`` (in how many runs a metric is not 0; of falls alone). The mark ``commit`` takes the commits that the figures are of; ``age`` is
+that of docs/_ext/table_age.py. Marks
 without figures keep what they have, and its commits. `python scripts/figures.py` fills them.
 """
 
@@ -71,7 +72,7 @@ def text(what: str, found: dict[str, dict[str, dict[str, Any]]]) -> str | None:
 
 def fill(readme: str, found: dict[str, dict[str, dict[str, Any]]], commit: str = "") -> tuple[str, list[str]]:
     """The README with figures between its marks, and the marks for which there are none."""
-    figures = {m["what"]: text(m["what"], found) for m in MARK.finditer(readme) if m["what"] != "commit"}
+    figures = {m["what"]: text(m["what"], found) for m in MARK.finditer(readme) if m["what"] not in ("commit", "age")}
     left = [what for what, new in figures.items() if new is None]
 
     def put(match: re.Match[str]) -> str:

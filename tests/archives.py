@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc import compare
+from wbmpc.log import Log
 from wbmpc.report import write_run
 from wbmpc.studies.minniti2019.step_goals import STEPS
 
@@ -18,6 +20,12 @@ def archive(result, folder: Path) -> tuple[dict[str, float], dict[str, np.ndarra
     saved = json.loads(Path(files["metrics"]).read_text())["metrics"]
     with np.load(files["log"]) as log:
         return {n: m["value"] for n, m in saved.items()}, {n: log[n] for n in log.files}
+
+
+def without_units(log: Log) -> set[str]:
+    """Channels of a log of which plots know no unit for some component."""
+    run = compare.Run(Path(), {}, {c: log.array(c) for c in log.channels}, labels=log.names, units=log.units)
+    return {c for c in log.channels if not all(compare._components(run, c)[1])}
 
 
 def check_track(track, folder: Path) -> None:  # type: ignore[no-untyped-def]
@@ -46,7 +54,7 @@ def check_steps(steps, folder: Path) -> None:  # type: ignore[no-untyped-def]
     t, end_effector, s = log["hand.time"], log["hand"], steps.settings
     ball = robot("rezero")
     home = ball.pose(ball.home)[0]
-    lead, worst, rises = s["mpc"]["horizon"], [], []
+    lead, worst, rises = s["mpc"]["horizon"] if s["preview"] else 0.0, [], []
     for k, step in enumerate(STEPS):
         leave = s["settle_time"] + (k + 1) * s["hold_time"] - lead
         goal = home + np.array(step.move)

@@ -96,6 +96,7 @@ def test_table_and_page(runs: list[dict], tmp_path: Path, capsys: pytest.Capture
     )
     page = (tmp_path / "both.html").read_text()
     body = page[page.index("<body>") :]
+    assert "<tr><td>mpc.rate</td><td>50.0</td><td>80.0</td></tr>" in body.partition("Settings that differ")[2]
     assert body.count("Plotly.newPlot") == 2 and "<h3>hand</h3>" in body and '"dash":"dash"' in body.replace(" ", "")
 
 

@@ -131,3 +131,16 @@ def test_every_table_has_its_marks_and_packages_that_exist(monkeypatch: pytest.M
     names = {name for table in table_age.TABLES for name in table.of} - {"modules"}
     assert [name for name in sorted(names) if not (ROOT / "src" / "wbmpc" / name).is_dir()] == []
     assert [name for name in sorted(table_age.NO_PART) if not (ROOT / "src" / "wbmpc" / name).is_file()] == []
+
+
+def test_the_readme_says_whether_its_figures_are_older_than_the_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What git says of this checkout. After a change of code: python docs/_ext/table_age.py --write."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_ext"))
+    import table_age
+
+    text = (ROOT / "README.md").read_text()
+    assert table_age.with_age(text, True) != table_age.with_age(text, False)
+    old = table_age.is_old(table_age.TABLES[0])
+    if old is None:
+        pytest.skip("the commit of the figures is not in this checkout")
+    assert text == table_age.with_age(text, old)

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
@@ -16,7 +17,8 @@ import pytest
 from fake_experiment import FakeSettings, run
 from wbmpc.cli import main
 from wbmpc.report import write_run
-from wbmpc.run_index import DEEPEST, find_runs, page
+from wbmpc.result import Metric
+from wbmpc.run_index import DEEPEST, Entry, find_runs, page
 
 CHROMIUM = shutil.which("chromium")
 
@@ -104,8 +106,22 @@ def test_the_page_links_to_what_is_there(some: Path, tmp_path: Path, capsys: pyt
     Finder().feed(target.read_text())
     assert "[]" not in target.read_text()  # a number without a unit has none in its heading
     assert len(links) == 2 and all((target.parent / unquote(link)).is_file() for link in links)
+    ok = find_runs(some)[1]
+    (ok.directory / "run.mcap").touch()
+    assert main(["runs", str(some), "--page", str(target), "--force"]) == 0
+    assert 'report.html#replay">replay</a>, <a href="' in target.read_text()
     assert main(["runs", str(some), "--page", str(target)]) == 2  # it is there already
     assert main(["runs", str(some), "--page", str(target), "--force"]) == 0
+
+
+def test_a_run_that_did_not_complete_reaches_no_goal(tmp_path: Path) -> None:
+    """Its figures are not green; headings say what is measured."""
+    cells, metric = {}, Metric(0.0, "1", goal=1.0, definition="a < b")
+    for completed in (True, False):
+        text = page([Entry(tmp_path, datetime.now(UTC), "fake", 1, completed, "", {"fell": metric})], tmp_path)
+        cells[completed] = text.count('<span class="met">0</span>')
+        assert "<th class='n m' data-about=\"a &lt; b\">fell</th>" in text
+    assert cells == {True: 1, False: 0}
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")

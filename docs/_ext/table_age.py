@@ -1,7 +1,8 @@
 """How old the tables of figures in the documents are: which packages have changed since the commit that their runs are of.
 
-``python docs/_ext/table_age.py`` prints a line for each table; the build prints them too, and writes them below the tables.
-A change of comments, docstrings or layout is none.
+``python docs/_ext/table_age.py`` prints a line for each table; the build prints them too, and writes them below the tables. The README,
+which is read without a build, says in its mark ``age`` whether its figures are older than the code: ``--write`` fills it, and a test
+checks it. A change of comments, docstrings or layout is none.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -30,6 +32,8 @@ NO_PART = frozenset(
      "registry.py", "reproduce.py", "result.py", "run_files.py", "run_index.py", "settings_table.py", "units.py", "yaml_file.py")
 )  # fmt: skip
 SWERVE, BALL = SIMULATED | {"bases/swerve", "studies/pankert2022"}, SIMULATED | {"bases/ball", "studies/minniti2019"}
+#: Where the README says that its figures are older than the code, and how.
+AGE, OLDER = re.compile(r"(<!--= age -->)(.*?)(<!--/-->)"), " (the code has changed since)"
 COMMIT = re.compile(r"(?<![\w.])(?=[0-9]*[a-f])[0-9a-f]{8,10}(?!\w)")
 
 
@@ -126,6 +130,17 @@ def age(table: Table, root: Path = ROOT) -> Iterator[str]:
         yield f"of commit {commit}; {said}"
 
 
+def is_old(table: Table, root: Path = ROOT) -> bool | None:
+    """Whether code that a table depends on has changed since one of its commits; None where one is not known here."""
+    found = list(age(table, root))
+    return None if any("not known" in text for text in found) else any("changed since:" in text for text in found)
+
+
+def with_age(readme: str, old: bool) -> str:
+    """The README with its mark ``age`` filled."""
+    return AGE.sub(lambda m: f"{m[1]}{OLDER if old else ''}{m[3]}", readme)
+
+
 def lines() -> Iterator[str]:
     """One for each table and commit."""
     for table in TABLES:
@@ -151,3 +166,6 @@ def _noted(name: str, source: list[str]) -> None:
 
 if __name__ == "__main__":
     print("\n".join(lines()))
+    known = is_old(TABLES[0])
+    if sys.argv[1:] == ["--write"] and known is not None:
+        (ROOT / TABLES[0].page).write_text(with_age((ROOT / TABLES[0].page).read_text(), known))

@@ -253,6 +253,16 @@ def figures_table(rows: list[dict[str, Any]], names: Sequence[str], ended: Seque
     return html_table(head, cells, set(range(2, len(head))))
 
 
+def settings_table(changed: dict[str, list[Any]], names: Sequence[str]) -> str:
+    """What :func:`differences` finds as HTML; nothing where the runs share all settings."""
+    cells = [[html.escape(str(text)) for text in (key, *values)] for key, values in changed.items()]
+    return (
+        f"<h2>Settings that differ</h2>{html_table(['setting', *map(html.escape, names)], cells, set())}"
+        if cells
+        else ""
+    )
+
+
 def difference_text(difference: float | None, first: float | None, unit: Scale) -> str:
     """A difference in ``unit``, and its share of the ``first`` figure: ``+0.2 (+12.5 %)``."""
     if difference is None or first is None:

@@ -111,7 +111,11 @@ def _metric(figure: dict[str, Any], target: dict[str, Any]) -> Metric:
     """A metric with its targets; a figure that is not finite is null in the file: as bad as can be."""
     value = figure["value"]
     paper, goal, least = (None if target.get(k) is None else float(target[k]) for k in ("paper", "goal", "least"))
-    return Metric(float("inf") if value is None else float(value), figure["unit"], paper, goal, least=least)
+    about = target.get("definition")
+    definition = about if isinstance(about, str) else ""
+    return Metric(
+        float("inf") if value is None else float(value), figure["unit"], paper, goal, least=least, definition=definition
+    )
 
 
 # ---------------------------------------------------------------------- the page
@@ -160,13 +164,20 @@ def _section(name: str, runs: list[Entry], beside: Path) -> str:
     shown = list(dict.fromkeys(of_interest)) or list(dict.fromkeys(n for run in runs for n in run.metrics))
     scales = {n: _scale([run.metrics[n] for run in runs if n in run.metrics]) for n in shown}
     heads = "".join(
-        f"<th class='n m'>{html.escape(with_unit(n, scales[n].unit)).replace('_', '_<wbr>')}</th>" for n in shown
+        _head(with_unit(n, scales[n].unit), [run.metrics[n] for run in runs if n in run.metrics]) for n in shown
     )
     rows = "".join(_row(run, shown, scales, beside) for run in runs)
     title = html.escape(name) or "Unreadable"
     return f"""<section id="{title}"><h2>{title}</h2><div class="card scroll"><table>
 <tr><th>run</th><th class=n>seed</th><th>outcome</th>
 <th class=n>metrics at goal</th><th>ended</th><th>commit</th>{heads}</tr>{rows}</table></div></section>"""
+
+
+def _head(text: str, metrics: Sequence[Metric]) -> str:
+    """The heading of a metric, with its definition under the pointer."""
+    about = next((m.definition for m in metrics if m.definition), "")
+    tip = f' data-about="{html.escape(about)}"' if about else ""
+    return f"<th class='n m'{tip}>{html.escape(text).replace('_', '_<wbr>')}</th>"
 
 
 def _scale(metrics: Sequence[Metric]) -> Scale:
@@ -183,21 +194,26 @@ def _row(run: Entry, shown: Sequence[str], scales: dict[str, Scale], beside: Pat
         f'<td><span class="{kind}">{html.escape(run.outcome)}</span>{note}</td>',
         f'<td class=n data-v="{reached / judged if judged else ""}">{f"{reached} of {judged}" if judged else ""}</td>',
         f"<td>{run.ended:%Y-%m-%d %H:%M:%S}</td>", f"<td>{html.escape(run.commit)}</td>",
-        *(_cell(run.metrics.get(n), scales[n]) for n in shown),
+        *(_cell(run.metrics.get(n), scales[n], run.completed) for n in shown),
     ]  # fmt: skip
     return f"<tr>{''.join(cells)}</tr>"
 
 
-def _cell(metric: Metric | None, shown: Scale) -> str:
+def _cell(metric: Metric | None, shown: Scale, completed: bool) -> str:
+    """A figure; green only of a run that completed: another one reaches no goal."""
     if metric is None:
         return '<td class=n data-v=""></td>'
-    kind = {True: "met", False: "missed", None: ""}[metric.met]
+    kind = {True: "met" if completed else "", False: "missed", None: ""}[metric.met]
     return f'<td class=n data-v="{metric.value}"><span class="{kind}">{shown.text(metric.value)}</span></td>'
 
 
 def _links(run: Entry, beside: Path) -> str:
-    """The run's name as a link to its report, and one to its recording, where they are there."""
+    """The run's name as a link to its report, and those to its replay and recording, where they are there."""
     path = os.path.relpath(run.directory, beside)
     link = lambda file, text: f'<a href="{html.escape(quote(f"{path}/{file}"))}">{html.escape(text)}</a>'
-    name = link(REPORT, path) if (run.directory / REPORT).is_file() else html.escape(path)
-    return name + (f" ({link(RECORDING, 'recording')})" if (run.directory / RECORDING).is_file() else "")
+    reported = (run.directory / REPORT).is_file()
+    name = link(REPORT, path) if reported else html.escape(path)
+    if not (run.directory / RECORDING).is_file():
+        return name
+    replay = f'<a href="{html.escape(quote(f"{path}/{REPORT}"))}#replay">replay</a>, ' if reported else ""
+    return f"{name} ({replay}{link(RECORDING, 'recording')})"

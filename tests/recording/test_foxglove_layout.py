@@ -1,4 +1,5 @@
-"""The layout for Foxglove. Truth: the topics and fields of the recording itself."""
+"""The layout for Foxglove. Truth: the topics and fields of the recording itself; the settings that `foxglove.layouts` of Foxglove's SDK
+documents (version 0.30)."""
 
 from __future__ import annotations
 
@@ -12,9 +13,23 @@ import pytest
 
 from wbmpc.cli import main
 from wbmpc.errors import InputError
-from wbmpc.recording.layout import layout
+from wbmpc.recording.layout import TITLE, layout
 from wbmpc.recording.reader import read_recording
 from wbmpc.recording.writer import McapFile, stamp
+
+#: Settings of panels and of their parts by their class in the SDK: those that the layout uses, and how it fills them.
+DOCUMENTED = {
+    "PlotConfig": "paths isSynced legendDisplay showLegend showPlotValuesInLegend showXAxisLabels showYAxisLabels xAxisVal",
+    "PlotSeries": "value label enabled timestampMethod",
+    "ThreeDeeConfig": "fixedFrame followTf followMode cameraState topics layers scene",
+    "ThreeDeeCameraState": "perspective distance phi thetaOffset target targetOffset",
+    "BaseRendererSceneSettings": "transforms meshUpAxis",
+    "BaseRendererTransforms": "showLabel axisSize lineWidth",
+    "BaseRendererGridLayerSettings": "layerId instanceId label visible frameId size divisions lineWidth color",
+    "BaseRendererUrdfLayerSettings": "layerId instanceId label visible sourceType topic framePrefix displayMode",
+    "BaseRendererPosesTopicSettings": "visible type lineWidth gradient",
+    "BaseRendererPoseTopicSettings": "visible type axisScale",
+}
 
 
 def header(t: float, frame: str) -> dict[str, Any]:
@@ -25,6 +40,7 @@ def header(t: float, frame: str) -> dict[str, Any]:
 def run(tmp_path: Path) -> Path:
     file = McapFile(tmp_path / "run.mcap")
     pose = np.array([0.0, 0, 0, 0, 0, 0, 1])
+    path = {"header": header(0.0, "map"), "poses": [{"header": header(0.0, "map"), "pose": pose}]}
     link = {"header": header(0.0, "map"), "child_frame_id": "base_link", "transform": pose}
     joints = {"header": header(0.0, ""), "name": ["a", 'b"<']} | dict.fromkeys(
         ("position", "velocity", "effort"), np.zeros(2)
@@ -33,6 +49,9 @@ def run(tmp_path: Path) -> Path:
     file.put("/joint_states", "sensor_msgs/JointState", 0.0, joints)
     for topic in ("/end_effector/pose_odom", "/end_effector/reference"):
         file.put(topic, "geometry_msgs/PoseStamped", 0.0, {"header": header(0.0, "odom"), "pose": pose})
+    for topic in ("/plan", "/plan/end_effector"):
+        file.put(topic, "nav_msgs/Path", 0.0, path)
+    file.put("/robot_description", "std_msgs/String", 0.0, {"data": "<robot/>"})
     file.put("/mpc/solve_time", "std_msgs/Float64", 0.0, [0.001])
     file.close()
     return tmp_path
@@ -47,9 +66,7 @@ def test_every_panel_is_shown_once_and_every_path_is_in_the_recording(run: Path)
     made = layout(recording)
     assert sorted(leaves(made["layout"])) == sorted(made["configById"])
     picture = made["configById"]["3D!robot"]
-    assert (
-        set(picture["topics"]) <= set(recording.topics) and "robot" not in picture["layers"]
-    )  # no description was recorded
+    assert set(picture["topics"]) <= set(recording.topics) and picture["layers"]["robot"]["topic"] in recording.topics
     paths = [p for panel in made["configById"].values() for p in panel.get("paths", ())]
     assert {p["label"] for p in paths} >= {"a", 'b"<', "x, reference", "solve time"}
     for path in paths:
@@ -73,3 +90,26 @@ def test_a_recording_with_nothing_to_show_is_an_error(tmp_path: Path) -> None:
     file.close()
     with pytest.raises(InputError, match="holds no frames"):
         layout(read_recording(tmp_path))
+
+
+def test_every_setting_is_one_that_foxglove_documents(run: Path) -> None:
+    """A key that it does not know is ignored without a word."""
+    panels = layout(read_recording(run))["configById"]
+    picture = panels["3D!robot"]
+    found: dict[str, list[dict[str, Any]]] = {
+        "PlotConfig": [p for name, p in panels.items() if name.startswith("Plot!")],
+        "ThreeDeeConfig": [picture], "ThreeDeeCameraState": [picture["cameraState"]],
+        "BaseRendererSceneSettings": [picture["scene"]], "BaseRendererTransforms": [picture["scene"]["transforms"]],
+        "BaseRendererGridLayerSettings": [picture["layers"]["grid"]], "BaseRendererUrdfLayerSettings": [picture["layers"]["robot"]],
+        "BaseRendererPosesTopicSettings": [s for topic, s in picture["topics"].items() if topic.startswith("/plan")],
+        "BaseRendererPoseTopicSettings": [s for topic, s in picture["topics"].items() if topic.startswith("/end_effector/")],
+    }  # fmt: skip
+    found["PlotSeries"] = [s for plot in found["PlotConfig"] for s in plot["paths"]]
+    for kind, parts in found.items():
+        assert parts and all(set(part) - {TITLE} == set(DOCUMENTED[kind].split()) for part in parts), kind
+
+
+def test_what_is_documented_is_what_the_sdk_has() -> None:
+    sdk = pytest.importorskip("foxglove.layouts")
+    for kind, keys in DOCUMENTED.items():
+        assert set(keys.split()) <= set(getattr(sdk, kind)()._to_dict()), kind

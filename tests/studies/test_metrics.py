@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
+from archives import without_units
 from toys import robot
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
+from wbmpc.registry import REGISTRY
 from wbmpc.result import Metric
 from wbmpc.studies.minniti2019 import step_figures
 from wbmpc.studies.minniti2019 import steps as rezero_steps
@@ -209,3 +211,8 @@ def test_the_hand_makes_up_for_wheels_that_are_smaller_than_described() -> None:
     t = np.array([3.0])
     height = given["end_effector"].at(3.0)[2]
     assert height - references.end_effector(t)[0, 2] == pytest.approx(3e-4, abs=1e-6)
+
+
+def test_every_channel_of_the_stances_has_units() -> None:
+    stances = REGISTRY["swerve-stability"]
+    assert without_units(stances.run(stances.config_type(), 0, None).log) == set()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from archives import without_units
 from effort import thorough
 from toys import robot
 from wbmpc.registry import REGISTRY
@@ -47,6 +48,14 @@ def test_a_push_moves_the_robot_and_it_comes_back(held: str, settle: float, paus
         now = np.argmin(np.abs(t - (settle + pause * k + 0.2)))
         assert 0.1 < state[now, speed + axis] < 0.9
         assert abs(state[now, speed + 1 - axis]) < 0.1
+    assert without_units(log) == {"plan_violation"}  # of all constraints together
+    # the joints as they are and as they were planned, inside of the limits of the robot's file
+    (arm,) = (p for p in result.plots if p.title == "Joint positions: arm")
+    assert [s.dashed for s in arm.series] == [False, True] * 3
+    for line, rows in zip(arm.series[::2], state[:, BALL.state["arm"]].T, strict=True):
+        np.testing.assert_allclose(line.y, np.degrees(np.interp(line.x, t, rows)), atol=1e-6)
+    for line, limit in zip(arm.series[::2], BALL.limits.state_upper[BALL.state["arm"]], strict=True):
+        assert line.limits is not None and line.limits[1] == pytest.approx(np.degrees(limit))
     (shown,) = (p for p in result.plots if p.title.startswith("Pushes"))
     assert [np.trapezoid(s.y, s.x) for s in shown.series] == pytest.approx([12.0, 12.0], rel=0.01)
 

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from archives import without_units
 from effort import thorough
 from toys import robot
 from wbmpc import lie
@@ -82,7 +83,7 @@ def test_both_controllers_take_the_steps() -> None:
         assert 0.2 < m[f"hand_error_integral_{name}"] < 3.0  # steps of 0.1 to 0.4 m, a second each
         assert 0.0 < m[f"tilt_max_{name}"] < 0.5
     assert m["falls_taskspace"] == 0.0 and m["torque_squared_ratio"] > 0.0
-    assert m["encoder_faults"] == 0.0 and result.faults == []
+    assert m["encoder_faults"] == 0.0 and result.faults == [] and without_units(log) == set()
     np.testing.assert_array_equal(log.array("wanted_mpc"), log.array("wanted_taskspace"))
 
 

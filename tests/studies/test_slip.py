@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from archives import without_units
 from effort import thorough
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.errors import InputError
@@ -202,4 +203,5 @@ def test_a_push_is_judged_by_what_mujoco_has(monkeypatch: pytest.MonkeyPatch) ->
     )  # what the end effector does to the tip; its weight is across
     pushing = slice(first + 400, end)
     assert np.sqrt(np.mean((sensed[pushing] - rows[pushing, 1]) ** 2)) < 0.3
+    assert without_units(result.log) == set()
     assert result.log.array("steps_grip_0.1")[:, 0].max() == pytest.approx(rows[:, 1].max(), rel=0.05)

@@ -152,7 +152,16 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Compare runs: their metrics in a table, their signals over each other in a page."""
-    from wbmpc.compare import differences, experiments, figures_table, load_all, outcomes, overlay, table
+    from wbmpc.compare import (
+        differences,
+        experiments,
+        figures_table,
+        load_all,
+        outcomes,
+        overlay,
+        settings_table,
+        table,
+    )
     from wbmpc.report import plots_page
 
     out = new_file("--out", out, Path("compare.html"), force)
@@ -167,10 +176,11 @@ def compare(
     notes = [f"{run.path} {run.note}" for run in runs if run.note]
     notes = [note for note in (experiments(figures), *notes) if note]
     shown = f"{paths[0]} (solid) and {paths[1]} (dashed)" if len(paths) == 2 else ", ".join(map(str, paths))
-    about = "; ".join([shown, *notes])
+    about, title = "; ".join([shown, *notes]), f"{', '.join(names[:-1])} and {names[-1]}"
     plots = overlay(runs, names)
     before = f"<h2>Figures</h2>{figures_table(rows, names, outcomes(figures))}" if rows else ""
-    write_text(out, plots_page(" and ".join(names), about, plots, before))
+    before += "" if experiments(figures) else settings_table(changed, names)
+    write_text(out, plots_page(title, about, plots, before))
     if as_json:
         output = {"runs": [str(path) for path in paths], "outcomes": outcomes(figures), "metrics": rows}
         output |= {"settings": changed, "notes": notes}

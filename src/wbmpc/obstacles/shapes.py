@@ -38,7 +38,7 @@ def _set(shape: Any, **values: Any) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A ball of ``radius`` about ``center`` (3)."""
+    """A ball of ``radius`` [m] about ``center`` (3) [m]."""
 
     radius: float
     center: ArrayLike = (0.0, 0.0, 0.0)
@@ -51,12 +51,13 @@ class Sphere:
 
     @cached_property
     def solid(self) -> Solid:
+        """The same as numbers, in its own axes."""
         return solids.sphere(float(self.radius), np.asarray(self.center, float))
 
 
 @dataclass(frozen=True, eq=False)
 class Capsule:
-    """All points within ``radius`` of the line from ``a`` (3) to ``b`` (3)."""
+    """All points within ``radius`` [m] of the line from ``a`` (3) to ``b`` (3) [m]."""
 
     a: ArrayLike
     b: ArrayLike
@@ -70,12 +71,13 @@ class Capsule:
 
     @cached_property
     def solid(self) -> Solid:
+        """The same as numbers, in its own axes."""
         return solids.along("capsule", np.asarray(self.a, float), np.asarray(self.b, float), float(self.radius))
 
 
 @dataclass(frozen=True, eq=False)
 class Cylinder:
-    """A cylinder of ``radius`` with flat ends about ``a`` (3) and ``b`` (3)."""
+    """A cylinder of ``radius`` [m] with flat ends about ``a`` (3) and ``b`` (3) [m]."""
 
     a: ArrayLike
     b: ArrayLike
@@ -91,12 +93,13 @@ class Cylinder:
 
     @cached_property
     def solid(self) -> Solid:
+        """The same as numbers, in its own axes."""
         return solids.along("cylinder", np.asarray(self.a, float), np.asarray(self.b, float), float(self.radius))
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box of ``half`` lengths (3) about ``center`` (3), turned by ``orientation`` (4, quaternion w, x, y, z)."""
+    """A box with the half lengths ``half`` (3) [m] about ``center`` (3) [m], turned by ``orientation`` (4, quaternion w, x, y, z)."""
 
     half: ArrayLike
     center: ArrayLike = (0.0, 0.0, 0.0)
@@ -113,13 +116,15 @@ class Box:
 
     @cached_property
     def solid(self) -> Solid:
+        """The same as numbers, in its own axes."""
         turn = lie.quaternion_to_rotation(np.asarray(self.orientation, float))
         return Solid("box", np.asarray(self.half, float), np.asarray(self.center, float), turn)
 
 
 @dataclass(frozen=True, eq=False)
 class HalfSpace:
-    """Everything on the other side of a plane: points p with ``normal`` · p < ``offset``; ``normal`` (3) points to where it is free."""
+    """Everything on the other side of a plane: points p with ``normal`` · p < ``offset`` [m]; ``normal`` (3), a unit vector, points to where
+    it is free."""
 
     normal: ArrayLike
     offset: float = 0.0
@@ -137,7 +142,7 @@ class HalfSpace:
 
 @dataclass(frozen=True, eq=False)
 class ConvexMesh:
-    """The convex hull of ``vertices`` (n, 3), which do not lie in a plane."""
+    """The convex hull of ``vertices`` (n, 3) [m], which do not lie in a plane; ``solid``: the same as numbers."""
 
     vertices: ArrayLike
     solid: Solid = field(init=False, repr=False)
@@ -160,10 +165,10 @@ class ConvexMesh:
 
 @dataclass(frozen=True, eq=False)
 class DistanceGrid:
-    """Distances to everything that is solid: ``values`` (nx, ny, nz) at ``origin`` (3) + ``cell`` · (i, j, k), negative inside; linear
-    in between, and nothing is known outside.
+    """Distances to everything that is solid: ``values`` (nx, ny, nz) [m] at ``origin`` (3) [m] + ``cell`` [m] · (i, j, k), negative inside;
+    linear in between, and nothing is known outside.
 
-    ``error``: what is taken off the values; left out, half a cell's diagonal, which a transform of occupied cells may be too large by.
+    ``error`` [m]: what is taken off the values; left out, half a cell's diagonal, which a transform of occupied cells may be too large by.
     ``layer`` [m]: distance of cells along z where it is another one, as of a floor plan that is the same at all heights.
     """
 

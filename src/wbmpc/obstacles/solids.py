@@ -17,6 +17,8 @@ _NONE = np.zeros((0, 3))
 class Solid:
     """A convex body in the axes of what it is fixed to.
 
+    ``kind``: one of :data:`KINDS`.
+
     ``size`` (3) [m]: radius; radius and half length along z (capsule, cylinder); semi-axes; half lengths of a box, and of the box
     around a mesh. ``position`` (3) [m] of its center, ``rotation`` (3, 3) of its axes. ``vertices`` (n, 3) [m] of a mesh in its axes,
     relative to the center of the box around them.

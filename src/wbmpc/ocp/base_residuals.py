@@ -23,7 +23,7 @@ class Rolling:
     """Rolling (n) and side-slip (n) velocity of the wheels' contact points [m/s]; zero when they roll.
 
     ``allow_side_slip``: the reference (n) says which wheels may slip sideways (1) while they turn about under a base that goes
-    on, and which may not (0). Raises :class:`InputError` for a base without wheels that a constraint makes roll.
+    on, and which may not (0). ``groups``: "rolling" and "side". Raises :class:`InputError` for a base without wheels that a constraint makes roll.
     """
 
     robot: RobotModel
@@ -32,6 +32,7 @@ class Rolling:
 
     @property
     def reference(self) -> int:
+        """How many numbers it is compared with."""
         return self.robot.base.wheels if self.allow_side_slip else 0
 
     def __post_init__(self) -> None:
@@ -43,6 +44,7 @@ class Rolling:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return self.groups["side"].stop
 
     def __call__(self, s: Symbols) -> ca.SX:
@@ -54,7 +56,10 @@ class Rolling:
 
 @dataclass(frozen=True)
 class LockedJoints:
-    """Rates [rad/s] of joints where their brake is closed, zero where it is open. Raises :class:`InputError` without brakes."""
+    """Rates [rad/s] of joints where their brake is closed, zero where it is open, ``groups``: rows by group of joints.
+
+    Raises :class:`InputError` without brakes.
+    """
 
     robot: RobotModel
     groups: Mapping[str, slice] = field(init=False, repr=False)
@@ -71,6 +76,7 @@ class LockedJoints:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return sum(part.stop - part.start for part in self.groups.values())
 
     def __call__(self, s: Symbols) -> ca.SX:
@@ -101,6 +107,7 @@ class SupportMargin:
 
     @property
     def reference(self) -> int:
+        """How many numbers it is compared with."""
         return 10 if self.payload else 6
 
     def __post_init__(self) -> None:
@@ -117,6 +124,7 @@ class SupportMargin:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return sum(map(len, self.polygons))
 
     def __call__(self, s: Symbols) -> ca.SX:
@@ -129,8 +137,9 @@ class SupportMargin:
 class WheelLoads:
     """Loads of the feet over their mean at rest (the weight of the robot alone, over the number of feet): 1 is the mean, 0 a wheel that
     lifts. They share the load as equal springs under a stiff body do. Reference, ``gravity`` and ``dynamics``: see
-    :class:`SupportMargin`; with ``payload`` the reference ends with it. Raises :class:`InputError` for a base whose feet do not share the
-    load in this way.
+    :class:`SupportMargin`; with ``payload`` the reference ends with it. ``groups``: one row for each foot.
+
+    Raises :class:`InputError` for a base whose feet do not share the load in this way.
     """
 
     robot: RobotModel
@@ -141,6 +150,7 @@ class WheelLoads:
 
     @property
     def reference(self) -> int:
+        """How many numbers it is compared with."""
         return 10 if self.payload else 6
 
     def __post_init__(self) -> None:
@@ -154,10 +164,12 @@ class WheelLoads:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return len(self.groups)
 
     @property
     def row_names(self) -> list[str]:
+        """What the rows are called."""
         return list(self.groups)
 
     def __call__(self, s: Symbols) -> ca.SX:
@@ -176,6 +188,7 @@ class TireFriction(WheelLoads):
 
     @property
     def reference(self) -> int:
+        """How many numbers it is compared with."""
         return super().reference + 1
 
     def __call__(self, s: Symbols) -> ca.SX:

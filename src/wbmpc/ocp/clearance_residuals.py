@@ -54,10 +54,12 @@ class Clearance:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return len(self.frames or ()) * int(self.slots)
 
     @property
     def reference(self) -> int:
+        """How many numbers it is compared with."""
         return WIDTH * self.size
 
     @property
@@ -109,10 +111,12 @@ class SelfClearance:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return len(self.pairs or ())
 
     @property
     def reference(self) -> int:
+        """How many numbers it is compared with."""
         return SELF_WIDTH * self.size
 
     @property

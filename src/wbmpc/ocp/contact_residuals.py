@@ -47,7 +47,7 @@ class FrictionCone:
 
     Reference: the unit normal n (3) of an upright surface, into it, and the friction coefficient μ, which may be estimated on-line. With
     the robot's push F = −(force of the world on it): ``push``: nᵀF − ``min_push`` [N]; ``cone``: a pyramid inside the cone,
-    μ nᵀF/√2 ± F along two tangents.
+    μ nᵀF/√2 ± F along two tangents. ``group`` of the input that is the force of the world.
     """
 
     robot: RobotModel

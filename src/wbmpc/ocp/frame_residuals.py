@@ -127,7 +127,9 @@ class FrameWrench:
     """What the world does to the robot at a frame, world axes, minus its reference: force (3) [N] and, for a robot loaded
     with ``contact="wrench"``, moment (3) [N m] about the frame's origin.
 
-    The frame is one of the robot's contact frames. Raises :class:`InputError` for another one, and for robots without.
+    The frame is one of the robot's contact frames. ``groups``: "force" and "moment" as far as there are.
+
+    Raises :class:`InputError` for another one, and for robots without.
     """
 
     robot: RobotModel
@@ -149,10 +151,12 @@ class FrameWrench:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return 3 * len(self.groups)
 
     @property
     def reference(self) -> int:
+        """How many numbers it is compared with."""
         return self.size
 
     def __call__(self, s: Symbols) -> ca.SX:

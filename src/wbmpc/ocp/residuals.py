@@ -111,6 +111,7 @@ class _Component:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return len(self.indices)
 
 
@@ -118,7 +119,7 @@ class _Component:
 class State(_Component):
     """Groups of the state (all when ``names`` is left out) minus their reference, in the state's units.
 
-    ``reference=None``: the values themselves, as limits need them.
+    ``reference=None``: the values themselves, as limits need them. ``groups``: rows by group; ``indices`` of the rows in the state.
     """
 
     def _layout(self) -> Layout:
@@ -133,7 +134,7 @@ class State(_Component):
 class Input(_Component):
     """Groups of the input (all when ``names`` is left out) minus their reference, in the input's units.
 
-    ``reference=None``: the values themselves, as limits need them.
+    ``reference=None``: the values themselves, as limits need them. ``groups``: rows by group; ``indices`` of the rows in the input.
     """
 
     def _layout(self) -> Layout:
@@ -155,6 +156,7 @@ class AccelerationLimit:
     it has to follow rolling wheels up to the end of its range, where a turn about is due. Without a time (0), and for a joint
     whose brake is closed (it stops as hard as it likes), only the rest counts. Limits of speed must be finite.
     ``share`` of the accelerations that plans use: what is left is for feedback, and for drives that are limited together.
+    ``inputs``: their indices in the input.
     """
 
     robot: RobotModel
@@ -172,10 +174,12 @@ class AccelerationLimit:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return 2 * len(self.inputs)
 
     @property
     def reference(self) -> int:
+        """How many numbers it is compared with."""
         return len(self.inputs) + 1
 
     @property
@@ -186,6 +190,7 @@ class AccelerationLimit:
 
     @property
     def row_names(self) -> list[str]:
+        """What the rows are called."""
         names = [self.robot.input.names[i] for i in self.inputs]
         return [f"{name} {side}" for side in ("upper", "lower") for name in names]
 
@@ -223,7 +228,8 @@ class Limits:
     """Distances to the model's limits, all to be at least zero.
 
     ``of``: "state" (positions), "input" (speeds or torques) or "both". The rows are x − lower, upper − x, u − lower,
-    upper − u for finite limits only, each in its own unit.
+    upper − u for finite limits only, each in its own unit. ``groups``: all of them as "limits"; ``rows``: what each is of, its index
+    there, its sign and the limit.
     """
 
     robot: RobotModel
@@ -250,6 +256,7 @@ class Limits:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return len(self.rows)
 
     def __call__(self, s: Symbols) -> ca.SX:
@@ -260,7 +267,7 @@ class Limits:
 class ProblemInput:
     """Groups of the problem's own input (all when ``names`` is left out), e.g. ``arm_rate`` of an ``InputRate``.
 
-    As a cost: input-rate costs; in a box: acceleration limits.
+    As a cost: input-rate costs; in a box: acceleration limits. ``groups``: rows by group; ``indices`` of the rows in the input.
     """
 
     dynamics: Any
@@ -277,6 +284,7 @@ class ProblemInput:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return len(self.indices)
 
     def __call__(self, s: Symbols) -> ca.SX:

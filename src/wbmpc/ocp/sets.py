@@ -23,7 +23,8 @@ class NonNegative:
 
 @dataclass(frozen=True)
 class Box:
-    """Every row lies between ``lower`` and ``upper`` (arrays or scalars; infinite where there is no bound)."""
+    """Every row lies between ``lower`` (n) and ``upper`` (n), or one number for all rows [units of the residual]; infinite where there is no
+    bound."""
 
     lower: ArrayLike
     upper: ArrayLike

@@ -30,11 +30,17 @@ class Residual(Protocol):
     """``size`` rows in named ``groups``; ``reference`` numbers are compared with."""
 
     @property
-    def size(self) -> int: ...
+    def size(self) -> int:
+        """How many rows."""
+
     @property
-    def groups(self) -> Mapping[str, slice]: ...
+    def groups(self) -> Mapping[str, slice]:
+        """Rows by name."""
+
     @property
-    def reference(self) -> int: ...
+    def reference(self) -> int:
+        """How many numbers it is compared with."""
+
     def __call__(self, s: Symbols) -> ca.SX: ...
 
 
@@ -46,6 +52,7 @@ class Wrapping:
 
     @property
     def size(self) -> int:
+        """How many rows."""
         return self.inner.size
 
     @property
@@ -55,6 +62,7 @@ class Wrapping:
 
     @property
     def reference(self) -> int:
+        """How many numbers it is compared with."""
         return self.inner.reference
 
 

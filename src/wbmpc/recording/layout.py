@@ -11,12 +11,14 @@ from wbmpc.recording.reader import Recording
 from wbmpc.robots.frames import BASE, MAP
 from wbmpc.units import with_unit
 
+#: Key of a panel's title among its settings.
+TITLE = "foxglovePanelTitle"
 #: Share of the width that the robot has [%].
 _PICTURE = 60
 #: How topics are drawn in 3D, where a recording has them.
 _DRAWN: dict[str, dict[str, Any]] = {
-    "/plan": {"lineWidth": 0.02, "gradient": ["#28a05aff", "#28a05aff"]},
-    "/plan/end_effector": {"lineWidth": 0.02, "gradient": ["#1e6edcff", "#1e6edcff"]},
+    "/plan": {"type": "line", "lineWidth": 0.02, "gradient": ["#28a05aff", "#28a05aff"]},
+    "/plan/end_effector": {"type": "line", "lineWidth": 0.02, "gradient": ["#1e6edcff", "#1e6edcff"]},
     "/end_effector/reference": {"type": "axis", "axisScale": 0.2},
     "/end_effector/pose": {"type": "axis", "axisScale": 0.12},
 }
@@ -65,8 +67,9 @@ def _picture(recording: Recording) -> dict[str, Any]:
         "target": [0, 0, 0],
         "targetOffset": [0, 0, 0.4],
     }
-    hidden = {"showLabel": False, "axisScale": 0, "lineWidth": 0}
+    hidden = {"showLabel": False, "axisSize": 0, "lineWidth": 0}
     return {
+        TITLE: "Robot",
         "fixedFrame": MAP, "followTf": BASE, "followMode": "follow-position", "cameraState": camera, "topics": topics, "layers": layers,
         "scene": {"transforms": hidden, "meshUpAxis": "z_up"},
     }  # fmt: skip
@@ -100,6 +103,6 @@ def _plot(title: str, lines: Sequence[tuple[str, str]]) -> dict[str, Any]:
         {"value": path, "label": label, "enabled": True, "timestampMethod": "receiveTime"} for path, label in lines
     ]
     return {
-        "title": title, "paths": paths, "xAxisVal": "timestamp", "isSynced": True, "showXAxisLabels": True, "showYAxisLabels": True,
+        TITLE: title, "paths": paths, "xAxisVal": "timestamp", "isSynced": True, "showXAxisLabels": True, "showYAxisLabels": True,
         "showLegend": True, "legendDisplay": "floating", "showPlotValuesInLegend": True,
     }  # fmt: skip

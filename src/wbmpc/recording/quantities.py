@@ -40,7 +40,8 @@ _JOINT_TOPICS: tuple[tuple[str, Callable[[str], str]], ...] = (
 _CHANNELS = (
     (r"quaternion|brake", "1"), (r"orientation|rotation|yaw|tilt", "rad"), (r"gyro", "rad/s"), (r"torque", "N m"), (r"^force", "N"),
     (r"wheel_slip$|^sliding$", "m/s"), (r"^(hand|end_effector)", "m"),
-    (r"clearance|penetration|margin|^feet$|^zero_moment_point$|^wall$", "m"), (r"coefficient|^grip$|^pushing$|^touching$", "1"),
+    (r"clearance|penetration|margin|^feet$|^zero_moment_point$|^wall$", "m"), (r"coefficient|^grip$|^pushing$|^touching$|_fault$", "1"),
+    (r"^payload", "kg"),
 )  # fmt: skip
 #: What the entries of arrays are called whatever the robot.
 _AXES = {"gyro": ("x", "y", "z"), "accel": ("x", "y", "z"), "force": ("x", "y", "z")}

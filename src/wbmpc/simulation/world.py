@@ -47,6 +47,10 @@ def set_options(spec: mujoco.MjSpec, timestep: float, integrator: mujoco.mjtInte
     spec.visual.headlight.specular = [0.1, 0.1, 0.1]
 
 
+#: Direction of the sun's rays.
+SUN = (-0.35, 0.45, -0.82)
+
+
 def add_floor(spec: mujoco.MjSpec, condim: int, friction: list[float], solref: list[float]) -> None:
     """A flat floor with a grid of 1 m squares, and a sky."""
     texture = mujoco.mjtTexture
@@ -84,9 +88,8 @@ def free_body(spec: mujoco.MjSpec, base: str, source: object) -> mujoco.MjsBody:
 
 def add_light(body: mujoco.MjsBody) -> None:
     """The sun, which goes with a body so that its shadow map covers the robot wherever it is."""
-    direction = np.array([-0.35, 0.45, -0.82])
     body.add_light(
-        pos=-4.0 * direction, dir=direction, mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
+        pos=-4.0 * np.array(SUN), dir=SUN, mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, diffuse=[0.7, 0.7, 0.7], specular=[0.2, 0.2, 0.2],
         castshadow=True,
     )  # fmt: skip

@@ -78,7 +78,9 @@ class JointRecord:
                 at, shown = [layout[group].start + i for i in places], [names[i] for i in places]
                 planned, limited = dict(zip(shown, u[:, at].T, strict=True)), bounds and [bounds[i] for i in at]
                 title = f"{'Speeds' if actual else 'Planned inputs'}: {group}"
-                label = with_unit("speed" if unit.endswith("/s") else "input", unit)
+                label = with_unit(
+                    {"N m": "torque", "N": "force"}.get(unit, "speed" if unit.endswith("/s") else "input"), unit
+                )
                 plots.append(Plot(title, "time [s]", label, _pairs(shown, t, actual, planned, limited)))
         return plots
 
@@ -90,8 +92,7 @@ class JointRecord:
     def _positions(self) -> list[Plot]:
         log, limits = self._log, self._robot.limits
         t, planned = log.times("state_planned"), log.array("state_planned")
-        state, plots = log.array("state"), []
-        state = state if state.shape[1] == planned.shape[1] else state[:, self._own]
+        state, plots = self._state(t, planned.shape[1]), []
         for group, names in self._groups.items():
             start = self._robot.state[group].start
             for unit, places in by_unit(self._robot.state.unit_groups[group]).items():
@@ -102,6 +103,11 @@ class JointRecord:
                 lines = _pairs(own, t, actual, plan, bounds)
                 plots.append(Plot(f"Joint positions: {group}", "time [s]", with_unit("position", shown), lines))
         return plots
+
+    def _state(self, t: Array, width: int) -> Array:
+        """The robot's own state (n, width) at times t (n), which may be recorded more often than what was planned."""
+        rows = self._log.array("state")[np.searchsorted(self._log.times("state"), t - 1e-9)]
+        return rows if rows.shape[1] == width else rows[:, self._own]
 
     def _forces(self) -> list[Plot]:
         if "drive_force" not in self._log.channels:
@@ -121,8 +127,8 @@ class JointRecord:
 
     def _violations(self) -> list[Plot]:
         log, limits = self._log, self._robot.limits
-        t, state, planned = log.times("state_planned"), log.array("state"), log.array("state_planned")
-        state = state if state.shape[1] == planned.shape[1] else state[:, self._own]
+        t, planned = log.times("state_planned"), log.array("state_planned")
+        state = self._state(t, planned.shape[1])
         lines = [
             Series(name, t, outside(rows, limits.state_lower, limits.state_upper))
             for name, rows in (("state", state), ("state, planned", planned))

@@ -227,6 +227,7 @@ class Player:
         add_legend(gui)
         add_capture(gui, film.recording.title)
         self._plots = ReplayPlots(self.server, film.numbers, film.deadline)
+        self.show(self._start)  # a browser begins with the camera that there is when it comes
 
     @property
     def url(self) -> str:

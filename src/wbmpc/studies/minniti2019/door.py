@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -177,11 +177,19 @@ def make_controller(
     return controller
 
 
+#: Names and units of the components of what :func:`record_door` records.
+_CHANNELS: tuple[tuple[str, Sequence[str], str | Sequence[str]], ...] = (
+    *((channel, "xyz", "N") for channel in ("force", "force_measured", "force_sensorless", "force_planned")), ("normal", "xyz", "1"),
+    *((channel, ("angle", "rate"), ("rad", "rad/s")) for channel in ("door", "door_estimated")), ("grip", ("coefficient",), "1"),
+    ("sliding", ("along the panel", "up"), "m/s"), ("hand_wanted", "xyz", "m"),
+    ("impedance", ("inertia", "damping", "resistance"), ("kg m²", "N m s/rad", "N m")),
+)  # fmt: skip
+
+
 def record_door(log: Log, t: float, plant: DoorPlant, controller: DoorController, plans: Any) -> None:
     """Forces, door and phases."""
-    for channel in ("door", "door_estimated"):
-        log.label(channel, ("angle", "rate"), ("rad", "rad/s"))
-    log.label("impedance", ("inertia", "damping", "resistance"), ("kg m²", "N m s/rad", "N m"))
+    for channel, names, units in _CHANNELS:
+        log.label(channel, names, units)
     log.add("force", t, plant.contact_force())
     log.add("normal", t, plant.normal)
     log.add("door", t, np.array([plant.angle, plant.rate]))

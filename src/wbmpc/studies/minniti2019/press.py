@@ -23,7 +23,7 @@ from wbmpc.studies.minniti2019.door_figures import Trial
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS
-from wbmpc.studies.minniti2019.touch_plant import TouchPlant
+from wbmpc.studies.minniti2019.touch_plant import STEP_NAMES, STEP_UNITS, TouchPlant
 
 Array = np.ndarray
 T = TypeVar("T")
@@ -66,6 +66,13 @@ def press(settings: PressSettings, seed: int, progress: Progress | None, **surfa
     pushing = trial.log.times("pushing")[trial.log.array("pushing") > 0.0]
     limit = settings.settle_time + settings.timeout - RELAX
     return trial, plants[0].record(), min(float(pushing[-1]) if pushing.size else limit, limit)
+
+
+def log_steps(log: Log, channel: str, steps: Array, start: float) -> None:
+    """Record the physics ``steps`` (n, 6) of a push from the time ``start`` [s] on, one of :data:`THINNED`."""
+    log.label(channel, STEP_NAMES, STEP_UNITS)
+    for row in steps[steps[:, 0] >= start][::THINNED]:
+        log.add(channel, row[0], row[1:])
 
 
 def pushes(

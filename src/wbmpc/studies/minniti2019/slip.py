@@ -18,7 +18,7 @@ from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, EstimatedCone, LimitedApproach, PushCone
-from wbmpc.studies.minniti2019.press import THINNED, PressSettings, press, pushes
+from wbmpc.studies.minniti2019.press import PressSettings, log_steps, press, pushes
 from wbmpc.studies.minniti2019.slip_figures import Press, metrics, plots
 
 NAME = "slip"
@@ -55,8 +55,7 @@ def build(settings: SlipSettings, seed: int) -> Scenario:
         trusted = [c for c in ("grip",) if c in trial.log.channels]  # none without a cone
         bound = trial.log.array("grip") if trusted else np.array([np.inf])
         runs[learns].append(Press(grip, settings.force, settings.rise_time, end, steps, bound, trial.ending))
-        for row in steps[steps[:, 0] >= settings.settle_time][::THINNED]:
-            log.add(f"steps_{name}", row[0], row[1:])
+        log_steps(log, f"steps_{name}", steps, settings.settle_time)
         log.extend(trial.log, f"_{name}", [*trusted, "sliding", "force_planned"])
         return Outcome(trial.ending, trial.faults, None, trial.mpc)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.settings import lean_control_of
+from wbmpc.bases.base import System
 from wbmpc.checks import whole
 from wbmpc.errors import InputError
 from wbmpc.experiment import Loop, Scenario
@@ -29,6 +31,7 @@ from wbmpc.simulation.lockstep import Ending, Timing
 from wbmpc.studies.minniti2019.baselines import Parts, make_controller
 from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.types import Truth
 from wbmpc.units import force_unit
 
@@ -40,6 +43,8 @@ IDEALIZATIONS = [
     "the computation takes a constant 10 ms; drives follow torque with a first-order lag",
 ]
 
+#: Of so many ticks one is recorded of what plans say of joints and of what they do.
+JOINT_ROWS = 4
 #: Where an accurate end effector of Rezero starts, arm angles [rad]: it stays inside 85 % of its reach when the ball drives round it.
 BENT_ARM = np.array([0.0, 0.5, 2.0])
 
@@ -166,18 +171,24 @@ def task_scenario(
         whole("length", push.length, 1.0 / settings.control.rate, "controller periods")
     system = ball_system(settings, seed, task.arm, task.references)
     plant, controller, log = system.plant, system.controller, Log()
+    joints: JointRecord | None = None
     if settings.controller == "mpc":
         robot = controller.robot
         controller.lean_control = lean_control_of(settings, robot, task.arm)
         if settings.expected_push_time > 0.0 and controller.estimator is not None:
             # (states from the simulator with noise are all pushes)
             controller.shoves = PushEstimator(robot, task.arm, settings.expected_push_time)
+        joints = JointRecord(log, robot, System(plant, controller, system.mpc, system.timing))
+    ticks = count()
 
     def record(t: float, command: Any, plans: Any) -> None:
         if previous is not None:
             previous(system.mpc, system.timing, t)
         record_rezero(log, t, plant, controller, controller.torque)
         log.add("feedback", t, controller.target - controller.feedforward)
+        if joints is not None and next(ticks) % JOINT_ROWS == 0:
+            log.add("input", t, plans.current.feedforward(t))
+            joints.tick(t, plant.truth(), plans)
         if task.pushes:
             active = [p.force for p in task.pushes if p.start <= t + 1e-9 < p.start + p.length]
             plant.push(np.sum(active, axis=0) if active else np.zeros(3))
@@ -186,14 +197,14 @@ def task_scenario(
     return Scenario.single(
         log, lambda progress: replace(loop.run(progress), mpc=system.planner or system.mpc),
         lambda run: {**metrics(log, run.ending), **estimator_metrics(log), **fault_metrics(controller)},
-        lambda run: plots(log), [*idealizations, *IDEALIZATIONS],
+        lambda run: [*plots(log), *(joints.plots() if joints else ())], [*idealizations, *IDEALIZATIONS],
     )  # fmt: skip
 
 
 def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallController, torque: np.ndarray) -> None:
     """The channels of every experiment: truth, torques, disturbance and, with an estimator, what it believes."""
     truth = plant.truth()
-    if not log.names:
+    if "torque" not in log.names:
         _label(log, controller.robot)
     log.add("state", t, truth.state)
     log.add("hand", t, truth.tool)

@@ -62,6 +62,7 @@ def drive(
     }  # fmt: skip
     system = ball_system(chosen, seed, robot.home[robot.state["arm"]], references(0))
     single, timing = Log(), system.timing
+    log.label(f"wanted_{name}", ("x", "y", "z", "qw", "qx", "qy", "qz"), [*"mmm", *"1111"])
 
     def record(t: float, command: Any, plans: Any) -> None:
         for term, reference in references(now(t + timing.delay * timing.period)).items():

@@ -17,7 +17,7 @@ from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, FreeApproach, LimitedApproach
-from wbmpc.studies.minniti2019.press import THINNED, PressSettings, press, pushes
+from wbmpc.studies.minniti2019.press import PressSettings, log_steps, press, pushes
 from wbmpc.studies.minniti2019.touch_figures import Touch, metrics, plots
 
 NAME = "touch"
@@ -59,9 +59,7 @@ def build(settings: TouchSettings, seed: int) -> Scenario:
     def run(speed: float, limited: bool, progress: Progress | None) -> Outcome:
         touch, outcome = approach(settings, speed, limited, seed, progress)
         runs[limited].append(touch)
-        rows = touch.steps[touch.steps[:, 0] >= settings.settle_time]
-        for row in rows[::THINNED]:
-            log.add(f"touch_{speed:g}" + ("" if limited == given else "_plain"), row[0], row[1:])
+        log_steps(log, f"touch_{speed:g}" + ("" if limited == given else "_plain"), touch.steps, settings.settle_time)
         return outcome
 
     return pushes(log, run, settings.speeds, "{:g} m/s", (given, settings.compare), runs, metrics, plots)

@@ -11,6 +11,10 @@ from wbmpc.simulation.tip import TIP_RADIUS
 from wbmpc.simulation.world import Array
 from wbmpc.studies.minniti2019.door_plant import DoorPlant
 
+#: What a row of :attr:`TouchPlant.steps` has behind its time, and the units.
+STEP_NAMES = ("force along the normal", "force across it", "speed towards the panel", "sliding along it", "sliding up")
+STEP_UNITS = ("N", "N", "m/s", "m/s", "m/s")
+
 
 class TouchPlant(DoorPlant):
     """``steps``: rows of time [s], force of the tip on the panel along its normal and across it [N], the tip's speed towards the panel

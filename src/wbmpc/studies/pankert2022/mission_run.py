@@ -56,6 +56,8 @@ class MissionRun:
         self, name: str, t: float, plant: SwervePlant, controller: SwerveController, mission: Mission, command: Any
     ) -> None:
         truth, add = plant.truth(), self.log.add
+        if f"{name}.leg" not in self.log.names:
+            self._label(name)
         add(f"{name}.base", t, truth.pose)
         add(f"{name}.base_odometry", t, controller.pose)
         add(f"{name}.base_reference", t, mission.base(t)[0][0])
@@ -68,6 +70,17 @@ class MissionRun:
         speeds = [truth.joint_speeds[n] for g in ("leg", "steer", "wheel") for n in self.robot.input.groups[g]]
         add(f"{name}.joint_speed", t, speeds)
         add(f"{name}.steer", t, truth.state[self.robot.state["steer"]])
+
+    def _label(self, name: str) -> None:
+        joints, label = self.robot.input.groups, lambda channel, *about: self.log.label(f"{name}.{channel}", *about)
+        for channel, group, unit in (
+            ("leg", "leg", "rad"), ("leg_reference", "leg", "rad"), ("brake", "leg", "1"), ("steer", "steer", "rad"),
+            ("wheel_slip", "wheel", "m/s"), ("wheel_force", "wheel", "N"),
+        ):  # fmt: skip
+            label(channel, joints[group], unit)
+        driven = [n for g in ("leg", "steer", "wheel") for n in joints[g]]
+        label("joint_speed", driven, "rad/s")
+        label("wanted", self.robot.input.names, self.robot.input.units)
 
     def planned(
         self, name: str, mission: Mission, duration: float, edit: Any = None, knock: float | None = None,

@@ -42,6 +42,9 @@ def build(settings: SwerveStabilitySettings, seed: int) -> Scenario:
     """The areas of Table I from the robot's geometry. Nothing is random: the seed has no effect."""
     robot, log = load_robot(settings.robot), Log()
     found = {name: assess(robot, name) for name in CONFIGURATIONS}
+    legs = robot.state.groups["leg"]
+    log.label("leg", legs, robot.state.unit_groups["leg"])
+    log.label("feet", [f"{axis}, {leg}" for leg in legs for axis in "xy"], "m")
     for k, a in enumerate(found.values()):
         log.add("leg", float(k), a.x[robot.state["leg"]])
         log.add("feet", float(k), a.stance.feet.ravel())
