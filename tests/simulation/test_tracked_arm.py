@@ -40,7 +40,9 @@ def misses(robot: RobotModel, plant: ArmPlant) -> list[float]:
     return list(np.linalg.norm(np.subtract(*found), axis=1))
 
 
-@pytest.mark.parametrize("name", ["fetch", "pr2", "panda", "telescope-ur10"])  # a lift; two arms; no base that moves; legs
+@pytest.mark.parametrize(
+    "name", ["fetch", "pr2", "panda", "telescope-ur10"]
+)  # a lift; two arms; no base that moves; legs
 def test_end_effectors_are_where_calibrated_encoders_say(name: str) -> None:
     """By the tracker's noise of 0.1 mm over 24 postures; joints that move no end effector keep what they had."""
     robot, plant = made(name)
@@ -76,5 +78,5 @@ def test_parts_are_not_in_each_other_where_the_arm_is_tracked(monkeypatch: pytes
         return touching(model, data) | {(-1, len(calls))}
 
     monkeypatch.setattr(tracked_arm, "_touching", never_free)
-    with pytest.raises(InputError, match="fetch: of 1000 postures .* 0 are without parts"):
+    with pytest.raises(InputError, match=r"fetch: of 1000 postures .* 0 are without parts"):
         tracked_arm.track_arm(robot, plant, 5, 1)

@@ -46,6 +46,8 @@ IDEALIZATIONS = {
     "mujoco": ["tires are soft contacts, not a tire model", "the computation takes a constant time"],
     "kinematic": ["there is no physics: the planner's own model is simulated, and its state is known exactly"],
 }
+#: The same where the arm was calibrated.
+TRACKED = ["the tracker of the arm's calibration knows the axes of the base exactly"]
 
 
 def make_system(
@@ -140,7 +142,8 @@ def closed_loop(
         return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record, done)
-    return Scenario.single(log, loop.run, measured, drawn, IDEALIZATIONS[settings.physics])
+    simplified = IDEALIZATIONS[settings.physics] + (TRACKED if settings.calibration == "drive" else [])
+    return Scenario.single(log, loop.run, measured, drawn, simplified)
 
 
 def check_loop(
