@@ -90,6 +90,12 @@ class ArmPlant(WorldAccess):
         self._last = None
         self._bind_steps()
 
+    def set_zeros(self, found: Array) -> None:
+        """Take what a calibration found (m) [rad or m] of the arm's zeros out of what its encoders read from now on."""
+        self.offsets = {**self.offsets, "arm": self.offsets["arm"] - found}
+        self._offsets[self._parts["arm"]] -= found
+        self._last = None
+
     def _bind_steps(self) -> None:
         """What every physics step calls: ``_control`` before it, ``_keep`` after it."""
         m, d = self.model, self.data

@@ -22,6 +22,7 @@ from wbmpc.mpc.pace import PacedReferences
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot
+from wbmpc.simulation.arm import ArmPlant
 from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
 from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
@@ -29,7 +30,7 @@ from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
 from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.tasks.perception import Perception, PerceptionSettings
-from wbmpc.tasks.reference_drive import calibration
+from wbmpc.tasks.reference_drive import arm_zeros, calibration
 from wbmpc.tasks.scene import SceneWatch, believed
 from wbmpc.tasks.settings import SimulationSettings
 from wbmpc.types import Truth
@@ -45,6 +46,8 @@ IDEALIZATIONS = {
     "mujoco": ["tires are soft contacts, not a tire model", "the computation takes a constant time"],
     "kinematic": ["there is no physics: the planner's own model is simulated, and its state is known exactly"],
 }
+#: The same where the arm was calibrated.
+TRACKED = ["the tracker of the arm's calibration knows the axes of the base exactly"]
 
 
 def make_system(
@@ -68,6 +71,8 @@ def make_system(
         known = calibration(robot, settings.plant, seed)
         more |= {} if known is None else {"calibration": known}
     made = base_type(robot.description.base.type).system(robot, seed, settings.plant, mpc, **more)
+    if settings.calibration == "drive" and isinstance(made.plant, ArmPlant):
+        made.plant.set_zeros(arm_zeros(robot, made.plant, seed))
     steps = made.timing
     timing = Timing.of(made.plant.timestep, 1.0 / steps.period, mpc.rate, settings.computation_delay)
     return System(made.plant, made.controller, mpc, timing)
@@ -137,7 +142,8 @@ def closed_loop(
         return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
     loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record, done)
-    return Scenario.single(log, loop.run, measured, drawn, IDEALIZATIONS[settings.physics])
+    simplified = IDEALIZATIONS[settings.physics] + (TRACKED if settings.calibration == "drive" else [])
+    return Scenario.single(log, loop.run, measured, drawn, simplified)
 
 
 def check_loop(

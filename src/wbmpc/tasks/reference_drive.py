@@ -1,4 +1,5 @@
-"""What robots know of their wheels before a run: a reference drive of the same simulated robot with global poses, and what it shows."""
+"""What robots know of themselves before a run: of their wheels by a reference drive of the same simulated robot with global poses, of their
+arm's zeros by a tracked end effector."""
 
 from __future__ import annotations
 
@@ -9,20 +10,23 @@ import numpy as np
 from wbmpc.bases import base_type, offers
 from wbmpc.bases.base import Calibration
 from wbmpc.errors import RunAborted
+from wbmpc.estimation.arm_calibration import ZERO_STD, calibrate_arm
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import LidarSettings
+from wbmpc.simulation.arm import ArmPlant
 from wbmpc.simulation.kept_calibration import kept
 from wbmpc.simulation.lockstep import preparation, run_lockstep
 from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.tracked_arm import TRACKER, track_arm
 from wbmpc.tasks.led_base import RAMP, Order, base_path, lead_base, ordered_twist
 from wbmpc.tasks.settings import moving_base
 
 Array = np.ndarray
 #: Strokes: straight [m] and turns [rad], speeds [m/s, rad/s] and their share of the base's limits at most; standing between them [s].
 STRAIGHT, TURN, SPEED, RATE, SHARE, STANDING = 4.0, np.pi, 0.4, 0.5, 0.5, 2.0
-#: Messages between two that are recorded.
-EVERY = 8
+#: Messages between two that are recorded; postures at which the end effector is tracked.
+EVERY, POSTURES = 8, 24
 
 
 def strokes(robot: RobotModel) -> list[Order]:
@@ -82,3 +86,13 @@ def calibration(robot: RobotModel, perturbation: Perturbation, seed: int) -> Cal
         return base_type(kind).calibrate(robot, channels, "reference drive")
 
     return kept(robot, perturbation, seed, make)
+
+
+def arm_zeros(robot: RobotModel, plant: ArmPlant, seed: int) -> Array:
+    """Zeros (m) [rad or m] of the arm's encoders, as far as tracked end effectors of the simulated robot show them."""
+    read, seen = track_arm(robot, plant, POSTURES, seed)
+    offset, covariance = np.zeros(read.shape[1]), ZERO_STD**2 * np.eye(read.shape[1])
+    for frame, places in seen.items():
+        found = calibrate_arm(robot, read - offset, places, TRACKER, covariance, frame)
+        offset, covariance = offset + found.offset, found.covariance
+    return offset

@@ -32,8 +32,9 @@ from wbmpc.stability import standing
 class SimulationSettings(Settings):
     """``physics``: mujoco with the perturbed ``plant``, noise and lag, or kinematic: the planner's own model, exact and fast;
     ``computation_delay`` [s]: modeled time of a solve; ``settle_time`` [s]: before the task begins, at rest; ``calibration``: what
-    is known of the wheels, "none", or what a reference "drive" with global poses shows before the run; ``obstacles``: a YAML file of
-    what stands and moves in the simulated world (docs/how-to/obstacles.md)."""
+    is known of wheels and arm, "none", or before the run: of the wheels what a reference "drive" with global poses shows, of the zeros of the
+    arm's encoders what an end effector does that is tracked; ``obstacles``: a YAML file of what stands and moves in the simulated world
+    (docs/how-to/obstacles.md)."""
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"
     plant: Annotated[Perturbation, OnlyWith(physics="mujoco")] = Perturbation()

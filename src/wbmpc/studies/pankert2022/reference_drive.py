@@ -27,9 +27,10 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.settings import ControlSettings, LidarSettings, Robot, Settings
+from wbmpc.simulation import tracked_arm
 from wbmpc.simulation.kept_calibration import kept
 from wbmpc.simulation.lockstep import Progress, preparation, watched
-from wbmpc.simulation.perturbation import Perturbation, SoundBrakes, quantize
+from wbmpc.simulation.perturbation import Perturbation, SoundBrakes
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 
@@ -55,8 +56,6 @@ class SwerveCalibrateSettings(Settings):
     plant: Perturbation = Perturbation()
 
 
-#: Noise [m] of the tracker; how far [rad] the arm's joints go from home.
-TRACKER, ARM_SPREAD = 1e-4, 0.7
 #: Directions of the straight strokes, in the body.
 STRAIGHT = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 #: Largest steering speed [rad/s], gain of its servo [1/s], mean acceleration [m/s²].
@@ -192,14 +191,9 @@ def drive(
 def track_arm(robot: RobotModel, settings: Perturbation, poses: int, seed: int, log: Log) -> None:
     """Record ``poses`` of the arm at rest: its encoders, and where a tracker sees its end effector in axes of the base."""
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings, seed, settle=0.0)
-    rng, part = np.random.default_rng([seed, 3]), robot.state["arm"]
-    for k in range(poses):
-        x = robot.home.copy()
-        x[part] += rng.uniform(-ARM_SPREAD, ARM_SPREAD, x[part].size)
-        plant.arrange(x)
-        seen = plant.truth().tool_in_base + TRACKER * rng.normal(size=3)
-        read = quantize(x[part] + plant.offsets["arm"], settings.arm_counts)
-        log.add("tracked", float(k), np.concatenate([read, seen, [TRACKER]]))
+    read, seen = tracked_arm.track_arm(robot, plant, poses, seed)
+    for k, (angles, place) in enumerate(zip(read, seen[robot.tool], strict=True)):
+        log.add("tracked", float(k), np.concatenate([angles, place, [tracked_arm.TRACKER]]))
 
 
 def _driven(robot: RobotModel, settings: SwerveCalibrateSettings, seed: int) -> WheelCalibration:
