@@ -14,7 +14,7 @@ from needs import MISSING, needs_dds, wait_until
 
 pytestmark = needs_dds
 if not MISSING:
-    from standin import PERIOD, ROBOT, check_stopped, drive
+    from standin import AHEAD, PERIOD, ROBOT, check_stopped, drive
 
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 
@@ -191,6 +191,24 @@ def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogC
     p.standin.answers = 5.0
     p.go(2.0)
     assert p.until(lambda: "running" in p.control.state), (p.control.state, p.control.request_queue.rejected)
+
+
+def test_a_simulated_robot_that_begins_anew_is_where_its_odometry_begins(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """It has driven; then its time and its joints are as at the beginning, its wheels anywhere. Truth: what these turn from there."""
+    p = pair()
+    drive(p)
+    assert p.until(lambda: p.control.adapter.snapshot()[1][0] > 0.5)
+    p.standin.time, p.standin.answers = 1.0, 0.01
+    p.standin.joints = {g: ROBOT.home[ROBOT.state[g]].copy() for g in p.standin.joints}
+    p.standin.joints["wheel"] = 30.0 * AHEAD
+    p.standin.commands = {g: np.zeros_like(v) for g, v in p.standin.commands.items()}
+    assert p.until(lambda: p.control.runner.stopped and p.standin.speed == 0.0)
+    p.run(0.2)
+    rolled = ROBOT.base.geometry.wheel_radius * np.abs(p.standin.joints["wheel"] - 30.0 * AHEAD).mean()
+    assert np.linalg.norm(p.control.adapter.snapshot()[1][:2]) == pytest.approx(rolled, abs=0.03)
+    assert any("begin anew, their time went back" in r.getMessage() for r in caplog.records)
 
 
 @pytest.mark.parametrize(

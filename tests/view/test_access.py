@@ -154,7 +154,7 @@ def test_an_address_of_another_machine_is_an_error_at_once(
 def test_a_link_local_address_is_none_for_browsers(host: str) -> None:
     """WHATWG's URLs have no zone, without which such an address leads nowhere."""
     with pytest.raises(
-        InputError, match="--host: .* is a link-local address, which needs an interface, and browsers take no address"
+        InputError, match=r"--host: .* is a link-local address, which needs an interface, and browsers take no address"
     ):
         Access.of(host)
 

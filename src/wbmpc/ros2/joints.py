@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,12 +20,24 @@ _SPEED_FACTOR, _SPEED_REST = 2.0, 0.05
 _AGREE = 0.3
 
 
+class Series(NamedTuple):
+    """How often encoders, and simulations, have begun anew: angles of two series do not say how far a wheel has turned between them, and
+    in another simulation the robot is at its beginning again."""
+
+    encoders: int = 0
+    simulations: int = 0
+
+
+FIRST = Series()
+
+
 @dataclass(frozen=True)
 class JointSample:
-    """Positions [rad] by group as of the message's ``stamp`` [s]."""
+    """Positions [rad] by group as of the message's ``stamp`` [s], of a series."""
 
     stamp: float
     groups: dict[str, np.ndarray]
+    series: Series = FIRST
 
 
 class JointReader:

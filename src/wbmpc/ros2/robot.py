@@ -20,7 +20,7 @@ from wbmpc.ros2.base_driver import HELD, BaseWay
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
-from wbmpc.ros2.joints import Inertial, JointReader, JointSample, mean_of, mean_rate, read_imu
+from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Series, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import senders
@@ -63,6 +63,7 @@ class BusRobot:
         self._joint_source = OneSource(topics.joint_states, self._forget_joints, ambiguous)
         self._imu_source = OneSource(topics.imu, self._forget_imu, ambiguous)
         self._joints: tuple[JointSample, float] | None = None
+        self._series = Series()
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
         self._read: tuple[float, Inertial] | None = None
@@ -106,6 +107,9 @@ class BusRobot:
             return
         self._good("joints")
         previous, arrival = self._joints, time.perf_counter()
+        if isinstance(self.clock, BusClock) and previous is not None and sample.stamp < previous[0].stamp - _BACK:
+            self._begin_series("their time went back: a robot that is simulated is at its beginning", simulation=True)
+        sample = replace(sample, series=self._series)
         if (
             self._way is not None
         ):  # both say where the robot is, or nothing does: an estimate takes a way that stands for rest
@@ -162,6 +166,16 @@ class BusRobot:
         """The next joint states are another publisher's: of another clock, and wherever they are."""
         self._reader.reset()
         self._behind = np.inf
+        if self._joints is not None:
+            self._begin_series(
+                "its publisher was replaced: how far wheels went meanwhile is not known, the odometry goes on without"
+            )
+
+    def _begin_series(self, why: str, simulation: bool = False) -> None:
+        """From now on angles of wheels count from elsewhere."""
+        self._series = Series(self._series.encoders + 1, self._series.simulations + simulation)
+        topic = self.settings.topics.joint_states
+        self._limit.log(_LOG, logging.WARNING, "series", f"the joint states on {topic} begin anew, {why}")
 
     def _forget_imu(self) -> None:
         """The next readings are another publisher's."""
