@@ -6,6 +6,7 @@ import logging
 import re
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ if not MISSING:
     from standin import AHEAD, PERIOD, ROBOT, check_stopped, drive
 
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
+    from wbmpc.ros2.commanders import Commanders
 
 
 def test_nothing_is_sent_before_a_state_and_a_goal(pair: Callable[..., Any]) -> None:
@@ -132,6 +134,38 @@ def test_another_controller_stops_ours(pair: Callable[..., Any], caplog: pytest.
     check_stopped(p, "another node publishes on /arm_controller/commands", caplog)
     p.go(0.0)
     assert p.until(lambda: "a goal is rejected: waiting: another node publishes" in p.control.request_queue.rejected)
+
+
+def test_another_controller_that_comes_and_goes_stops_ours(pair: Callable[..., Any]) -> None:
+    """There for 50 ms, between two looks at the graph; a goal is not taken in the next moment."""
+    p = pair()
+    drive(p)
+    watch = p.control.commanders
+    watch.update()
+    p.control._graph_checked_at = time.monotonic() + 0.3
+    there = p.standin.node.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
+    time.sleep(0.05)
+    p.standin.node._writers.remove(there._writer)
+    there._writer.__del__()
+    assert p.until(lambda: p.control.runner.stopped, 5.0)
+    assert "another node publishes on /arm_controller/commands" in p.control.state
+    assert p.control.waiting_reason() and p.until(lambda: not p.control.waiting_reason())
+
+
+def test_one_that_is_seen_now_and_then_counts_in_between() -> None:
+    """A back end without a memory of who has left, every half second; it is there every second time."""
+    now, there = [0.0], [True]
+    node = SimpleNamespace(publishers=lambda topic, within: [SimpleNamespace(own=not there[0])])
+    watch, said = Commanders(node, ["/arm"], lambda: now[0]), []  # type: ignore[arg-type]
+    for k in range(20):
+        now[0], there[0] = 0.5 * k, k % 2 == 0
+        watch.update()
+        said.append(watch.message)
+    assert set(said) == {"another node publishes on /arm"}
+    there[0] = False
+    now[0] += 1.1
+    watch.update()
+    assert not watch.message
 
 
 def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
