@@ -234,7 +234,7 @@ def test_a_simulated_robot_that_begins_anew_is_where_its_odometry_begins(
     p = pair()
     drive(p)
     assert p.until(lambda: p.control.adapter.snapshot()[1][0] > 0.5)
-    p.standin.time, p.standin.answers = 1.0, 0.01
+    p.standin.time, p.standin.answers = 1.0, 0.05
     p.standin.joints = {g: ROBOT.home[ROBOT.state[g]].copy() for g in p.standin.joints}
     p.standin.joints["wheel"] = 30.0 * AHEAD
     p.standin.commands = {g: np.zeros_like(v) for g, v in p.standin.commands.items()}

@@ -63,7 +63,7 @@ class BusRobot:
         self._joint_source = OneSource(topics.joint_states, self._forget_joints, ambiguous)
         self._imu_source = OneSource(topics.imu, self._forget_imu, ambiguous)
         self._joints: tuple[JointSample, float] | None = None
-        self._series = Series()
+        self._series, self._replaced = Series(), False
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
         self._read: tuple[float, Inertial] | None = None
@@ -107,8 +107,8 @@ class BusRobot:
             return
         self._good("joints")
         previous, arrival = self._joints, time.perf_counter()
-        if isinstance(self.clock, BusClock) and previous is not None and sample.stamp < previous[0].stamp - _BACK:
-            self._begin_series("their time went back: a robot that is simulated is at its beginning", simulation=True)
+        if previous is not None:
+            self._follow_series(previous[0], sample)
         sample = replace(sample, series=self._series)
         if (
             self._way is not None
@@ -166,14 +166,18 @@ class BusRobot:
         """The next joint states are another publisher's: of another clock, and wherever they are."""
         self._reader.reset()
         self._behind = np.inf
-        if self._joints is not None:
-            self._begin_series(
-                "its publisher was replaced: how far wheels went meanwhile is not known, the odometry goes on without"
-            )
+        self._replaced = True
 
-    def _begin_series(self, why: str, simulation: bool = False) -> None:
-        """From now on angles of wheels count from elsewhere."""
-        self._series = Series(self._series.encoders + 1, self._series.simulations + simulation)
+    def _follow_series(self, before: JointSample, now: JointSample) -> None:
+        """Joint states of another publisher, or of a simulated time that went back to joints elsewhere, are of another series: their
+        wheels count from elsewhere."""
+        back = isinstance(self.clock, BusClock) and now.stamp < before.stamp - _BACK
+        anew = back and (self._replaced or self._reader.apart(before, now))
+        if not (self._replaced or anew):
+            return
+        self._series, self._replaced = Series(self._series.encoders + 1, self._series.simulations + anew), False
+        why = "their publisher was replaced: the odometry goes on without what wheels turned meanwhile"
+        why = "their time went back: the odometry begins at its origin" if anew else why
         topic = self.settings.topics.joint_states
         self._limit.log(_LOG, logging.WARNING, "series", f"the joint states on {topic} begin anew, {why}")
 
