@@ -22,14 +22,14 @@ class _Side:
     """Endpoints of one kind: those that are there, and those that have left with the time [s] at which that was seen."""
 
     def __init__(self, participant: DomainParticipant, kind: Any) -> None:
-        self._reader = BuiltinDataReader(participant, kind)
+        self.reader = BuiltinDataReader(participant, kind)
         self._known: dict[Any, Any] = {}
         self._left: OrderedDict[Any, tuple[float, Any]] = OrderedDict()
 
     def look(self) -> None:
         """Take in what has changed: the whole graph of a robot takes milliseconds, in which no other thread of Python's runs."""
         now = time.monotonic()
-        for sample in self._reader.take(N=4096):
+        for sample in self.reader.take(N=4096):
             if sample.sample_info.instance_state == InstanceState.Alive:
                 self._known[sample.key] = sample
             else:  # also of one that was never seen alive
@@ -51,6 +51,11 @@ class Graph:
         self._own = participant.guid
         self._writers = _Side(participant, BuiltinTopicDcpsPublication)
         self._readers = _Side(participant, BuiltinTopicDcpsSubscription)
+
+    @property
+    def readers(self) -> list[BuiltinDataReader]:
+        """What it reads with, for who ends it."""
+        return [side.reader for side in (self._writers, self._readers)]
 
     def publishers(self, topic: str, within: float) -> list[Endpoint]:
         """See :meth:`wbmpc.ros2.bus.Node.publishers`."""
