@@ -17,6 +17,7 @@ import wbmpc
 from command_line import FAKE_MAIN, call, shell
 from fake_experiment import REGISTRY
 from wbmpc.cli import app, main
+from wbmpc.cli.directories import resumed_directory
 from wbmpc.cli.results import _table
 from wbmpc.errors import InputError
 from wbmpc.log import Log
@@ -55,6 +56,48 @@ def test_of_a_run_that_never_began_nothing_stays(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
     assert call("run", "fake", "--quiet") == 0 and main(["run", "fake"], registry) == 2
     assert [p.name for p in (tmp_path / "runs").iterdir()] == ["fake-seed200"]
+
+
+def test_a_run_whose_name_cannot_be_counted_on_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Beside '.' there is no '.-2', and what is beside the current directory was not named."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    for out in (".", "../here/..", ".."):
+        assert call("run", "fake", "--quiet", "--out", out) == (0 if out != ".." else 2)
+        assert call("run", "fake", "--quiet", "--out", out) == 2
+        assert f"--out: '{Path(out)}' has the files of a run already" in capsys.readouterr().err
+    assert {p.name for p in tmp_path.iterdir() if p.is_dir()} == {"here"}
+
+
+COMMANDS = [
+    ("reproduce", "--only", "fake", "--seeds", "1"),
+    ("study", "legs"),
+    ("study", "legs", "--report"),
+    ("tune", "rezero-tune-lqr"),
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_a_command_that_goes_on_takes_no_directory_of_something_else(
+    command: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would replace pages there. Truth: the page afterwards."""
+    page = tmp_path / "index.html"
+    page.write_text("somebody's")
+    for out in (".", str(tmp_path)):
+        assert call(*command, "--quiet", "--out", out) == 2
+        assert f"--out: '{out}' has files of something else (" in capsys.readouterr().err
+    assert page.read_text() == "somebody's" and list(tmp_path.iterdir()) == [page]
+
+
+def test_the_root_of_the_file_system_is_no_directory_of_a_command() -> None:
+    with (
+        pytest.raises(InputError, match="--out: '/' has files of something else"),
+        resumed_directory("--out", Path("/"), ("x/y",)),
+    ):
+        pytest.fail("it was taken")
 
 
 # ---------------------------------------------------------------------- what works

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 #: Causes that are known at a time; of more the oldest is forgotten.
 MAX_CAUSES = 1000
+#: Attribute of a record that says whether it passes, once it was counted.
+_COUNTED = "wbmpc_counted"
 
 
 @dataclass
@@ -52,7 +54,27 @@ class RateLimit:
         left_out = self.left_out(cause)
         if left_out is not None:
             more = f" ({left_out} more of this kind were left out)" if left_out else ""
-            logger.log(level, "%s%s", message, more, stacklevel=2)
+            logger.log(level, "%s%s", message, more, stacklevel=2, extra={_COUNTED: True})
+
+
+class PlaceLimit(logging.Filter):
+    """A filter for handlers of a program that others make speak, as a node on a bus: lines of one place in the code are as few as those
+    of one cause of a :class:`RateLimit`. What one has counted already passes, also where several handlers have a filter."""
+
+    def __init__(self, limit: RateLimit | None = None) -> None:
+        super().__init__()
+        self.limit = limit or RateLimit()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether a record passes; the one that does says how many of its place did not."""
+        passes: bool | None = getattr(record, _COUNTED, None)
+        if passes is None:
+            left_out = self.limit.left_out((record.pathname, record.lineno))
+            passes = left_out is not None
+            if left_out:
+                record.msg, record.args = f"{record.getMessage()} ({left_out} more of this kind were left out)", None
+            setattr(record, _COUNTED, passes)
+        return passes
 
 
 class RateLimitFilter(logging.Filter):

@@ -31,6 +31,8 @@ MAX_SEEDS = 1000
 _SEEDS = re.compile(r"\s*(?P<first>[0-9]{1,9})(-(?P<last>[0-9]{1,9}))?\s*")
 #: Exit codes after which there is a result: completed, or ended early with its figures.
 _FINISHED = (0, 1)
+#: Patterns of what is in a site's directory as soon as its runs begin.
+RUNS_OF_SITE = ("*/seed[0-9]*",)
 _POLL = 0.05
 #: Speed and size [pixels] of the clips.
 CLIP_SPEED, CLIP_SIZE = 4.0, (640, 360)

@@ -11,7 +11,7 @@ from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
 from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
-from wbmpc.estimation.fused_odometry import FusedOdometry
+from wbmpc.estimation.fused_odometry import LEAP_STD, FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.model.robot import load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
@@ -106,6 +106,20 @@ def test_encoders_that_count_anew_move_nobody() -> None:
     base.read(0.0)
     np.testing.assert_allclose(base.odometry.pose, previous, atol=1e-9)
     assert np.all(np.diag(base.odometry.covariance)[:2] > 0.09**2)
+
+
+def test_encoders_that_are_said_to_count_anew_move_nobody() -> None:
+    """Whatever they say, and however long it took: the pose stays, and is as uncertain as it is said to be."""
+    base = started()
+    before = base.odometry.pose
+    base.odometry.restart_encoders()
+    base.wheel, base.t = base.zero, base.t + 5.0
+    base.read(0.0)
+    np.testing.assert_array_equal(base.odometry.pose, before)
+    assert np.all(np.diag(base.odometry.covariance)[:2] > LEAP_STD**2) and not base.odometry.twist.any()
+    base.pose = before
+    base.go(0.5)
+    np.testing.assert_allclose(base.odometry.pose, base.pose, atol=1e-3)
 
 
 class Rolling:

@@ -14,6 +14,7 @@ from needs import private
 
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.convert import header, stamp
@@ -29,6 +30,12 @@ PERIOD = 1.0 / RATE
 #: How often the node looks at requests [s].
 STEP = 0.02
 GROUPS = ("leg", "steer", "wheel", "arm")
+#: Which way each wheel turns [1 or -1] where the base goes ahead, with the joints as at home.
+AHEAD = np.sign(
+    rolling_inverse_kinematics(ROBOT.base.geometry, *(ROBOT.home[ROBOT.state[g]] for g in ("leg", "steer")), [1, 0, 0])[
+        1
+    ]
+)
 Change = Callable[[dict[str, Any]], Mapping[str, Any] | None]
 
 

@@ -15,6 +15,7 @@ from wbmpc.bases.ball.ros_settings import BallRosSettings
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.goals import EndEffectorTrack, Planner
+from wbmpc.ros2.joints import Series
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.settings import Speeds, Topics
 from wbmpc.runtime.clock import WallClock
@@ -52,6 +53,23 @@ def test_time_that_goes_back_is_another_clocks(adapter: Any, simulated: bool) ->
         np.testing.assert_allclose(
             found[1], [*found[1][:3], *ROBOT.base.numeric.equilibrium(arm + 0.1)[0][3:]], atol=1e-9
         )
+
+
+def test_encoders_of_another_series_roll_no_ball(adapter: Any) -> None:
+    """After a run, later on the same clock: it stands upright where it was, whatever its wheels say."""
+    adapter.settings = BallRosSettings()
+    arm, still = ROBOT.home[ROBOT.state["arm"]], (np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    x = ROBOT.home.copy()
+    x[:3] = 0.5, -0.2, 0.3
+    adapter.begin(x)
+    for t in (17.0, 17.0025):
+        adapter.controller.follow(BallMessage(t, t, np.zeros(3), arm, *still))
+    previous = adapter.snapshot()[1]
+    for t in (21.0, 21.0025):
+        adapter.stand(BallMessage(t, t, np.array([30.0, 20.0, -9.0]), arm, *still, series=Series(1)))
+        t_found, found = adapter.snapshot()
+        assert t_found == pytest.approx(t)
+        np.testing.assert_allclose(found[:5], [*previous[:3], *ROBOT.base.numeric.equilibrium(arm)[0][3:5]], atol=1e-9)
 
 
 def test_the_bodys_posture_moves_no_hand() -> None:

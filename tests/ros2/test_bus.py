@@ -375,11 +375,28 @@ def test_the_graph_shows_node_types_and_hashes(nodes: tuple[Any, Any]) -> None:
     (endpoint,) = other.publishers("/joint_states")
     assert (endpoint.type, endpoint.own, endpoint.qos) == (JOINTS, False, SENSOR)
     assert [e.own for e in one.publishers("/joint_states")] == [True]
-    (sample,) = [s for s in other._known[0].values() if s.topic_name == "rt/joint_states"]
+    (sample,) = [s for s in other._graph._writers._known.values() if s.topic_name == "rt/joint_states"]
     assert sample.type_name == "sensor_msgs::msg::dds_::JointState_"
     # the hash that ROS 2 Jazzy prints in `ros2 topic info -v /joint_states`
     user = next(p for p in sample.qos if type(p).__name__ == "Userdata").data
     assert user == b"typehash=RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e;"
+
+
+def test_who_came_and_went_between_two_looks_is_known_for_a_while(nodes: tuple[Any, Any]) -> None:
+    one, other = nodes
+    other.publishers("/brief")
+    heard: list[Any] = []
+    other.subscribe("/brief", STRING, heard.append)
+    publisher = one.publisher("/brief", STRING)
+    assert wait_until(publisher._writer.get_matched_subscriptions)
+    publisher.publish({"data": "and I am gone"})
+    assert wait_until(lambda: heard)
+    one._writers.remove(publisher._writer)
+    publisher._writer.__del__()
+    time.sleep(0.1)
+    assert not other.publishers("/brief") and [e.own for e in other.publishers("/brief", 1.0)] == [False]
+    time.sleep(0.5)
+    assert not other.publishers("/brief", 0.5) and not other.publishers("/other", 1.0)
 
 
 def test_who_leaves_is_gone_from_the_graph(nodes: tuple[Any, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import signal
 import subprocess
@@ -113,6 +114,33 @@ def test_a_node_that_a_signal_ends_stops_first_and_has_its_status(
     monkeypatch.setattr("wbmpc.ros2.sim.SimNode", Node)
     assert main(["ros2", command, "swerve-ur10"]) == status
     assert seen == ["at rest", "left the bus"]
+
+
+@pytest.mark.parametrize("command", ["control", "sim"])
+def test_a_node_that_says_the_same_again_and_again_is_heard_five_times(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Others on the bus decide how often a robot is stopped, or its weights are set."""
+
+    class Node:
+        backend, state, behind, failed = "dds", "ended", 0, False
+
+        def __init__(self, *_: object, **__: object) -> None:
+            pass
+
+        def spin(self, *_: object) -> str:
+            for k in range(100):
+                logging.getLogger("wbmpc").error("stopped at %d s", k)
+            return "ended"
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr("wbmpc.ros2.opening.open_node", Node)
+    monkeypatch.setattr("wbmpc.ros2.control.ControlNode", Node)
+    monkeypatch.setattr("wbmpc.ros2.sim.SimNode", Node)
+    assert main(["ros2", command, "swerve-ur10"]) == 0
+    assert capsys.readouterr().err.count("stopped at") == 5
 
 
 @thorough

@@ -14,6 +14,7 @@ from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.ros import UNSEEN, BusMeasurement, on_bus
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ros2.goals import Planner
+from wbmpc.ros2.joints import Series
 from wbmpc.ros2.settings import Speeds, joint_groups, settings_of
 
 #: Half the track [m] of the robot.
@@ -90,6 +91,20 @@ def test_encoders_that_begin_anew_move_nobody(robot: RobotModel) -> None:
     for k, wheels in enumerate((100.0, 100.1, 0.0, 0.1)):
         c.measure(message(0.01 * k, wheels))
     np.testing.assert_allclose(c.pose, [0.2 * RADIUS, 0.0, 0.0], atol=1e-12)
+
+
+def test_encoders_of_another_series_move_nobody(robot: RobotModel) -> None:
+    """However slowly they seem to have turned meanwhile; in another simulation the robot is at its beginning again."""
+    c = follower(robot)
+    c.measure(message(0.0, 50.0, series=Series(0, 0)))
+    c.measure(message(0.01, 50.1, series=Series(0, 0)))
+    c.measure(message(9.0, 0.0, series=Series(1, 0)))
+    c.measure(message(9.01, 0.1, series=Series(1, 0)))
+    np.testing.assert_allclose(c.pose, [0.2 * RADIUS, 0.0, 0.0], atol=1e-12)
+    assert np.all(np.diag(c.covariance) >= UNSEEN**2)
+    for k in range(2):
+        c.measure(message(0.01 * k, 0.1 * k, series=Series(2, 1)))
+    np.testing.assert_allclose(c.pose, [0.1 * RADIUS, 0.0, 0.0], atol=1e-12)
 
 
 def test_poses_of_another_localization(robot: RobotModel) -> None:

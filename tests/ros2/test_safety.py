@@ -6,6 +6,7 @@ import logging
 import re
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,10 @@ from needs import MISSING, needs_dds, wait_until
 
 pytestmark = needs_dds
 if not MISSING:
-    from standin import PERIOD, ROBOT, check_stopped, drive
+    from standin import AHEAD, PERIOD, ROBOT, check_stopped, drive
 
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
+    from wbmpc.ros2.commanders import Commanders
 
 
 def test_nothing_is_sent_before_a_state_and_a_goal(pair: Callable[..., Any]) -> None:
@@ -134,6 +136,38 @@ def test_another_controller_stops_ours(pair: Callable[..., Any], caplog: pytest.
     assert p.until(lambda: "a goal is rejected: waiting: another node publishes" in p.control.request_queue.rejected)
 
 
+def test_another_controller_that_comes_and_goes_stops_ours(pair: Callable[..., Any]) -> None:
+    """There for 50 ms, between two looks at the graph; a goal is not taken in the next moment."""
+    p = pair()
+    drive(p)
+    watch = p.control.commanders
+    watch.update()
+    p.control._graph_checked_at = time.monotonic() + 0.3
+    there = p.standin.node.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
+    time.sleep(0.05)
+    p.standin.node._writers.remove(there._writer)
+    there._writer.__del__()
+    assert p.until(lambda: p.control.runner.stopped, 5.0)
+    assert "another node publishes on /arm_controller/commands" in p.control.state
+    assert p.control.waiting_reason() and p.until(lambda: not p.control.waiting_reason())
+
+
+def test_one_that_is_seen_now_and_then_counts_in_between() -> None:
+    """A back end without a memory of who has left, every half second; it is there every second time."""
+    now, there = [0.0], [True]
+    node = SimpleNamespace(publishers=lambda topic, within: [SimpleNamespace(own=not there[0])])
+    watch, said = Commanders(node, ["/arm"], lambda: now[0]), []  # type: ignore[arg-type]
+    for k in range(20):
+        now[0], there[0] = 0.5 * k, k % 2 == 0
+        watch.update()
+        said.append(watch.message)
+    assert set(said) == {"another node publishes on /arm"}
+    there[0] = False
+    now[0] += 1.1
+    watch.update()
+    assert not watch.message
+
+
 def test_time_that_stops_is_said(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     """A simulator that was killed: who asks is reported, and what still listens is ramped down though no time passes."""
     p = pair(safety={"clock": 2.0})
@@ -191,6 +225,24 @@ def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogC
     p.standin.answers = 5.0
     p.go(2.0)
     assert p.until(lambda: "running" in p.control.state), (p.control.state, p.control.request_queue.rejected)
+
+
+def test_a_simulated_robot_that_begins_anew_is_where_its_odometry_begins(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """It has driven; then its time and its joints are as at the beginning, its wheels anywhere. Truth: what these turn from there."""
+    p = pair()
+    drive(p)
+    assert p.until(lambda: p.control.adapter.snapshot()[1][0] > 0.5)
+    p.standin.time, p.standin.answers = 1.0, 0.05
+    p.standin.joints = {g: ROBOT.home[ROBOT.state[g]].copy() for g in p.standin.joints}
+    p.standin.joints["wheel"] = 30.0 * AHEAD
+    p.standin.commands = {g: np.zeros_like(v) for g, v in p.standin.commands.items()}
+    assert p.until(lambda: p.control.runner.stopped and p.standin.speed == 0.0)
+    p.run(0.2)
+    rolled = ROBOT.base.geometry.wheel_radius * np.abs(p.standin.joints["wheel"] - 30.0 * AHEAD).mean()
+    assert np.linalg.norm(p.control.adapter.snapshot()[1][:2]) == pytest.approx(rolled, abs=0.03)
+    assert any("begin anew, their time went back" in r.getMessage() for r in caplog.records)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from wbmpc.ros2.sources import AMBIGUOUS, OneSource
 
 pytestmark = needs_dds
 if not MISSING:
-    from standin import ENVIRONMENT, NETWORK, PERIOD, ROBOT, drive
+    from standin import AHEAD, ENVIRONMENT, NETWORK, PERIOD, ROBOT, drive
 
     from wbmpc.ros2.convert import header, stamp
     from wbmpc.ros2.network import LEASE
@@ -297,6 +297,8 @@ def test_a_simulator_that_is_started_anew_needs_a_goal(pair: Callable[..., Any],
     robot.time, robot.answers = 100.0, 0.01
     for group in robot.joints:
         robot.joints[group] = robot.joints[group] + 0.01
+    robot.joints["wheel"] = robot.joints["wheel"] + 30.0 * AHEAD
+    driven = control.adapter.snapshot()[1][:2]
     runner, before = control.runner, control.clock.stamp()
     assert p.until(lambda: runner.stopped and "2 publishers on /" in control._other_publisher)
     assert before <= control.clock.stamp() < 100.0 and control.waiting_reason()
@@ -307,6 +309,10 @@ def test_a_simulator_that_is_started_anew_needs_a_goal(pair: Callable[..., Any],
     p.run(0.1)
     assert robot.speed == 0.0 and control.runner is runner
     control.step()
+    # how far it went while its second publisher was not heard is not known to the node
+    np.testing.assert_allclose(control.adapter.snapshot()[1][:2], driven, atol=0.25)
+    estimate = control.adapter.estimate()
+    assert np.all(np.sqrt(np.diag(estimate.covariance)[:2]) > 0.09)
     robot.answers = 5.0
     p.go(2.0, frame="base_link")
     assert p.until(lambda: robot.speed > 0.5), (control.state, control.request_queue.rejected)

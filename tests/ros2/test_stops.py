@@ -108,7 +108,7 @@ class Turned:
 def second_publisher(t: Turned) -> Callable[[], None]:
     node = t.p.node
     publishers = node.publishers
-    node.publishers = lambda topic: [SimpleNamespace(own=False)] if "commands" in topic else publishers(topic)
+    node.publishers = lambda topic, *within: [SimpleNamespace(own=False)] if "commands" in topic else publishers(topic)
     return lambda: setattr(node, "publishers", publishers)
 
 

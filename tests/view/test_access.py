@@ -125,7 +125,7 @@ def test_tokens_are_random_and_needed_beyond_this_machine(capsys: pytest.Capture
     assert len(tokens) == 20 and min(map(len, tokens)) >= 43  # 256 bits
     assert all(map(is_loopback, ("127.0.0.1", "localhost", "::1", "127.3.2.1")))
     assert Access.of("127.0.0.1", with_token=False).url(80) == "http://127.0.0.1:80"
-    for host in ("0.0.0.0", "::", "", "192.168.1.7", "robot7", "127.0.0.1.evil.example"):
+    for host in ("0.0.0.0", "::", "192.168.1.7", "robot7", "127.0.0.1.evil.example"):
         with pytest.raises(InputError, match="which needs the token"):
             Access.of(host, with_token=False)
     for command in (
@@ -138,7 +138,9 @@ def test_tokens_are_random_and_needed_beyond_this_machine(capsys: pytest.Capture
         assert "--no-token: --host 0.0.0.0 is reached from other machines" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("host", ["203.0.113.9", "no.such.host.invalid", "a b", "127.0.0.1:80", "x" * 300, "fe80::1"])
+@pytest.mark.parametrize(
+    "host", ["203.0.113.9", "no.such.host.invalid", "a b", "127.0.0.1:80", "x" * 300, "fd00::bad:1"]
+)
 def test_an_address_of_another_machine_is_an_error_at_once(
     host: str, recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -146,6 +148,21 @@ def test_an_address_of_another_machine_is_an_error_at_once(
     assert main(["replay", str(recording), "--host", host]) == 2
     err = capsys.readouterr().err
     assert f"--host: '{host[:80]}' is no address of this machine" in err and "valid: 127.0.0.1, ::1 or localhost" in err
+
+
+@pytest.mark.parametrize("host", ["fe80::1", "fe80::1%lo", "[fe80::1%eth0]"])
+def test_a_link_local_address_is_none_for_browsers(host: str) -> None:
+    """WHATWG's URLs have no zone, without which such an address leads nowhere."""
+    with pytest.raises(
+        InputError, match=r"--host: .* is a link-local address, which needs an interface, and browsers take no address"
+    ):
+        Access.of(host)
+
+
+def test_no_host_is_not_every_address() -> None:
+    """``--host "$HOST"`` with a variable that is not set must not open the view to the network."""
+    with pytest.raises(InputError, match="--host: an address is needed"):
+        Access.of("")
 
 
 def test_addresses_are_written_as_browsers_write_them() -> None:

@@ -296,12 +296,25 @@ def main(arguments: list[str] | None = None, registry: Mapping[str, Experiment] 
         return ended_by_signal() or status
 
 
+def _reject_empty(arguments: list[str]) -> None:
+    """Raise :class:`InputError` for an argument that is empty, as a shell's variable that is not set: as a path it would be the
+    current directory, as a host every address of the machine."""
+    for previous, word in zip(["", *arguments], arguments, strict=False):
+        option, sign, value = word.partition("=")
+        if not word.strip():
+            after = f" after '{previous}'" if previous else ""
+            raise InputError(f"an argument{after} is empty; is a variable of the shell not set?")
+        if option.startswith("--") and sign and not value.strip():
+            raise InputError(f"{option}: its value is empty; is a variable of the shell not set?")
+
+
 def _run(
     arguments: list[str], debug: bool, quiet: bool, verbose: bool, registry: Mapping[str, Experiment] | None
 ) -> int:
     """One command; what goes wrong as an exit status."""
     try:
         with logged(verbose, debug), silent(quiet and "--json" not in arguments):
+            _reject_empty(arguments)
             status = app(args=arguments, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
             act_on_waiting()
         return status if isinstance(status, int) else COMPLETED

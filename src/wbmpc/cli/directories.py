@@ -1,7 +1,8 @@
 """Where files go, so that nothing is overwritten: the one place that decides.
 
 A name that the program chooses gets the next free number (``runs/NAME-seed200-2``, ``plots-2.html``), and so does the directory of
-a run. A file that the user names is rejected when it is there, unless ``--force`` is given.
+a run. A file that the user names is rejected when it is there, unless ``--force`` is given. A directory that a command goes on with
+(studies, searches, the site of all experiments) is new, empty, or has what an earlier call has left.
 """
 
 from __future__ import annotations
@@ -91,6 +92,24 @@ def writable_directory(option: str, path: Path) -> Iterator[None]:
 
 
 @contextmanager
+def resumed_directory(option: str, path: Path, marks: Iterable[str]) -> Iterator[None]:
+    """As :func:`writable_directory`, of a command that goes on with what is in ``path``, and replaces pages there.
+
+    Raises :class:`InputError` too if the directory has files, but none that fits one of the patterns ``marks``: these are
+    something else's, as those of the file system's root.
+    """
+    with _empty_ones_removed(path, *path.parents):
+        _make(option, path)
+        strange = next((entry.name for entry in sorted(path.iterdir()) if not entry.name.startswith(".")), None)
+        if strange is not None and not any(next(path.glob(mark), None) for mark in marks):
+            raise InputError(
+                f"{option}: '{path}' has files of something else ('{strange}'); give a new or empty directory, or one of an earlier "
+                f"call of this command"
+            )
+        yield
+
+
+@contextmanager
 def _empty_ones_removed(*paths: Path) -> Iterator[None]:
     """Directories, the innermost first, that are not there yet and are empty at the end are removed again."""
     missing = [path for path in paths if not path.exists()]
@@ -160,6 +179,8 @@ def _chosen(out: Path | None, target: Path) -> Path:
         _make("--out", out)
         if not any((out / file).exists() for file in RUN_FILES):
             return out
+        if out.name in ("", ".."):  # '.', '..' and '/': a name beside them would not be below what the user has named
+            raise InputError(f"--out: '{out}' has the files of a run already; give the name of a new directory")
     try:
         return _reserve(target)
     except OSError as error:

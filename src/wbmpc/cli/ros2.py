@@ -49,6 +49,7 @@ def _on_bus(
     if priority:
         _before_all_others(priority)  # threads that are made from now on, those of the bus too, are as this one
 
+    from wbmpc.logs import PlaceLimit
     from wbmpc.model.robot import load_robot
     from wbmpc.ros2.opening import open_node
     from wbmpc.ros2.settings import load_settings
@@ -56,6 +57,8 @@ def _on_bus(
     log = logging.getLogger("wbmpc")
     verbose = log.isEnabledFor(logging.INFO)  # a node logs what it does, unless it is to be quiet; with --verbose more
     log.setLevel(logging.ERROR if context.obj.quiet else logging.DEBUG if verbose else logging.INFO)
+    for handler in log.handlers:  # others on the bus decide how often something happens
+        handler.addFilter(PlaceLimit())
     model = load_robot(robot)
     settings = load_settings(config, model)
     lockstep = settings.lockstep or lockstep

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wbmpc.cli.directories import writable_directory
+from wbmpc.cli.directories import resumed_directory
 from wbmpc.cli.terminal import INTERRUPTED, console, printable, progress_bar, table
 from wbmpc.errors import unknown_name
 
@@ -52,6 +52,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and 
 @contextmanager
 def _opened(name: str, out: Path | None) -> Iterator[Study]:
     """The study of a file, or of a name."""
+    from wbmpc.study.files import OWN
     from wbmpc.study.study import Study
 
     path, known = Path(name), built_in_studies()
@@ -60,7 +61,7 @@ def _opened(name: str, out: Path | None) -> Iterator[Study]:
             raise unknown_name("study", name, known)
         path = known[name]
     study = Study.load(path, out)
-    with writable_directory("--out", study.out):
+    with resumed_directory("--out", study.out, OWN):
         yield study
 
 

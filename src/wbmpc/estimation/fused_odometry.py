@@ -171,6 +171,19 @@ class FusedOdometry:
         self._past.clear()
         self._started = False
 
+    def restart_encoders(self) -> None:
+        """Encoders count from elsewhere, and times start anew: the next message only starts. The pose stays, as uncertain as
+        :data:`LEAP_STD`, for nothing says where the base went meanwhile."""
+        self.restart_clock()
+        spread = np.array([1.0, 1.0, 1.0 / self._arm(self._memory.arrays["before"][: self._n])]) * LEAP_STD
+        self.place(self.pose, self.covariance + np.diag(spread**2))
+        self.twist = np.zeros(3)
+
+    def _arm(self, leg: Array) -> float:
+        """Root mean square distance [m] of the wheels, at hinge angles (n) [rad], from their middle."""
+        axes = self.geometry.steer_axes(leg)
+        return float(np.sqrt(np.mean(np.sum((axes - axes.mean(axis=0)) ** 2, axis=1))))
+
     def bridge(self, t: float) -> None:
         """The clock jumped: the next message, of time ``t`` [s] or later, ends a gap of unknown length; it counts as one
         of :data:`UNKNOWN_GAP`. Raises :class:`InputError` for a time that is not finite."""
@@ -282,9 +295,7 @@ class FusedOdometry:
         self._memory.wheels.run()
         turned = np.abs(a["now"][n : 2 * n] - a["before"][n : 2 * n])  # the way's direction is as uncertain
         apart = float(np.max((GAP_SHARE + turned) * np.abs(a["rolled"]))) + GAP_SPEED * h + minimum
-        axes = self.geometry.steer_axes(a["now"][:n])
-        arm = float(np.sqrt(np.mean(np.sum((axes - axes.mean(axis=0)) ** 2, axis=1))))
-        a["covariance"][:] = (np.diag([apart, apart, apart / arm]) ** 2).ravel()
+        a["covariance"][:] = (np.diag([apart, apart, apart / self._arm(a["now"][:n])]) ** 2).ravel()
         a["smoothed"][:], a["by_wheels"][:], a["interval"][:] = 0.0, 0.0, [h, 0.0, 0.0, 0.0]
 
     def _checked_weights(self, values: ArrayLike) -> Array:

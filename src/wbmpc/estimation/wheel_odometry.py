@@ -149,6 +149,12 @@ class WheelOdometry:
         self._started = True
         return self.pose
 
+    def restart(self) -> None:
+        """The encoders start again: the next message moves nothing."""
+        self._started = False
+        for name in ("twist", "residual"):
+            self._fit.memory[name][:] = 0.0
+
     @property
     def arrays(self) -> dict[str, Array]:
         """``twist`` (3) and ``residual`` (2n) of the last update, as arrays that go on."""

@@ -225,8 +225,9 @@ class Recorder:
         return self._transform(body.parent, body.name, lie.pose_between(bodies[parent], bodies[i]))
 
     def _static_links(self) -> None:
-        bodies = self._observer.see().bodies
-        fixed = [self._link(bodies, i) for i, body in enumerate(self._observer.scene.bodies) if not body.moves]
+        bodies, scene = self._observer.see().bodies, self._observer.scene
+        # a base hangs on the odometry's frame, also one that is fixed
+        fixed = [self._link(bodies, i) for i, b in enumerate(scene.bodies) if not b.moves and i != scene.index]
         points = fixed_frames(self.running.plant.description)
         fixed += [self._transform(point.parent, point.name, point.pose) for point in points]
         self._put("/tf_static", "tf2_msgs/TFMessage", {"transforms": fixed}, latched=True)

@@ -16,6 +16,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.base_adapter import BaseAdapter
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
+from wbmpc.ros2.commanders import Commanders
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.external_pose import ExternalPose
 from wbmpc.ros2.goals import Task
@@ -85,7 +86,8 @@ class ControlNode:
         self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady)
         self.planning = Planning(self.adapter.references)
         self.obstacles = ObstacleTopics(node, self.adapter, settings, steady, self.now, self._plan_origin)
-        self._other_commander, self._logged, self._hold_reason = "", "", ""
+        self.commanders = Commanders(node, [c.topic for c in settings.command_topics(robot).values()])
+        self._logged = self._hold_reason = ""
         self.active_task: Task | None = None
         self._graph_checked_at = -np.inf
         if isinstance(self.clock, BusClock):
@@ -317,7 +319,7 @@ class ControlNode:
             self.yield_to_controller()
             self.request_queue.detect_speed_inputs()
             self.source.update()
-            self._check_graph()
+            self.commanders.update()
         self._check_other_publishers()
 
     def _after_stop(self) -> None:
@@ -352,17 +354,11 @@ class ControlNode:
         elif lost and self.runner is not None:
             self.robot_io.stop()  # the runner's loop waits for a time that does not come
 
-    def _check_graph(self) -> None:
-        """Another publisher on our command topics: two controllers on one drive are worse than none."""
-        commands = self.settings.command_topics(self.robot).values()
-        others = [c.topic for c in commands if any(not e.own for e in self.node.publishers(c.topic))]
-        self._other_commander = f"another node publishes on {others[0]}" if others else ""
-
     @property
     def _other_publisher(self) -> str:
         """Who else commands the drives, or sends what has one source; empty if there is no other."""
         clock = self.clock.source.conflict if isinstance(self.clock, BusClock) else ""
-        return self._other_commander or clock or self.robot_io.conflict or self.source.source.conflict
+        return self.commanders.message or clock or self.robot_io.conflict or self.source.source.conflict
 
     def _check_other_publishers(self) -> None:
         """No robot moves beside another publisher. And a robot that cannot stop because it has lost its localization at least goes

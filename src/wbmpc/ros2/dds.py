@@ -18,8 +18,7 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
-from cyclonedds.core import DDSException, InstanceState
+from cyclonedds.core import DDSException
 from cyclonedds.core import Qos as DdsQos
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
@@ -31,9 +30,10 @@ from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain, return_participant, take_participant
+from wbmpc.ros2.dds_graph import Graph
 from wbmpc.ros2.dds_listener import Take, Watch, silence
-from wbmpc.ros2.dds_qos import POLICIES, dds_qos, ros_qos, ros_type
-from wbmpc.ros2.dds_source import GRAPH_LOCK, FilteredTopic, cannot_talk, matched
+from wbmpc.ros2.dds_qos import POLICIES, dds_qos
+from wbmpc.ros2.dds_source import FilteredTopic, cannot_talk, matched
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
@@ -80,10 +80,7 @@ class DdsNode:
         ] = {}  # of readers that call back, what ends their entry in LOCAL
         self._deferred = Deferred()
         self._writers: list[DataWriter] = []
-        self._graph = [
-            BuiltinDataReader(self._participant, t) for t in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
-        ]
-        self._known: tuple[dict[Any, Any], dict[Any, Any]] = {}, {}
+        self._graph = Graph(self._participant)
         self._names: tuple[dict[bytes, str], DataReader] | None = None
         topic = self._topic("ros_discovery_info", _INFO)
         self._info = DataWriter(self._participant, topic, qos=self._qos(LATCHED, _INFO))
@@ -236,13 +233,13 @@ class DdsNode:
         ParameterServices(self, self.name, parameters)
 
     # ------------------------------------------------------------------ graph
-    def publishers(self, topic: str) -> list[Endpoint]:
-        """Everybody's publishers of a topic, this node's too."""
-        return self._endpoints(0, topic)
+    def publishers(self, topic: str, within: float = 0.0) -> list[Endpoint]:
+        """Everybody's publishers of a topic, this node's too, and those that have left at most ``within`` [s] ago."""
+        return self._graph.publishers(topic, within)
 
     def subscribers(self, topic: str) -> list[Endpoint]:
         """Everybody's subscriptions of a topic, this node's too."""
-        return self._endpoints(1, topic)
+        return self._graph.subscribers(topic)
 
     def owner(self, endpoint: Endpoint) -> str:
         """The name of an endpoint's node, as that has announced it; empty if it has not within :data:`_ANNOUNCED`."""
@@ -261,23 +258,6 @@ class DdsNode:
             if endpoint.who in names or time.monotonic() > end:
                 return names.get(endpoint.who, "")
             time.sleep(0.01)
-
-    def _endpoints(self, side: int, topic: str) -> list[Endpoint]:
-        target, found = f"rt{full_name(topic)}", []
-        with GRAPH_LOCK:  # callbacks do not wait for it
-            known = self._known[side]
-            # changes only: the whole graph of a robot takes milliseconds, in which no other thread of Python's runs
-            for s in self._graph[side].take(N=4096):
-                if s.sample_info.instance_state == InstanceState.Alive:
-                    known[s.key] = s
-                else:
-                    known.pop(s.key, None)
-            samples = [s for s in known.values() if s.topic_name == target]
-        for s in samples:
-            own = s.participant_key == self._key
-            kind, qos, node = ros_type(s.type_name), ros_qos(s.qos), s.participant_key.bytes
-            found.append(Endpoint(full_name(topic), kind, qos, own, s.key.bytes, node))
-        return found
 
     def _announce(self) -> None:
         """Publish to the graph which node has which readers and writers: anew whenever there is another one. A closed node is gone."""
@@ -306,7 +286,7 @@ class DdsNode:
             silence(entity)
         self._announce()
         names = [] if self._names is None else [self._names[1]]
-        for entity in (*entities, *names, *self._graph, self._info, *(f.topic for f in self._filtered)):
+        for entity in (*entities, *names, *self._graph.readers, self._info, *(f.topic for f in self._filtered)):
             entity.__del__()  # the package has no other way
         return_participant(self.network.domain, self._kept)
         for reader in list(self._unregister):

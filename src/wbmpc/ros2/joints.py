@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,16 +16,30 @@ from wbmpc.ros2.settings import RosSettings, joint_groups
 
 #: A joint may move this often its speed limit, and by this [rad] besides, between two messages.
 _SPEED_FACTOR, _SPEED_REST = 2.0, 0.05
+#: So long [s] joints that go on may not have been heard where their time went back.
+_MISSED = 0.1
 #: A message that jumps is a fault of its own if the next one is farther from it than this [rad]; else both say the truth.
 _AGREE = 0.3
 
 
+class Series(NamedTuple):
+    """How often encoders, and simulations, have begun anew: angles of two series do not say how far a wheel has turned between them, and
+    in another simulation the robot is at its beginning again."""
+
+    encoders: int = 0
+    simulations: int = 0
+
+
+FIRST = Series()
+
+
 @dataclass(frozen=True)
 class JointSample:
-    """Positions [rad] by group as of the message's ``stamp`` [s]."""
+    """Positions [rad] by group as of the message's ``stamp`` [s], of a series."""
 
     stamp: float
     groups: dict[str, np.ndarray]
+    series: Series = FIRST
 
 
 class JointReader:
@@ -67,6 +81,12 @@ class JointReader:
             groups[group] = values[start : start + len(names)]
             start += len(names)
         return JointSample(stamp, groups)
+
+    def apart(self, one: JointSample, other: JointSample) -> bool:
+        """Whether a joint is farther in one sample than in the other than it moves within :data:`_MISSED`."""
+        groups = [g for g, names in self.groups.items() if names]
+        moved = np.abs(np.concatenate([one.groups[g] - other.groups[g] for g in groups]))
+        return bool(np.any(moved > _SPEED_FACTOR * self._speed * _MISSED + _SPEED_REST))
 
     def concerns(self, message: Any) -> bool:
         """Whether a message names one of our joints: others of a robot, as a gripper's, may have a publisher of their own."""

@@ -20,7 +20,7 @@ from wbmpc.ros2.base_driver import HELD, BaseWay
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
-from wbmpc.ros2.joints import Inertial, JointReader, JointSample, mean_of, mean_rate, read_imu
+from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Series, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import senders
@@ -63,6 +63,7 @@ class BusRobot:
         self._joint_source = OneSource(topics.joint_states, self._forget_joints, ambiguous)
         self._imu_source = OneSource(topics.imu, self._forget_imu, ambiguous)
         self._joints: tuple[JointSample, float] | None = None
+        self._series, self._replaced = Series(), False
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
         self._read: tuple[float, Inertial] | None = None
@@ -106,6 +107,9 @@ class BusRobot:
             return
         self._good("joints")
         previous, arrival = self._joints, time.perf_counter()
+        if previous is not None:
+            self._follow_series(previous[0], sample)
+        sample = replace(sample, series=self._series)
         if (
             self._way is not None
         ):  # both say where the robot is, or nothing does: an estimate takes a way that stands for rest
@@ -162,6 +166,20 @@ class BusRobot:
         """The next joint states are another publisher's: of another clock, and wherever they are."""
         self._reader.reset()
         self._behind = np.inf
+        self._replaced = True
+
+    def _follow_series(self, before: JointSample, now: JointSample) -> None:
+        """Joint states of another publisher, or of a simulated time that went back to joints elsewhere, are of another series: their
+        wheels count from elsewhere."""
+        back = isinstance(self.clock, BusClock) and now.stamp < before.stamp - _BACK
+        anew = back and (self._replaced or self._reader.apart(before, now))
+        if not (self._replaced or anew):
+            return
+        self._series, self._replaced = Series(self._series.encoders + 1, self._series.simulations + anew), False
+        why = "their publisher was replaced: the odometry goes on without what wheels turned meanwhile"
+        why = "their time went back: the odometry begins at its origin" if anew else why
+        topic = self.settings.topics.joint_states
+        self._limit.log(_LOG, logging.WARNING, "series", f"the joint states on {topic} begin anew, {why}")
 
     def _forget_imu(self) -> None:
         """The next readings are another publisher's."""

@@ -147,7 +147,7 @@ class RosNode:
 
         self._node.add_on_set_parameters_callback(change)
 
-    def publishers(self, topic: str) -> list[Endpoint]:
+    def publishers(self, topic: str, within: float = 0.0) -> list[Endpoint]:
         """Everybody's publishers of a topic, this node's too."""
         return self._endpoints("publisher", topic, self._node.get_publishers_info_by_topic(full_name(topic)))
 

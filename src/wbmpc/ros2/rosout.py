@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from wbmpc.logs import PlaceLimit
 from wbmpc.ros2.bus import Node, Qos
 from wbmpc.ros2.convert import stamp
 
@@ -26,6 +27,7 @@ class Rosout(logging.Handler):
         self, node: Node, name: str, now: Callable[[], float], yield_to_controller: Callable[[], None]
     ) -> None:
         super().__init__()
+        self.addFilter(PlaceLimit())
         self._to = node.publisher("/rosout", "rcl_interfaces/msg/Log", _QOS)
         self._node_name, self._now, self._yield_to_controller = name, now, yield_to_controller
         self._waiting: deque[dict[str, Any]] = deque(maxlen=_MAXIMUM)

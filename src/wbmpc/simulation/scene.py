@@ -130,16 +130,19 @@ def _is_number(value: Any) -> bool:
 
 class SceneReader:
     """Reads a world of MuJoCo: its :class:`Scene`, and at any time poses, joints and contact forces. ``names``: what bodies are
-    called, if otherwise than in the model; ``robot`` is one of these."""
+    called, if otherwise than in the model; ``robot`` is one of these. A robot whose links hang on the world itself has that for its base,
+    which is a body of the scene then."""
 
     def __init__(self, model: mujoco.MjModel, robot: str, names: Mapping[str, str] | None = None) -> None:
         self.model = model
         own = [model.body(i).name or f"body_{i}" for i in range(model.nbody)]
         self._names = [(names or {}).get(name, name) for name in own]
+        self._first = 0 if self._names[0] == robot else 1  # body of the model that is the scene's first
         drawn = self._shapes()
         self.scene = Scene(robot, self._bodies(), (*drawn, *self._rods(robot, {s.body for s in drawn})))
         self.joints = [i for i in range(model.njnt) if int(model.jnt_type[i]) >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
-        self.parents = [self._names.index(b.parent) - 1 for b in self.scene.bodies]  # -1: the world
+        places = {b.name: k for k, b in enumerate(self.scene.bodies)}
+        self.parents = [places.get(b.parent, -1) for b in self.scene.bodies]  # -1: the world
         self.joint_names = [model.joint(i).name or f"joint_{i}" for i in self.joints]
 
     @cached_property
@@ -147,10 +150,11 @@ class SceneReader:
         return mujoco.MjData(self.model)
 
     def _bodies(self) -> tuple[Body, ...]:
-        m = self.model
+        m, parents = self.model, [self._names[int(i)] for i in self.model.body_parentid]
+        parents[0] = "world"
         return tuple(
-            Body(self._names[i], self._names[int(m.body_parentid[i])], bool(m.body_jntnum[i] or m.body_mocapid[i] >= 0))
-            for i in range(1, m.nbody)
+            Body(self._names[i], parents[i], bool(m.body_jntnum[i] or m.body_mocapid[i] >= 0))
+            for i in range(self._first, m.nbody)
         )
 
     def _shapes(self) -> tuple[Shape, ...]:
@@ -197,7 +201,7 @@ class SceneReader:
     # ------------------------------------------------------------------ the present state
     def poses(self, data: mujoco.MjData) -> Array:
         """Poses (bodies, 7) in the world: position [m] and quaternion, in the order of the scene's bodies."""
-        return np.hstack([data.xpos[1:], data.xquat[1:]])
+        return np.hstack([data.xpos[self._first :], data.xquat[self._first :]])
 
     def joint_states(self, data: mujoco.MjData) -> Array:
         """Position [rad or m], velocity and drive force [N m or N] (joints, 3) of all hinges and slides."""

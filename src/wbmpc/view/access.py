@@ -111,12 +111,21 @@ def _canonical(host: str) -> str:
     try:
         found = str(socket.getaddrinfo(bare, None, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)[0][4][0])
     except (OSError, UnicodeError):
-        return host or "::"  # a name
+        return host  # a name
     return str(ipaddress.ip_address(found))
 
 
 def _check_own(host: str) -> None:
-    """Raise :class:`InputError` for what this machine cannot listen on."""
+    """Raise :class:`InputError` for what this machine cannot listen on, and for what no browser can be given."""
+    if not host:
+        raise InputError(
+            "--host: an address is needed; valid: 127.0.0.1 (this machine alone), 0.0.0.0 or :: (every address)"
+        )
+    if _is_address(host) and ":" in host and ipaddress.ip_address(host).is_link_local:
+        raise InputError(
+            f"--host: '{host}' is a link-local address, which needs an interface, and browsers take no address with one; valid: "
+            f"another address of this machine, or :: (every address)"
+        )
     try:
         for family, kind, _, _, address in socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM):
             with socket.socket(family, kind) as one:

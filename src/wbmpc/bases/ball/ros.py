@@ -26,7 +26,7 @@ from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import EndEffectorTrack, Planner, Task
-from wbmpc.ros2.joints import Inertial, JointSample
+from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
 
 Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
@@ -43,7 +43,7 @@ CHANGES, POSTURES = 12, 5
 @dataclass(frozen=True)
 class BallMessage:
     """What the sensors said at ``time`` [s] of the runner's clock, whose zero is at ``origin`` [s], seen ``now``; gyro and
-    accelerometer are averages since the message before."""
+    accelerometer are averages since the message before; ``series`` of the encoders."""
 
     time: float
     now: float
@@ -52,6 +52,7 @@ class BallMessage:
     gyro: Array
     accel: Array
     origin: float = 0.0
+    series: Series = FIRST
 
 
 class BusBallController(BallController):
@@ -214,7 +215,7 @@ class BallRosAdapter(BaseAdapter):
             0.0,
         )  # where the robot is put on the floor: x, y, yaw; how well that is known
         self._standing: tuple[float, Array] | None = None  # time [s] of the clock behind the runner's, state
-        self._answer = np.zeros(6)
+        self._answer, self._series = np.zeros(6), Series()
         self.parameters = lambda: self._model.solver.parameters
         self._torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
         robot.pose(robot.home)  # builds the functions: not in a tick
@@ -277,13 +278,16 @@ class BallRosAdapter(BaseAdapter):
     ) -> BallMessage:
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock."""
         assert imu is not None
-        return BallMessage(at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel, origin)
+        return BallMessage(
+            at, now, sample.groups["wheel"], sample.groups["arm"], imu.gyro, imu.accel, origin, sample.series
+        )
 
     def stand(self, m: BallMessage) -> None:
         """Before its first run a person, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
-        run the estimator goes on, wherever the robot rolls or falls, until time goes back."""
-        seen = self.controller.seen
-        if seen is not None and m.time < seen.time - seen.age - BACK:
+        run the estimator goes on, wherever the robot rolls or falls, until time goes back or its encoders begin anew."""
+        seen, known = self.controller.seen, self._series
+        self._series = m.series
+        if seen is not None and (m.time < seen.time - seen.age - BACK or m.series != known):
             self._reset(seen.state)
         elif seen is not None:
             self.controller.follow(m)

@@ -28,7 +28,7 @@ from wbmpc.ros2.base_adapter import (
 )
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
-from wbmpc.ros2.joints import Inertial, JointSample
+from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
 from wbmpc.ros2.settings import drive_groups
 
 Array = np.ndarray
@@ -42,10 +42,11 @@ SLIP, TURN, UNSEEN = 0.01, 0.02, np.array([0.02, 0.02, 0.05])
 @dataclass(frozen=True)
 class BusMeasurement(PlanarMeasurement):
     """``turning`` [rad/s]: mean yaw rate since the measurement before, None where the gyro does not cover that
-    time; ``origin`` [s]: where on the bus's clock the zero of the runner's is."""
+    time; ``origin`` [s]: where on the bus's clock the zero of the runner's is; ``series`` of the encoders."""
 
     turning: float | None = None
     origin: float = 0.0
+    series: Series = FIRST
 
 
 class References(dict[str, Reference]):
@@ -64,6 +65,7 @@ def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
         seen: tuple[BusMeasurement, Array, Array] | None = None
         fix: Callable[[], Fix | None] | None = None
         placed = False
+        _series: Series | None = None
 
         def __init__(self, *args: Any, **keys: Any) -> None:
             super().__init__(*args, **keys)
@@ -76,6 +78,7 @@ def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
 
         def measure(self, measurement: BusMeasurement) -> None:
             """Take in the message of this tick, and another localization's pose if there is a new one."""
+            self._follow_series(measurement.series)
             before, last = self.pose.copy(), self.measured
             lasting = replace(
                 measurement, time=measurement.time + measurement.origin
@@ -90,6 +93,18 @@ def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
             if fix is not None:
                 self._correct(fix[1], fix[2])
             self.seen = measurement, self.pose.copy(), self.speed
+
+        def _follow_series(self, series: Series) -> None:
+            """Encoders that begin anew move nothing; a simulated robot that begins anew is where its odometry begins."""
+            known, self._series = self._series, series
+            if known is None or series == known:
+                return
+            self.measured, self.placed = None, False  # the next pose of another localization says where it is
+            self.odometry.restart()
+            self.covariance = self.covariance + np.diag(UNSEEN**2)
+            if series.simulations != known.simulations:
+                self.odometry.place(np.zeros(3))
+                self.covariance = np.zeros((3, 3))
 
         def _began_anew(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
             upper = np.where(np.isfinite(self.robot.base.wheel_upper), self.robot.base.wheel_upper, 1e3)
@@ -174,9 +189,9 @@ class PlanarRosAdapter(BaseAdapter):
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock, whose zero is at ``origin`` [s]."""
         wheel, arm, steer = (sample.groups[g] for g in ("wheel", "arm", "steer"))
         if imu is None:
-            return BusMeasurement(at, wheel, arm, steer=steer, origin=origin)
+            return BusMeasurement(at, wheel, arm, steer=steer, origin=origin, series=sample.series)
         turning = None if imu.turning is None or not self.settings.use_gyro else float(imu.turning[2])
-        return BusMeasurement(at, wheel, arm, imu.gyro, imu.accel, steer, turning, origin)
+        return BusMeasurement(at, wheel, arm, imu.gyro, imu.accel, steer, turning, origin, sample.series)
 
     def stand(self, measurement: BusMeasurement) -> None:
         """Follow the wheels, and the gyro's bias, while the drives are not commanded."""

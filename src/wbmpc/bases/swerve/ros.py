@@ -29,7 +29,7 @@ from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingC
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
-from wbmpc.ros2.joints import Inertial, JointSample
+from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
 from wbmpc.ros2.settings import GROUPS
 from wbmpc.solver import Trajectory
 
@@ -43,10 +43,11 @@ SWING, STRAIGHT = 0.3, 0.03
 @dataclass(frozen=True)
 class BusMeasurement(SwerveMeasurement):
     """``turning`` [rad/s]: mean yaw rate since the measurement before, None where the gyro does not cover that time; ``origin``
-    [s]: where on the bus's clock the zero of ``time`` is."""
+    [s]: where on the bus's clock the zero of ``time`` is; ``series`` of the encoders."""
 
     turning: float | None = None
     origin: float = 0.0
+    series: Series = FIRST
 
 
 class BusEstimator(SwerveEstimator):
@@ -57,9 +58,11 @@ class BusEstimator(SwerveEstimator):
     fix: Callable[[], Fix | None] | None = None
     placed = False
     _origin: float | None = None  # of the last measurement
+    _series: Series | None = None
 
     def process(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and another localization's pose if there is a new one."""
+        self._follow_series(measurement)
         self._follow_clock(measurement)
         super().process(measurement)
         fix = self.fix() if self.fix is not None else None
@@ -76,6 +79,19 @@ class BusEstimator(SwerveEstimator):
         if measurement.time < self.odometry.time:  # the bus's own time went back
             self.odometry.bridge(measurement.time)
 
+    def _follow_series(self, measurement: SwerveMeasurement) -> None:
+        """Encoders that begin anew move nothing; a simulated robot that begins anew is where its odometry begins."""
+        series, known = getattr(measurement, "series", None), self._series
+        self._series = series
+        if series == known or series is None or known is None:
+            return
+        self.measured = None
+        self.wheels_alone.restart()
+        self.odometry.restart_encoders()
+        if series.simulations != known.simulations:
+            self.odometry.place(np.zeros(3))
+        self.placed = False  # the next pose of another localization says where it is
+
     def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
         """As the inertial unit's messages between the two say."""
         return getattr(now, "turning", None)
@@ -83,7 +99,7 @@ class BusEstimator(SwerveEstimator):
     def carry_on(self, other: BusEstimator) -> None:
         """Go on with what another one has estimated."""
         self.seen, self.odometry = other.seen, other.odometry
-        self.placed, self._origin = other.placed, other._origin
+        self.placed, self._origin, self._series = other.placed, other._origin, other._series
 
     def correct(self, t: float, pose: Array, covariance: Array) -> None:
         """A pose without a covariance is exact; the first one says where the robot is."""
@@ -249,10 +265,11 @@ class SwerveRosAdapter(BaseAdapter):
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock, whose zero is at ``origin`` [s]."""
         self._has_imu = imu is not None
         if imu is None:
-            return BusMeasurement(at, **sample.groups, origin=origin)  # type: ignore[arg-type]
+            return BusMeasurement(at, **sample.groups, origin=origin, series=sample.series)  # type: ignore[arg-type]
         turning = None if imu.turning is None else float(imu.turning[2])
         return BusMeasurement(
-            at, **sample.groups, gyro=imu.gyro, accel=imu.accel, turning=turning, origin=origin  # type: ignore[arg-type]
+            at, **sample.groups, gyro=imu.gyro, accel=imu.accel, turning=turning, origin=origin,  # type: ignore[arg-type]
+            series=sample.series,
         )  # fmt: skip
 
     def stand(self, m: SwerveMeasurement) -> None:
