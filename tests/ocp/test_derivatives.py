@@ -136,13 +136,13 @@ def test_spin_of_the_ball_is_the_vertical_part_of_the_wheels_torque() -> None:
     empty = ca.SX(0, 1)
     spin = ca.Function("spin", [x, u], [BallSpin(ball)(residuals.Symbols(x, u, empty, empty, empty, x, u))])
     torque = np.array([1.0, 2.5, -0.5, 7.0, 8.0, 9.0])
-    upright, leaning = np.zeros(ball.state.size), np.zeros(ball.state.size)
-    leaning[2:5] = 0.4, 0.3, -0.2
+    upright, tilted = np.zeros(ball.state.size), np.zeros(ball.state.size)
+    tilted[2:5] = 0.4, 0.3, -0.2
     radius, wheel, zenith = 0.125, 0.064, np.pi / 4
     assert float(spin(upright, torque)) == pytest.approx(radius / wheel * np.sin(zenith) * 3.0)
-    turned, moment = Rotation.from_euler("ZYX", leaning[2:5]).as_matrix(), np.zeros(3)
+    turned, moment = Rotation.from_euler("ZYX", tilted[2:5]).as_matrix(), np.zeros(3)
     for azimuth, own in zip(ball.description.base.wheels.azimuths, torque[:3], strict=True):
         place = radius * np.array([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
         around = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
         moment += np.cross(turned @ place, turned @ (own / wheel * around))
-    assert float(spin(leaning, torque)) == pytest.approx(moment[2])
+    assert float(spin(tilted, torque)) == pytest.approx(moment[2])

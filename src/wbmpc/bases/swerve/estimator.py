@@ -32,7 +32,7 @@ UNKNOWN = 10.0
 
 def known_weights(wheels: WheelCalibration) -> Array | None:
     """Weights (n) in the odometry by what is known of the ``wheels``; None: all about as well. (One that hung in the air when it was
-    calibrated hangs in the air later, too: it says what it was told, and not where the base goes.)"""
+    calibrated hangs in the air later, too: it says what it was commanded, and not where the base goes.)"""
     variance = np.maximum(np.sum(np.square(wheels.std), axis=0), 1e-12)
     share = variance.min() / variance
     return np.where(share < UNKNOWN**-2, share, 1.0) if share.min() < UNKNOWN**-2 else None

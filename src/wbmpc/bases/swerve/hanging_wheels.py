@@ -27,7 +27,7 @@ def hanging_wheel(geometry: ModuleGeometry, record: WheelRecord, found: WheelCal
     """The wheel that contradicts the others over a record, with the numbers that were ``found``: no zero and no radius explains
     it, and the others agree. None: there is none, or too few wheels to say which.
 
-    A wheel in the air turns and rolls as it is told, and does not pull its leg along."""
+    A wheel in the air turns and rolls as it is commanded, and does not pull its leg along."""
     if geometry.modules < FEWEST:
         return None
     apart = _contradictions(geometry, record, found)
