@@ -235,3 +235,26 @@ def test_a_server_may_join_while_peers_are_counted(monkeypatch: pytest.MonkeyPat
     finally:
         for node in (asks, serves, joins):
             node.close()
+
+
+def test_the_next_node_goes_on_with_the_participant_of_a_closed_one() -> None:
+    """Types of topics stay: the middleware removes them in a thread of its own, and looks them up without a lock when a topic is made
+    (a node that opened soon after others had closed crashed once in a thousand times). Truth: what another node sees of the two."""
+    network = Network.of(private())
+    first, other = open_node("first", "dds", network), open_node("other", "dds", network)
+    first.publisher("/count", "std_msgs/msg/Float64")
+    assert wait_until(lambda: other.publishers("/count"))
+    before = other.publishers("/count")[0]
+    assert other.owner(before) == "first"
+    first.close()
+    first.close()  # once is enough: nobody shares a participant
+    assert wait_until(lambda: not other.publishers("/count"))
+    after = [open_node(name, "dds", network) for name in ("next", "last")]
+    for node in after:
+        node.publisher("/count", "std_msgs/msg/Float64")
+    assert wait_until(lambda: len(other.publishers("/count")) == 2)
+    found = {other.owner(e): e.node for e in other.publishers("/count")}
+    assert found.keys() == {"next", "last"}
+    assert found["next"] == before.node != found["last"]
+    for node in (*after, other):
+        node.close()

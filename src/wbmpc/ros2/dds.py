@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
-from cyclonedds.core import DDSException, InstanceState, Policy
+from cyclonedds.core import DDSException, InstanceState
 from cyclonedds.core import Qos as DdsQos
-from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -31,7 +30,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full_name, nothing
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
-from wbmpc.ros2.dds_domain import open_domain
+from wbmpc.ros2.dds_domain import open_domain, return_participant, take_participant
 from wbmpc.ros2.dds_listener import Take, Watch, silence
 from wbmpc.ros2.dds_qos import POLICIES, dds_qos, ros_qos, ros_type
 from wbmpc.ros2.dds_source import GRAPH_LOCK, FilteredTopic, cannot_talk, matched
@@ -70,10 +69,8 @@ class DdsNode:
         self._mismatches, self._limit = Mismatches(self), RateLimit()
         self._lock = threading.RLock()
         open_domain(network)
-        try:
-            self._participant = DomainParticipant(network.domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
-        except DDSException as error:
-            raise InputError(f"DDS: no participant in domain {network.domain} ({error})") from error
+        self._kept = take_participant(network.domain)
+        self._participant = self._kept.entity
         self._key = self._participant.guid
         self._topics: dict[str, dict[str, Any]] = {}  # by name and type
         self._filtered: list[FilteredTopic] = []
@@ -283,7 +280,7 @@ class DdsNode:
         return found
 
     def _announce(self) -> None:
-        """Publish to the graph which node has which readers and writers: anew whenever there is another one."""
+        """Publish to the graph which node has which readers and writers: anew whenever there is another one. A closed node is gone."""
         size = 24 if self.network.distribution == "humble" else 16
         gid = lambda e: {"data": np.frombuffer(e.guid.bytes.ljust(size, b"\0"), np.uint8)}
         with self._lock:
@@ -291,20 +288,27 @@ class DdsNode:
                 "node_namespace": "/", "node_name": self.name,
                 "reader_gid_seq": [gid(r) for r in self._readers], "writer_gid_seq": [gid(w) for w in self._writers],
             }  # fmt: skip
-            message = {"gid": gid(self._participant), "node_entities_info_seq": [node]}
+            message = {"gid": gid(self._participant), "node_entities_info_seq": [] if self.closed else [node]}
             self._info.write(self._info.topic.data_type(self.types.encode(_INFO, message)))
 
     def close(self) -> None:
         """Leave the bus. Callbacks have ended when this returns. Raises :class:`InputError` in a callback that is not deferred."""
         LOCAL.check_waits(f"closes node '{self.name}'")
-        self.closed = True
+        with self._lock:
+            if self.closed:
+                return
+            self.closed = True
         self._mismatches.close()
         with self._lock:
             entities = [*self._readers, *self._writers]
             self._readers, self._writers = [], []
         for entity in entities:
             silence(entity)
-        self._participant.__del__()  # deletes all that belongs to it; the package has no other way
+        self._announce()
+        names = [] if self._names is None else [self._names[1]]
+        for entity in (*entities, *names, *self._graph, self._info, *(f.topic for f in self._filtered)):
+            entity.__del__()  # the package has no other way
+        return_participant(self.network.domain, self._kept)
         for reader in list(self._unregister):
             self._unregister.pop(reader)()
         _OPEN.discard(self)
@@ -368,7 +372,7 @@ class DdsNode:
         if kind not in known:
             try:
                 carry = shared_message_class(self.network.distribution, kind, tuple((header or {}).items()))
-                known[kind] = Topic(self._participant, name, carry)
+                known[kind] = self._kept.topic(name, kind, carry)
             except DDSException as error:
                 raise InputError(f"{name.removeprefix('rt')}: not a topic of ROS 2 ({error})") from error
         topic: Topic = known[kind]

@@ -1,13 +1,22 @@
-"""Domains of DDS in this process: each is configured once, and stays."""
+"""Domains of DDS in this process: each is configured once, and stays, and so do the types of its topics.
+
+Cyclone DDS looks through its library of types without a lock when a topic is made, while it removes the types of endpoints that were
+deleted before, in a thread of its own: a node that opened soon after another one had closed could crash the process. So participants
+of closed nodes are kept, with their topics, for the next node.
+"""
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import threading
+from dataclasses import dataclass, field
 
-from cyclonedds.core import DDSException
-from cyclonedds.domain import Domain
+from cyclonedds.core import DDSException, Policy
+from cyclonedds.core import Qos as DdsQos
+from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.internal import load_cyclonedds
+from cyclonedds.topic import Topic
 
 from wbmpc.errors import InputError
 from wbmpc.ros2.network import Network
@@ -16,6 +25,50 @@ from wbmpc.ros2.network import Network
 _ERRORS = 1 | 2
 _DOMAINS: dict[int, tuple[Network, Domain]] = {}
 _LOCK = threading.Lock()
+
+
+@dataclass
+class Participant:
+    """A participant of a domain, of one node at a time. ``topics`` of it by name in DDS and type of message: they stay."""
+
+    entity: DomainParticipant
+    topics: dict[tuple[str, str], Topic] = field(default_factory=dict)
+
+    def topic(self, name: str, kind: str, carry: type) -> Topic:
+        """The topic ``name`` for messages of the type ``kind``, as which ``carry`` stands in DDS."""
+        if (name, kind) not in self.topics:
+            self.topics[name, kind] = Topic(self.entity, name, carry)
+        return self.topics[name, kind]
+
+
+#: Of closed nodes, by domain.
+_IDLE: dict[int, list[Participant]] = {}
+
+
+def take_participant(domain: int) -> Participant:
+    """A participant without endpoints. Raises :class:`InputError` if the domain has no room for another one."""
+    with _LOCK:
+        if _IDLE.get(domain):
+            return _IDLE[domain].pop()
+    try:
+        return Participant(DomainParticipant(domain, qos=DdsQos(Policy.Userdata(b"enclave=/;"))))
+    except DDSException as error:
+        raise InputError(f"DDS: no participant in domain {domain} ({error})") from error
+
+
+def return_participant(domain: int, participant: Participant) -> None:
+    """Keep the participant of a node that has closed, and whose endpoints are deleted, for the next one."""
+    with _LOCK:
+        _IDLE.setdefault(domain, []).append(participant)
+
+
+@atexit.register
+def _leave() -> None:
+    """Others see the participants go at once, not when their lease ends."""
+    with _LOCK:
+        for participant in (p for idle in _IDLE.values() for p in idle):
+            participant.entity.__del__()
+        _IDLE.clear()
 
 
 def open_domain(network: Network) -> None:
