@@ -24,19 +24,21 @@ HOME = ROBOT.home
 
 @pytest.mark.parametrize("scale", [0.5, 3.0, 20.0])
 def test_torques_of_both_back_ends(scale: float) -> None:
-    """They say the same, within the limits; truth of how much of a lean is kept: a linear program over lean and spin."""
+    """They say the same, within the limits; truth of how much of a lean is kept: a linear program over lean and spin, about the vertical of
+    SciPy's rotation of the base."""
     rng, one, other = np.random.default_rng(1), TorqueLimits(ROBOT, 6), TorqueLimits(ROBOT, 6, "interpreted")
-    limit, along = one.limit[:3], one.spin / np.linalg.norm(one.spin)
-    most = ROBOT.description.limits.spin_effort / np.linalg.norm(one.spin)
+    limit, most, x = one.limit[:3], ROBOT.description.limits.spin_effort, HOME.copy()
     for _ in range(30):
-        torque = scale * rng.normal(size=6)
-        found = one.limited(torque)
-        np.testing.assert_allclose(found, other.limited(torque), rtol=1e-12, atol=1e-13)
-        lean = torque[:3] - (along @ torque[:3]) * along
-        rows = np.column_stack([lean, along])  # share of the lean, spin
+        torque, (pitch, roll) = scale * rng.normal(size=6), rng.uniform(-0.3, 0.3, 2)
+        x[3:5] = pitch, roll
+        found = one.limited(torque, x)
+        np.testing.assert_allclose(found, other.limited(torque, x), rtol=1e-12, atol=1e-13)
+        effect = Rotation.from_euler("ZYX", [x[2], pitch, roll]).as_matrix() @ ROBOT.base.wheel_torque_map()
+        assert abs(effect[2] @ found[:3]) <= most + 1e-9
+        lean, turn = effect[:2] @ torque[:3], np.linalg.solve(effect, [0.0, 0.0, 1.0])
+        rows = np.column_stack([np.linalg.solve(effect, [*lean, 0.0]), turn])  # share of the lean, spin
         best = linprog([-1.0, 0.0], np.vstack([rows, -rows]), np.tile(limit, 2), bounds=[(0, 1), (-most, most)])
-        kept = found[:3] - (along @ found[:3]) * along
-        np.testing.assert_allclose(kept, best.x[0] * lean, atol=1e-9)
+        np.testing.assert_allclose(effect[:2] @ found[:3], best.x[0] * lean, atol=1e-8)
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])

@@ -135,6 +135,26 @@ def test_open_legs_show_every_zero() -> None:
     assert np.sqrt(HIDDEN @ shut.covariance[:4, :4] @ HIDDEN) > 0.99e-3  # 2 mrad / √4
 
 
+@pytest.mark.parametrize("hanging", [0, 2])
+def test_a_wheel_in_the_air_is_left_out(hanging: int, caplog: pytest.LogCaptureFixture) -> None:
+    """It turns and rolls by numbers that have nothing to do with the base: the others are found as without it, it stays as uncertain as it
+    was. One whose zero alone is far off is no such wheel."""
+    base, rest = drawn(5, length=20.0), np.arange(4) != hanging
+    data = record(base, (0.005, 0.005, 0.002))
+    steer, wheel, t = data.steer.copy(), data.wheel.copy(), data.times
+    turned = WheelRecord(**{**vars(data), "steer": steer + 0.05 * ~rest})
+    found = calibrate(UNEVEN, turned, prior=WheelCalibration.unknown(UNEVEN, 0.05, 2e-3, 0.0), noise=CALM)
+    error = found.steer_offset[hanging] - base.zeros[hanging] - 0.05
+    assert not caplog.records and abs(error) < 4.0 * found.std[0][hanging] < 0.1
+    steer[:, hanging] += 0.05 * np.sin(1.3 * t)
+    wheel[:, hanging] += 0.05 * np.cumsum(np.sign(np.sin(0.7 * t)) * np.gradient(wheel[:, hanging]))
+    found = calibrate(UNEVEN, WheelRecord(**{**vars(data), "steer": steer, "wheel": wheel}), prior=prior(), noise=CALM)
+    assert f"wheel {hanging + 1} of 4" in caplog.text
+    apart = [found.steer_offset - base.zeros, found.wheel_radius / UNEVEN.wheel_radius - base.factors]
+    for error, std in zip(apart, found.std, strict=True):
+        assert np.abs(error / std)[rest].max() < 4.0 and std[rest].max() < 3e-3 < 0.01 < std[hanging]
+
+
 def test_calibrated_odometry_drifts_less() -> None:
     errors = {"before": [], "after": []}
     for seed in range(5):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from wbmpc.bases.swerve.inertial_step import ACCELERATION_ZEROS, FOLLOW, LEAST, 
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.slipping_wheels import OVER
+from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.kernel.step import Backend
 from wbmpc.model.robot import load_robot
 
@@ -18,11 +21,11 @@ ROBOT, H, BIAS = load_robot("swerve-fixed-ur10"), 0.0025, np.array([0.01, -0.01]
 GEOMETRY = ROBOT.base.geometry
 
 
-def drive(slips: np.ndarray, inertial_unit: bool) -> float:
+def drive(slips: np.ndarray, inertial_unit: bool, calibration: WheelCalibration | None = None) -> float:
     """By how much [m] the odometry is off after 2 s of rest and 1 s ahead at up to 0.3 m/s, during the last 0.3 s of which wheels turn too
     fast by ``slips`` (4) [m/s]."""
     estimator = SwerveEstimator(
-        ROBOT, np.zeros(3), EstimatorSettings(), DriveModel(ROBOT, H, 0.0, True), ArmDrives(6, H, 0.0)
+        ROBOT, np.zeros(3), EstimatorSettings(calibration), DriveModel(ROBOT, H, 0.0, True), ArmDrives(6, H, 0.0)
     )
     steer = -GEOMETRY.wheel_heading - GEOMETRY.leg_angles(np.zeros(4))
     wheel, way, v = np.zeros(4), 0.0, 0.0
@@ -35,6 +38,17 @@ def drive(slips: np.ndarray, inertial_unit: bool) -> float:
         wheel += H * (v + 0.5 * H * a + slips * (t >= 2.7)) / GEOMETRY.wheel_radius
         way, v = way + H * (v + 0.5 * H * a), v + H * a
     return float(np.hypot(estimator.odometry.pose[0] - way, estimator.odometry.pose[1]))
+
+
+@pytest.mark.parametrize("unknown", [2, None])
+def test_a_wheel_of_which_nothing_is_known_hardly_counts(unknown: int | None) -> None:
+    """One of four wheels says 8 mm/s too much for 0.3 s, too little to be found. Truth: what the other three say, or the mean of all."""
+    calibration, std = WheelCalibration.unknown(GEOMETRY, 1e-3, 1e-3, 0.0), np.full(8, 1e-3)
+    if unknown is not None:
+        std[[unknown, 4 + unknown]] = 0.03
+    known = replace(calibration, covariance=np.diag(std**2))
+    off = abs(drive(np.array([0.0, 0.0, 0.008, 0.0]), True, known) - drive(np.zeros(4), True, known))
+    assert off < 3e-5 if unknown == 2 else off == pytest.approx(0.008 * 0.3 / 4.0, rel=0.1)
 
 
 def test_one_wheel_that_grips_is_right_against_two_that_slip_alike() -> None:

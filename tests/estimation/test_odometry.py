@@ -241,3 +241,7 @@ def test_the_odd_wheel_is_the_one_without_which_the_others_agree(odd: int) -> No
     i, share = odd_one_out(residual.reshape(4, 2), axes)
     assert i == odd == int(np.argmin(without))
     assert share == pytest.approx(1.0 - without[i] / squares(wheels >= 0))
+    assert odd_one_out(np.stack([residual.reshape(4, 2)] * 3), axes) == (
+        i,
+        pytest.approx(share),
+    )  # thrice the same interval

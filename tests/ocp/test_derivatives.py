@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from toys import Rows, ToyDynamics, pendulum, random_stage, rezero_solver, robot, swerve_solver
 from wbmpc.bases.ball.residuals import BallSpin
@@ -128,11 +129,20 @@ def test_switched_terms_count_in_their_modes_only() -> None:
 
 def test_spin_of_the_ball_is_the_vertical_part_of_the_wheels_torque() -> None:
     """By statics: each wheel's friction acts at its contact, horizontally along a circle of radius r sin z; with the
-    force τ / r_w its torque about the vertical is (r / r_w) sin z τ, and all three add up."""
+    force τ / r_w its torque about the vertical is (r / r_w) sin z τ, and all three add up. Under a base that leans the circles lean too:
+    what these forces do about the vertical is their moment about the ball's center."""
     ball = robot("rezero")
-    u = ca.SX.sym("u", ball.input.size)
+    x, u = ca.SX.sym("x", ball.state.size), ca.SX.sym("u", ball.input.size)
     empty = ca.SX(0, 1)
-    symbols = residuals.Symbols(ca.SX(ball.state.size, 1), u, empty, empty, empty, empty, u)
-    spin = ca.Function("spin", [u], [BallSpin(ball)(symbols)])
+    spin = ca.Function("spin", [x, u], [BallSpin(ball)(residuals.Symbols(x, u, empty, empty, empty, x, u))])
     torque = np.array([1.0, 2.5, -0.5, 7.0, 8.0, 9.0])
-    assert float(spin(torque)) == pytest.approx(0.125 / 0.064 * np.sin(np.pi / 4) * 3.0)
+    upright, tilted = np.zeros(ball.state.size), np.zeros(ball.state.size)
+    tilted[2:5] = 0.4, 0.3, -0.2
+    radius, wheel, zenith = 0.125, 0.064, np.pi / 4
+    assert float(spin(upright, torque)) == pytest.approx(radius / wheel * np.sin(zenith) * 3.0)
+    turned, moment = Rotation.from_euler("ZYX", tilted[2:5]).as_matrix(), np.zeros(3)
+    for azimuth, own in zip(ball.description.base.wheels.azimuths, torque[:3], strict=True):
+        place = radius * np.array([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
+        around = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        moment += np.cross(turned @ place, turned @ (own / wheel * around))
+    assert float(spin(tilted, torque)) == pytest.approx(moment[2])

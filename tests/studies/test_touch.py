@@ -20,10 +20,11 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door import believed
 from wbmpc.studies.minniti2019.door_control import LIGHT, DoorController, modes
-from wbmpc.studies.minniti2019.door_model import WithDoor, end_effector_motion, place_of
+from wbmpc.studies.minniti2019.door_model import DoorGeometry, WithDoor, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import Door
 from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed
+from wbmpc.studies.minniti2019.grip import GripMonitor
 from wbmpc.studies.minniti2019.press import TIPS
 from wbmpc.studies.minniti2019.touch_figures import Touch, longest, metrics
 from wbmpc.studies.minniti2019.touch_plant import TouchPlant
@@ -111,11 +112,29 @@ def test_a_touch_is_no_part_of_a_plan_before_it_is_felt() -> None:
     controller.modes, controller.phase = modes(True), "approach"
     controller.contact = SimpleNamespace(touching=False)  # type: ignore[assignment]
     controller.push = SimpleNamespace(fastest=LimitedApproach().fastest, lead=0.0, give_up=9.0)  # type: ignore[assignment]
-    controller.moving, controller.touched = False, np.inf
+    controller.moving, controller._loaded = False, np.inf
     assert controller.schedule(2.0).events[0] > 1e3
-    controller.phase, controller.touched, controller.contact.touching = "push", 2.0, True
-    plan = controller.schedule(3.0)
-    assert plan.modes[0].name == "held" and plan.events[0] == 9.0
+    controller.phase, controller.contact.touching = "push", True
+    assert controller.schedule(3.0).events[0] == 9.0
+
+
+@pytest.mark.parametrize("opening", [1.0, -1.0])
+def test_a_door_is_not_held_before_the_push_could_move_it(opening: float) -> None:
+    """By statics: 3.5 N m at the hinge are 5 N at 0.7 m. What has not moved a tenth of a second after more than that is held."""
+    controller = DoorController.__new__(DoorController)
+    controller.modes, controller.phase, controller.moving, controller._loaded = modes(True), "push", False, np.inf
+    controller.contact = SimpleNamespace(touching=True)  # type: ignore[assignment]
+    controller.push = SimpleNamespace(fastest=LimitedApproach().fastest, lead=0.0, give_up=9.0)  # type: ignore[assignment]
+    controller.geometry, controller.door = DoorGeometry((0.5, 0.2), 0.3, opening, 0.04), np.zeros(2)
+    controller.lever, controller.impedance, controller.period = 0.7, np.array([2.5, 12.0, 3.5]), 0.01
+    controller.grip = GripMonitor(0.1)
+    normal, planned = controller.geometry.directions(0.0)[1], []
+    place = controller.geometry.place(0.0, 0.7, 1.0)
+    for k in range(60):
+        controller.force = -(4.9 if k < 30 else 5.1) * normal
+        controller._judge_grip(0.01 * k, (place, np.zeros(3), np.zeros(3)))
+        planned.append(controller.schedule(0.01 * k).modes[0].name)
+    assert planned == ["moving"] * 40 + ["held"] * 20
 
 
 @pytest.mark.parametrize(("lead", "moves"), [(0.002, True), (0.0, True), (0.0, False)])

@@ -76,15 +76,16 @@ class Increment:
 
 
 def odd_one_out(residual: Array, axes: Array) -> tuple[int, float]:
-    """Which wheel the others do without best, and the share of all squares that is gone without it; ``residual`` (n, 2) of a
-    least-squares twist that counts all wheels alike, ``axes`` (n, 2) [m] of the wheels.
+    """Which wheel the others do without best, and the share of all squares that is gone without it; ``residual`` (n, 2), or (k, n, 2) of
+    k intervals, of a least-squares twist that counts all wheels alike, ``axes`` (n, 2) [m] of the wheels.
 
     Leaving out wheel i lowers the sum of squares by r_i' (1 - H_ii)^-1 r_i, H being the projection on what twists give.
     """
     away = axes - axes.mean(axis=0)
     across = away @ _QUARTER_TURN
     left = (1.0 - 1.0 / len(axes)) * np.eye(2) - across[:, :, None] * across[:, None, :] / np.sum(away**2)
-    less = np.einsum("ni,ni->n", residual, np.linalg.solve(left, residual[:, :, None])[:, :, 0])
+    each = residual.reshape(-1, len(axes), 2)
+    less = np.einsum("kni,nij,knj->n", each, np.linalg.inv(left), each)
     i = int(np.argmax(less))
     return i, float(less[i] / max(float(np.sum(residual**2)), 1e-300))
 

@@ -281,7 +281,7 @@ class BallController:
             policy = plans.at(t + k * self.period)
             if policy is None:
                 break
-            target = self.limits.limited(self._law(t + dead + k * self.period, x, policy)[1])
+            target = self.limits.limited(self._law(t + dead + k * self.period, x, policy)[1], x)
             torque = self.sent.follow(target, torque)
             x = self._step(x, torque, self.period)
         return Observation(until + dead, x)
@@ -295,10 +295,9 @@ class BallController:
         forecast, plan = self.forecast, plans.current
         if forecast is not None and plan is not None and plan is not forecast.seen:
             stop_for(forecast.update_plan(plan, self._carried(), self._answered()))
-        self.feedforward, self.target = self._law(
-            t + self.sent.dead * self.period, self.ahead(), plans.current, acts=True
-        )
-        return self._drive(self.limits.limited(self.target))
+        x = self.ahead()
+        self.feedforward, self.target = self._law(t + self.sent.dead * self.period, x, plans.current, acts=True)
+        return self._drive(self.limits.limited(self.target, x))
 
     def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Torques [N m] without and with feedback in state x at time t [s]; ``acts``: they are sent, not only predicted."""

@@ -17,7 +17,8 @@ from wbmpc.ocp.symbols import Symbols
 
 @dataclass(frozen=True)
 class BallSpin:
-    """Torque (1) [N m] of the wheels on a ball about the base's z axis: more than the floor's spin friction spins the ball."""
+    """Torque (1) [N m] of the wheels on a ball about the vertical: more than the floor's spin friction spins the ball. What leans a base
+    that leans already is part of it."""
 
     robot: RobotModel
 
@@ -25,7 +26,8 @@ class BallSpin:
     groups = {"torque": slice(0, 1)}  # noqa: RUF012
 
     def __call__(self, s: Symbols) -> ca.SX:
-        return ca.DM(self.robot.base.wheel_torque_map()[2:]) @ s.u[self.robot.input["wheel"]]
+        up = self.robot.base.root(s.x[: self.robot.base.nq]).rotation[2, :]
+        return up @ ca.DM(self.robot.base.wheel_torque_map()) @ s.u[self.robot.input["wheel"]]
 
 
 @dataclass(frozen=True)

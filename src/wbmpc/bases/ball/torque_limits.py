@@ -10,27 +10,32 @@ from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
+#: Where pitch and roll are in a state.
+LEAN = slice(3, 5)
 
 
 class TorqueLimits:
     """Of ``size`` drives, the wheels first. ``limit`` (n + m) [N m]; ``spin`` (n): torque about the vertical that the wheels' do to
-    the ball."""
+    the ball under a base that stands upright."""
 
     def __init__(self, robot: RobotModel, size: int, backend: Backend = "compiled") -> None:
+        effect = robot.base.wheel_torque_map()
         self.limit: Array = np.array(robot.limits.input_upper[:size], float)
-        self.spin: Array = robot.base.wheel_torque_map()[2]
-        length, n = float(np.linalg.norm(self.spin)), self.spin.size
+        self.spin: Array = effect[2]
+        n = self.spin.size
         arrays = {"torque": np.zeros(size), "out": np.zeros(size), "at": np.zeros(n + 1), "room": np.zeros(n + 1)}
-        self._arrays = arrays | {"along": self.spin / length, "limit": self.limit.copy()}
-        largest = robot.description.limits.spin_effort / length
+        arrays |= {"lean": np.zeros(2), "turn": np.zeros(n), "limit": self.limit.copy()}
+        self._arrays = arrays | {"effect": effect.ravel(), "causes": np.linalg.pinv(effect).ravel()}
+        largest = robot.description.limits.spin_effort
         self._limit = bind(limit_torques, self._arrays, backend, n=n, size=size, largest=largest)
 
-    def limited(self, torque: Array) -> Array:
-        """Torques within the limits. Wheels that are clipped one by one would spin the ball.
+    def limited(self, torque: Array, state: Array) -> Array:
+        """Torques within the limits, for a base that leans as in the ``state`` (nx). Wheels that are clipped one by one would spin the ball.
 
         What leans stays as it is while some spin within its limit lets all wheels have it, and the spin nearest to the one
         asked for is taken; what leans is scaled as a whole only where there is none.
         """
         self._arrays["torque"][:] = torque
+        self._arrays["lean"][:] = state[LEAN]
         self._limit()
         return self._arrays["out"].copy()

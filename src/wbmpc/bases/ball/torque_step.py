@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from wbmpc.bases.ball.compilation import step
 from wbmpc.kernel.ir import Floats
+
+#: A wheel that hardly changes the spin counts as if it did by this share of it.
+LEAST = 1e-9
 
 
 @step
@@ -12,21 +17,31 @@ def limit_torques(
     size: int,
     torque: Floats,
     out: Floats,
-    along: Floats,
+    lean: Floats,
+    effect: Floats,
+    causes: Floats,
+    turn: Floats,
     limit: Floats,
     at: Floats,
     room: Floats,
     largest: float,
 ) -> None:
-    """``torque`` (size) [N m] of n wheels and joints within ``limit`` (size), into ``out``; ``along`` (n): direction of spin, at most
-    ``largest`` along it. Spins that wheel i can have beside c times what leans are -c at_i ± room_i; so is what there may be of it."""
+    """``torque`` (size) [N m] of n wheels and joints within ``limit`` (size), into ``out``; at most ``largest`` of spin, which is what
+    the wheels' ``effect`` (3, n) on the ball has about the vertical of a base with this ``lean`` (2) [rad], pitch and roll. ``turn`` (n):
+    what ``causes`` (n, 3) one of spin and nothing else. Spins that wheel i can have beside c times what leans are -c at_i ± room_i; so is
+    what there may be of it."""
+    x, level = -np.sin(lean[0]), np.cos(lean[0])
+    y, z = level * np.sin(lean[1]), level * np.cos(lean[1])
     spin = 0.0
     for i in range(n):
-        spin += along[i] * torque[i]
+        spin += (effect[i] * x + effect[n + i] * y + effect[2 * n + i] * z) * torque[i]
+        turn[i] = causes[3 * i] * x + causes[3 * i + 1] * y + causes[3 * i + 2] * z
+        if abs(turn[i]) < LEAST:
+            turn[i] = LEAST
     at[n], room[n] = 0.0, largest
     for i in range(n):
-        out[i] = torque[i] - spin * along[i]
-        at[i], room[i] = out[i] / along[i], limit[i] / abs(along[i])
+        out[i] = torque[i] - spin * turn[i]
+        at[i], room[i] = out[i] / turn[i], limit[i] / abs(turn[i])
     scale = 1.0
     for i in range(n + 1):  # they overlap if every two of them do
         for j in range(n + 1):
@@ -36,6 +51,6 @@ def limit_torques(
         low, high = max(low, -scale * at[i] - room[i]), min(high, -scale * at[i] + room[i])
     spin = min(max(spin, low), high)
     for i in range(n):  # only rounding is clipped
-        out[i] = min(max(scale * out[i] + spin * along[i], -limit[i]), limit[i])
+        out[i] = min(max(scale * out[i] + spin * turn[i], -limit[i]), limit[i])
     for i in range(n, size):
         out[i] = min(max(torque[i], -limit[i]), limit[i])

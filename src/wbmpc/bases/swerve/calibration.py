@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.swerve.hanging_wheels import weights_on_the_ground
 from wbmpc.errors import InputError
 from wbmpc.estimation.fused_odometry import FusedOdometry
 from wbmpc.estimation.odometry_filter import OdometryNoise
@@ -142,16 +143,14 @@ def _beside(at: Array, times: Array, turned: Array, where: str) -> Array:
 
 
 def replay(
-    geometry: ModuleGeometry,
-    record: WheelRecord,
-    *,
-    prior: WheelCalibration | None = None,
-    noise: OdometryNoise | None = None,
-) -> FusedOdometry:
+    geometry: ModuleGeometry, record: WheelRecord, *, prior: WheelCalibration | None = None, noise: OdometryNoise | None = None,
+    weights: Array | None = None,
+) -> FusedOdometry:  # fmt: skip
     """The filter once over a record: its ``calibration``, and how many poses were ``taken``. They come as soon as they are true.
 
-    ``prior``: what was known before (:meth:`WheelCalibration.unknown` when left out). Raises :class:`InputError` for a record of
-    another base: another number of modules, hinges that swing where the robot has none, or no leg angles where it has hinges.
+    ``prior``: what was known before (:meth:`WheelCalibration.unknown` when left out); ``weights`` (n) of the wheels (left out: all
+    alike). Raises :class:`InputError` for a record of another base: another number of modules, hinges that swing where the robot has
+    none, or no leg angles where it has hinges.
     """
     if record.steer.ndim != 2 or record.steer.shape[1] != geometry.modules:
         raise InputError(
@@ -164,7 +163,7 @@ def replay(
     for k, t in enumerate(record.times):
         gyro = float(record.gyro[k]) if record.gyro.size else None
         brake = record.brake[k] if record.brake.size else None
-        odometry.update(float(t), record.leg[k], record.steer[k], record.wheel[k], gyro, brake)
+        odometry.update(float(t), record.leg[k], record.steer[k], record.wheel[k], gyro, brake, weights)
         while place < len(record.place_times) and record.place_times[place] <= t:
             odometry.correct(
                 float(record.place_times[place]), record.places[place], np.diag(record.place_std[place] ** 2)
@@ -269,12 +268,14 @@ def fit_wheels(
     """Steer zeros and wheel radii that a record shows.
 
     The filter goes over the record again, from what it found, with more doubt of what was believed before, as long as what it
-    found is more than ``SURPRISING`` standard deviations from that, or poses do not fit. Raises :class:`InputError` for a record
-    that still contradicts itself then (by its channel 'gyro', where it does not without it), or shows nothing; other arguments and
-    errors as of :func:`replay`.
+    found is more than ``SURPRISING`` standard deviations from that, or poses do not fit. A wheel that hangs in the air is left out, with a
+    warning. Raises :class:`InputError` for a record that still contradicts itself then (by its channel 'gyro', where it does not
+    without it), or shows nothing; other arguments and errors as of :func:`replay`.
     """
     try:
-        return _fitted(geometry, record, prior, noise)
+        fit = _fitted(geometry, record, prior, noise)
+        weights = weights_on_the_ground(geometry, record, fit.calibration)
+        return fit if weights is None else _fitted(geometry, record, prior, noise, weights)
     except InputError:
         if _fits_without_gyro(geometry, record, prior, noise):
             raise InputError(
@@ -297,13 +298,14 @@ def _fits_without_gyro(
 
 
 def _fitted(
-    geometry: ModuleGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None
-) -> WheelFit:
+    geometry: ModuleGeometry, record: WheelRecord, prior: WheelCalibration | None, noise: OdometryNoise | None,
+    weights: Array | None = None,
+) -> WheelFit:  # fmt: skip
     """As :func:`fit_wheels`, whatever it is that contradicts itself."""
     prior = prior or WheelCalibration.unknown(geometry)
     previous, start, widened = prior, prior, False
     for _ in range(PASSES):
-        odometry = replay(geometry, record, prior=start, noise=noise)
+        odometry = replay(geometry, record, prior=start, noise=noise, weights=weights)
         if odometry.contradiction > ABSURD:
             raise InputError(
                 f"log: the wheels contradict each other by {100 * odometry.contradiction:.0f} % of their way; steering, leg "
@@ -372,11 +374,8 @@ def _checked(odometry: FusedOdometry, record: WheelRecord, previous: WheelCalibr
     """Raise :class:`InputError` for a record that contradicts itself or shows nothing."""
     n, available = found.modules, len(record.places)
     if _contradicted(odometry):
-        why = (
-            ""
-            if odometry.taken < 2
-            else f", with {np.sqrt(odometry.misfit / 3.0):.1f} times the errors that they state"
-        )
+        times = f"{np.sqrt(odometry.misfit / 3.0):.1f} times"
+        why = "" if odometry.taken < 2 else f", with {times} the errors that they state"
         raise InputError(
             f"log: {odometry.taken} of {available} global poses fit what wheels and gyro say{why}, though steer zeros may be "
             f"{1e3 * previous.std[0].max():.3g} mrad off and radii {100 * previous.std[1].max():.2g} %; check units, signs, times "

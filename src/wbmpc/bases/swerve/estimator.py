@@ -26,6 +26,16 @@ from wbmpc.model.robot import RobotModel
 Array = NDArray[np.float64]
 #: Weight in the odometry of a wheel that slips.
 SLIP_WEIGHT = 1e-3
+#: A wheel whose zero and radius are so many times less certain than those of the best known wheel counts by the ratio of their variances.
+UNKNOWN = 10.0
+
+
+def known_weights(wheels: WheelCalibration) -> Array | None:
+    """Weights (n) in the odometry by what is known of the ``wheels``; None: all about as well. (One that hung in the air when it was
+    calibrated hangs in the air later, too: it says what it was commanded, and not where the base goes.)"""
+    variance = np.maximum(np.sum(np.square(wheels.std), axis=0), 1e-12)
+    share = variance.min() / variance
+    return np.where(share < UNKNOWN**-2, share, 1.0) if share.min() < UNKNOWN**-2 else None
 
 
 @dataclass(frozen=True)
@@ -62,6 +72,7 @@ class SwerveEstimator:
         self._drives, self._arm_drives, self._side_slip = drives, arm_drives, side_slip
         geometry = robot.base.geometry
         wheels = self.calibration = settings.calibration or WheelCalibration.unknown(geometry)
+        self._known = known_weights(wheels)
         self.odometry = FusedOdometry(geometry, pose, calibration=wheels, noise=settings.noise)
         self.wheels_alone = WheelOdometry(
             geometry,
@@ -91,7 +102,10 @@ class SwerveEstimator:
         turning = self.mean_rate(previous, m) if self.use_gyro else None
         sample = self._sample = self.wheels_alone.checked(m.leg, m.steer, m.wheel)
         self.wheels_alone.advance(sample)
-        self.odometry.advance(m.time, sample, turning, weights=self._wheel_weights(h, sample[0], turning))
+        weights, known = self._wheel_weights(h, sample[0], turning), self._known
+        if known is not None:
+            weights = known if weights is None else weights * known
+        self.odometry.advance(m.time, sample, turning, weights=weights)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
         if self._smoothing is not None:

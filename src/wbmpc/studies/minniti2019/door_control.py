@@ -54,7 +54,7 @@ NEVER = 1e6
 RELAX, RETURN_SPEED = 0.8, 0.3
 #: A door moves when it is faster than this [rad/s] on average over :data:`SPEED_TIME`, and rests below a third of it.
 MOVING = 0.03
-#: Before this time [s] after the touch a door that has not moved yet is planned to.
+#: Before this time [s] after the push has passed what the door resists a door that has not moved yet is planned to.
 UNMOVED = 0.1
 #: Above this rate [rad/s] the motion shows its impedance.
 SLIDING = 0.06
@@ -130,6 +130,7 @@ class DoorController(BallController):
         self.force = np.zeros(3)  # of the world on the end effector, world axes [N]
         self.door = np.zeros(2)
         self.touched = self.relaxed = self.released = np.inf
+        self._loaded = np.inf  # when the push passed what the door resists [s]
         self.fit = LeverFit(geometry.lever(push.start, 0.0))
         self.moving, self._mean_rate = False, 0.0
         self.lever = geometry.lever(push.start, 0.0)
@@ -164,7 +165,7 @@ class DoorController(BallController):
             self.sensorless.observer.zero()
         self._compare(measurement.time)
         self._follow(measurement.time, *motion[:2])
-        self._judge_grip(motion)
+        self._judge_grip(measurement.time, motion)
         self._learn_excess()
 
     def _pushed(self) -> Array:
@@ -255,14 +256,16 @@ class DoorController(BallController):
         """The friction coefficient that is planned with; infinite without a cone."""
         return self.grip.bound if self.push.learns else self.push.friction
 
-    def _judge_grip(self, motion: tuple[Array, Array, Array]) -> None:
-        """Whether the end effector slides, and the grip of the panel."""
+    def _judge_grip(self, t: float, motion: tuple[Array, Array, Array]) -> None:
+        """Whether the end effector slides, the grip of the panel, and whether the push is enough to move it."""
         angle, rate = self.door
         normal = self.geometry.directions(angle)[1]
         push = float(-normal @ self.force) if self.phase in ("push", "relax") else 0.0
         self.sliding = self.geometry.sliding(motion, angle, rate, HALF_THICKNESS)
         across = float(np.linalg.norm(self.force + push * normal))
         self.grip.update(self.period, push, across, self.sliding)
+        if push * self.lever > self.impedance[2]:
+            self._loaded = min(self._loaded, t)
 
     def _coasting(self, end_effector: Array, velocity: Array) -> Array:
         """Angle and rate of a door that has run away from the end effector: it slows down as its impedance says, and is at least
@@ -362,7 +365,7 @@ class DoorController(BallController):
         """The modes from ``now`` [s] on. Terms name their modes: all must be in a schedule, if only in a far future."""
         order: tuple[Mode, ...]
         events: tuple[float, ...]
-        free, push = self.modes["free"], self.modes["moving" if self.moving or now < self.touched + UNMOVED else "held"]
+        free, push = self.modes["free"], self.modes["moving" if self.moving or now < self._loaded + UNMOVED else "held"]
         unforeseen = self.phase == "approach" and not self.contact.touching and self.push.fastest and not self.push.lead
         if self.phase == "release" or unforeseen:
             order, events = (free,), ()

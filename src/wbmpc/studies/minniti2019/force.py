@@ -22,8 +22,6 @@ JUMP = 30.0
 #: of these times [s]. (A zero that moves by more than a touch's threshold would send the end effector against a panel that is not there
 #: yet; sound touches: 0.55 or more, at 8 to 60 N.)
 CONFIRMED, SHARE, MEAN_TIME = 0.15, 0.4, 0.1
-#: Below this push [N], as at the end of one, the share says nothing.
-LEAST = 0.5
 #: What a sensor reads at rest is averaged over this time [s]. It is left as it is up to the first of these [N], what an ordinary
 #: zeroing leaves (0.1 N for each axis); beyond the second the sensor is broken, or something touches it: it is not believed.
 ZERO_TIME, ZERO_LEFT, MAX_ZERO = 0.3, 0.3, 5.0
@@ -120,6 +118,4 @@ class ForceMonitor:
         pushes = np.array([measured, estimated]) if touching else np.zeros(2)
         self._pushes = self._pushes + (1.0 - np.exp(-h / MEAN_TIME)) * (pushes - self._pushes)
         self._touched = self._touched + h if touching else 0.0
-        return bool(
-            self._touched >= CONFIRMED - 1e-9 and self._pushes[0] >= LEAST and self._pushes[1] < SHARE * self._pushes[0]
-        )
+        return bool(self._touched >= CONFIRMED - 1e-9 and self._pushes[1] < SHARE * self._pushes[0])

@@ -37,7 +37,7 @@ class FrequencyAwareController(BallController):
             policy = plans.at(now)
             if policy is None:
                 break
-            target = self.limits.limited(self._torques_of(policy, memory, now, x))
+            target = self.limits.limited(self._torques_of(policy, memory, now, x), x)
             memory.advance(target, self.period)
             torque = self.sent.follow(target, torque)
             x = self._step(x, torque, self.period)
@@ -53,6 +53,6 @@ class FrequencyAwareController(BallController):
             plans.current.state(t)[x.size :], plans.current.feedforward(t)
         )[: self.limit.size]  # fmt: skip
         self.target = self._torques_of(plans.current, self.memory, t, x)
-        torque = self.limits.limited(self.target)
+        torque = self.limits.limited(self.target, x)
         self.memory.advance(torque, self.period)
         return self._drive(torque)

@@ -87,4 +87,6 @@ class TrackingController(BallController):
         speed = self.speeds(planned)
         position = np.concatenate([self._integral, planned[self._arm]])
         self._integral = self._integral + self.period * (speed[: self._n] - self.wheel_error / self.leak_time_constant)
-        return BallCommand(self.limits.limited(self.feedforward), position, speed, self.stiffness, self.damping)
+        return BallCommand(
+            self.limits.limited(self.feedforward, planned), position, speed, self.stiffness, self.damping
+        )
