@@ -35,7 +35,10 @@ def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[n
     use = (t >= touch + 0.1) & (t < release - 0.02)
     error = np.sqrt(np.mean((force[use] - 16.0) ** 2)) / 16.0
     assert m["force_error_ratio_high"] == pytest.approx(error, abs=0.01)
-    assert 0.001 < m["force_error_ratio_high"] < 0.06  # with a load that has not been weighed yet
+    # with a load that has not been weighed yet: the force takes 0.35 s to come up, and is all but exact afterwards
+    assert 0.001 < m["force_error_ratio_high"] < 0.08
+    late = t >= touch + 0.5
+    assert np.sqrt(np.mean((force[use & late] - 16.0) ** 2)) / 16.0 < 0.03
     assert m["contact_share_high"] == 1.0 and m["fell"] == 0.0
     assert m["door_angle_max"] == pytest.approx(door.max()) and door.max() > np.deg2rad(60.0)
     assert 0.1 < m["lean_mean_high"] < 0.4  # 16 N at 0.65 m above the ball's center against 25 kg
