@@ -102,8 +102,8 @@ def test_parameters_of_zeros_are_no_obstacle() -> None:
 
 
 def test_pairs_come_nearer_no_faster_than_joints_brake() -> None:
-    """Truth: differences of the measured distance h along the motion under an input; and that of a joint which follows the bound
-    ḣ = −h / T from its full speed on: it brakes with L / T, no harder than its share of the limit a."""
+    """Truth: differences of the measured distance h along the motion under an input; T is the time in which the slowest joint stops from
+    its full speed L with its share of the limit a: L / (0.6 a)."""
     robot = wb.load_robot("panda")
     residual = wb.residuals.SelfClearance(robot, margin=0.01)
     limits, arm = robot.limits, robot.input["arm"]

@@ -176,8 +176,11 @@ class BusRobot:
         if not (self._replaced or anew):
             return
         self._series, self._replaced = Series(self._series.encoders + 1, self._series.simulations + anew), False
-        why = "their publisher was replaced: the odometry goes on without what wheels turned meanwhile"
-        why = "their time went back: the odometry begins at its origin" if anew else why
+        why = (
+            "their time went back: the odometry begins at its origin"
+            if anew
+            else "their publisher was replaced: the odometry goes on without what wheels turned meanwhile"
+        )
         topic = self.settings.topics.joint_states
         self._limit.log(_LOG, logging.WARNING, "series", f"the joint states on {topic} begin anew, {why}")
 
