@@ -17,8 +17,12 @@ from planar_driving import write_robot
 from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.configuration import configure
+from wbmpc.default_problem import default_problem, keep_clear
+from wbmpc.obstacles.geometry import robot_geometry
+from wbmpc.obstacles.pairs import distances, self_pairs
 from wbmpc.registry import REGISTRY, load
 from wbmpc.simulation.model_plant import ModelPlant
+from wbmpc.tasks import goals
 from wbmpc.tasks.arm_reach import reached_share
 from wbmpc.tasks.following import Task
 from wbmpc.tasks.path_settings import Circle, Curve, Line, Poses, Sine, Table, carried_base, timed
@@ -443,3 +447,21 @@ def test_units_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
 def _shown(name: str, capsys: pytest.CaptureFixture[str]) -> str:
     assert main(["run", name, "--settings"]) == 0
     return " ".join(capsys.readouterr().out.split())
+
+
+def test_goals_are_drawn_where_the_robot_does_not_touch_itself() -> None:
+    """Truth: distances by the collider that samples pairs, which is other code than that of the rows."""
+    robot = wb.load_robot("swerve-ur10")
+    pairs = list(self_pairs(robot))
+    settings = goals.GoalsSettings(robot="swerve-ur10", posture=0.5)
+    states = np.concatenate([goals.random_states(robot, settings, seed) for seed in range(3)])
+    assert distances(robot_geometry(robot), pairs, states, 0.05).min() >= robot.description.collision.self.margin - 1e-6
+
+
+def test_pairs_come_near_at_any_speed_among_obstacles() -> None:
+    """Who evades folds the arm as fast as it takes; the pairs are those of the robot file either way."""
+    robot = wb.load_robot("differential-ur10")
+    alone, among = default_problem(robot), keep_clear(default_problem(robot), robot, wb.Obstacles())
+    rows = [ocp.terms["self_clearance"].residual for ocp in (alone, among)]
+    assert rows[0].approach > 0.0 and rows[1].approach == 0.0  # type: ignore[attr-defined]
+    assert rows[0].pairs == rows[1].pairs == self_pairs(robot)  # type: ignore[attr-defined]
