@@ -179,13 +179,13 @@ def keep_clear(
 
 def default_mpc(
     robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
-    obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, progress: bool = False,
+    obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, progress: str | None = None,
 ) -> MPC:  # fmt: skip
     """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``, and upright by
-    ``stability``. ``progress``: see :func:`wbmpc.path_problem`."""
+    ``stability``. ``progress``: the frame that follows a path: see :func:`wbmpc.path_problem`."""
     settings = settings or default_settings()
     ocp = default_problem(robot, settings, cost, stability)
-    ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
+    ocp = keep_clear(path_problem(ocp, frame=progress) if progress else ocp, robot, obstacles)
     mpc = make_mpc(ocp, settings, stability, obstacles=obstacles)
     stay_at_home(robot, mpc)
     return mpc
@@ -193,14 +193,15 @@ def default_mpc(
 
 def stay_at_home(robot: RobotModel, mpc: MPC) -> None:
     """Begin at home, with references of end effector, state and input that rest there."""
-    hold_end_effector(mpc, *robot.pose(robot.home))
+    hold(mpc, *robot.pose(robot.home, mpc.path.frame or None))
     mpc.reference["state"] = Reference.constant(robot.home)
     mpc.reference["input"] = Reference.constant(np.zeros(robot.input.size))
     mpc.reset(robot.home)
 
 
-def hold_end_effector(mpc: MPC, position: Array, orientation: Array) -> None:
-    """The end effector's goal is a position (3) [m] with an orientation (4); of a problem with a path: it stands at the start of one."""
+def hold(mpc: MPC, position: Array, orientation: Array) -> None:
+    """The end effector's goal is a position (3) [m] with an orientation (4); of a problem with a path: what follows it stands at the start
+    of one."""
     if mpc.path.active:
         mpc.path.follow(Path.line(position, position + [1.0, 0.0, 0.0], orientation), speed=0.0)
     else:

@@ -77,6 +77,30 @@ def test_speeds_are_held_in_simulation(upright: tuple[wb.RobotModel, SpeedMPC]) 
         mpc.simulate(robot.home, u[1:], 0.05)
 
 
+def test_a_base_goes_along_a_path_as_fast_as_its_margin_allows(upright: tuple[wb.RobotModel, SpeedMPC]) -> None:
+    """Truth: the distance to the path, and the stance at the speeds and accelerations of every plan."""
+    robot, _ = upright
+    body, stance, margin = robot.description.base.body, StanceOf(robot), 0.065
+    start = robot.pose(robot.home, body)[0]
+    stability = SupportMarginSettings(margin=margin)
+    mpc = default_mpc(robot, default_settings(horizon=1.5, intervals=15), stability=stability, progress=body)
+    assert mpc.path.frame == body and not mpc.path.of_end_effector
+    mpc.path.follow(wb.Path.line(start, start + [1.0, 0.0, 0.0]), speed=1.0, acceleration=8.0)
+    x, margins, places = robot.home, [], []
+    mpc.reset(x)
+    for k in range(100):
+        policy = mpc.update(wb.Observation(0.02 * k, x))
+        assert isinstance(policy, SpeedPolicy)
+        assert (policy.x.shape[1], policy.u.shape[1]) == (robot.state.size, robot.input.size)
+        margins.append(stance(policy.x[1], u=policy.u[1], u_rate=policy.slope[1]).polygon_margin)
+        x = policy.state(0.02 * (k + 1))
+        places.append(robot.pose(x, body)[0] - start)
+    way = np.array(places)
+    assert min(margins) == pytest.approx(margin, abs=3e-3)  # it is the limit of how fast the robot starts and stops
+    assert np.abs(way[:, 1:]).max() < 2e-3  # it stays on the path
+    assert way[-1, 0] == pytest.approx(1.0, abs=0.02)  # and gets there
+
+
 def test_other_problems_are_rejected(upright: tuple[wb.RobotModel, SpeedMPC]) -> None:
     robot, _ = upright
     with pytest.raises(InputError, match="accelerations as inputs"):

@@ -281,6 +281,19 @@ def test_drives_clip_at_their_limits():
     p = plant(lift=0.5, settle=0.0)
     p.step(SwerveCommand(np.full(4, 99.0), np.full(4, -99.0), np.full(6, 99.0), np.zeros(4)), 1)
     assert p.data.ctrl.max() == pytest.approx(WHEEL_SPEED) and p.data.ctrl.min() == pytest.approx(-STEER_SPEED)
+    # those of another robot follow its file: as much faster than plans may be, and as strong as it says
+    own = ROBOT.description
+    wheels = [m.wheel for m in own.base.modules]
+    limits = own.limits.model_copy(
+        update={
+            "velocity": own.limits.velocity | dict.fromkeys(wheels, 20.0),
+            "effort": own.limits.effort | dict.fromkeys(wheels, 90.0),
+        }
+    )
+    q = SwervePlant(own.model_copy(update={"limits": limits}), None, NONE, 0, lift=0.5, settle=0.0)
+    q.step(SwerveCommand(np.full(4, 99.0), np.zeros(4), np.zeros(6), np.zeros(4)), 1)
+    assert q.data.ctrl.max() == pytest.approx(2.0 * WHEEL_SPEED)
+    assert q.model.actuator(wheels[0]).forcerange == pytest.approx([-90.0, 90.0])
     assert scale_wheels(np.array([5.0, 20.0, -1.0, 0.0]), 10.0) == pytest.approx([2.5, 10.0, -0.5, 0.0])
     assert not scale_wheels(np.zeros(4), 10.0).any()
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import wbmpc as wb
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.registry import load
-from wbmpc.studies.pankert2022.fast import SwerveFastSettings, WheelWatch, build, path_error, time_to_goal
+from wbmpc.studies.pankert2022.fast import SwerveFastSettings, WheelWatch, build
+from wbmpc.studies.pankert2022.fast_courses import SCurve, path_error, time_to_goal
 from wbmpc.tasks.settings import TaskMpcSettings, TaskSettings
 from wbmpc.types import Truth
 
@@ -19,9 +21,9 @@ def test_the_time_to_the_goal_ends_where_the_end_effector_stays() -> None:
     positions[:, 1] = np.clip(times, 0.0, 1.0)
     positions[14, 2] = 0.011  # it leaves once more
     goal = np.array([0.0, 1.0, 0.0])
-    assert time_to_goal(times, positions, goal, 0.5) == pytest.approx(1.0)
+    assert time_to_goal(times, positions, goal, 0.5, 0.01) == pytest.approx(1.0)
     positions[-1, 0] = 0.02
-    assert np.isnan(time_to_goal(times, positions, goal, 0.5))
+    assert np.isnan(time_to_goal(times, positions, goal, 0.5, 0.01))
 
 
 def test_the_way_is_straight_and_ends_at_the_goal() -> None:
@@ -29,6 +31,36 @@ def test_the_way_is_straight_and_ends_at_the_goal() -> None:
     assert path_error(np.array([[1.0, 0.3, 0.5], [1.0, 1.9, 0.5]]), start, goal) == pytest.approx(0.0, abs=1e-12)
     assert path_error(np.array([[1.03, 1.0, 0.54]]), start, goal) == pytest.approx(0.05)
     assert path_error(np.array([[1.0, 2.2, 0.5], [1.1, 0.5, 0.5]]), start, goal) == pytest.approx(0.2)
+
+
+def test_the_s_curve_heads_along_itself_and_begins_straight() -> None:
+    """Truth: finite differences of its points."""
+    course = SCurve(length=3.0, width=0.5)
+    poses = course.curve()
+    x, y, heading = poses.T
+    assert (
+        (x[0], x[-1]) == (0.0, 3.0)
+        and y[[0, -1]] == pytest.approx([0.0, 0.0])
+        and y.max() == pytest.approx(0.5, abs=1e-4)
+    )
+    middle = np.arctan2(np.diff(y), np.diff(x))
+    assert 0.5 * (heading[1:] + heading[:-1]) == pytest.approx(middle, abs=1e-4)
+    curvature = np.diff(heading) / np.hypot(np.diff(x), np.diff(y))
+    assert np.abs(curvature[[0, -1]]).max() < 0.04 * np.abs(curvature).max()
+    assert np.abs(np.diff(curvature)).max() < 0.08 * np.abs(curvature).max()  # it changes steadily
+
+
+def test_the_s_curve_is_driven_with_faster_wheels() -> None:
+    robot = wb.load_robot("swerve-ur10")
+    faster = SCurve(drives=3.0).equipped(robot)
+    for group, times in (("base", 3.0), ("wheel", 3.0), ("steer", 1.0), ("arm", 1.0)):
+        part = robot.input[group]
+        assert faster.limits.input_upper[part] == pytest.approx(times * robot.limits.input_upper[part])
+
+
+def test_weights_are_factors_on_those_of_the_course() -> None:
+    settings = configure(SwerveFastSettings, ["course=s-curve", "weights={contour: 0.5, state: 2.0}"], "swerve-fast")
+    assert settings.weighted.weights == {**SCurve.WEIGHTS, "contour": 0.5 * SCurve.WEIGHTS["contour"], "state": 2.0}
 
 
 def truth(load: float, slip: float, tilt: float) -> Truth:

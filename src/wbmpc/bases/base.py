@@ -327,11 +327,12 @@ class BaseType(Protocol):
         reject_missing_part(robot.description, "plant")
 
     def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
+        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: str | None = None, **changes: Any
     ) -> MPC:
         """The MPC with default weights, whose goal is the robot's home, and which keeps clear of ``obstacles``; ``changes``: of its
-        :class:`wbmpc.settings.MpcSettings`, by name. ``progress``: the end effector follows a path (``mpc.path``) at its own speed, and no
-        clock (:func:`wbmpc.path_problem`). Its references "end_effector" (poses) and, where a view may move the base, "state"
+        :class:`wbmpc.settings.MpcSettings`, by name. ``progress``: the frame that follows a path (``mpc.path``) at its own speed, in the
+        place of an end effector that follows a clock (:func:`wbmpc.path_problem`).
+        Its references "end_effector" (poses) and, where a view may move the base, "state"
         (nx) follow the robot's task."""
         reject_missing_part(robot.description, "mpc")
 

@@ -62,6 +62,10 @@ class PathProgress:
         self._contours, self._speeds = of(residuals.Contour), of(residuals.Progress)
         self._accelerations = of(residuals.PathAcceleration)
         self._references = [n for n in solver.problem.references.slices if n not in self._contours]
+        followers: list[Any] = [terms[n] for n in self._contours]
+        #: The frame that follows the path, empty where the problem has no progress along one; whether it is the end effector's.
+        self.frame = next((str(r.frame) for r in followers), "")
+        self.of_end_effector = any(getattr(r.robot, "tool", r.frame) == r.frame for r in followers)
         #: What is followed; None before :meth:`follow`.
         self.following: Following | None = None
         self._start: float | None = None
@@ -205,11 +209,11 @@ class PathProgress:
 
     def write(self, trajectory: Trajectory, way: Array) -> None:
         """Set progress in a guess: ``way`` (N + 1) [m] from where it starts."""
-        h, n, m = np.diff(trajectory.grid), self._n, self._m
-        trajectory.x[:, n] = trajectory.x[0, n] + way
-        trajectory.x[:-1, n + 1] = np.diff(way) / h
-        trajectory.x[-1, n + 1] = trajectory.x[-2, n + 1]
-        trajectory.u[:, m] = np.diff(trajectory.x[:, n + 1]) / h
+        h, (s, speed) = np.diff(trajectory.grid), trajectory.x[:, -2:].T  # the path is at the end of state and input
+        s[:] = s[0] + way
+        speed[:-1] = np.diff(way) / h
+        speed[-1] = speed[-2]
+        trajectory.u[:, -1] = np.diff(speed) / h
 
     def pose(self, t: float) -> Array:
         """Pose (7) on the path at that progress: position (3) [m] and quaternion (4)."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.model.augment import InputRate
+from wbmpc.model.augment import InputRate, WithPath
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
@@ -45,13 +45,14 @@ class SpeedMPC(MPC):
     An observation that has the robot's own state (nx) gets the speeds that the active plan has at its time (before the first plan and
     after the end of the last one: none), and its policy gives speeds (:class:`SpeedPolicy`). Measured speeds would feed drive lag and
     noise into the accelerations. One with the problem's state gives the problem's policy. Its guess is one of the robot's own states and
-    inputs. :meth:`advance`, and with it the real-time runner, takes the problem's state alone.
+    inputs, and of the path where there is one. :meth:`advance`, and with it the real-time runner, takes the problem's state alone.
     """
 
     def __init__(self, ocp: Any, solver: SQP | None = None, rate: float = 50.0, **options: Any) -> None:
-        if not isinstance(ocp.dynamics, InputRate):
+        inner = ocp.dynamics.dynamics if isinstance(ocp.dynamics, WithPath) else ocp.dynamics
+        if not isinstance(inner, InputRate):
             raise InputError("speed MPC: a problem with accelerations as inputs is needed (with_accelerations)")
-        self._dynamics: InputRate = ocp.dynamics
+        self._dynamics: InputRate = inner
         guess = options.pop("guess", None)
         super().__init__(ocp, solver, rate, **options)
         self._own = self._dynamics.dynamics.state.size
@@ -92,7 +93,7 @@ class SpeedMPC(MPC):
         plan = self._policy
         if plan is None or t > plan.end:
             return np.zeros(self._dynamics.state.size - self._own)
-        return plan.state(t)[self._own :]
+        return plan.state(t)[self._own : self._dynamics.state.size]
 
     def _in_speeds(self, plan: Policy) -> SpeedPolicy:
         d, inputs = self._dynamics, self._dynamics.dynamics.input
@@ -111,7 +112,7 @@ class SpeedMPC(MPC):
 
 
 class _SpeedGuess:
-    """A guess of the robot's own states and inputs for a problem on accelerations."""
+    """A guess of the robot's own states and inputs, and the path's, for a problem on accelerations."""
 
     def __init__(self, inner: Guess, dynamics: InputRate) -> None:
         self._inner, self._dynamics = inner, dynamics
@@ -123,15 +124,16 @@ class _SpeedGuess:
 
     def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
         d, inputs = self._dynamics, self._dynamics.dynamics.input
-        n, speeds = d.dynamics.state.size, trajectory.u.copy()
+        speeds = trajectory.u.copy()
+        own_state = np.r_[: d.dynamics.state.size, d.state.size : trajectory.x.shape[1]]
         for group in d.groups:
             speeds[:, inputs[group]] = trajectory.x[:-1, d.state[f"{group}_input"]]
-        own = Trajectory(trajectory.start, trajectory.grid, trajectory.x[:, :n].copy(), speeds)
-        found = self._inner(t, x0[:n], own)
+        own = Trajectory(trajectory.start, trajectory.grid, trajectory.x[:, own_state], speeds)
+        found = self._inner(t, x0[own_state], own)
         if found is None:
             return None
         x, u = trajectory.x.copy(), found.u.copy()
-        x[:, :n] = found.x
+        x[:, own_state] = found.x
         for group in d.groups:
             held = found.u[:, inputs[group]]
             held = np.vstack([x0[d.state[f"{group}_input"]], held[1:], held[-1:]])

@@ -43,8 +43,7 @@ class RateRows(Wrapping):
 
     def __call__(self, s: Symbols) -> ca.SX:
         rows = self.inner(s)
-        change = self.dynamics(s.all_x, s.all_u, s.parameters, s.mode)
-        rates = ca.jtimes(rows, s.all_x, change) + self.rate * rows
+        rates = s.rate_of(rows, self.dynamics) + self.rate * rows
         # an input behind a closed brake is none
         braked = ca.substitute(rows, s.mode, ca.SX.zeros(s.mode.shape)) if s.mode.numel() else rows
         chosen = [rows[i] if ca.depends_on(braked[i], s.all_u) else rates[i] for i in range(rows.shape[0])]

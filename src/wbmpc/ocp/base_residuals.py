@@ -204,7 +204,6 @@ def _ground_load(support: Support, s: Symbols, residual: SupportMargin | WheelLo
     """Force and moment that the ground answers: see :meth:`wbmpc.stability.Support.load`."""
     motion, n = None, s.x.shape[0]
     if residual.dynamics is not None:
-        change = residual.dynamics(s.all_x, s.all_u, s.parameters, s.mode)
-        rates = ca.jtimes(ca.vertcat(s.x, s.u), s.all_x, change)
+        rates = s.rate_of(ca.vertcat(s.x, s.u), residual.dynamics)
         motion = (s.u, rates[:n], rates[n:])
     return support.load(s.reference[:6], residual.gravity, motion, s.reference[6:10] if residual.payload else None)

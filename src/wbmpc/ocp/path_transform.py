@@ -28,12 +28,18 @@ SMOOTH = 0.01
 
 
 def path_problem(
-    ocp: OptimalControlProblem, pose: str = "end_effector", *, share: float = SHARE, mu: float = 3e-3
+    ocp: OptimalControlProblem,
+    pose: str = "end_effector",
+    *,
+    frame: str | None = None,
+    share: float = SHARE,
+    mu: float = 3e-3,
 ) -> OptimalControlProblem:
     """The same problem with progress along a path in the place of a clock; ``ocp`` is left as it is.
 
     The cost ``pose``, of a :class:`wbmpc.residuals.FramePose`, becomes ``contour``: the weights [1/m²] of its positions are those of
-    the contour, the largest that of the lag. ``progress`` weighs the difference of the speed along the path to the desired one with
+    the contour, the largest that of the lag. ``frame``: which one follows the path, as that of the base's body (left out: that of
+    ``pose``). ``progress`` weighs the difference of the speed along the path to the desired one with
     ``share`` of that; ``path_acceleration`` is a hard limit with the barrier ``mu``. All other terms stay. Raises :class:`InputError` where
     there is no such cost.
     """
@@ -47,7 +53,7 @@ def path_problem(
     for name, term in ocp.terms.items():
         if name != pose:
             wrapped.add(term)
-    wrapped.add(_contour(dynamics, cost))
+    wrapped.add(_contour(dynamics, cost, frame))
     add_progress(wrapped, share * float(np.max(cost.expand(cost.weight)[:3])), mu)
     return wrapped
 
@@ -61,7 +67,7 @@ def add_progress(ocp: OptimalControlProblem, weight: float, mu: float = 3e-3) ->
     ocp.add(Constraint("path_acceleration", PathAcceleration(dynamics), NonNegative(), penalty=barrier, hard=True))
 
 
-def _contour(dynamics: Any, cost: Cost) -> Cost:
+def _contour(dynamics: Any, cost: Cost, frame: str | None) -> Cost:
     """A cost of a pose as one of a contour: as many rows, and the lag."""
     pose: Any = cost.residual
     widen = lambda v: [*v[:3], float(np.max(v[:3])), *v[3:]]
@@ -71,7 +77,7 @@ def _contour(dynamics: Any, cost: Cost) -> Cost:
         norm = SmoothL1(tuple(widen(norm.scale)))
     elif not isinstance(norm, SmoothL1 | Quadratic):
         raise InputError(f"path problem: the norm of '{cost.name}' has rows of its own; valid: Quadratic, SmoothL1")
-    residual = Contour(dynamics, pose.robot, pose.frame, pose.axes)
+    residual = Contour(dynamics, pose.robot, frame or pose.frame, pose.axes)
     return replace(
         cost, name="contour", residual=residual, weight=widen(cost.expand(cost.weight)), norm=norm, terminal_weight=end
     )

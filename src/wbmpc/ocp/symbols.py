@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 
@@ -24,6 +24,12 @@ class Symbols:
     reference: ca.SX
     all_x: ca.SX
     all_u: ca.SX
+
+    def rate_of(self, rows: ca.SX, dynamics: Any) -> ca.SX:
+        """Time derivative of ``rows`` of the state under ``dynamics``, whose states and inputs are the first of the problem's: those of
+        progress along a path (:class:`wbmpc.WithPath`) come after them."""
+        x, u = self.all_x[: dynamics.state.size], self.all_u[: dynamics.input.size]
+        return ca.jtimes(rows, x, dynamics(x, u, self.parameters, self.mode))
 
 
 class Residual(Protocol):

@@ -80,6 +80,8 @@ def end_effector_goal(mpc: MPC | None, t: float, lift: Array) -> Array | None:
     """The end effector's reference (7) of an MPC at time t [s] above the floor, None if its problem has none; ``lift`` (3) [m]."""
     path = getattr(mpc, "path", None)
     if mpc is not None and path is not None and path.following is not None:
+        if not path.of_end_effector:
+            return None
         goal = mpc.path.pose(t)
         return np.concatenate([goal[:3] + lift, goal[3:]])
     if mpc is None or "end_effector" not in mpc.reference or mpc.reference["end_effector"].values.shape[1] != 7:

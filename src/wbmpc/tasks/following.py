@@ -58,7 +58,7 @@ class Task:
 
     def __init__(self, settings: PathTaskSettings, obstacles: bool = False) -> None:
         progress = isinstance(settings.reference, ProgressReference)
-        self.robot, self.mpc = robot, mpc = settings.prepare(obstacles, progress=progress)
+        self.robot, self.mpc = robot, mpc = settings.prepare(obstacles, progress="end_effector" if progress else None)
         given, self._since = settings.path, settings.settle_time
         start = mpc.path.pose(0.0) if progress else mpc.reference["end_effector"].at(0.0)
         self.path = given.smooth(robot, start[:3], start[3:])

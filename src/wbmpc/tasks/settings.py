@@ -81,10 +81,13 @@ class TaskSettings(SimulationSettings):
         return WheelLoadSettings() if self.mpc.model == "dynamic" else None
 
     def prepare(
-        self, obstacles: bool = False, robot: RobotModel | None = None, progress: bool = False
+        self,
+        obstacles: bool = False,
+        robot: RobotModel | None = None,
+        progress: Literal["end_effector", "base"] | None = None,
     ) -> tuple[RobotModel, MPC]:
         """The robot (or another one of it, with a home of its own) with its default MPC at home, which keeps clear of ``obstacles`` where
-        there are any, and with ``progress`` follows a path at its own speed. Raises :class:`InputError` for a weight of no cost."""
+        there are any; with ``progress``, that of the robot follows a path at its own speed. Raises :class:`InputError` for a weight of no cost."""
         robot = robot or load_robot(self.robot)
         changes: dict[str, Any] = {
             name: value for name, value in self.mpc.model_dump(exclude={"model"}).items() if value is not None
@@ -95,11 +98,7 @@ class TaskSettings(SimulationSettings):
             standing(robot)
             changes["stability"] = self.upright
         if progress:
-            if self.upright is not None:
-                raise InputError(
-                    "stability, mpc.model: plans with progress along a path have no stability rows; valid: nothing, kinematic"
-                )
-            changes["progress"] = True
+            changes["progress"] = robot.tool if progress == "end_effector" else robot.description.base.body
         mpc = base_type(robot.description.base.type).mpc(robot, **changes)
         scale_weights(mpc, self.weights)
         return robot, mpc

@@ -49,17 +49,19 @@ class TipOverSettings(TaskSettings):
     legs: Literal["home", "H", "X", "A"] = "H"
 
 
-def reaching(robot: RobotModel, direction: float, legs: str) -> RobotModel:
+def reaching(robot: RobotModel, direction: float, legs: str, rolling: float | None = None) -> RobotModel:
     """The robot with another home: the arm reaches as far as it can in a direction [rad], level with the middle of where it can be, hinged
-    legs are in a configuration, and steered wheels roll in the direction."""
+    legs are in a configuration, and steered wheels roll in the direction, or in another one, ``rolling`` [rad]."""
     x, state = robot.home.copy(), robot.state
     if legs != "home" and "leg" in state:
         x[state["leg"]] = leg_angles(robot, legs)
     modules = standing(robot).modules
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
     if modules is not None:
+        towards = direction if rolling is None else rolling
+        rolls = np.array([np.cos(towards), np.sin(towards), 0.0])
         leg = x[state["leg"]] if "leg" in state else np.zeros(modules.modules)
-        x[state["steer"]] = rolling_inverse_kinematics(modules, leg, np.zeros(modules.modules), along)[0]
+        x[state["steer"]] = rolling_inverse_kinematics(modules, leg, np.zeros(modules.modules), rolls)[0]
     x[state["arm"]] = farthest(robot, x, along)
     names = {n: float(x[state[g]][i]) for g in state.groups if g != "base" for i, n in enumerate(state.groups[g])}
     description = robot.description

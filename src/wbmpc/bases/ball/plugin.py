@@ -51,14 +51,14 @@ class BallBaseType(BaseType):
         return BallPlant(robot.description, state, torque, perturbation, seed, edit=edit)
 
     def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
+        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: str | None = None, **changes: Any
     ) -> MPC:
         """Weights for steps of the end effector and for pushes. Raises :class:`InputError` for ``progress``: its controller knows plans by
         a clock alone."""
         from wbmpc.bases.ball.system import make_mpc
 
         if progress:
-            raise InputError("ball: a path is followed by a clock; valid: reference=clock, progress=False")
+            raise InputError("ball: a path is followed by a clock; valid: reference=clock, progress=None")
         return make_mpc(robot, obstacles, **changes)
 
     def system(

@@ -13,7 +13,7 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
 from wbmpc.bases.base import System
-from wbmpc.default_problem import hold_end_effector
+from wbmpc.default_problem import hold
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
@@ -39,7 +39,7 @@ def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: A
     mpc.reference["body"] = Reference.constant(robot.home)
     mpc.reference["twist"] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)
-    hold_end_effector(mpc, *robot.pose(home))
+    hold(mpc, *robot.pose(home))
     mpc.reset(home, torque)
     return mpc
 

@@ -60,7 +60,7 @@ class FixedBaseType(BaseType):
         return FixedPlant(robot, perturbation, seed, edit=edit)
 
     def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: bool = False, **changes: Any
+        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: str | None = None, **changes: Any
     ) -> MPC:
         """Weights that follow from the robot's size and limits."""
         from wbmpc.default_problem import default_mpc, default_settings

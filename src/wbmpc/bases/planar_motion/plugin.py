@@ -61,7 +61,7 @@ class PlanarBaseType(BaseType):
 
     def mpc(
         self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
-        progress: bool = False, **changes: Any,
+        progress: str | None = None, **changes: Any,
     ) -> MPC:  # fmt: skip
         """Weights that follow from the robot's size and limits."""
         from wbmpc.default_problem import default_mpc, default_settings

@@ -125,14 +125,14 @@ def swerve_mpc(
     allow_side_slip: bool = False,
     obstacles: Obstacles | None = None,
     stability: StabilitySettings | None = None,
-    progress: bool = False,
+    progress: str | None = None,
     self_clearance: bool = False,
 ) -> MPC:
     """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and upright by ``stability``; ``progress``:
-    see :func:`wbmpc.path_problem`; ``self_clearance``: whether it keeps apart the pairs that the robot file lists."""
+    the frame that follows a path, see :func:`wbmpc.path_problem`; ``self_clearance``: whether it keeps apart the pairs that the robot file lists."""
     ocp = swerve_problem(robot, settings, cost, side_softness, accelerations=True, allow_side_slip=allow_side_slip)
     ocp = keep_upright(keep_apart(ocp, robot) if self_clearance else ocp, robot, stability)
-    ocp = keep_clear(path_problem(ocp) if progress else ocp, robot, obstacles)
+    ocp = keep_clear(path_problem(ocp, frame=progress) if progress else ocp, robot, obstacles)
     return make_mpc(ocp, settings, stability, guess=guess, obstacles=obstacles)
 
 

@@ -33,10 +33,11 @@ from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant, let_tires_s
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
 
-#: Torque limits [N m] of wheel and steer drives (Pankert et al., RA-L 2022, and its release).
+#: Torque limits [N m] of wheel and steer drives whose effort the robot's file leaves out (Pankert et al., RA-L 2022, and its release).
 WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0
-#: Speed limits [rad/s] of the wheel and steer drives.
-WHEEL_SPEED, STEER_SPEED = 11.52, 5.76
+#: Speed limits of wheel and steer drives over those that plans have from the robot's file (of the same robot: 11.52 over 10 rad/s and 5.76
+#: over 5), and the limits [rad/s] of those that the file leaves out.
+DRIVE_MARGIN, WHEEL_SPEED, STEER_SPEED = 1.152, 11.52, 5.76
 #: Half width [m] of a wheel.
 WHEEL_HALF_WIDTH = 0.02
 #: Damping [N s/m] of a leg that slides: it is pushed in by 30 N at 0.3 m/s (assumed).
@@ -130,8 +131,9 @@ class SwervePlant(WheeledPlant):
                 spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, self.perturbation.dry_friction
             if module.leg:
                 spec.joint(module.leg).damping = [SLIDE_DAMPING if module.slide else 1.0, 0, 0]
-            self._servo(spec, module.wheel, WHEEL_GAIN, WHEEL_TORQUE, draw.wheel_lag[i])
-            self._servo(spec, module.steer, WHEEL_GAIN, STEER_TORQUE, draw.steer_lag[i])
+            effort = self.description.limits.effort
+            self._servo(spec, module.wheel, WHEEL_GAIN, effort.get(module.wheel, WHEEL_TORQUE), draw.wheel_lag[i])
+            self._servo(spec, module.steer, WHEEL_GAIN, effort.get(module.steer, STEER_TORQUE), draw.steer_lag[i])
         self.finish(spec, edit)
         let_tires_slide(spec, [f"contact_{m.wheel}" for m in self.base.modules])
 
@@ -153,8 +155,8 @@ class SwervePlant(WheeledPlant):
         self._v = {g: np.array([m.joint(n).dofadr[0] for n in part], dtype=int) for g, part in names.items()}
         driven = ("wheel", "steer", "arm")
         self._control = {g: span(np.array([m.actuator(n).id for n in names[g]], dtype=int)) for g in driven}
-        speed = self.description.limits.velocity
-        self._arm_speed = np.array([speed.get(n, np.inf) for n in names["arm"]])
+        rated = self._rated()
+        self._drive_speed = {g: np.array([rated[n] for n in names[g]]) for g in driven}
         self._wheel_geoms = [m.geom(f"contact_{n}").id for n in names["wheel"]]
         self._wheel_of = {geom: i for i, geom in enumerate(self._wheel_geoms)}
         self._velocity, self._at, self._normal = np.zeros(6), np.zeros(3), np.zeros(3)
@@ -169,7 +171,8 @@ class SwervePlant(WheeledPlant):
         """Speeds [rad/s] up to which the drives give their whole torque."""
         speed = self.description.limits.velocity
         base = {"wheel": WHEEL_SPEED, "steer": STEER_SPEED}
-        return {n: base.get(g, speed.get(n, np.inf)) for g in ("wheel", "steer", "arm") for n in self._names[g]}
+        rated = {n: DRIVE_MARGIN * speed[n] if n in speed else base[g] for g in base for n in self._names[g]}
+        return rated | {n: speed.get(n, np.inf) for n in self._names["arm"]}
 
     def _zero_errors(self) -> dict[str, Array]:
         draw, n = self.draw, len(self._names["leg"])
@@ -245,9 +248,8 @@ class SwervePlant(WheeledPlant):
         brake = numbers("command", "brake", command.brake, legs if legs else np.size(command.brake))[:legs]
         self.world.refresh()
         control = d.ctrl
-        control[self._control["wheel"]] = clipped(wheel, WHEEL_SPEED)
-        control[self._control["steer"]] = clipped(steer, STEER_SPEED)
-        control[self._control["arm"]] = clipped(arm, self._arm_speed)
+        for group, speeds in (("wheel", wheel), ("steer", steer), ("arm", arm)):
+            control[self._control[group]] = clipped(speeds, self._drive_speed[group])
         self.brakes.command(brake)
         fault = self.perturbation.brake_fault
         if isinstance(fault, StuckBrake) and self.time >= fault.time:

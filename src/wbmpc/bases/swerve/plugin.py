@@ -66,7 +66,7 @@ class SwerveBaseType(BaseType):
 
     def mpc(
         self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
-        progress: bool = False, **changes: Any,
+        progress: str | None = None, **changes: Any,
     ) -> MPC:  # fmt: skip
         """Weights for goals of end effector, base and legs."""
         from wbmpc.bases.swerve.system import make_mpc

@@ -32,7 +32,7 @@ COMPUTATION_DELAY = 0.010
 
 def make_mpc(
     robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
-    progress: bool = False, **changes: Any,
+    progress: str | None = None, **changes: Any,
 ) -> MPC:  # fmt: skip
     """The MPC whose goal is home; ``changes`` of its settings."""
     settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})

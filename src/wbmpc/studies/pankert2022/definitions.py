@@ -35,10 +35,13 @@ _TRACK: Definitions = {
 }
 _FAST: Definitions = {
     **GENERAL,
-    "time_to_goal": ("s", f"time from the order until the end effector stays within 1 cm of its goal; {_WORLD}"),
+    "time_to_goal": (
+        "s",
+        f"time from the order until the end effector (on the s-curve: the base) stays within 1 cm of its goal; {_WORLD}",
+    ),
     "tilt_max": ("rad", "largest angle of the axis of the base to the vertical; true"),
     "time_unloaded": ("s", "time in which any wheel carries less than 1 N; true"),
-    "path_error_max": ("m", f"largest distance of the end effector from its path, at any time; {_WORLD}"),
+    "path_error_max": ("m", f"largest distance of the end effector (on the s-curve: the base) from its path; {_WORLD}"),
     **_SLIP,
 }
 _FIXED: Definitions = {
