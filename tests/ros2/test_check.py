@@ -311,3 +311,23 @@ def test_a_ball_robots_sensors_have_a_message_for_every_tick() -> None:
     assert _balancing("/imu", 395.0, 400.0) == [] == _balancing("/imu", 0.0, 400.0)
     (finding,) = _balancing("/imu", 120.0, 400.0)
     assert finding.level == "warning" and "120 Hz, the controller of a robot that balances, at 400 Hz" in finding.text
+
+
+def test_an_endpoint_whose_name_is_announced_late_has_one(
+    robot: Any, looker: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a busy machine: an endpoint without a name would count as a stranger's. Truth: who made it."""
+    announce = robot._announce
+    monkeypatch.setattr(robot, "_announce", lambda: None)
+    robot.publisher("/late", "std_msgs/msg/String")
+    assert wait_until(lambda: looker.publishers("/late"))
+    later = threading.Timer(2.0, announce)
+    later.start()
+    assert looker.owner(looker.publishers("/late")[0]) == "robot"
+    later.join()
+
+
+@pytest.mark.parametrize("seconds", ["inf", "1e10"])
+def test_a_look_without_an_end_is_an_error(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ros2", "check", "swerve-ur10", "--seconds", seconds]) == 2
+    assert "--seconds" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -12,13 +13,18 @@ from needs import MISSING, needs_dds, private
 
 from frame_tree import joined, of_transforms, of_urdf, place, root
 from wbmpc.model.robot import load_robot
+from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.bus import LATCHED
 from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 
 pytestmark = needs_dds
 if not MISSING:
     from simulated import Simulated
+
+    from wbmpc.ros2.settings import settings_of
+    from wbmpc.ros2.sim import SimNode
 
 POINTS = {"swerve-ur10": {"tool0", "mount", "imu"}, "rezero": {"tool", "imu", "ball"}}
 
@@ -51,6 +57,27 @@ def test_bus_and_description_are_one_tree(name: str) -> None:
     joint = next(j for j in ElementTree.fromstring(text).findall("joint") if j.find("child").get("link") == "imu")  # type: ignore[union-attr]
     origin = [float(v) for v in joint.find("origin").get("xyz").split()]  # type: ignore[union-attr]
     np.testing.assert_allclose(place(imu.transform)[0], origin, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "frames"), [("swerve-ur10", {"base": "imu"}), ("panda", {"world": "imu"})])
+def test_the_inertial_units_frame_is_none_of_the_base_or_the_world(name: str, frames: dict[str, str]) -> None:
+    """Whatever the settings call those."""
+    robot, node = load_robot(name), open_node("robot", "dds", Network.of(private()))
+    try:
+        sim = SimNode(node, robot, settings_of(robot).model_validate({"frames": frames}))
+        frame = sim._imu_frame()
+        header = SimpleNamespace(**frame["header"])
+        sent = SimpleNamespace(header=header, child_frame_id=frame["child_frame_id"])
+        static = of_transforms([SimpleNamespace(transforms=[sent])])
+        said: list[Any] = []
+        sim._imu = SimpleNamespace(publish=said.append)  # type: ignore[assignment]
+        sim.publish()
+    finally:
+        node.close()
+    own = sim.settings.frames
+    _, joints = of_urdf(to_urdf(robot.description, own.base, own.world))
+    parents = joined(joints, static, {own.base: own.world})
+    assert said[0]["header"]["frame_id"] in static and root(parents, said[0]["header"]["frame_id"]) == own.world
 
 
 @pytest.mark.parametrize("name", ["swerve-ur10", "differential-ur10", "rezero", "panda"])

@@ -78,7 +78,42 @@ def test_callbacks_of_two_nodes_that_answer_each_other_without_end_are_an_error(
         [sys.executable, "-c", PING_PONG], env=everything(), timeout=60.0, capture_output=True, text=True
     )
     assert run.stdout.strip() == "ended", run.stderr
-    assert "/ping: a callback of it, in this process, leads to another message on it" in run.stderr
+    assert "/ping: a callback of it leads to a message on /pong, which another node of this process hears" in run.stderr
+
+
+CALLBACKS_CROSS = """
+import logging, threading
+from wbmpc.ros2 import open_node
+logging.basicConfig(format="%(message)s")
+nodes, kind = [open_node(n, "dds") for n in ("one", "two")], "std_msgs/msg/Float64"
+both, to = threading.Barrier(2), [nodes[i].publisher(f"/answer_{i}", kind) for i in (0, 1)]
+def answer(i):
+    def callback(message):
+        both.wait(20.0)
+        to[i].publish({"data": 1.0})
+    return callback
+for i in (0, 1):
+    nodes[i].subscribe(f"/ask_{i}", kind, answer(i))
+    nodes[1 - i].subscribe(f"/answer_{i}", kind, lambda m: None)
+others = open_node("others", "dds")
+ask = [others.publisher(f"/ask_{i}", kind) for i in (0, 1)]
+threads = [threading.Thread(target=a.publish, args=({"data": 1.0},)) for a in ask]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+print("ended")
+"""
+
+
+def test_callbacks_of_two_nodes_that_write_to_each_other_at_once_are_an_error() -> None:
+    """Each holds its node while it waits for the other's: no message goes round, but both would wait for ever."""
+    run = subprocess.run(
+        [sys.executable, "-c", CALLBACKS_CROSS], env=everything(), timeout=60.0, capture_output=True, text=True
+    )
+    assert run.stdout.strip() == "ended", run.stderr
+    for k in (0, 1):
+        assert f"/ask_{k}: a callback of it leads to a message on /answer_{k}, which another node" in run.stderr
 
 
 READS_WHAT_IS_WRITTEN = """
@@ -197,6 +232,7 @@ def test_a_callback_does_not_wait_for_a_writer_that_waits_for_it() -> None:
     from wbmpc.ros2.dds_writing import LOCAL, write
 
     where, turn, heard = (0, "rt/topic"), threading.RLock(), list[str]()
+    forget = LOCAL.add(where, "its node")
 
     def callback() -> None:
         with LOCAL.callback(where, "its node"):
@@ -209,7 +245,8 @@ def test_a_callback_does_not_wait_for_a_writer_that_waits_for_it() -> None:
         thread = threading.Thread(target=callback, daemon=True)
         thread.start()
         thread.join(20.0)
-    assert heard and "leads to another message on it" in heard[0]
+    forget()
+    assert heard and "leads to a message on /topic" in heard[0]
 
 
 def test_a_server_may_join_while_peers_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -142,3 +142,36 @@ def test_a_new_trajectory_goes_on_at_the_speed_of_the_old_one() -> None:
     later.header.stamp.nanosec = 300_000_000
     side.led["arm"] = side.lead(ARM, places, later, 7.1)
     np.testing.assert_allclose(side.led["arm"].at(7.1)[1], rate, atol=1e-9)
+
+
+def test_a_stop_brakes_on_and_does_not_turn_back() -> None:
+    """Truth: constant deceleration from the speed to rest within the ramp by hand, and the cubic between two points of a
+    joint_trajectory_controller: with another end than that a joint would come back, and brake harder."""
+    said: list[dict[str, Any]] = []
+    node: Any = SimpleNamespace(publisher=lambda *given: SimpleNamespace(publish=said.append))
+    controller = Controller(topic="/arm", joints=tuple(reversed(ARM)), takes="trajectory")
+    sender = TrajectorySender(node, ROBOT, SwerveRosSettings(), controller)
+    rate, ramp = np.array([1.0, -2.0, 0.5, 0.0, 0.3, -0.1]), 0.2
+    sender.stop(ROBOT.home, rate, ramp, 7.0)
+    (point,) = plain(said[0]).points
+    start, end = ROBOT.home[ROBOT.state["arm"]], np.array(point.positions)[::-1]
+    takes = seconds(point.time_from_start)
+    assert takes == ramp and not np.any(point.velocities)
+    share = np.linspace(0.0, 1.0, 101)[:, None]
+    speeds = 6.0 * share * (1.0 - share) * (end - start) / takes + (1.0 - share) * (1.0 - 3.0 * share) * rate
+    np.testing.assert_allclose(speeds, (1.0 - share) * rate, atol=1e-9)
+    sender.stop(ROBOT.home, rate, 0.0, 7.0)  # time has to pass
+    assert 0.0 < seconds(plain(said[1]).points[0].time_from_start) < ramp
+
+
+def test_a_stop_leaves_no_joint_beyond_its_range() -> None:
+    said: list[dict[str, Any]] = []
+    node: Any = SimpleNamespace(publisher=lambda *given: SimpleNamespace(publish=said.append))
+    sender = TrajectorySender(
+        node, ROBOT, SwerveRosSettings(), Controller(topic="/arm", joints=tuple(ARM), takes="trajectory")
+    )
+    x, place = ROBOT.home.copy(), ROBOT.state["arm"]
+    upper = ROBOT.limits.state_upper[place][2]
+    x[place.start + 2] = upper - 0.01
+    sender.stop(x, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.2, 7.0)
+    assert plain(said[0]).points[0].positions[2] == upper

@@ -23,6 +23,8 @@ Lockstep = Annotated[
     bool, typer.Option("--lockstep", help="For both nodes: states wait for commands, in simulated time.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else, when it has ended.")]
+#: So long [s] a check listens at most: a day. What sleeps for ever does not answer.
+LONGEST_LOOK = 86_400.0
 Fifo = Annotated[bool, typer.Option("--fifo", help="Before all other processes (needs the right to).")]
 
 
@@ -152,7 +154,7 @@ def ros2_check(
     config: Config = None,
     backend: BackEnd = "auto",
     use_sim_time: SimTime = False,
-    seconds: Annotated[float, typer.Option(min=0.5, help="How long it listens.")] = 3.0,
+    seconds: Annotated[float, typer.Option(min=0.5, max=LONGEST_LOOK, help="How long it listens.")] = 3.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
     """Say what is missing, mistyped, too slow or wrong on a robot's bus. Sends nothing; status 1 if there is an error."""

@@ -141,7 +141,7 @@ class ControlNode:
         """Bring the robot to rest and end."""
         moved = self.running
         if moved:
-            self._hold_trajectories()
+            self._stop_trajectories()
         self._end_runner()
         if moved:
             end = time.perf_counter() + self.settings.safety.ramp + 0.05
@@ -326,7 +326,7 @@ class ControlNode:
         """The runner has stopped the robot: nothing that was asked for before counts any more."""
         self.robot_io.disarm()
         if self.request_queue.running is not None:
-            self._hold_trajectories()
+            self._stop_trajectories()
             self.request_queue.stop()
             if self.legs is not None and self.legs.waiting:
                 self.legs.drop()
@@ -383,11 +383,11 @@ class ControlNode:
             task = self.adapter.planner.hold(seen[1], self.clock.now())
             self.set_task(task, self.adapter.references(task, seen[1]))
 
-    def _hold_trajectories(self) -> None:
-        """Who follows trajectories stays where the robot is: a stop, once."""
+    def _stop_trajectories(self) -> None:
+        """Who follows trajectories brakes as the other drives do, once."""
         self.trajectories.restart()
         if (seen := self.adapter.snapshot()) is not None:
-            self.trajectories.hold(seen[1], self.now)
+            self.trajectories.stop(seen[1], self.robot_io.commanded["arm"], self.settings.safety.ramp, self.now)
 
     def _stop_runner(self, message: str) -> None:
         """Stop; see :meth:`_supervise` for one without a clock."""

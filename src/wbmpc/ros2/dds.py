@@ -46,8 +46,9 @@ _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 #: What stands before the body of a service's messages: client and number.
 _HEADER = {"client": idl_types.uint64, "number": idl_types.int64}
 _HEADER_SIZE = 16
-#: A node announces its endpoints when it has made them; in this time [s] that has come.
-_ANNOUNCED = 1.0
+#: A node announces its endpoints when it has made them; in this time [s] that has come, and in the other one what was announced
+#: before somebody listened, on a busy machine too.
+_ANNOUNCED, _EARLIER = 1.0, 5.0
 #: What the user data of a service's endpoints begin with, at its client and at its server.
 _CLIENT, _SERVER = "clientid=", "serviceid="
 _FOREIGN = "is of another RMW than rmw_cyclonedds, whose services are others"
@@ -242,14 +243,15 @@ class DdsNode:
         return self._graph.subscribers(topic)
 
     def owner(self, endpoint: Endpoint) -> str:
-        """The name of an endpoint's node, as that has announced it; empty if it has not within :data:`_ANNOUNCED`."""
+        """The name of an endpoint's node, as that has announced it; empty if it has not within :data:`_ANNOUNCED`, the first time
+        :data:`_EARLIER`."""
         if endpoint.own:
             return self.name
+        end = time.monotonic() + (_EARLIER if self._names is None else _ANNOUNCED)
         if self._names is None:
             topic = self._topic("ros_discovery_info", _INFO)
             self._names = {}, DataReader(self._participant, topic, qos=self._qos(Qos(latched=True, depth=100), _INFO))
         names, reader = self._names
-        end = time.monotonic() + _ANNOUNCED
         while True:
             for data, _ in _taken(reader):
                 for node in self.types.decode(_INFO, data).node_entities_info_seq:

@@ -96,12 +96,16 @@ class LocalReaders:
             )
 
     def check_write(self, where: Where, node: Any) -> None:
-        """Raise :class:`InputError` if this thread is in a callback of another node's reader of the topic: DDS would wait for
-        that callback to end."""
-        if any(w == where and n is not node for w, n in self._running.__dict__.get("stack", ())):
-            name = where[1].removeprefix("rt")
+        """Raise :class:`InputError` if this thread is in a callback, and another node than the writer's reads the topic with
+        callbacks: DDS would call that one from within the first. Two threads that do so on two nodes, each the other way round,
+        wait for each other for ever."""
+        running = self._running.__dict__.get("stack", ())
+        with self._lock:
+            heard = any(n is not node for n in self._nodes.get(where, ()))
+        if running and heard:
+            (_, topic), _ = running[-1]
             raise InputError(
-                f"{name}: a callback of it, in this process, leads to another message on it; "
+                f"{topic[2:]}: a callback of it leads to a message on {where[1][2:]}, which another node of this process hears; "
                 "give the subscription deferred=True, which calls back from work()"
             )
 
@@ -123,8 +127,8 @@ class DdsPublisher:
         self.send(self._types.encode(self._kind, values))
 
     def send(self, data: bytes) -> None:
-        """Send a message that is CDR already, for example from a recording. Raises :class:`InputError` from a callback of
-        another node's subscription of the same topic in this process."""
+        """Send a message that is CDR already, for example from a recording. Raises :class:`InputError` from a callback, if
+        another node of this process hears the topic."""
         write(self._writer, data, self._where, self._node, self._turn)
 
 

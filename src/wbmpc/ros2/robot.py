@@ -49,6 +49,7 @@ class BusRobot:
 
     With simulated time a measurement is as old as its stamp. By the wall's clock it is as old as its arrival, if its stamp has
     moved on (clocks of two machines may differ, and a driver that hangs repeats itself); intervals are those of the stamps.
+    ``commanded``: the last command by groups, from which a stop brakes.
     """
 
     def __init__(self, node: Node, adapter: BaseAdapter, settings: RosSettings, clock: WallClock | BusClock) -> None:
@@ -77,7 +78,7 @@ class BusRobot:
         self.sent = 0  # commands since the last start
         self._armed = False
         self._stopping: float | None = None
-        self._last = adapter.rest()
+        self.commanded = adapter.rest()
         self._way = BaseWay(adapter.robot) if adapter.robot.description.base.takes_twist else None
         self._way_source = OneSource(topics.base_odom, self._forget_way)
         self._went = -np.inf  # when the base's driver last said how far it went
@@ -266,7 +267,7 @@ class BusRobot:
         self._wrong, self._stopping, self._armed, self.sent = {}, None, True, 0
         for source in (self._joint_source, self._imu_source, self._way_source):
             source.settle()
-        self._last = self.adapter.rest()
+        self.commanded = self.adapter.rest()
 
     def disarm(self) -> None:
         """Faults are reported only, and pass with the next good message."""
@@ -361,8 +362,8 @@ class BusRobot:
 
     def write(self, command: Any) -> None:
         """Send a command to all controllers."""
-        self._last, self._stopping = self.adapter.groups(command), None
-        self._send(self._last)
+        self.commanded, self._stopping = self.adapter.groups(command), None
+        self._send(self.commanded)
 
     def stop(self) -> None:
         """The last commands, ramped down, then zero, brakes closed, then, once disarmed, nothing: who else commands the robot is not
@@ -378,9 +379,9 @@ class BusRobot:
         if now - self._stopping > ramp + ZEROS and not self._armed:
             return
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0
-        scaled = {g: left * v for g, v in self._last.items()}
+        scaled = {g: left * v for g, v in self.commanded.items()}
         if "brake" in scaled:
-            scaled["brake"] = self._last["brake"] if left > 0.0 else self.adapter.rest()["brake"]
+            scaled["brake"] = self.commanded["brake"] if left > 0.0 else self.adapter.rest()["brake"]
         self._send(scaled)
 
     @property

@@ -13,6 +13,7 @@ from wbmpc.bases import base_type
 from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
+from wbmpc.robots.frames import MAP
 from wbmpc.ros2.bus import LONGEST_NODE_NAME, full_name, name_fault
 from wbmpc.ros2.obstacle_settings import ObstacleSettings
 from wbmpc.settings import MpcSettings, Settings
@@ -113,8 +114,8 @@ class Frames(Settings):
     @field_validator("world", "base")
     @classmethod
     def _named(cls, name: str) -> str:
-        if not re.fullmatch(r"[^\s/][^\s]*", _not_empty(name)):
-            raise ValueError("a frame's name begins with no / and has no spaces")
+        if not re.fullmatch(r"[^\s/]\S{0,199}", _not_empty(name)):
+            raise ValueError("a frame's name begins with no /, has no spaces and at most 200 characters")
         return name
 
 
@@ -368,8 +369,8 @@ def _siblings(kind: type[RosSettings], place: tuple[Any, ...]) -> list[str]:
 
 def _check_topics(settings: RosSettings, controllers: dict[str, Controller]) -> None:
     """Nothing else is on a topic; the service's name is no topic."""
-    if settings.frames.world == settings.frames.base:
-        raise InputError(f"key 'frames': world and base are both called '{settings.frames.world}'")
+    if settings.frames.base in (settings.frames.world, MAP):
+        raise InputError(f"key 'frames.base': a frame above it is called '{settings.frames.base}' too")
     seen: dict[str, str] = {}
     named = {f"topics.{k}": v for k, v in settings.topics.model_dump().items() if v and k != "set_legs"}
     named |= {f"controllers.{k}.topic": c.topic for k, c in controllers.items()}

@@ -15,7 +15,7 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
-from wbmpc.robots.frames import FixedFrame, fixed_frames
+from wbmpc.robots.frames import SUFFIX, FixedFrame, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.base_driver import SimulatedDriver, ordered_speeds
 from wbmpc.ros2.bus import DEFAULT, LATCHED, LONG, SMALL, Node, Qos
@@ -115,7 +115,9 @@ class SimNode:
         frames = self.settings.frames
         points = fixed_frames(self.robot.description, frames.base, frames.world)
         at = np.concatenate([self.side.imu_at, [1.0, 0.0, 0.0, 0.0]])
-        imu = next((p for p in points if p.name == IMU), FixedFrame(IMU, frames.base, at))
+        free = IMU + SUFFIX if IMU in (frames.base, frames.world) else IMU
+        imu = next((p for p in points if p.name in (IMU, IMU + SUFFIX)), FixedFrame(free, frames.base, at))
+        self._imu_name = imu.name
         transform = {"translation": vector(imu.pose[:3]), "rotation": quaternion(imu.pose[3:])}
         return {"header": header(self.now(), imu.parent), "child_frame_id": imu.name, "transform": transform}
 
@@ -267,7 +269,7 @@ class SimNode:
         reading, at = self.side.read(), self.now()
         sampled = at - reading.age
         imu = {
-            "header": header(sampled, IMU), "orientation_covariance": [-1.0] + [0.0] * 8,
+            "header": header(sampled, self._imu_name), "orientation_covariance": [-1.0] + [0.0] * 8,
             "angular_velocity": vector(reading.gyro), "linear_acceleration": vector(reading.accel),
         }  # fmt: skip
         self._imu.publish(imu)

@@ -14,9 +14,8 @@ from wbmpc.ros2.convert import header, stamp
 from wbmpc.ros2.settings import Controller, RosSettings, drive_groups
 
 Place = tuple[str, int]
-#: How far trajectories look ahead [s] before they brake: if the node dies, the robot is at rest after that. A stop takes the other
-#: one [s].
-AHEAD, STOP = 0.5, 0.2
+#: How far trajectories look ahead [s] before they brake: if the node dies, the robot is at rest after that.
+AHEAD = 0.5
 #: Braking at the end of a trajectory: with this share of the acceleration limits (of joints without one: rad/s²), within a time
 #: from the first to the second [s].
 BRAKING, BRAKES_WITH, BRAKES_WITHIN = 0.8, 2.0, (0.05, 2.0)
@@ -57,9 +56,9 @@ class TrajectorySender:
         self._to = node.publisher(controller.topic, controller.type, DEFAULT)
         self._names = [settings.bus_name(n) for n in controller.joints]
         arm = list(robot.state.groups["arm"])
-        self._places = [robot.state["arm"].start + arm.index(n) for n in controller.joints]
-        rates = robot.input["arm"].start
-        self._rates = [rates + arm.index(n) for n in controller.joints]
+        self._in_arm = [arm.index(n) for n in controller.joints]
+        self._places = [robot.state["arm"].start + i for i in self._in_arm]
+        self._rates = [robot.input["arm"].start + i for i in self._in_arm]
         limits = robot.limits
         maximum = limits.input_rate[self._rates]
         self._brakes_with = BRAKING * np.where(np.isfinite(maximum), maximum, BRAKES_WITH / BRAKING)
@@ -75,17 +74,17 @@ class TrajectorySender:
             return
         positions = [policy.state(float(s))[self._places] for s in times]
         rates = [policy.feedforward(float(s))[self._rates] for s in times]
-        end, position = self._at_rest(positions[-1], rates[-1])
+        end = float(np.clip(np.max(np.abs(rates[-1]) / self._brakes_with), *BRAKES_WITHIN))
+        position = self._at_rest(positions[-1], rates[-1], end)
         self._publish(
             now, [*(times - t), float(times[-1]) - t + end], [*positions, position], [*rates, 0.0 * rates[-1]]
         )
 
-    def _at_rest(self, position: np.ndarray, rate: np.ndarray) -> tuple[float, np.ndarray]:
-        """How long [s] braking from ``rate`` (n) [rad/s] takes, and where (n) [rad] it ends: all joints brake evenly for one time,
-        and none leaves its range (sooner than that it brakes harder)."""
-        takes = float(np.clip(np.max(np.abs(rate) / self._brakes_with), *BRAKES_WITHIN))
+    def _at_rest(self, position: np.ndarray, rate: np.ndarray, takes: float) -> np.ndarray:
+        """Where (n) [rad] braking from ``rate`` (n) [rad/s] ends: all joints brake evenly, in ``takes`` [s], and none leaves its
+        range (sooner than that it brakes harder)."""
         low, high = np.minimum(self._range[0], position), np.maximum(self._range[1], position)
-        return takes, np.clip(position + 0.5 * takes * rate, low, high)
+        return np.clip(position + 0.5 * takes * rate, low, high)
 
     def _publish(
         self, now: float, times: Sequence[float], positions: Sequence[np.ndarray], rates: Sequence[np.ndarray]
@@ -96,9 +95,12 @@ class TrajectorySender:
         ]
         self._to.publish({"header": header(now, ""), "joint_names": self._names, "points": points})
 
-    def hold(self, x: np.ndarray, now: float) -> None:
-        """Stay at a state (nx)."""
-        self._publish(now, [STOP], [x[self._places]], [np.zeros(len(self._places))])
+    def stop(self, x: np.ndarray, rates: np.ndarray, ramp: float, now: float) -> None:
+        """Brake within ``ramp`` [s] from a state (nx) and the speeds of the arm (m) [rad/s]. An end where the joints are now would be
+        passed and come back to, harder than any ramp."""
+        takes, position = max(ramp, BRAKES_WITHIN[0]), x[self._places]
+        end = self._at_rest(position, rates[self._in_arm], takes)
+        self._publish(now, [takes], [end], [np.zeros(position.size)])
 
 
 class Trajectories:
@@ -119,7 +121,7 @@ class Trajectories:
             if t >= sender.due:
                 sender.send(policy, t, now())
 
-    def hold(self, x: np.ndarray, now: Callable[[], float]) -> None:
-        """Stay at a state (nx)."""
+    def stop(self, x: np.ndarray, rates: np.ndarray, ramp: float, now: Callable[[], float]) -> None:
+        """Brake within ``ramp`` [s] from a state (nx) and the speeds of the arm (m) [rad/s]."""
         for sender in self._senders:
-            sender.hold(x, now())
+            sender.stop(x, rates, ramp, now())
