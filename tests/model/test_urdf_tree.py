@@ -46,6 +46,20 @@ def test_a_fault_is_named(body: str, words: tuple[str, ...], tmp_path: Path) -> 
     assert said.startswith(str(path)) and all(w in said for w in words), said
 
 
+@pytest.mark.parametrize("text", ["1,5", "90deg", "2*pi", "1 2", "1_000", "0x10", "${speed}", ""])
+def test_a_limit_that_is_no_number_is_an_error(text: str, tmp_path: Path) -> None:
+    """MuJoCo reads no speeds: plans were as fast as they like. Truth: what C++'s streams and Python's ``float`` take for one number."""
+    path, whole = tmp_path / "mover.urdf", joint("j", "a", "b", "revolute")
+    for tag, name in (("limit", "velocity"), ("limit", "effort"), ("limit", "lower"), ("mimic", "multiplier")):
+        limited = whole.replace("</joint>", f'<{tag} {name}="{text}"/></joint>')
+        path.write_text(f'<robot name="mover">{links("ab")}{limited}</robot>')
+        with pytest.raises(InputError) as raised:
+            read_model(path)
+        assert f"joint 'j': <{tag}>: '{name}' must be a number, got '{text}'" in str(raised.value)
+    path.write_text(path.read_text().replace(f'"{text}"/>', '" -1.5e-1 "/>'))
+    assert read_model(path).root is not None
+
+
 def test_a_chain_of_all_kinds_is_a_tree(tmp_path: Path) -> None:
     kinds = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
     chain = "".join(joint(f"j{k}", "abcdefg"[k], "abcdefg"[k + 1], kind) for k, kind in enumerate(kinds))
