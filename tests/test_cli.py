@@ -64,6 +64,9 @@ def test_no_command_waits_for_the_reader_of_a_pipe(
     for name in ("page.html", "link.html"):
         assert call("runs", "--page", name, *more) == 2
         assert f"--page: '{name}' is a pipe" in capsys.readouterr().err
+    os.mkfifo(tmp_path / "compare.html")
+    assert call("compare", "nothing", "here", *more) == 2
+    assert ("--out: 'compare.html' is a pipe" in capsys.readouterr().err) == bool(more)  # else the next free name
 
 
 def test_of_a_run_that_never_began_nothing_stays(tmp_path: Path) -> None:

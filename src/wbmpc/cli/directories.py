@@ -52,11 +52,10 @@ def new_file(option: str, chosen: Path | None, default: Path, force: bool) -> Pa
 
     Raises :class:`InputError` if the named one is there and ``force`` is not given, or cannot be written.
     """
-    if chosen is not None:
-        reject_existing(option, [chosen], force)
-        if not chosen.parent.is_dir():
-            raise InputError(f"{option}: '{chosen}': there is no directory '{chosen.parent}'")
+    if chosen is not None and not chosen.parent.is_dir():
+        raise InputError(f"{option}: '{chosen}': there is no directory '{chosen.parent}'")
     path = chosen or (default if force else _free(default))
+    reject_existing(option, [path], force)
     _try_to_write(option, path)
     return path
 
@@ -144,7 +143,7 @@ def reject_existing(option: str, paths: Iterable[Path], force: bool) -> None:
 def _free(path: Path) -> Path:
     """``path``, or the first of ``path``-2, -3 … (before the ending) that is not there."""
     names = (path if k == 1 else path.with_name(f"{path.stem}-{k}{path.suffix}") for k in count(1))
-    return next(p for p in names if not p.exists())
+    return next(p for p in names if not os.path.lexists(p))  # nor behind a link
 
 
 def _reserve(base: Path) -> Path:
