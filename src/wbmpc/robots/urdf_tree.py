@@ -9,8 +9,10 @@ from xml.etree.ElementTree import Element
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError, unknown_name
 
+#: A ball joint, in MuJoCo's and Bullet's URDF; ROS has none.
+BALL = "spherical"
 #: Types of joints that a URDF may have (http://wiki.ros.org/urdf/XML/joint).
-KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", BALL)
 #: Attributes of a joint's elements that are numbers. MuJoCo leaves some out, and a limit that cannot be read would be none.
 _NUMBERS = {"limit": ("lower", "upper", "velocity", "effort"), "mimic": ("multiplier", "offset")}
 
