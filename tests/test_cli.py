@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import sys
 from collections.abc import Iterator
@@ -41,6 +42,31 @@ def test_a_path_that_cannot_be_made_is_named_by_its_option(
     (tmp_path / "runs").write_text("")
     assert call("run", "fake") == 2
     assert "'runs/fake-seed200' cannot be made" in capsys.readouterr().err
+
+
+def test_a_link_that_leads_nowhere_stays_one(tmp_path: Path) -> None:
+    """Trying whether a page can be written changes nothing; the page then is where the link leads."""
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "page.html").symlink_to("elsewhere.html")
+    assert call("runs", "--quiet", "--page", "page.html") == 0
+    assert (tmp_path / "page.html").is_symlink() and "<html" in (tmp_path / "elsewhere.html").read_text()
+    (tmp_path / "other.html").symlink_to("missing/page.html")
+    assert call("runs", "--quiet", "--page", "other.html") == 2 and (tmp_path / "other.html").is_symlink()
+
+
+@pytest.mark.parametrize("more", [[], ["--force"]], ids=["", "force"])
+def test_no_command_waits_for_the_reader_of_a_pipe(
+    more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "runs").mkdir()
+    os.mkfifo(tmp_path / "page.html")
+    (tmp_path / "link.html").symlink_to("page.html")
+    for name in ("page.html", "link.html"):
+        assert call("runs", "--page", name, *more) == 2
+        assert f"--page: '{name}' is a pipe" in capsys.readouterr().err
+    os.mkfifo(tmp_path / "compare.html")
+    assert call("compare", "nothing", "here", *more) == 2
+    assert ("--out: 'compare.html' is a pipe" in capsys.readouterr().err) == bool(more)  # else the next free name
 
 
 def test_of_a_run_that_never_began_nothing_stays(tmp_path: Path) -> None:
@@ -84,12 +110,16 @@ def test_a_command_that_goes_on_takes_no_directory_of_something_else(
     command: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It would replace pages there. Truth: the page afterwards."""
-    page = tmp_path / "index.html"
+    page, folders = tmp_path / "index.html", [tmp_path / name for name in ("parts", "trials", "network/seed1")]
     page.write_text("somebody's")
+    for folder in folders:
+        folder.mkdir(parents=True)
+        (folder / "data.csv").write_text("somebody's")
+    there = sorted(tmp_path.rglob("*"))
     for out in (".", str(tmp_path)):
         assert call(*command, "--quiet", "--out", out) == 2
         assert f"--out: '{out}' has files of something else (" in capsys.readouterr().err
-    assert page.read_text() == "somebody's" and list(tmp_path.iterdir()) == [page]
+    assert page.read_text() == "somebody's" and sorted(tmp_path.rglob("*")) == there
 
 
 def test_the_root_of_the_file_system_is_no_directory_of_a_command() -> None:
@@ -292,6 +322,20 @@ def test_bench_prints_one_object(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert json.loads(captured.out) == {"rows": [], "repeat": 200} and captured.err == ""
     assert call("bench", "--json", "--repeat", "7") == 0
     assert json.loads(capsys.readouterr().out) == {"rows": [], "repeat": 7}
+
+
+def test_a_race_replaces_none_of_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import wbmpc.benchmark as benchmark
+    import wbmpc.benchmark.table as table
+
+    monkeypatch.setattr(benchmark, "run_benchmark", lambda repeat, progress: {"repeat": repeat})
+    monkeypatch.setattr(table, "text", lambda figures: "")
+    for repeat, folder in (("3", "race"), ("5", "race-2")):
+        assert call("bench", "--json", "--repeat", repeat, "--out", "race") == 0
+        assert json.loads(capsys.readouterr().out)["files"]["json"] == f"{folder}/race.json"
+    assert json.loads((tmp_path / "race" / "race.json").read_text())["repeat"] == 3
 
 
 def test_the_commands_are_the_documented_ones() -> None:

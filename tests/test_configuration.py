@@ -293,3 +293,23 @@ def test_weights_and_thresholds_have_limits(name: str, given: str, message: str)
     with pytest.raises(InputError) as error:
         configure(REGISTRY[name].config_type, [given], name)
     assert f"{name}: --set {given.partition('=')[0]}=" in str(error.value) and message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("mpc: {rate: 50}\nmpc.rate: 60\n", "mpc.rate"),
+        ("mpc.rate: 50\nmpc: {rate: 50}\n", "mpc.rate"),
+        ("cost: {end_effector.weight: 1}\ncost.end_effector: {weight: 2}\n", "cost.end_effector.weight"),
+    ],
+)
+def test_a_key_of_a_file_is_there_once_however_it_is_written(text: str, key: str, tmp_path: Path) -> None:
+    (tmp_path / "settings.yaml").write_text(text)
+    with pytest.raises(InputError, match=f"settings.yaml: key '{key}' is there twice"):
+        configure(FakeSettings, [], "fake", tmp_path / "settings.yaml")
+
+
+def test_a_kind_of_a_file_is_there_once_however_it_is_written(tmp_path: Path) -> None:
+    (tmp_path / "settings.yaml").write_text("stability: support_margin\nstability.kind: wheel_loads\n")
+    with pytest.raises(InputError, match=r"settings.yaml: key 'stability.kind' is there twice"):
+        configure(REGISTRY["hold"].config_type, [], "hold", tmp_path / "settings.yaml")

@@ -107,3 +107,19 @@ def test_devices_are_written_and_links_stay(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to("below/page.html")
     write_text(tmp_path / "link", "x")
     assert (tmp_path / "link").is_symlink() and (tmp_path / "below" / "page.html").read_text() == "x"
+
+
+def test_a_pipe_has_no_reader_to_wait_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "page.html")
+    with pytest.raises(NotWritten, match=r"page.html: cannot be written \(is a pipe\)"):
+        write_text(tmp_path / "page.html", "x")
+
+
+def test_nobody_knows_where_a_file_is_written_first(tmp_path: Path) -> None:
+    """Another user could put a link there, and have what it leads to replaced. Truth: two names, which a process alone would have the same of."""
+    with whole_file(tmp_path / "a.html") as first, whole_file(tmp_path / "a.html") as second:
+        assert first != second and {first.parent, second.parent} == {tmp_path}
+        assert first.suffix == second.suffix == ".html"
+        first.write_text("first")
+        second.write_text("second")
+    assert os.listdir(tmp_path) == ["a.html"] and (tmp_path / "a.html").read_text() == "first"

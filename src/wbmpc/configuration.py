@@ -230,7 +230,7 @@ def _kinds(model: type[BaseModel], key: str) -> dict[str, type[BaseModel]]:
 
 def has_truths(value: Any) -> bool:
     """Whether a value is, or holds, true or false."""
-    inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
     return isinstance(value, bool) or any(map(has_truths, inside))
 
 
@@ -258,8 +258,13 @@ def _check_kind(model: type[BaseModel], key: str, settings: Mapping[str, Any], w
             raise InputError(f"{where}: --set {unread_text(key, owners)}")
 
 
+def _kinds_first(pairs: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
+    """Keys and values, those of kinds first: the keys of a section depend on it."""
+    return sorted(pairs, key=lambda pair: pair[0].rpartition(".")[2] != KIND)
+
+
 def _pairs(model: type[BaseModel], assignments: Iterable[str], where: str) -> list[tuple[str, Any]]:
-    """Keys and values, checked one by one; kinds first, for the keys of a section depend on it."""
+    """Keys and values, checked one by one."""
     valid, pairs = keys(model), []
     for assignment in assignments:
         key, value = _parse(assignment, where)
@@ -270,7 +275,7 @@ def _pairs(model: type[BaseModel], assignments: Iterable[str], where: str) -> li
         if has_truths(value) and bool not in _types(model, key):
             raise InputError(f"{where}: --set {assignment.strip()}: a number or text is needed, not true or false")
         pairs.append((key, value))
-    return sorted(pairs, key=lambda pair: pair[0].rpartition(".")[2] != KIND)
+    return _kinds_first(pairs)
 
 
 def _keys_of(place: tuple[int | str, ...], model: type[BaseModel] | None) -> tuple[int | str, ...]:
@@ -351,10 +356,12 @@ def _of_file(model: type[BaseModel], path: Path, where: str) -> list[tuple[str, 
                 raise InputError(f"{path}: key '{key}': numbers must be finite, at most {LARGEST:.3g}")
             if has_truths(value) and bool not in _types(model, key):
                 raise InputError(f"{path}: key '{key}': a number or text is needed, not true or false")
+            if key in dict(found):
+                raise InputError(f"{path}: key '{key}' is there twice, in its section and with dots")
             found.append((key, _numbers(value)))
 
     walk(data or {}, "")
-    return found
+    return _kinds_first(found)
 
 
 def configure(model: type[BaseModel], assignments: Iterable[str], where: str, file: Path | None = None) -> Any:
@@ -365,11 +372,7 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str, fi
     Raises :class:`InputError` naming ``where`` (the experiment) or the file, the key and the valid choices.
     """
     settings = model().model_dump()
-    of_file = (
-        []
-        if file is None
-        else sorted(_of_file(model, file, where), key=lambda pair: pair[0].rpartition(".")[2] != KIND)
-    )
+    of_file = [] if file is None else _of_file(model, file, where)
     pairs = [*of_file, *_pairs(model, assignments, where)]
     for key, value in pairs:
         _insert(settings, key, value)
@@ -389,11 +392,6 @@ def reject_booleans(model: type[BaseModel], data: Any) -> Any:
         field = model.model_fields.get(name)
         kinds = () if field is None else (field.annotation, *get_args(field.annotation))
         checked = any(k in (bool, Any) or (isinstance(k, type) and issubclass(k, BaseModel)) for k in kinds)
-        if field is not None and not checked and _has_truth(value):
+        if field is not None and not checked and has_truths(value):
             raise ValueError(f"{name}: a number or text is needed, not true or false")
     return data
-
-
-def _has_truth(value: Any) -> bool:
-    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
-    return isinstance(value, bool) or any(_has_truth(inner) for inner in inside)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,14 +16,18 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Where to write what then becomes ``path``: a file beside it with the same ending, which takes its place at the end.
 
     Where that fails or is interrupted, ``path`` stays as it was and nothing is left. A full disk raises :class:`NotWritten`
-    naming ``path``. What is there and no regular file (a device, a pipe) is written itself.
+    naming ``path``, and so does a pipe with a name, which would wait for its reader. What else is there and no regular file (a
+    device, an open pipe of the shell's) is written itself.
     """
+    if is_named_pipe(path):
+        raise NotWritten(f"{path}: cannot be written (is a pipe)")
     if path.exists() and not path.is_file():
         with _named(path):
             yield path
         return
     target = Path(os.path.realpath(path))  # a link stays one
-    partial = target.with_name(f"{target.stem[:200]}.part{os.getpid()}{target.suffix}")
+    # a name that nobody guesses: what stands there, or a link that another user puts there, would be written
+    partial = target.with_name(f"{target.stem[:200]}.part{secrets.token_hex(8)}{target.suffix}")
     try:
         with _named(path):
             yield partial
@@ -32,6 +37,11 @@ def whole_file(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def is_named_pipe(path: Path) -> bool:
+    """Whether there is a pipe in the file system; those that a shell opens (/dev/stdout) have no place there."""
+    return Path(os.path.realpath(path)).is_fifo()
 
 
 @contextmanager

@@ -31,8 +31,6 @@ MAX_SEEDS = 1000
 _SEEDS = re.compile(r"\s*(?P<first>[0-9]{1,9})(-(?P<last>[0-9]{1,9}))?\s*")
 #: Exit codes after which there is a result: completed, or ended early with its figures.
 _FINISHED = (0, 1)
-#: Patterns of what is in a site's directory as soon as its runs begin.
-RUNS_OF_SITE = ("*/seed[0-9]*",)
 _POLL = 0.05
 #: Speed and size [pixels] of the clips.
 CLIP_SPEED, CLIP_SIZE = 4.0, (640, 360)
@@ -89,6 +87,11 @@ def jobs_of_site(jobs: Iterable[Job], site: Path, order: Sequence[str] = ()) -> 
     places = {name: k for k, name in enumerate(order)}
     found = dict.fromkeys([*jobs, *finished(site)])
     return sorted(found, key=lambda job: (places.get(job.name, len(places)), job.name, job.seed))
+
+
+def runs_of_site(experiments: Iterable[str]) -> list[str]:
+    """Patterns of what is in a site's directory as soon as its runs begin; runs of other programs have such folders too."""
+    return [f"{name}/seed[0-9]*" for name in experiments]
 
 
 def command(job: Job) -> list[str]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
+import mujoco
 import pytest
 
 from wbmpc.errors import InputError
@@ -15,6 +17,14 @@ from wbmpc.robots.urdf_tree import check_tree
 
 def links(names: str) -> str:
     return "".join(f'<link name="{name}"/>' for name in names)
+
+
+def _weighted(text: str) -> str:
+    """MuJoCo compiles only links that weigh something."""
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    return re.sub(
+        r'<link name="(\w+)"/>', rf'<link name="\1"><inertial><mass value="1"/>{inertia}</inertial></link>', text
+    )
 
 
 def joint(name: str, parent: str, child: str, kind: str = "continuous") -> str:
@@ -33,7 +43,7 @@ def joint(name: str, parent: str, child: str, kind: str = "continuous") -> str:
         (links("a") + joint("j", "a", "a"), ("joint 'j'", "in a loop")),
         (links("aab") + joint("j", "a", "b"), ("link 'a'", "twice")),
         (links("abc") + joint("j", "a", "b") + joint("j", "a", "c"), ("joint 'j'", "twice")),
-        (links("ab") + joint("j", "a", "b", "spherical"), ("joint 'j'", "unknown type 'spherical'", "revolute")),
+        (links("ab") + joint("j", "a", "b", "screw"), ("joint 'j'", "unknown type 'screw'", "revolute")),
         (links("ab") + joint("j", "a", "b").replace(' name="j"', ""), ("a joint has no name",)),
     ],
 )
@@ -46,12 +56,29 @@ def test_a_fault_is_named(body: str, words: tuple[str, ...], tmp_path: Path) -> 
     assert said.startswith(str(path)) and all(w in said for w in words), said
 
 
-def test_a_chain_of_all_kinds_is_a_tree(tmp_path: Path) -> None:
-    kinds = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-    chain = "".join(joint(f"j{k}", "abcdefg"[k], "abcdefg"[k + 1], kind) for k, kind in enumerate(kinds))
-    path = tmp_path / "mover.urdf"
-    path.write_text(f'<robot name="mover">{chain}{links("gfedcba")}</robot>')
+@pytest.mark.parametrize("text", ["1,5", "90deg", "2*pi", "1 2", "1_000", "0x10", "${speed}", ""])
+def test_a_limit_that_is_no_number_is_an_error(text: str, tmp_path: Path) -> None:
+    """MuJoCo reads no speeds: plans were as fast as they like. Truth: what C++'s streams and Python's ``float`` take for one number."""
+    path, whole = tmp_path / "mover.urdf", joint("j", "a", "b", "revolute")
+    for tag, name in (("limit", "velocity"), ("limit", "effort"), ("limit", "lower"), ("mimic", "multiplier")):
+        limited = whole.replace("</joint>", f'<{tag} {name}="{text}"/></joint>')
+        path.write_text(f'<robot name="mover">{links("ab")}{limited}</robot>')
+        with pytest.raises(InputError) as raised:
+            read_model(path)
+        assert f"joint 'j': <{tag}>: '{name}' must be a number, got '{text}'" in str(raised.value)
+    path.write_text(path.read_text().replace(f'"{text}"/>', '" -1.5e-1 "/>'))
     assert read_model(path).root is not None
+
+
+def test_a_chain_of_all_kinds_is_a_tree(tmp_path: Path) -> None:
+    """With the ball joint that ball robots need. Truth: MuJoCo reads it."""
+    kinds = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
+    chain = "".join(joint(f"j{k}", "abcdefgh"[k], "abcdefgh"[k + 1], kind) for k, kind in enumerate(kinds))
+    path = tmp_path / "mover.urdf"
+    path.write_text(f'<robot name="mover">{chain}{links("hgfedcba")}</robot>')
+    assert read_model(path).root is not None
+    ball = f'<robot name="mover">{links("ab")}{joint("j", "a", "b", "spherical")}</robot>'
+    assert mujoco.MjModel.from_xml_string(_weighted(ball)).jnt_type[0] == mujoco.mjtJoint.mjJNT_BALL
 
 
 def test_a_long_chain_is_followed_once(tmp_path: Path) -> None:

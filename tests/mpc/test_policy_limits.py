@@ -90,6 +90,13 @@ def test_a_state_of_another_shape_is_an_error_and_not_spread(mpc: MPC) -> None:
         for ask in (policy, policy.law):
             with pytest.raises(InputError, match=r"policy: a state of 2 numbers is needed, got shape"):
                 ask(0.0, x)
+    for ask in (policy.state, policy.feedforward, policy.planned, policy):
+        for t in (np.nan, np.inf, -np.inf, 10**400):
+            with pytest.raises(NotFinite, match="policy: time and state must be finite"):
+                ask(t)
+        for t in (None, "1.0", [0.0], 1j, np.zeros(2), ca.DM.zeros(2)):
+            with pytest.raises(InputError, match="policy: a time in seconds is needed, got"):
+                ask(t)  # type: ignore[arg-type]
     gain = np.broadcast_to([[1e200, -1e200]], policy.gain.shape)
     with pytest.raises(NotFinite, match="so far from the plan"):
         Policy(policy.times, policy.x, policy.u, gain, limits=policy.limits)(0.0, np.full(2, 1e200))

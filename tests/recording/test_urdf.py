@@ -110,3 +110,13 @@ def test_what_is_above_the_base_of_an_own_urdf_is_left_out(tmp_path) -> None:  #
     )
     links, parents = of_urdf(to_urdf(load_description(tmp_path / "own.yaml")))
     assert links == {"base_link", "arm_base_link"} and parents == {"arm_base_link": "base_link"}
+
+
+def test_a_ball_joint_of_an_own_urdf_floats_on_the_bus(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """The ball robot as a URDF, as MuJoCo reads it; ROS knows no such joint."""
+    source = load_description("rezero")
+    text = to_urdf(source, base=source.base.body, world="odom")
+    assert text.count('"floating"') == 1
+    (tmp_path / "own.urdf").write_text(text.replace('"floating"', '"spherical"'))
+    own = source.model_copy(update={"model": tmp_path / "own.urdf"})
+    assert to_urdf(own, base=source.base.body, world="odom").count('"floating"') == 1

@@ -95,6 +95,11 @@ WRONG = {
         "tune.seeds: 5, 6, 7, 8, 9 are in 'seeds' too",
     "experiments: [VALLEY]\nseeds: 0\nvary: {offset: [1]}\n"
     "tune: {seeds: 5, search: {offset: [0, 1]}, minimize: [{metric: error, limit: 1}]}": "'offset' is in vary too",
+    # a condition, or a robot, would be the name of runs that have another one
+    "experiments: [VALLEY]\nseeds: 3\nvary: {offset: [1]}\nconditions: {a: {settings: {offset: 2}}}":
+        "conditions.a.settings: 'offset' is given by vary too, which would win",
+    "experiments: [VALLEY]\nseeds: 3\nrobots: [one]\nvary: {robot: [two]}": "vary: 'robot' is given by robots too",
+    "experiments: [VALLEY]\nseeds: 3\nrobots: [one]\nconditions: {a: {settings: {robot: two}}}": "'robot' is given by robots too",
 }  # fmt: skip
 
 

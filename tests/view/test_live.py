@@ -422,3 +422,14 @@ def test_speeds_that_are_none_are_left_out() -> None:
         view._anchor(0.0)
         assert view._speed == kept
     assert len(rejected) == 3 and all("speed: must be 0.05 to 1" in reason for reason in rejected)
+
+
+def test_the_page_says_that_a_robot_fell_once_it_was_stopped() -> None:
+    """Pushes that the page offers end in a stop with a reason, and the motors are off before it lies."""
+    view, texts = live.View("test", port=free_port()), list[str]()
+    view.show_message, view._before = texts.append, False  # type: ignore[method-assign]
+    view.end(Ending("stopped at 0.44 s: a force of at least 333 N; motors off", fell=True))
+    view.end(Ending("the robot fell at 1.20 s because its base leaned by 55 deg", fell=True))
+    view.end(Ending("stopped at 0.44 s: an encoder stands still"))
+    assert texts[0] == "The run is over: stopped at 0.44 s: a force of at least 333 N; motors off; then the robot fell"
+    assert [text.count("fell") for text in texts] == [1, 1, 0]

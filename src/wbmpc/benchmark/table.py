@@ -13,6 +13,9 @@ from rich.table import Table
 
 from wbmpc.output_file import write_text
 
+#: What :func:`write` writes.
+FILES = ("race.json", "race.txt")
+
 
 def number(value: Any, digits: int = 3) -> str:
     if value is None:
@@ -102,8 +105,8 @@ def text(figures: dict[str, Any], width: int = 118, more: Sequence[Table] = (), 
 
 
 def write(figures: dict[str, Any], directory: Path, table: str) -> dict[str, str]:
-    """``race.json`` and ``race.txt`` with its ``table``: paths by kind."""
-    files = {"json": directory / "race.json", "table": directory / "race.txt"}
+    """:data:`FILES`, the second one with its ``table``: paths by kind."""
+    files = {kind: directory / name for kind, name in zip(("json", "table"), FILES, strict=True)}
     write_text(files["json"], json.dumps(figures, indent=1))
     write_text(files["table"], table)
     return {kind: str(path) for kind, path in files.items()}

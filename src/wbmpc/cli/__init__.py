@@ -231,10 +231,10 @@ def bench(
 ) -> None:
     """Time the solver against others on the same discretized problems, on one core."""
     from wbmpc.benchmark import run_benchmark
-    from wbmpc.benchmark.table import text, write
+    from wbmpc.benchmark.table import FILES, text, write
 
     verbose = not (as_json or context.obj.quiet)
-    with nullcontext() if out is None else run_directory(out, "bench", 0) as directory:
+    with nullcontext() if out is None else run_directory(out, "bench", 0, FILES) as directory:
         with progress_bar("bench", verbose) as bar:
             show = bar or (lambda _, note: typer.echo(note, err=True) if verbose else None)
             figures = run_benchmark(repeat, show)

@@ -18,6 +18,7 @@ from typing import Annotated
 import typer
 
 from wbmpc.errors import InputError
+from wbmpc.output_file import is_named_pipe
 
 Force = Annotated[bool, typer.Option("--force", help="Replace files that are there already.")]
 
@@ -51,22 +52,22 @@ def new_file(option: str, chosen: Path | None, default: Path, force: bool) -> Pa
 
     Raises :class:`InputError` if the named one is there and ``force`` is not given, or cannot be written.
     """
-    if chosen is not None:
-        reject_existing(option, [chosen], force)
-        if not chosen.parent.is_dir():
-            raise InputError(f"{option}: '{chosen}': there is no directory '{chosen.parent}'")
+    if chosen is not None and not chosen.parent.is_dir():
+        raise InputError(f"{option}: '{chosen}': there is no directory '{chosen.parent}'")
     path = chosen or (default if force else _free(default))
+    reject_existing(option, [path], force)
     _try_to_write(option, path)
     return path
 
 
 def _try_to_write(option: str, path: Path) -> None:
-    """Before the work is done, not after it. A file that was not there is not there afterwards."""
+    """Before the work is done, not after it. A file that was not there is not there afterwards, nor one where a link leads."""
     existed = path.exists()
+    file = path if existed else Path(os.path.realpath(path))
     try:
-        path.open("ab").close()
+        file.open("ab").close()
         if not existed:
-            path.unlink()
+            file.unlink()
     except OSError as error:
         raise InputError(f"{option}: '{path}' cannot be written ({error.strerror})") from error
 
@@ -129,10 +130,12 @@ def new_directory(option: str, chosen: Path | None, default: Path, force: bool) 
 
 
 def reject_existing(option: str, paths: Iterable[Path], force: bool) -> None:
-    """Raise :class:`InputError` naming the first file that is there, unless ``force`` is given."""
+    """Raise :class:`InputError` naming the first file that is there, unless ``force`` is given and it can be replaced."""
     for path in paths:
         if path.is_dir():
             raise InputError(f"{option}: '{path}' is a directory; give a file")
+        if is_named_pipe(path):
+            raise InputError(f"{option}: '{path}' is a pipe, whose reader may never come; give a file")
         if path.exists() and not force:
             raise InputError(f"{option}: '{path}' is there already; give another name, or --force to replace it")
 
@@ -140,7 +143,7 @@ def reject_existing(option: str, paths: Iterable[Path], force: bool) -> None:
 def _free(path: Path) -> Path:
     """``path``, or the first of ``path``-2, -3 … (before the ending) that is not there."""
     names = (path if k == 1 else path.with_name(f"{path.stem}-{k}{path.suffix}") for k in count(1))
-    return next(p for p in names if not p.exists())
+    return next(p for p in names if not os.path.lexists(p))  # nor behind a link
 
 
 def _reserve(base: Path) -> Path:
@@ -156,14 +159,15 @@ def _reserve(base: Path) -> Path:
 
 
 @contextmanager
-def run_directory(out: Path | None, name: str, seed: int) -> Iterator[Path]:
-    """Where the files go: a directory without another run. Made before the run, so that a bad path is found at once.
+def run_directory(out: Path | None, name: str, seed: int, files: Iterable[str] = ()) -> Iterator[Path]:
+    """Where the files go: a directory without another run, nor any of ``files``. Made before the run, so that a bad path is found at
+    once.
 
     What was made for it and stays empty is removed again.
     """
     target = out or Path("runs") / f"{name}-seed{seed}"
     with _empty_ones_removed(target, *target.parents):
-        directory = _chosen(out, target)
+        directory = _chosen(out, target, files)
         try:
             yield directory
         finally:
@@ -172,12 +176,12 @@ def run_directory(out: Path | None, name: str, seed: int) -> Iterator[Path]:
                     directory.rmdir()
 
 
-def _chosen(out: Path | None, target: Path) -> Path:
+def _chosen(out: Path | None, target: Path, files: Iterable[str]) -> Path:
     from wbmpc.report import RUN_FILES
 
     if out is not None:
         _make("--out", out)
-        if not any((out / file).exists() for file in RUN_FILES):
+        if not any(os.path.lexists(out / file) for file in (*RUN_FILES, *files)):
             return out
         if out.name in ("", ".."):  # '.', '..' and '/': a name beside them would not be below what the user has named
             raise InputError(f"--out: '{out}' has the files of a run already; give the name of a new directory")

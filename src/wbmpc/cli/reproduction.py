@@ -31,12 +31,12 @@ def reproduce(
 
     The site shows all finished runs of its directory, also those of earlier calls.
     """
-    from wbmpc.reproduce import RUNS_OF_SITE, jobs_of_site, parse_seeds, plan, run_all, summarize, write_site
+    from wbmpc.reproduce import jobs_of_site, parse_seeds, plan, run_all, runs_of_site, summarize, write_site
 
     names = [context.obj.find(name).name for name in only] if only else list(context.obj.registry)
     jobs = plan(names, parse_seeds(seeds), out)
     verbose = not (as_json or context.obj.quiet)
-    with resumed_directory("--out", out, RUNS_OF_SITE), progress_bar("reproduce", verbose) as bar:
+    with resumed_directory("--out", out, runs_of_site(context.obj.registry)), progress_bar("reproduce", verbose) as bar:
         # hours go by: in a pipe every finished run is a line
         progress = bar or (lambda _, note: typer.echo(note, err=True) if verbose else None)
         try:

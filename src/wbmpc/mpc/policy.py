@@ -64,7 +64,9 @@ class InputLimits:
 def _is_finite(t: float) -> bool:
     try:
         return math.isfinite(t)
-    except TypeError:
+    except OverflowError:  # a whole number beyond all floats
+        return False
+    except (TypeError, ValueError, RuntimeError):  # the last one: of CasADi's matrices
         raise InputError(f"policy: a time in seconds is needed, got {t!r}") from None
 
 
@@ -136,11 +138,13 @@ class Policy:
         return float(self.times[-1])
 
     def _interval(self, t: float) -> int:
+        if not _is_finite(t):  # which would be the last one
+            raise NotFinite("policy: time and state must be finite")
         k = bisect_right(self.times, t + 1e-9) - 1  # type: ignore[type-var]  # (NumPy's search lets the interpreter go)
         return min(max(k, 0), len(self.u) - 1)
 
     def state(self, t: float) -> np.ndarray:
-        """Planned state (nx) at time t [s]."""
+        """Planned state (nx) at time t [s]. Raises :class:`NotFinite` for a time that is not finite."""
         k = self._interval(t)
         a = self._share(t, k)
         return (1.0 - a) * self.x[k] + a * self.x[k + 1]
@@ -151,11 +155,11 @@ class Policy:
         return float(min(max((t - start) / (end - start), 0.0), 1.0))
 
     def feedforward(self, t: float) -> np.ndarray:
-        """Planned input (nu) at time t [s]."""
+        """Planned input (nu) at time t [s]. Raises what :meth:`state` raises."""
         return self.u[self._interval(t)].copy()
 
     def planned(self, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Planned state (nx) and input (nu) at time t [s]."""
+        """Planned state (nx) and input (nu) at time t [s]. Raises what :meth:`state` raises."""
         k = self._interval(t)
         a = self._share(t, k)
         return (1.0 - a) * self.x[k] + a * self.x[k + 1], self.u[k].copy()
@@ -182,8 +186,6 @@ class Policy:
         Raises what :meth:`law` raises.
         """
         if x is None:
-            if not _is_finite(t):
-                raise NotFinite("policy: time and state must be finite")
             u = self.feedforward(t)
             cut = self.limits is not None and self._code.hold(t, u)
         else:

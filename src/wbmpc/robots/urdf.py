@@ -11,6 +11,7 @@ from wbmpc import lie
 from wbmpc.robots.description import RobotDescription, load_spec
 from wbmpc.robots.frames import BASE, ODOM, fixed_frames, frame_names
 from wbmpc.robots.model_file import ModelFile, file_of
+from wbmpc.robots.urdf_tree import BALL
 
 _JOINTS = {
     mujoco.mjtJoint.mjJNT_HINGE: "revolute",
@@ -65,9 +66,14 @@ def _own(description: RobotDescription, file: ModelFile, base: str, world: str) 
     while below := {child for parent, child in ends if parent in inside} - inside:
         inside |= below
     outside = [link for link in root.findall("link") if link.get("name") not in inside]
-    names = frame_names(description.base.body, sorted(inside), base, world)
-    if not file.macros and not outside and all(body == name for body, name in names.items()):
+    names, balls = (
+        frame_names(description.base.body, sorted(inside), base, world),
+        [j for j in joints if j.get("type") == BALL],
+    )
+    if not (file.macros or outside or balls) and all(body == name for body, name in names.items()):
         return file.path.read_text()
+    for joint in balls:  # ROS knows none
+        joint.set("type", "floating")
     for element in outside:
         root.remove(element)
     for joint, (parent, _) in zip(joints, ends, strict=True):

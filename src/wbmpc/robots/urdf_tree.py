@@ -6,15 +6,20 @@ from collections.abc import Iterable
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from wbmpc.checks import parse_number
 from wbmpc.errors import InputError, unknown_name
 
+#: A ball joint, in MuJoCo's and Bullet's URDF; ROS has none.
+BALL = "spherical"
 #: Types of joints that a URDF may have (http://wiki.ros.org/urdf/XML/joint).
-KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", BALL)
+#: Attributes of a joint's elements that are numbers. MuJoCo leaves some out, and a limit that cannot be read would be none.
+_NUMBERS = {"limit": ("lower", "upper", "velocity", "effort"), "mimic": ("multiplier", "offset")}
 
 
 def check_tree(path: Path, root: Element) -> None:
     """Raise :class:`InputError` naming file, joint and link where the joints of a URDF do not make a tree of its links: names that are
-    missing or given twice, links that are not in the file or hang on two joints, and loops."""
+    missing or given twice, links that are not in the file or hang on two joints, and loops; and for limits that are no numbers."""
     links = _names(path, "link", root.findall("link"))
     joints = root.findall("joint")
     _names(path, "joint", joints)
@@ -24,6 +29,7 @@ def check_tree(path: Path, root: Element) -> None:
         kind = joint.get("type", "")
         if kind not in KINDS:
             raise InputError(f"{where}: {unknown_name('type', kind, KINDS)}")
+        _check_numbers(where, joint)
         parent, child = (_end(where, joint, end, links) for end in ("parent", "child"))
         if child in above:
             raise InputError(
@@ -46,6 +52,18 @@ def _names(path: Path, kind: str, elements: Iterable[Element]) -> dict[str, None
             raise InputError(f"{path}: {kind} '{name}' is in the file twice; each {kind} needs a name of its own")
         found[name] = None
     return found
+
+
+def _check_numbers(where: str, joint: Element) -> None:
+    for tag, names in _NUMBERS.items():
+        for element in joint.findall(tag):
+            for name in names:
+                try:
+                    parse_number(element.get(name, "0"))
+                except ValueError:
+                    raise InputError(
+                        f"{where}: <{tag}>: '{name}' must be a number, got '{element.get(name, '')[:40]}'"
+                    ) from None
 
 
 def _end(where: str, joint: Element, end: str, links: Iterable[str]) -> str:

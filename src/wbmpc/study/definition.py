@@ -217,11 +217,27 @@ class Definition(Section):
                 if experiment not in self.experiments:
                     where = f"conditions.{name}.experiments"
                     raise ValueError(str(unknown_name("experiment", experiment, self.experiments, where)))
+        self._check_layers()
         drawn = [key for key, axis in self.vary.items() if isinstance(axis, Random)]
         if self.draws > 1 and not drawn:
             raise ValueError("draws: nothing is random; a setting in vary needs random: true")
         self._check_search()
         return self
+
+    @property
+    def _conditions(self) -> dict[str, dict[str, Any]]:
+        """Settings of the conditions, by place in the file."""
+        return {f"conditions.{name}.settings": c.settings for name, c in self.conditions.items()}
+
+    def _check_layers(self) -> None:
+        """A condition, or a robot, that says one thing would run with another: what wins is no layer under it."""
+        robot = {"robot": ()} if self.robots else {}
+        for winner, layer in (("robots", robot), ("vary", self.vary)):
+            for place, below in {"vary": self.vary, **self._conditions}.items():
+                if place != winner and (both := [key for key in layer if key in below]):
+                    raise ValueError(
+                        f"{place}: '{both[0]}' is given by {winner} too, which would win; it can be in one only"
+                    )
 
     def _check_search(self) -> None:
         if self.tune is None:
@@ -231,8 +247,7 @@ class Definition(Section):
                 f"tune.seeds: {', '.join(map(str, both[:5]))} are in 'seeds' too: what is tuned on a seed cannot be reported on it; "
                 "give other tuning seeds"
             )
-        layers = {"vary": self.vary, **{f"conditions.{n}": c.settings for n, c in self.conditions.items()}}
-        for place, layer in layers.items():
+        for place, layer in {"vary": self.vary, **self._conditions}.items():
             if fixed := [key for key in self.tune.search if key in layer]:
                 raise ValueError(f"tune.search: '{fixed[0]}' is in {place} too, which would win; it can be in one only")
         for term in self.tune.minimize:

@@ -8,5 +8,6 @@ LOCK = ".lock"
 ABOUT, STATISTICS, PAGE, BEST = "study.json", "statistics.json", "index.html", "best.yaml"
 #: Of a search: Optuna's database, the folder of its runs' rows, and all trials.
 DATABASE, TRIAL_ROWS, TRIALS = "trials.db", "trials", "trials.json"
-#: What shows that a folder is a study's or a search's: one of these is there once its runs begin.
-OWN = (ABOUT, JOURNAL, PARTS, ROWS, DATABASE, TRIAL_ROWS)
+#: What shows that a folder is a study's or a search's: one of these is there once its runs begin. Not the folders by themselves, whose
+#: names others have too.
+OWN = (ABOUT, JOURNAL, f"{PARTS}/*.parquet", ROWS, DATABASE, f"{TRIAL_ROWS}/{LOCK}")

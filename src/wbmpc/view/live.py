@@ -122,9 +122,11 @@ class View(LiveView):
 
     def end(self, ending: Ending) -> None:
         """Say so; the last picture stays until :meth:`close`."""
-        what = f"{PREPARATION}: done" if self._before else "The run is over"
-        self.show_message(f"{what}: {ending.reason}" if ending.reason else what)
-        self._previous = f"Before: {ending.reason}" if ending.fell else ""
+        what, why = f"{PREPARATION}: done" if self._before else "The run is over", ending.reason
+        if ending.fell and "the robot fell" not in why:  # after it was stopped
+            why += "; then the robot fell"
+        self.show_message(f"{what}: {why}" if why else what)
+        self._previous = f"Before: {why}" if ending.fell else ""
 
     # ------------------------------------------------------------------ time
     def _anchor(self, t: float) -> None:
