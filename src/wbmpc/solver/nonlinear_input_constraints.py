@@ -265,13 +265,24 @@ def correct(m: Floats, o: Integers, k: int, share: float) -> None:
 
 @compiled
 def pull_inside(m: Floats, o: Integers, k: int) -> None:
-    """Correct the trial inputs of node k until no held row is left outside; else the best that was met. Rows are evaluated."""
+    """Correct the trial inputs of node k until no held row is left outside. Where rows contradict each other, those with an L1 slack give
+    way to those without; else the best that was met. Rows are evaluated."""
+    field, hold = o[STATE] + StateField.HOLD_INPUTS, m[o[STATE] + StateField.HOLD_INPUTS]
+    if not pulled_inside(m, o, k) and hold > 1.0:
+        m[field] = 1.0
+        pulled_inside(m, o, k)
+        m[field] = hold
+
+
+@compiled
+def pulled_inside(m: Floats, o: Integers, k: int) -> bool:
+    """Whether corrections take the trial inputs of node k into all held rows; else these are the best that was met. Rows are evaluated."""
     nu, u, best, minimum, share = o[NU], o[UT] + k * o[NU], o[U_BEST], np.inf, 1.0
     for _ in range(CORRECTIONS):
         evaluate_trial(m, o, k)
         worst = outside(m, o, k)
         if worst == 0.0:
-            return
+            return True
         if worst < minimum:
             minimum = worst
             for i in range(nu):
@@ -282,6 +293,7 @@ def pull_inside(m: Floats, o: Integers, k: int) -> None:
         for i in range(nu):
             m[u + i] = m[best + i]
     evaluate_trial(m, o, k)
+    return False
 
 
 @compiled
