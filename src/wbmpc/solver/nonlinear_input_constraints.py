@@ -304,13 +304,18 @@ def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
     record_input_violations(m, o, k)
     if alpha == 0.0:
         return
-    for j in range(boxes, boxes + general):
+    for j in range(boxes + general):
         if held(m, o, j):
             q = k * o[ROWS] + j
-            t, h = m[o[ROW_T] + q], m[o[ROW_TRIAL] + j]
+            t, h, least = m[o[ROW_T] + q], m[o[ROW_TRIAL] + j], inside(m, o, k, j)
+            if j < boxes:
+                least = MIN_SHARE * t
             if row_penalty(m, o, j) < np.inf:
                 h += m[o[ROW_S] + q] + alpha * m[o[ROW_DS] + q]
-            m[o[ROW_DT] + q] = (max(h, inside(m, o, k, j)) - t) / alpha
+                if h < least:  # it gives way
+                    m[o[ROW_DS] + q] += (least - h) / alpha
+                    h = least
+            m[o[ROW_DT] + q] = (max(h, least) - t) / alpha
 
 
 @compiled
