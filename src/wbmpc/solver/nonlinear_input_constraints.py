@@ -298,7 +298,8 @@ def pulled_inside(m: Floats, o: Integers, k: int) -> bool:
 
 @compiled
 def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
-    """Trial inputs of node k within the true rows. The slacks of general rows then step to the rows' true values."""
+    """Trial inputs of node k within the true rows. The slacks then step to the rows' true values, L1 slacks as far as rows give way: left
+    to the direction, they would say where inputs are not, and the slack nearest to zero would cut the steps that follow."""
     _, boxes, general = node_rows(o, k)
     pull_inside(m, o, k)
     record_input_violations(m, o, k)
@@ -308,7 +309,7 @@ def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
         if held(m, o, j):
             q = k * o[ROWS] + j
             t, h, least = m[o[ROW_T] + q], m[o[ROW_TRIAL] + j], inside(m, o, k, j)
-            if j < boxes:
+            if j < boxes:  # of which corrections aim nearer
                 least = MIN_SHARE * t
             if row_penalty(m, o, j) < np.inf:
                 h += m[o[ROW_S] + q] + alpha * m[o[ROW_DS] + q]
