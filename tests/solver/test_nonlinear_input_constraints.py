@@ -155,6 +155,18 @@ def test_a_limit_that_moves_with_the_state_gives_way_by_name() -> None:
     assert found.usable and f"power.all[0] by {worst.value:.3g} at node {worst.node}" in found.detail
 
 
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_rows_with_a_slack_give_way_to_bounds_of_inputs(backend: str) -> None:
+    """At 5 m, 100 (1 − x) − (2 + x) u ≥ 0 takes a force of −57, and bounds end at −4. The twin, which is slow, has fewer nodes."""
+    ocp = masses(1, 0.1, n=15 if backend == "compiled" else 3)
+    ocp.add(Constraint("box", Rows(1, lambda s: s.u), sets.Box(-4.0, 6.0), hard=True))
+    ocp.add(hard("far", lambda s: 100.0 * (1.0 - s.x[0]) - (2.0 + s.x[0]) * s.u[0]))
+    solver = Solver(ocp, SQP.real_time(backend=backend))
+    found = solver.solve(np.array([5.0, 0.0]))
+    assert found.usable and -4.0 - RANGE <= found.u.min() <= found.u.max() <= 6.0 + RANGE, found
+    assert "far.all[0]" in found.detail
+
+
 @pytest.mark.parametrize("algorithm", [SQP, ILQR])
 @pytest.mark.parametrize("real_time", [True, False])
 def test_same_iterates_as_the_twin(algorithm: type[SQP], real_time: bool) -> None:

@@ -265,13 +265,24 @@ def correct(m: Floats, o: Integers, k: int, share: float) -> None:
 
 @compiled
 def pull_inside(m: Floats, o: Integers, k: int) -> None:
-    """Correct the trial inputs of node k until no held row is left outside; else the best that was met. Rows are evaluated."""
+    """Correct the trial inputs of node k until no held row is left outside. Where rows contradict each other, those with an L1 slack give
+    way to those without; else the best that was met. Rows are evaluated."""
+    field, hold = o[STATE] + StateField.HOLD_INPUTS, m[o[STATE] + StateField.HOLD_INPUTS]
+    if not pulled_inside(m, o, k) and hold > 1.0:
+        m[field] = 1.0
+        pulled_inside(m, o, k)
+        m[field] = hold
+
+
+@compiled
+def pulled_inside(m: Floats, o: Integers, k: int) -> bool:
+    """Whether corrections take the trial inputs of node k into all held rows; else these are the best that was met. Rows are evaluated."""
     nu, u, best, minimum, share = o[NU], o[UT] + k * o[NU], o[U_BEST], np.inf, 1.0
     for _ in range(CORRECTIONS):
         evaluate_trial(m, o, k)
         worst = outside(m, o, k)
         if worst == 0.0:
-            return
+            return True
         if worst < minimum:
             minimum = worst
             for i in range(nu):
@@ -282,23 +293,30 @@ def pull_inside(m: Floats, o: Integers, k: int) -> None:
         for i in range(nu):
             m[u + i] = m[best + i]
     evaluate_trial(m, o, k)
+    return False
 
 
 @compiled
 def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
-    """Trial inputs of node k within the true rows. The slacks of general rows then step to the rows' true values."""
+    """Trial inputs of node k within the true rows. The slacks then step to the rows' true values, L1 slacks as far as rows give way: left
+    to the direction, they would say where inputs are not, and the slack nearest to zero would cut the steps that follow."""
     _, boxes, general = node_rows(o, k)
     pull_inside(m, o, k)
     record_input_violations(m, o, k)
     if alpha == 0.0:
         return
-    for j in range(boxes, boxes + general):
+    for j in range(boxes + general):
         if held(m, o, j):
             q = k * o[ROWS] + j
-            t, h = m[o[ROW_T] + q], m[o[ROW_TRIAL] + j]
+            t, h, least = m[o[ROW_T] + q], m[o[ROW_TRIAL] + j], inside(m, o, k, j)
+            if j < boxes:  # of which corrections aim nearer
+                least = MIN_SHARE * t
             if row_penalty(m, o, j) < np.inf:
                 h += m[o[ROW_S] + q] + alpha * m[o[ROW_DS] + q]
-            m[o[ROW_DT] + q] = (max(h, inside(m, o, k, j)) - t) / alpha
+                if h < least:  # it gives way
+                    m[o[ROW_DS] + q] += (least - h) / alpha
+                    h = least
+            m[o[ROW_DT] + q] = (max(h, least) - t) / alpha
 
 
 @compiled

@@ -9,7 +9,7 @@ import numpy as np
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
 from wbmpc.solver.reference_direction import InterpretedDirections
 from wbmpc.solver.reference_inequalities import RowState
-from wbmpc.solver.reference_nonlinear_inputs import aims, hold_inputs
+from wbmpc.solver.reference_nonlinear_inputs import MIN_SHARE, aims, hold_inputs
 
 
 class InterpretedLineSearch(InterpretedDirections):
@@ -40,12 +40,17 @@ class InterpretedLineSearch(InterpretedDirections):
         rows = self.own[k]
         functions = self.derivatives["rows_jacobian"]
         held = rows.bounds_inputs & (~rows.soft | (self.hold > 1))
-        h = hold_inputs(rows, held, self.mu, x, u, lambda x, u: functions(x, u, self._p(k), self.ws.w))
+        at = lambda x, u: functions(x, u, self._p(k), self.ws.w)
+        h, inside = hold_inputs(rows, held, self.mu, x, u, at)
+        if not inside and self.hold > 1:
+            h, _ = hold_inputs(rows, held & ~rows.soft, self.mu, x, u, at)
         self._report_outside(k, rows, h)
         if alpha > 0.0:
+            least = np.where(np.arange(h.size) < rows.boxes, MIN_SHARE * rows.t, aims(rows, self.mu))
+            lacking = np.maximum(least - h - rows.s - alpha * rows.ds, 0.0)
+            rows.ds = np.where(held & rows.soft, rows.ds + lacking / alpha, rows.ds)
             carried = np.where(rows.soft, rows.s + alpha * rows.ds, 0.0)
-            general = held & (np.arange(h.size) >= rows.boxes)
-            rows.dt = np.where(general, (np.maximum(h + carried, aims(rows, self.mu)) - rows.t) / alpha, rows.dt)
+            rows.dt = np.where(held, (np.maximum(h + carried, least) - rows.t) / alpha, rows.dt)
 
     def _report_outside(self, k: int, rows: RowState, h: np.ndarray) -> None:
         """Remember by how much node k's inputs are outside, where its rows are h."""

@@ -35,8 +35,8 @@ def aims(rows: RowState, mu: float) -> np.ndarray:
 
 def hold_inputs(
     rows: RowState, held: np.ndarray, mu: float, x: np.ndarray, u: np.ndarray, functions: Callable[..., Any]
-) -> np.ndarray:
-    """Move the inputs u within the true ``held`` rows of a node, in place; returns the rows' values.
+) -> tuple[np.ndarray, bool]:
+    """Move the inputs u within the true ``held`` rows of a node, in place; returns the rows' values, and whether none is left outside.
 
     ``functions``: values and Jacobian of the general rows by [x; u], of (x, u).
     """
@@ -47,7 +47,7 @@ def hold_inputs(
         h = rows.values(z, general)
         worst = np.max(-h[held], initial=0.0)
         if worst == 0.0:
-            return h
+            return h, True
         if worst < minimum:
             minimum, best = worst, u.copy()
         slopes = np.zeros((rows.boxes, z.size))
@@ -60,4 +60,4 @@ def hold_inputs(
                 change += slopes[row] * (0.5**sweep * aim[row] - ahead) / square
         u += change
     u[:] = best
-    return rows.values(np.concatenate([x, u]), functions(x, u)[0])
+    return rows.values(np.concatenate([x, u]), functions(x, u)[0]), False
