@@ -147,14 +147,11 @@ class Alternatives:
         back = self._off(footprint, start)
         if target is None or back is None:
             return
-        rejoin, goal, blocked = target
-        for name, side in (("left", 1.0), ("right", -1.0)):
-            past = self._past(footprint, (start, back, goal), blocked, side)
-            if past is not None:
-                self._ways.append(_Way(name, past, rejoin))
+        rejoin, goal, end, blocked = target
+        found = [(n, self._past(footprint, (start, back, goal), blocked, s)) for n, s in (("left", 1.0), ("right", -1.0))]
         straight = _way([start, back, goal])
-        if _clear(footprint, straight[2:]):
-            self._ways.append(_Way("back", straight, rejoin))
+        found.append(("back", straight if _clear(footprint, straight[2:]) else None))
+        self._ways += [_Way(n, unwrapped(np.vstack([way, end])), rejoin) for n, way in found if way is not None]
 
     def _now(self, t: float) -> Array:
         """Where the MPC's plan has the robot (nx of the problem) at ``t`` [s], or where it begins if that is later."""
@@ -309,14 +306,25 @@ def _can_turn(footprint: Footprint, places: Array) -> NDArray[np.bool_]:
     return np.asarray(footprint.clear(turned).reshape(-1, HEADINGS).all(axis=1))
 
 
-def _behind(footprint: Footprint, times: Array, places: Array, first: int) -> tuple[float, Array, Array] | None:
-    """When [s] the robot, carried to places (n, 3) at ``times`` (n) [s] of which the ``first`` blocked one is given, can turn again after
-    that; where its base (3) is then; and where it is blocked (m, 3). None: it cannot."""
+def _behind(
+    footprint: Footprint, times: Array, places: Array, first: int
+) -> tuple[float, Array, Array, Array] | None:
+    """When [s] the robot, carried to places (n, 3) at ``times`` (n) [s] of which the ``first`` blocked one is given, is behind what blocks
+    it; where its base (3) can turn then; the places (m, 3) from there on, where it is clear; and where it is blocked (k, 3). Where the way
+    ends so near to what blocks it that it cannot turn any more, it turns farther ahead and goes straight back to the end. None: neither
+    is possible."""
     after = np.flatnonzero(_can_turn(footprint, places[first:]))
-    if not after.size:
+    if after.size:
+        k = first + int(after[0])
+        return float(times[k]), places[k], places[k:k], places[first:k]
+    end = places[-1]
+    ahead = np.array([np.cos(end[2]), np.sin(end[2]), 0.0])
+    ahead *= -1.0 if (end - places[first])[:2] @ ahead[:2] < 0.0 else 1.0
+    farther = end + np.arange(ASIDE, FARTHEST + 1e-9, ASIDE)[:, None] * ahead
+    after = np.flatnonzero(_can_turn(footprint, farther))
+    if not after.size or not _clear(footprint, np.array([farther[after[0]], end])):
         return None
-    k = first + int(after[0])
-    return float(times[k]), places[k], places[first:k]
+    return float(times[-1]), farther[after[0]], end[None], places[first:]
 
 
 def _rest(way: Array, pose: Array) -> Array:

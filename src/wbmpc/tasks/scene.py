@@ -128,9 +128,10 @@ class SceneWatch:
         if not self._pace.waits or self._pace.waits_for(t) or tries:
             self._places.clear()
         self._places.append((t, tool.copy()))
-        recent = next(place for since, place in self._places if since > t - WINDOW - 1e-9)
+        # all of them: who comes back from where it evaded somebody is where it was, but it moves
+        recent = np.array([place for since, place in self._places if since > t - WINDOW - 1e-9])
         waited = t - self._places[0][0]
-        stays = waited > WINDOW and np.linalg.norm(tool - recent) < STAYS
+        stays = waited > WINDOW and np.linalg.norm(recent - tool, axis=1).max() < STAYS
         if stays or waited > HOPELESS:
             raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal")
 
