@@ -51,7 +51,7 @@ def test_a_robot_goes_around_a_wall_that_stops_its_mpc(driving: Path, tmp_path: 
 
 def test_a_robot_goes_around_a_wall_right_behind_which_its_way_ends(driving: Path, tmp_path: Path) -> None:
     """It cannot turn at its goal: it goes past and backs to it."""
-    result = head_on(driving, tmp_path, 0.6, "patience=34", "path.length=1.95")
+    result = head_on(driving, tmp_path, 0.6, "patience=34", "path.length=1.7")
     m = result.metrics
     assert result.completed and m["passed"].value == 1.0 and m["alternatives_taken"].value >= 1.0
     assert m["obstacle_contacts"].value == 0.0 and m["obstacle_clearance_min"].value > 0.02

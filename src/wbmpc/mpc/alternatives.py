@@ -47,6 +47,8 @@ Array = NDArray[np.float64]
 WAITS, PATIENCE, AGAIN, AFTER = 0.5, 0.3, 1.0, 3.0
 #: Each way is run ahead in so many solves, so far [s] from one to the next.
 SOLVES, STEP = 10, 0.3
+#: So many of its first plans need not be clear: they start from one that goes on waiting in front of what is in the way, or into it.
+FIRST = 4
 #: How much nearer [m] to its end the robot is then, at least.
 MOVED = 0.2
 #: How far aside [m] a way past something may lead, in steps [m]; how far [m] the robot backs off first, and how often at most.
@@ -202,7 +204,7 @@ class Alternatives:
             self._prepare(way, t)
         usable = self._ahead.advance(Observation(self._t, self._x))
         near = self._ahead.clearance
-        clear = not near.frame or near.excess > -TOLERATED * near.margin
+        clear = self._solves < FIRST or not near.frame or near.excess > -TOLERATED * near.margin
         if usable and clear:
             self._x, self._t = self._simulated(), self._t + STEP
         self._solves += 1
