@@ -150,7 +150,9 @@ class Alternatives:
         if target is None or back is None:
             return
         rejoin, goal, end, blocked = target
-        found = [(n, self._past(footprint, (start, back, goal), blocked, s)) for n, s in (("left", 1.0), ("right", -1.0))]
+        found = [
+            (n, self._past(footprint, (start, back, goal), blocked, s)) for n, s in (("left", 1.0), ("right", -1.0))
+        ]
         straight = _way([start, back, goal])
         found.append(("back", straight if _clear(footprint, straight[1:]) else None))
         self._ways += [_Way(n, unwrapped(np.vstack([way, end])), rejoin) for n, way in found if way is not None]
@@ -308,9 +310,7 @@ def _can_turn(footprint: Footprint, places: Array) -> NDArray[np.bool_]:
     return np.asarray(footprint.clear(turned).reshape(-1, HEADINGS).all(axis=1))
 
 
-def _behind(
-    footprint: Footprint, times: Array, places: Array, first: int
-) -> tuple[float, Array, Array, Array] | None:
+def _behind(footprint: Footprint, times: Array, places: Array, first: int) -> tuple[float, Array, Array, Array] | None:
     """When [s] the robot, carried to places (n, 3) at ``times`` (n) [s] of which the ``first`` blocked one is given, is behind what blocks
     it; where its base (3) can turn then; the places (m, 3) from there on, where it is clear; and where it is blocked (k, 3). Where the way
     ends so near to what blocks it that it cannot turn any more, it turns farther ahead and goes straight back to the end. None: neither

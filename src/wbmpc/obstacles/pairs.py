@@ -30,7 +30,8 @@ FILE_SAMPLES, OFTEN, MOST = 2000, 0.5, 20
 @dataclass(frozen=True)
 class Proposal:
     """Pairs of frames by what sampling ``samples`` states found of them: ``pairs`` that come near; ``adjacent``: one joint or none between
-    them; ``always``: nearer than their margin in almost every state, or touching at home; ``never``: not nearer than :data:`NEAR` in any, which is no proof."""
+    them; ``always``: nearer than their margin in almost every state, or touching at home; ``never``: not nearer than :data:`NEAR` in any,
+    which is no proof."""
 
     samples: int
     pairs: tuple[Pair, ...]
@@ -182,7 +183,7 @@ def diagnose(robot: RobotModel) -> Iterator[Finding]:
     yield Finding(
         "info", "collision", "key 'collision.self.pairs'",
         f"{len(self_pairs(robot))} pairs come near in {found.samples} random states ({len(found.adjacent)} adjacent and "
-        f"{len(found.never)} others do not)" + (f"; these touch at home or are always that near and are left out: {touching}" if touching else ""),
+        f"{len(found.never)} others do not)" + (f"; these touch at home or are always near and are left out: {touching}" if touching else ""),
         f"confirm them: collision: {{self: {{pairs: [{pairs}]}}}}",
     )  # fmt: skip
 
