@@ -35,8 +35,20 @@ from wbmpc.tasks.obstacles import (
     passing,
 )  # fmt: skip
 from wbmpc.tasks.rooms import RoomSettings, draw_room
+from wbmpc.tasks.scene import WINDOW, stays
 
 BOX = "{box: {half: [0.05, 0.05, 1]}, position: [PLACE], KEYS}"
+
+
+def test_who_comes_back_to_where_it_was_has_not_stayed() -> None:
+    """Truth: an evasion of half a meter and back, and a drift, in closed form."""
+    times = np.arange(0.0, WINDOW + 0.3, 0.02)
+    out_and_back = 0.5 * np.sin(2.0 * np.pi * times / WINDOW) ** 2
+    drift = 0.02 * times
+    along = lambda y: [(t, np.array([1.0, v, 0.5])) for t, v in zip(times.tolist(), y.tolist(), strict=True)]
+    assert abs(np.interp(times[-1] - WINDOW, times, out_and_back) - out_and_back[-1]) < 0.01
+    assert not stays(along(out_and_back))
+    assert stays(along(drift)) and not stays(along(drift)[:50])
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from planar_driving import write_robot
 from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.configuration import configure
-from wbmpc.default_problem import default_problem, keep_clear
+from wbmpc.default_problem import EVADING, default_problem, keep_clear
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.pairs import distances, self_pairs
 from wbmpc.registry import REGISTRY, load
@@ -458,10 +458,10 @@ def test_goals_are_drawn_where_the_robot_does_not_touch_itself() -> None:
     assert distances(robot_geometry(robot), pairs, states, 0.05).min() >= robot.description.collision.self.margin - 1e-6
 
 
-def test_pairs_come_near_at_any_speed_among_obstacles() -> None:
-    """Who evades folds the arm as fast as it takes; the pairs are those of the robot file either way."""
+def test_pairs_come_near_faster_among_obstacles() -> None:
+    """Who evades folds the arm faster, up to a share of its full speed; the pairs are those of the robot file either way."""
     robot = wb.load_robot("differential-ur10")
     alone, among = default_problem(robot), keep_clear(default_problem(robot), robot, wb.Obstacles())
     rows = [ocp.terms["self_clearance"].residual for ocp in (alone, among)]
-    assert rows[0].approach > 0.0 and rows[1].approach == 0.0  # type: ignore[attr-defined]
+    assert 0.0 < rows[1].approach == pytest.approx(EVADING * rows[0].approach)  # type: ignore[attr-defined]
     assert rows[0].pairs == rows[1].pairs == self_pairs(robot)  # type: ignore[attr-defined]

@@ -24,6 +24,7 @@ from wbmpc.ocp import (
     sets,
     with_accelerations,
 )
+from wbmpc.ocp.clearance_residuals import stopping_time
 from wbmpc.ocp.scaling import scaled_weights
 from wbmpc.ocp.symbols import Residual
 from wbmpc.settings import (
@@ -38,6 +39,8 @@ from wbmpc.settings import (
 Array = NDArray[np.float64]
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a meter from where it should be.
 CLEARANCE_SLACK = 3e4
+#: Among obstacles arms fold themselves at up to so much of their full speed before pairs of their parts slow them down.
+EVADING = 0.25
 #: Of ranges of joints [1 over the range, per second]: more than what a goal pulls with that is a meter out of reach, or joints are
 #: planned beyond their stops.
 RANGE_SLACK = 3e4
@@ -164,7 +167,7 @@ def keep_clear(
     ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
 ) -> OptimalControlProblem:
     """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is) and its arm clear of itself: who
-    evades folds it, as fast as it takes (pairs may come near each other at any speed)."""
+    evades folds it, faster than where there are no obstacles, and slower only where it could not brake any more (:data:`EVADING`)."""
     if obstacles is None:
         return ocp
     free = sets.NonNegative()
@@ -172,7 +175,7 @@ def keep_clear(
     ocp.add(rows)
     pairs = arm_pairs(robot) if ocp.terms.pop("self_clearance", None) is None else self_pairs(robot)
     if pairs:
-        own = residuals.SelfClearance(robot, pairs, approach=0.0)
+        own = residuals.SelfClearance(robot, pairs, approach=EVADING * stopping_time(robot))
         ocp.add(Constraint("self_clearance", own, free, at="path+terminal", hard=True, slack=slack))
     return ocp
 

@@ -231,6 +231,30 @@ def test_all_frames_leave_a_track_to_the_same_side() -> None:
     assert across.size > 5 and len(np.unique(np.sign(across))) == 1
 
 
+@pytest.mark.parametrize("aside", [0.0, 0.75])
+def test_who_runs_ahead_of_somebody_leaves_the_track_in_the_end(aside: float) -> None:
+    """A plan keeps its distance from a person who walks behind the robot for all of the horizon; with ``aside`` [m] between their tracks the
+    person passes. Truth: slopes along and across the track, and distances of the robot that is moved by what rows lack."""
+    robot, speed = wb.load_robot("differential-ur10"), 0.5
+    residual = wb.residuals.Clearance(robot, ["chassis"], slots=1)
+    rows, grid = rows_of(residual), np.linspace(0.0, 4.0, 21)
+    world, states = wb.Obstacles(), np.tile(robot.home, (21, 1))
+    states[:, 0] += speed * grid
+    person = wb.shapes.Cylinder((0, 0, 0), (0, 0, 1.8), 0.2)
+    world.set("person", person, position=(-0.66, 0.05 + aside, -0.3), velocity=(speed, 0, 0), seen=0.0)
+    snapshot, function = world.snapshot(0.0), evaluate(robot, residual)
+    values = [function(x, p) for x, p in zip(states, rows.refresh(snapshot, grid, states))]
+    h, slope = np.array([float(v[0]) for v in values]), np.array([np.array(v[1])[0, :2] for v in values])
+    assert distances(rows, snapshot, 0.0, states[0])[0, 0] > 0.0
+    late = (grid >= 3.0) & (aside == 0.0)
+    assert (np.abs(slope[late, 1]) > 1.0 - 1e-9).all() and (h[~late] > 0.0).all()
+    assert ((slope[~late, 0] > 0.9) if aside == 0.0 else (slope[:, 0] < 0.7)).all()
+    if late.any():
+        assert len(np.unique(np.sign(slope[late, 1]))) == 1 and h[late].max() < -0.4
+        states[late, 1] += slope[-1, 1] * (1e-6 - h[late].min())
+        assert min(distances(rows, snapshot, t, x)[0, 0] for t, x in zip(grid[late], states[late])) > -1e-6
+
+
 def test_a_grid_keeps_the_robot_from_what_is_in_it() -> None:
     """Truth: the distance to the plane that the grid holds, less its error and what balls around the shapes add."""
     robot = wb.load_robot("differential-ur10")

@@ -49,6 +49,14 @@ def test_a_robot_goes_around_a_wall_that_stops_its_mpc(driving: Path, tmp_path: 
     assert m["obstacle_clearance_min"].value > margin - 0.01
 
 
+def test_a_robot_goes_around_a_wall_right_behind_which_its_way_ends(driving: Path, tmp_path: Path) -> None:
+    """It cannot turn at its goal: it goes past and backs to it."""
+    result = head_on(driving, tmp_path, 0.6, "patience=34", "path.length=1.7")
+    m = result.metrics
+    assert result.completed and m["passed"].value == 1.0 and m["alternatives_taken"].value >= 1.0
+    assert m["obstacle_contacts"].value == 0.0 and m["obstacle_clearance_min"].value > 0.02
+
+
 def test_a_robot_in_front_of_a_wall_without_end_says_that_it_is_stuck(driving: Path, tmp_path: Path) -> None:
     """All other ways were tried, and none was found."""
     result = head_on(driving, tmp_path, 30.0, "patience=25")

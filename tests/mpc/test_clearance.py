@@ -10,6 +10,7 @@ import pytest
 
 import wbmpc as wb
 from clearing import TrueDistance, keep_clear, reach_problem, run, write_arm
+from wbmpc.bases import base_type
 from wbmpc.bases.swerve.system import make_mpc
 from wbmpc.clearance.rows import Clearance
 from wbmpc.mpc.braking import braking_plan, braking_time
@@ -110,6 +111,26 @@ def test_a_swerve_robot_at_rest_evades_who_walks_through_it(velocity: tuple[floa
     truth = TrueDistance(robot, [(CYLINDER, [0.2, 0.9])])
     assert min(truth(x, [p + [0, 0, 0.9]]) for x, p in zip(states, places, strict=True)) > 0.01
     assert mpc.statistics.failures == 0
+
+
+def test_a_ball_robot_steps_aside_for_who_comes_head_on() -> None:
+    """Somebody walks through the place that it holds. Truth: distances of its shapes along the motion; it is not pushed along, for the end
+    effector stays within a step of its place."""
+    robot, world = wb.load_robot("rezero"), wb.Obstacles()
+    mpc = base_type("ball").mpc(robot, obstacles=world)
+    person, v = wb.shapes.Cylinder((0, 0, 0), (0, 0, 1.8), 0.2), np.array([-0.5, 0.0, 0.0])
+    home, ground = robot.pose(robot.home)[0], robot.description.base.ground
+    x, places, states = robot.home.copy(), [], []
+    for k in range(300):
+        t = 0.02 * k
+        places.append([1.5, 0.03, ground] + t * v)
+        world.set("person", person, position=places[-1], velocity=v, std=0.015, velocity_std=0.02, seen=t)
+        states.append(x)
+        x = mpc.solver.simulate(x, mpc.update(wb.Observation(t, x)).u[0], 0.02)
+    truth = TrueDistance(robot, [(CYLINDER, [0.2, 0.9])])
+    assert min(truth(s, [p + [0, 0, 0.9]]) for s, p in zip(states, places, strict=True)) > 0.01
+    away = [float(np.linalg.norm(robot.pose(s)[0] - home)) for s in states]
+    assert max(away) < 1.0 and away[-1] < 0.05 and mpc.statistics.failures == 0
 
 
 def test_a_plan_that_stays_in_an_obstacle_is_sought_anew_from_itself_and_then_from_a_stop() -> None:

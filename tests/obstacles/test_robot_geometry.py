@@ -152,6 +152,14 @@ def test_listed_pairs_come_near_and_are_clear_at_home(tmp_path: Path) -> None:
     assert ("foot", "fore") in listing.pairs
 
 
+def test_a_pair_that_nothing_can_keep_apart_is_none() -> None:
+    """The ball robot's upper arm is beside its body however its joints turn. Truth: MuJoCo's distances."""
+    robot, pair = load_robot("rezero"), ("base", "arm_upper_link")
+    near = distances(robot_geometry(robot), [pair], draw_states(robot, 100, seed=1))
+    assert near.min() > 0.0 and near.max() < robot.description.collision.self.margin
+    assert pair in propose_pairs(robot).always and self_pairs(robot) == (("base", "arm_forearm_link"),)
+
+
 def test_a_body_stands_for_all_that_is_fixed_to_it() -> None:
     """Truth: MuJoCo's distances of each body alone."""
     robot = load_robot("differential-ur10")  # the arm's foot is fixed to the chassis

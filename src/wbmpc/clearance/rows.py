@@ -82,7 +82,7 @@ class ObstacleRows:
             ends = np.minimum(near.distance[:-1], near.distance[1:])
             # a motion through an obstacle is the side's matter
             lack = np.where(np.isfinite(inner) & (inner >= 0.0), np.minimum(ends, self.finder.reach) - inner, 0.0)
-            keep_sides(self.finder, snapshot, poses, near, inner)
+            keep_sides(self.finder, snapshot, poses, near, inner, margin)
             none = np.zeros((1, *lack.shape[1:]))
             margin += np.maximum(np.concatenate([lack, none]), np.concatenate([none, lack]))
         self._near = near

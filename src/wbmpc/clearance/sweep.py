@@ -4,7 +4,7 @@ Nodes late in a horizon are far apart. Where a frame moves so far in one interva
 both ends, states in between are checked: what they lack is added to the margin at both ends. A node that is inside of an obstacle, or
 behind it after a motion through it, keeps the normal of the node before, so that its row pulls the plan back to the side it came from.
 What moves passes by: who keeps to the side in front of it has to run ahead of it for the rest of the plan. Nodes that it runs over are
-pulled aside instead, out of its track, all to the side that takes less.
+pulled aside instead, out of its track, all to the side that takes less; so are the last ones of a plan that ends right ahead of it.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ STEP, MOST = 0.08, 8
 SLOW = 0.02
 #: What is slower than this [m/s] has no track.
 CREEPS = 0.05
+#: Right ahead of what moves: within this cosine of its direction, and no more than this [m] beyond the margin. Of a plan that ends there,
+#: nodes in this last share of the horizon leave the track: earlier ones may have no time to.
+AHEAD, PUSHED, LAST = 0.7, 0.05, 0.25
 
 
 def motion(geometry: RobotGeometry, snapshot: Snapshot, poses: Poses) -> Array:
@@ -58,18 +61,17 @@ def between(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, sta
     return least
 
 
-def keep_sides(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, inner: Array) -> None:
-    """Give nodes inside of or behind an obstacle the normal of the node before, in place."""
+def keep_sides(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, inner: Array, margin: Array) -> None:
+    """Give nodes inside of or behind an obstacle, or pushed ahead by one, another normal, in place; ``margin`` (n, F, O) [m]."""
     through = np.zeros(near.distance.shape, bool)
     through[1:] = inner < 0.0
     suspect: NDArray[np.bool_] = np.any((near.distance < 0.0) | through, axis=0)
-    for o in np.flatnonzero(suspect.any(axis=0)).tolist():
-        obstacle = snapshot.obstacles[o]
+    for o, obstacle in enumerate(snapshot.obstacles):
         if isinstance(obstacle.shape, HalfSpace):
             continue
         track, frames = aside(snapshot, obstacle), np.flatnonzero(suspect[:, o]).tolist()
         if track is not None:
-            _leave_track(finder, snapshot, poses, near, through[:, :, o], frames, o, track)
+            _leave_track(finder, snapshot, poses, near, margin, through[:, :, o], frames, o, track)
             continue
         for f in frames:
             _keep_side(finder, snapshot, poses, near, through[:, f, o], f, o)
@@ -84,20 +86,32 @@ def aside(snapshot: Snapshot, obstacle: Obstacle) -> Array | None:
 
 
 def _leave_track(
-    finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, through: NDArray[np.bool_], frames: list[int], o: int,
-    track: Array,
+    finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, margin: Array, through: NDArray[np.bool_],
+    frames: list[int], o: int, track: Array,
 ) -> None:  # fmt: skip
-    """Give nodes of ``frames`` that an obstacle runs over a normal across its ``track`` (3): for all of them the one along which the
-    deepest is least deep. Frames that gave way to different sides would hold each other in the track."""
-    obstacle = snapshot.obstacles[o]
-    places, turn = snapshot.pose(obstacle, poses.times)
-    met = [(k, f) for f in frames for k in _run_over(near.distance[:, f, o], near.normal[:, f, o], through[:, f])]
+    """Give nodes of ``frames`` that an obstacle runs over, and nodes that it pushes ahead, a normal across its ``track`` (3): for all of them
+    the one along which the deepest is least deep. Frames that gave way to different sides would hold each other in the track."""
+    pushed = _pushed(near.distance[:, :, o] - margin[:, :, o], near.normal[:, :, o], poses.times, track)
+    found = {(k, f) for f in frames for k in _run_over(near.distance[:, f, o], near.normal[:, f, o], through[:, f])}
+    met = sorted(found | {(k, f) for k, f in np.argwhere(pushed).tolist()})
     if not met:
         return
+    obstacle = snapshot.obstacles[o]
+    places, turn = snapshot.pose(obstacle, poses.times)
     sides = [[(n, *_gap(finder, obstacle, places[k], turn, poses, k, f, n)) for k, f in met] for n in (track, -track)]
     chosen = max(sides, key=lambda side: min(gap for _, gap, _, _ in side))
     for (k, f), (n, gap, point, level) in zip(met, chosen, strict=True):
         near.normal[k, f, o], near.point[k, f, o], near.level[k, f, o], near.distance[k, f, o] = n, point, level, gap
+
+
+def _pushed(excess: Array, normal: Array, times: Array, track: Array) -> NDArray[np.bool_]:
+    """Nodes (n, F) of frames that are right ahead of what moves across ``track`` (3), as they are up to the end of the plan, in the last part
+    of the horizon. ``excess`` (n, F) [m]: beyond the margin; ``normal`` (n, F, 3)."""
+    onwards = np.array([track[1], -track[0], 0.0])
+    ahead = (excess < PUSHED) & (normal @ onwards > AHEAD)
+    late = times >= times[-1] - LAST * (times[-1] - times[0])
+    ahead[:, ~ahead[-1]] = False
+    return np.asarray(ahead & late[:, None])
 
 
 def _run_over(distance: Array, normal: Array, through: NDArray[np.bool_]) -> list[int]:

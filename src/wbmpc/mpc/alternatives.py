@@ -47,12 +47,14 @@ Array = NDArray[np.float64]
 WAITS, PATIENCE, AGAIN, AFTER = 0.5, 0.3, 1.0, 3.0
 #: Each way is run ahead in so many solves, so far [s] from one to the next.
 SOLVES, STEP = 10, 0.3
+#: So many of its first plans need not be clear: they start from one that goes on waiting in front of what is in the way, or into it.
+FIRST = 4
 #: How much nearer [m] to its end the robot is then, at least.
 MOVED = 0.2
 #: How far aside [m] a way past something may lead, in steps [m]; how far [m] the robot backs off first, and how often at most.
 FARTHEST, ASIDE, BACK, BACKS = 2.5, 0.1, 0.35, 3
-#: Headings that are checked at a place where the robot turns.
-HEADINGS = 12
+#: Headings that are checked at a place where the robot turns: legs that stick out by a meter pass 17 cm between two.
+HEADINGS = 36
 #: How densely [s] the reference is sampled to find what is in its way, and how far ahead [s] at most.
 SAMPLED, AHEAD = 0.1, 60.0
 #: Speeds [m/s], [rad/s] along other ways, from rest over a ramp [s]; what a turn counts [m/rad] beside ways.
@@ -147,14 +149,13 @@ class Alternatives:
         back = self._off(footprint, start)
         if target is None or back is None:
             return
-        rejoin, goal, blocked = target
-        for name, side in (("left", 1.0), ("right", -1.0)):
-            past = self._past(footprint, (start, back, goal), blocked, side)
-            if past is not None:
-                self._ways.append(_Way(name, past, rejoin))
+        rejoin, goal, end, blocked = target
+        found = [
+            (n, self._past(footprint, (start, back, goal), blocked, s)) for n, s in (("left", 1.0), ("right", -1.0))
+        ]
         straight = _way([start, back, goal])
-        if _clear(footprint, straight[2:]):
-            self._ways.append(_Way("back", straight, rejoin))
+        found.append(("back", straight if _clear(footprint, straight[1:]) else None))
+        self._ways += [_Way(n, unwrapped(np.vstack([way, end])), rejoin) for n, way in found if way is not None]
 
     def _now(self, t: float) -> Array:
         """Where the MPC's plan has the robot (nx of the problem) at ``t`` [s], or where it begins if that is later."""
@@ -193,7 +194,7 @@ class Alternatives:
             past = ends + np.array([*(side * aside * left), 0.0])
             if _clear(footprint, past):
                 way = _way([start, back, *past, goal])
-                if _clear(footprint, way[2:]):
+                if _clear(footprint, way[1:]):
                     return way
         return None
 
@@ -205,7 +206,7 @@ class Alternatives:
             self._prepare(way, t)
         usable = self._ahead.advance(Observation(self._t, self._x))
         near = self._ahead.clearance
-        clear = not near.frame or near.excess > -TOLERATED * near.margin
+        clear = self._solves < FIRST or not near.frame or near.excess > -TOLERATED * near.margin
         if usable and clear:
             self._x, self._t = self._simulated(), self._t + STEP
         self._solves += 1
@@ -290,9 +291,9 @@ class Alternatives:
 
 
 def _way(poses: list[Array]) -> Array:
-    """From pose to pose (3): a turn, straight on, a turn; from the first to the second as they lie."""
+    """From the first pose (3) to the second as they lie, then from pose to pose: a turn, straight on, a turn."""
     parts = [np.array(poses[:2])]
-    parts += [turn_go_turn(a, b)[1:] for a, b in itertools.pairwise(poses)]
+    parts += [turn_go_turn(a, b)[1:] for a, b in itertools.pairwise(poses[1:])]
     return unwrapped(np.concatenate(parts))
 
 
@@ -309,14 +310,23 @@ def _can_turn(footprint: Footprint, places: Array) -> NDArray[np.bool_]:
     return np.asarray(footprint.clear(turned).reshape(-1, HEADINGS).all(axis=1))
 
 
-def _behind(footprint: Footprint, times: Array, places: Array, first: int) -> tuple[float, Array, Array] | None:
-    """When [s] the robot, carried to places (n, 3) at ``times`` (n) [s] of which the ``first`` blocked one is given, can turn again after
-    that; where its base (3) is then; and where it is blocked (m, 3). None: it cannot."""
+def _behind(footprint: Footprint, times: Array, places: Array, first: int) -> tuple[float, Array, Array, Array] | None:
+    """When [s] the robot, carried to places (n, 3) at ``times`` (n) [s] of which the ``first`` blocked one is given, is behind what blocks
+    it; where its base (3) can turn then; the places (m, 3) from there on, where it is clear; and where it is blocked (k, 3). Where the way
+    ends so near to what blocks it that it cannot turn any more, it turns farther ahead and goes straight back to the end. None: neither
+    is possible."""
     after = np.flatnonzero(_can_turn(footprint, places[first:]))
-    if not after.size:
+    if after.size:
+        k = first + int(after[0])
+        return float(times[k]), places[k], places[k:k], places[first:k]
+    end = places[-1]
+    ahead = np.array([np.cos(end[2]), np.sin(end[2]), 0.0])
+    ahead *= -1.0 if (end - places[first])[:2] @ ahead[:2] < 0.0 else 1.0
+    farther = end + np.arange(ASIDE, FARTHEST + 1e-9, ASIDE)[:, None] * ahead
+    after = np.flatnonzero(_can_turn(footprint, farther))
+    if not after.size or not _clear(footprint, np.array([farther[after[0]], end])):
         return None
-    k = first + int(after[0])
-    return float(times[k]), places[k], places[first:k]
+    return float(times[-1]), farther[after[0]], end[None], places[first:]
 
 
 def _rest(way: Array, pose: Array) -> Array:

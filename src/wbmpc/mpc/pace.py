@@ -42,6 +42,8 @@ class PacedReferences:
         self._whole = {name: reference for name, reference in found.items() if reference.times.size > 1}
         self._path = mpc.reference["end_effector"]
         self.time, self.rate = self._set_at, 1.0
+        #: by how much detours have made the references longer [s]
+        self.detoured = 0.0
 
     @property
     def delay(self) -> float:
@@ -76,6 +78,7 @@ class PacedReferences:
     def detour(self, ways: Mapping[str, Reference], rejoin: float) -> None:
         """From now on take other ways, whose times [s] count from now, to where the references are at ``rejoin`` [s] of their own time, and
         go on from there. The rate of time is 1."""
+        before = self.end
         for name, way in ways.items():
             times, values = self.time + way.times, way.values
             if name in self._whole:
@@ -85,6 +88,7 @@ class PacedReferences:
                 values = np.concatenate([values, old.values[later]])
             self._whole[name] = Reference(times, values, way.kind)
         self._path, self.rate = self._whole["end_effector"], 1.0
+        self.detoured += self.end - before
 
     def missed(self, position: ArrayLike) -> float:
         """Distance [m] of a position (3) [m] from the end of the end effector's reference."""

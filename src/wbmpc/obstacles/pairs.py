@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Pair = tuple[str, str]
 #: States that are drawn, and the distance [m] beyond which a pair is not near.
 SAMPLES, NEAR = 600, 0.10
-#: Share of the states in which a pair that touches is taken for one that always does.
+#: Share of the states in which a pair that is nearer than its margin is taken for one that always is: nothing can keep it apart.
 ALWAYS = 0.95
 #: Of the pairs for a robot file: states that are drawn, the share of them in which a pair may be nearer than its margin, and how many
 #: pairs there are at most: each costs time in every solve.
@@ -30,7 +30,8 @@ FILE_SAMPLES, OFTEN, MOST = 2000, 0.5, 20
 @dataclass(frozen=True)
 class Proposal:
     """Pairs of frames by what sampling ``samples`` states found of them: ``pairs`` that come near; ``adjacent``: one joint or none between
-    them; ``always``: they touch in almost every state, or at home; ``never``: not nearer than :data:`NEAR` in any, which is no proof."""
+    them; ``always``: nearer than their margin in almost every state, or touching at home; ``never``: not nearer than :data:`NEAR` in any,
+    which is no proof."""
 
     samples: int
     pairs: tuple[Pair, ...]
@@ -58,7 +59,7 @@ def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
     adjacent = [p for p in combinations(_bodies(geometry), 2) if _adjacent(robot, *p)]
     others = [p for p in combinations(_bodies(geometry), 2) if p not in adjacent]
     least = distances(geometry, others, draw_states(robot, samples))
-    always = (least < 0.0).mean(axis=0) >= ALWAYS
+    always = (least < robot.description.collision.self.margin).mean(axis=0) >= ALWAYS
     always |= least[0] < 0.0
     never = ~always & (least >= NEAR).all(axis=0)
     listed = lambda mask: tuple(p for p, m in zip(others, mask, strict=True) if m)
@@ -182,7 +183,7 @@ def diagnose(robot: RobotModel) -> Iterator[Finding]:
     yield Finding(
         "info", "collision", "key 'collision.self.pairs'",
         f"{len(self_pairs(robot))} pairs come near in {found.samples} random states ({len(found.adjacent)} adjacent and "
-        f"{len(found.never)} others do not)" + (f"; these touch at home or always and are left out: {touching}" if touching else ""),
+        f"{len(found.never)} others do not)" + (f"; these touch at home or are always near and are left out: {touching}" if touching else ""),
         f"confirm them: collision: {{self: {{pairs: [{pairs}]}}}}",
     )  # fmt: skip
 

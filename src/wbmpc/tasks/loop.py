@@ -41,6 +41,8 @@ Array = np.ndarray
 MODEL_RATES, RECORDED = (200.0, 400.0), 0.01
 #: End effectors of the MPC's model and of the simulated robot are at most this [m] from each other: a calibrated model is a little off.
 SAME = 0.05
+#: How much longer [s] than it was given a run takes at most whose robot goes other ways.
+DETOURS = 60.0
 
 IDEALIZATIONS = {
     "mujoco": ["tires are soft contacts, not a tire model", "the computation takes a constant time"],
@@ -105,7 +107,8 @@ def closed_loop(
     ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. ``truth(t, truth)``
     sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
     (:class:`wbmpc.mpc.pace.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans before
-    (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance. ``done()``, asked at every controller
+    (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance, and has as much more time as another
+    way takes. ``done()``, asked at every controller
     period: whether the task is done before its time. The references of ``mpc`` are the task; times begin with the loop.
     Raises :class:`InputError` for bad settings.
     """
@@ -123,8 +126,15 @@ def closed_loop(
     able = alternatives and "base" in robot.state and not robot.base.balances and mpc.obstacles is not None
     others = Alternatives(mpc, robot, pace) if able and pace else None
     watch = SceneWatch(around, system, log, since, robot, pace, perceive, others) if around else None
+    now = 0.0
+
+    def ended() -> bool:
+        detoured = 0.0 if pace is None else pace.detoured
+        return now > duration + detoured - 1.5 * system.timing.period or (done is not None and done())
 
     def record(t: float, command: Any, plans: Any) -> None:
+        nonlocal now
+        now = t
         if tick is not None:
             tick(t)
         if truth is not None:
@@ -141,7 +151,9 @@ def closed_loop(
     def drawn(run: Run) -> list[Plot]:
         return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
-    loop = Loop(system.plant, system.controller, mpc, system.timing, duration, record, done)
+    longest = duration if others is None else min(duration + DETOURS, LONGEST_RUN)
+    over = done if others is None else ended
+    loop = Loop(system.plant, system.controller, mpc, system.timing, longest, record, over)
     simplified = IDEALIZATIONS[settings.physics] + (TRACKED if settings.calibration == "drive" else [])
     return Scenario.single(log, loop.run, measured, drawn, simplified)
 

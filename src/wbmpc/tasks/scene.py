@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,14 @@ def believed(system: System) -> tuple[Array, Array, Array]:
     turned = lie.quaternion_to_rotation(base[3:])
     pose = np.array([*base[:2], lie.rotation_to_euler_zyx(turned)[0]])
     return pose, base[:3] + turned @ truth.tool_in_base, turned @ truth.tool_rotation_in_base
+
+
+def stays(places: Sequence[tuple[float, Array]]) -> bool:
+    """Whether who has been at ``places``, times [s] with positions (3) [m], has stayed near the last one for :data:`WINDOW`: who comes back
+    there from where it evaded somebody has not."""
+    end, last = places[-1]
+    recent = np.array([place for since, place in places if since > end - WINDOW - 1e-9])
+    return end - places[0][0] > WINDOW and bool(np.linalg.norm(recent - last, axis=1).max() < STAYS)
 
 
 class SceneWatch:
@@ -128,10 +136,7 @@ class SceneWatch:
         if not self._pace.waits or self._pace.waits_for(t) or tries:
             self._places.clear()
         self._places.append((t, tool.copy()))
-        recent = next(place for since, place in self._places if since > t - WINDOW - 1e-9)
-        waited = t - self._places[0][0]
-        stays = waited > WINDOW and np.linalg.norm(tool - recent) < STAYS
-        if stays or waited > HOPELESS:
+        if stays(self._places) or t - self._places[0][0] > HOPELESS:
             raise RobotStuck(f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal")
 
     def metrics(self) -> dict[str, Metric]:
