@@ -10,6 +10,7 @@ import pytest
 from effort import thorough
 from wbmpc.studies.minniti2019 import door as rezero_door
 from wbmpc.studies.minniti2019 import door_control as control
+from wbmpc.studies.minniti2019 import door_tracker as tracker
 from wbmpc.studies.minniti2019.door_figures import trial_metrics
 from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
@@ -71,7 +72,7 @@ def test_measured_force_is_that_of_the_physics(result) -> None:  # type: ignore[
     assert np.sqrt(np.mean(wrong**2)) < 0.5
 
 
-class Chattering(control.ContactMonitor):
+class Chattering(tracker.ContactMonitor):
     """Contact that is lost and found again in the pattern of a stiff tip on a panel [periods of 2.5 ms on and off]."""
 
     PATTERN = (3, 2, 5, 1, 2, 2, 8, 3, 1, 1, 12, 6, 2, 4, 9, 8, 30, 7, 4, 1)
@@ -94,7 +95,7 @@ class Chattering(control.ContactMonitor):
 def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     """Half a second of losses from 2.5 to 20 ms: what is planned for now stays inside the cone and is no jump beyond it; without
     contact nothing is planned from the next plan on (12.5 ms, and 10 ms of delay)."""
-    monkeypatch.setattr(control, "ContactMonitor", Chattering)
+    monkeypatch.setattr(tracker, "ContactMonitor", Chattering)
     settings = SHORT.model_copy(update={"timeout": 3.8, "final_hold_time": 0.2, "forces": (8.0,)})
     trial = rezero_door.push_door(settings, 8.0, 2)
     log = trial.log
@@ -150,7 +151,7 @@ def test_without_the_row_the_force_is_missed() -> None:
 def test_a_hand_that_touches_has_no_joints_that_should_have_moved(monkeypatch, touching: bool) -> None:  # type: ignore[no-untyped-def]
     """Seed 202 at 8 N: a slow door held the elbow within a few counts, its encoder was called stalled and the motors were off."""
     monkeypatch.setattr(
-        control.BallController, "_monitor_encoders", lambda self, *_: setattr(self, "_accelerates", np.ones(3))
+        tracker.BallController, "_monitor_encoders", lambda self, *_: setattr(self, "_accelerates", np.ones(3))
     )
     controller = control.DoorController.__new__(control.DoorController)
     controller.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
@@ -213,7 +214,7 @@ def test_a_door_that_was_let_go_is_taken_to_come_back(impedance: tuple[float, ..
     controller.push = SimpleNamespace(open=1.5, give_up=9.0)  # type: ignore[assignment]
     controller.sensor = ForceMonitor()
     controller._identify = lambda end_effector: None  # type: ignore[method-assign]
-    controller.geometry = control.DoorGeometry((9.0, 0.0), 0.0, 1.0, 0.05)
+    controller.geometry = tracker.DoorGeometry((9.0, 0.0), 0.0, 1.0, 0.05)
     inertia, damping, resistance = impedance
     decay, final = damping / inertia, resistance / damping
     stop = np.log(1.0 + 0.3 / final) / decay
@@ -234,7 +235,7 @@ def test_a_panel_that_is_not_touched_is_beyond_the_end_effector(opening: float) 
     """It goes on towards where the panel was felt last, and meets nothing: the panel has gone on too, as fast at least."""
     controller = control.DoorController.__new__(control.DoorController)
     controller.period, controller.impedance = 0.0025, np.array([1.0, 6.0, 6.4])
-    controller.geometry = control.DoorGeometry((0.2, 0.1), 0.4, opening, 0.05)
+    controller.geometry = tracker.DoorGeometry((0.2, 0.1), 0.4, opening, 0.05)
     controller.door = np.array([0.5, 0.0])
     velocity = 0.8 * controller.geometry.directions(0.9)[1]
     for angle in (0.2, 0.4, 0.9):

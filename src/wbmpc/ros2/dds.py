@@ -39,7 +39,8 @@ from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.network import Network
-from wbmpc.ros2.parameters import Parameters, ParameterServices
+from wbmpc.ros2.parameter_services import ParameterServices
+from wbmpc.ros2.parameters import Parameters
 
 _LOG = logging.getLogger("wbmpc")
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"

@@ -309,13 +309,8 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
     level, last_mu = s[Setting.BARRIER], m[o[STATE] + StateField.BARRIER]
     bias = 0.0 if last_mu >= s[Setting.INITIAL_BARRIER] else np.inf
     state, limit, hold = o[STATE], int(s[Setting.ITERATIONS]), m[o[STATE] + StateField.HOLD_INPUTS]
-    again = (
-        row_count(o) > 0
-        and (
-            s[Setting.COMPUTE_KKT] > 0.0 or (s[Setting.MAX_EXTRA_ITERATIONS] > 0.0 and s[Setting.ROLLOUT_RESTART] > 0.0)
-        )
-        and s[Setting.SINGLE_SHOOTING] == 0.0
-    )
+    restarts = s[Setting.MAX_EXTRA_ITERATIONS] > 0.0 and s[Setting.ROLLOUT_RESTART] > 0.0
+    again = row_count(o) > 0 and (s[Setting.COMPUTE_KKT] > 0.0 or restarts) and s[Setting.SINGLE_SHOOTING] == 0.0
     most, other = limit + int(s[Setting.MAX_EXTRA_ITERATIONS]), True
     while it < limit:
         row = it * LOG_COLUMNS

@@ -21,12 +21,13 @@ from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress, Timing
 from wbmpc.simulation.tip import TIP_MASS, TIP_RADIUS
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.door_control import FAR, DoorController, Push
+from wbmpc.studies.minniti2019.door_control import FAR, DoorController
 from wbmpc.studies.minniti2019.door_figures import Trial, door_plots, metrics, worst_estimates
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door, DoorPlant
 from wbmpc.studies.minniti2019.door_problem import EstimatedCone, FreeApproach, default_push_cost, door_problem
 from wbmpc.studies.minniti2019.door_settings import DOORS, FORCE_GOAL, RezeroDoorSettings
+from wbmpc.studies.minniti2019.door_tracker import Push
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_robot, record_rezero
 
 _LOG = logging.getLogger("wbmpc")
