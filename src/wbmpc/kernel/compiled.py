@@ -296,7 +296,7 @@ def problem_key(transcription: Transcription) -> str:
 
 
 def _cached_sizes(found: tuple[bytes, dict] | None) -> Sizes | None:
-    """The sizes that a cache entry states; None for an entry of another format or target, which is built anew."""
+    """The sizes that a cache entry states; None for an entry of another format or target, which is rebuilt."""
     try:
         return Sizes(**found[1]["sizes"]) if found and found[1]["target"] == target_text() else None
     except (KeyError, TypeError):

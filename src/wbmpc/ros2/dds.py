@@ -261,7 +261,7 @@ class DdsNode:
             time.sleep(0.01)
 
     def _announce(self) -> None:
-        """Publish to the graph which node has which readers and writers: anew whenever there is another one. A closed node is gone."""
+        """Publish to the graph which node has which readers and writers: again whenever there is another one. A closed node is gone."""
         size = 24 if self.network.distribution == "humble" else 16
         gid = lambda e: {"data": np.frombuffer(e.guid.bytes.ljust(size, b"\0"), np.uint8)}
         with self._lock:

@@ -55,7 +55,7 @@ class Parameters:
             raise unknown_name("parameter", name, self.known)
         p = self.known[name]
         if p.read_only:
-            raise InputError(f"parameter '{name}' is read-only: set it in the settings file and start anew")
+            raise InputError(f"parameter '{name}' is read-only: set it in the settings file and restart")
         target = type(p.value)
         if target is float and type(value) is int:
             value = float(value)

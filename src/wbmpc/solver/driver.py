@@ -226,7 +226,7 @@ def update_merit(
     kkt, last_kkt = optimality
     if drop > 1e-10:
         penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
-    # Where differences of the cost drown in rounding, the KKT residual shows that Gauss-Newton overshoots.
+    # Where differences of the cost are lost in rounding, the KKT residual shows that Gauss-Newton overshoots.
     invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
     first = max(0.5 * first, 0.01) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
     return penalty, first

@@ -33,9 +33,9 @@ from wbmpc.ros2.settings import drive_groups
 
 Array = np.ndarray
 #: Without messages for longer than this [s] there is a gap; encoders that moved by more than their largest speed over it, and this
-#: [rad] besides, have begun anew.
+#: [rad] besides, have restarted.
 GAP, REST = 0.1, 0.5
-#: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that begin anew.
+#: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that restart.
 SLIP, TURN, UNSEEN = 0.01, 0.02, np.array([0.02, 0.02, 0.05])
 
 
@@ -75,14 +75,14 @@ class BusController(PlanarController):
         """As the inertial unit's messages between the two say."""
         return getattr(now, "turning", None) if self.use_gyro else None
 
-    def measure(self, measurement: BusMeasurement) -> None:
+    def measure(self, measurement: BusMeasurement) -> None:  # type: ignore[override]
         """Take in the message of this tick, and another localization's pose if there is a new one."""
         self._follow_series(measurement.series)
         before, last = self.pose.copy(), self.measured
         # the runner's clock starts at zero with each run
         lasting = replace(measurement, time=measurement.time + measurement.origin)
         interval = 0.0 if last is None else lasting.time - last.time
-        if last is not None and self._began_anew(last, measurement, interval):
+        if last is not None and self._restarted(last, measurement, interval):
             self.odometry.restart()
             self.covariance = self.covariance + np.diag(UNSEEN**2)
         super().measure(lasting)
@@ -93,7 +93,7 @@ class BusController(PlanarController):
         self.seen = measurement, self.pose.copy(), self.speed
 
     def _follow_series(self, series: Series) -> None:
-        """Encoders that begin anew move nothing; a simulated robot that begins anew is where its odometry begins."""
+        """Encoders that restart move nothing; a simulated robot that restarts is where its odometry begins."""
         known, self._series = self._series, series
         if known is None or series == known:
             return
@@ -104,7 +104,7 @@ class BusController(PlanarController):
             self.odometry.place(np.zeros(3))
             self.covariance = np.zeros((3, 3))
 
-    def _began_anew(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
+    def _restarted(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
         upper = np.where(np.isfinite(self.robot.base.wheel_upper), self.robot.base.wheel_upper, 1e3)
         return bool(np.any(np.abs(now.wheel - last.wheel) > 2.0 * upper * max(interval, 0.0) + REST))
 

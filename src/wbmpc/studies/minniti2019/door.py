@@ -1,4 +1,4 @@
-"""`rezero-door`: the ball robot pushes a door open with a wanted force (Minniti et al. 2019, section IV-D, Fig. 8 and 9)."""
+"""`rezero-door`: the ball robot pushes a door open with a target force (Minniti et al. 2019, section IV-D, Fig. 8 and 9)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_robot, record_rez
 
 _LOG = logging.getLogger("wbmpc")
 NAME = "rezero-door"
-SUMMARY = "the ball robot pushes a door open with a wanted force (Minniti et al. 2019, Fig. 8 and 9)"
+SUMMARY = "the ball robot pushes a door open with a target force (Minniti et al. 2019, Fig. 8 and 9)"
 LABELS = ("low", "high")
 #: Where the end effector touches the panel, from the hinge; the gap before it [m].
 LEVER, GAP = 0.7, 0.10

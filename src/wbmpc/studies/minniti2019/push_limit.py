@@ -1,7 +1,7 @@
 """`rezero-push-limit-ball` and `-hand`: the impulse from which the ball robot still recovers, or after which it still stands, in one
 direction. A push map is a study of it over directions, lengths and controllers.
 
-To stand is no recovery: a robot that rolls away for ever, or swings its arm between the stops, stands. It recovers if it is back in
+To stand is no recovery: a robot that rolls away forever, or swings its arm between the stops, stands. It recovers if it is back in
 its place, and rests there, when the push experiments would push it again (:data:`wbmpc.studies.minniti2019.recovery.NEAR`).
 """
 
