@@ -11,6 +11,7 @@ from effort import thorough
 from wbmpc.studies.minniti2019 import door as rezero_door
 from wbmpc.studies.minniti2019 import door_control as control
 from wbmpc.studies.minniti2019 import door_tracker as tracker
+from wbmpc.studies.minniti2019 import door_trial
 from wbmpc.studies.minniti2019.door_figures import trial_metrics
 from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
@@ -57,7 +58,7 @@ def test_impedance_is_found_while_the_door_opens(result) -> None:  # type: ignor
     """Of the door that was drawn: inertia, and what resists at the rate that it reaches."""
     log = result.log
     inertia, damping, resistance = log.array("impedance_high")[-1]
-    door = rezero_door.drawn_door(LOADED, (0.0, 0.0), 1)
+    door = door_trial.drawn_door(LOADED, (0.0, 0.0), 1)
     assert 0.5 < inertia / door.inertia < 2.0  # beside a load that has not been weighed
     rate = log.array("door_high")[:, 1].max()
     assert damping * rate + resistance == pytest.approx(door.damping * rate + door.friction + door.closer, rel=0.2)
@@ -97,7 +98,7 @@ def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:
     contact nothing is planned from the next plan on (12.5 ms, and 10 ms of delay)."""
     monkeypatch.setattr(tracker, "ContactMonitor", Chattering)
     settings = SHORT.model_copy(update={"timeout": 3.8, "final_hold_time": 0.2, "forces": (8.0,)})
-    trial = rezero_door.push_door(settings, 8.0, 2)
+    trial = door_trial.push_door(settings, 8.0, 2)
     log = trial.log
     assert not trial.ending.reason
     normal, planned, touching = log.array("normal"), log.array("force_planned"), log.array("touching") > 0.0
@@ -117,17 +118,17 @@ def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:
 
 def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     """Rezero's lean is limited to 0.6 of 115 mm, and 1.97 mm of it answer 1 N at the end effector: 35 N. With 30 N it fell."""
-    robot = rezero_door.ball_robot(SHORT, contact="force")
-    maximum = rezero_door.held(SHORT, robot)
+    robot = door_trial.ball_robot(SHORT, contact="force")
+    maximum = door_trial.held(SHORT, robot)
     assert maximum == pytest.approx(0.6 * 115.2 / 1.97, rel=2e-3)
     free = SHORT.model_copy(update={"cost": SHORT.cost.model_copy(update={"lean": 0.0})})
-    assert rezero_door.bounded(free, robot, 200.0) == (200.0, "")
-    monkeypatch.setattr(rezero_door, "held", lambda *_: maximum)
+    assert door_trial.bounded(free, robot, 200.0) == (200.0, "")
+    monkeypatch.setattr(door_trial, "held", lambda *_: maximum)
     for force in (8.0, 16.0, 20.9):
-        assert rezero_door.bounded(SHORT, robot, force) == (force, "")
-    possible, reported = rezero_door.bounded(SHORT, robot, 30.0)
+        assert door_trial.bounded(SHORT, robot, force) == (force, "")
+    possible, reported = door_trial.bounded(SHORT, robot, 30.0)
     assert possible == pytest.approx(21.04, rel=2e-3) and "21.0 N only" in reported
-    assert rezero_door.bounded(SHORT.model_copy(update={"lean_share": 1.0}), robot, 30.0) == (30.0, "")
+    assert door_trial.bounded(SHORT.model_copy(update={"lean_share": 1.0}), robot, 30.0) == (30.0, "")
 
 
 @thorough
@@ -140,7 +141,7 @@ def test_without_the_row_the_force_is_missed() -> None:
             "final_hold_time": 0.2,
         }
     )
-    trial = rezero_door.push_door(paper, 8.0, 1)
+    trial = door_trial.push_door(paper, 8.0, 1)
     figures = trial_metrics(trial)
     assert not trial.ending.reason
     assert figures["force_error_ratio"] > 0.15

@@ -20,13 +20,9 @@ from wbmpc.log import Log
 from wbmpc.result import Metric, RunResult
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.push import (
-    IDEALIZATIONS,
-    RezeroPushBallSettings,
-    RezeroPushHandSettings,
-    RezeroPushSettings,
-)
+from wbmpc.studies.minniti2019.push import IDEALIZATIONS
 from wbmpc.studies.minniti2019.push_once import Outcome, push_once
+from wbmpc.studies.minniti2019.push_settings import RezeroPushBallSettings, RezeroPushHandSettings, RezeroPushSettings
 
 #: Largest impulse [N s] that is tried.
 MAXIMUM = 320.0
