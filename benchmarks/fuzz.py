@@ -138,7 +138,7 @@ def work(pipe: Any, seed: int, folder: str, kinds: list[str]) -> None:
 
 
 class Worker:
-    """A process that is begun anew after one that hung or died."""
+    """A process that is restarted after one that hung or died."""
 
     def __init__(self, seed: int, folder: str, kinds: list[str]) -> None:
         self._seed, self._folder, self._kinds = seed, folder, kinds
@@ -161,10 +161,10 @@ class Worker:
         answer, busy = self._answer(kind, number, limit, wait * limit)
         if answer is not None:
             return answer
-        self.begin_anew()
+        self.restart()
         return "hangs", f"no answer after {busy:.1f} s of the processor", None, limit
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """A fresh process."""
         self.end()
         self._begin()
@@ -225,7 +225,7 @@ def fuzz(given: argparse.Namespace) -> dict[str, Tally]:
             while slow:
                 kind, number = slow[-1]
                 for wait in WAITS[1:]:
-                    worker.begin_anew()
+                    worker.restart()
                     found = worker.run(kind, number, wait)
                     if found[0] != "hangs":
                         break

@@ -2,7 +2,7 @@
 
 Usage: python scripts/rooms_figure.py [--study runs/rooms] [--out docs/images/rooms.svg]
 Of the rooms of the study one is drawn in which the MPC alone does not pass, one in which only the planner does, and one in which all
-methods do: of each kind one with most things, whose runs were the shortest. They are run anew, with the study's settings.
+methods do: of each kind one with most things, whose runs were the shortest. They are run again, with the study's settings.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The public names of ``wbmpc`` with their signatures, as tests/public_api.txt keeps them.
 
-After a change that is meant: ``python tests/public_api.py`` writes the file anew.
+After a change that is meant: ``python tests/public_api.py`` rewrites the file.
 """
 
 from __future__ import annotations

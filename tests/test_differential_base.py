@@ -206,7 +206,7 @@ def test_a_number_that_is_not_finite_is_not_taken_in():
 
 
 class Constant:
-    """A policy of one input for ever."""
+    """A policy of one input forever."""
 
     end = 1.0
 

@@ -142,6 +142,28 @@ def test_only_tests_of_the_solver_know_its_memory() -> None:
         assert not {n for n in names if n in memory or n.rpartition(".")[0] in memory}, path.relative_to(tests)
 
 
+#: Lines of a file and of a function, at most: what a reader takes in at once.
+LONGEST_FILE, LONGEST_FUNCTION = 400, 65
+
+
+def too_long(name: str, text: str) -> list[str]:
+    found = [f"{name}: {n} lines"] if (n := text.count("\n")) > LONGEST_FILE else []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            lines = (node.end_lineno or node.lineno) - node.lineno + 1
+            found += [f"{name}: {node.name}: {lines} lines"] if lines > LONGEST_FUNCTION else []
+    return found
+
+
+def test_files_and_functions_are_short() -> None:
+    assert not [line for p in MODULES for line in too_long(str(p.relative_to(SOURCE)), p.read_text())]
+
+
+def test_the_check_sees_a_long_file_and_a_long_function() -> None:
+    assert too_long("f", "def f():\n" + LONGEST_FUNCTION * "    pass\n") == [f"f: f: {LONGEST_FUNCTION + 1} lines"]
+    assert too_long("f", (LONGEST_FILE + 1) * "pass\n") == [f"f: {LONGEST_FILE + 1} lines"]
+
+
 def test_the_check_sees_a_wrong_import() -> None:
     inside_a_function = (
         "def f():\n    from wbmpc.cli import main\n    import wbmpc.report\n    from ..simulation import world\n"

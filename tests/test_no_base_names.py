@@ -16,6 +16,10 @@ NAMES = re.compile(
     r"|\bfixed base|FixedBase|type == [\"']fixed[\"']"
     r"|\bbases\.(ball|fixed|swerve|differential|omnidirectional)\b"
 )
+#: The built-in robots: names as in their files, whole words.
+ROBOTS = re.compile(r"\b(" + "|".join(sorted(p.stem for p in (SOURCE / "robots" / "data").glob("*.yaml"))) + r")\b")
+#: "fetch" is an operation of generated code too.
+WORDS = re.compile(r"\bfetch\(|\.fetch\b")
 ROOMS = (
     "clearance", "mapping", "embedded", "study", "report", "plots", "tasks", "settings.py", "default_problem.py", "experiment.py", "registry.py",
     "reproduce.py", "result.py", "run_files.py", "run_index.py", "model", "obstacles", "ocp", "kernel", "solver", "mpc", "runtime",
@@ -37,7 +41,7 @@ def named(module: str) -> list[str]:
     return [
         f"{module}:{i}: {line.strip()}"
         for i, line in enumerate(lines, start=1)
-        if NAMES.search(DEFAULT_ROBOT.sub("", line))
+        if NAMES.search(DEFAULT_ROBOT.sub("", line)) or ROBOTS.search(WORDS.sub("", DEFAULT_ROBOT.sub("", line)))
     ]
 
 
@@ -57,6 +61,11 @@ def test_generic_modules_name_no_base_type() -> None:
 )
 def test_a_name_is_found(line: str) -> None:
     assert NAMES.search(line)
+
+
+@pytest.mark.parametrize("line", ["a robot with two arms, such as pr2", "load_robot('panda')"])
+def test_the_name_of_a_robot_is_found(line: str) -> None:
+    assert ROBOTS.search(line)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from wbmpc.benchmark.machine_speed import peak_gflops
 from wbmpc.benchmark.ours import milliseconds, single_iteration
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
-from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.ir import LANES
+from wbmpc.kernel.sizes import Sizes
 from wbmpc.solver.workspace import aligned
 from whole_race import loops
 from whole_race.lq import eliminate, linearize, pack, substitute

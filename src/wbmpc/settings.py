@@ -44,8 +44,8 @@ Robot = Annotated[str, ReadBy(load_description)]
 
 
 class Settings(BaseModel):
-    """Base of all settings: unknown keys are errors, values are frozen; so are keys that nothing reads
-    (:class:`wbmpc.configuration.OnlyWith`)."""
+    """Base of all settings: unknown keys are errors, and so are keys that nothing reads (:class:`wbmpc.configuration.OnlyWith`); values are
+    frozen. Of those that have one, ``robot``: name of a built-in robot, or a robot file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -61,10 +61,11 @@ class Settings(BaseModel):
 
 
 class MpcSettings(Settings):
-    """``rate`` [Hz]: of its updates; ``horizon`` [s]: how far it plans; ``intervals``: of the horizon; ``first_interval`` [s]: of a geometric
-    grid (0: uniform); ``computation_delay`` [s]: modeled computation time; ``iterations``: per update; ``limits``: by an interior
-    point (hard) or relaxed barriers (soft); ``barrier_mu``: parameter of both; ``rollout_restart``: see
-    :class:`wbmpc.solver.InteriorPoint`."""
+    """``rate`` [Hz]: update rate of the MPC; ``horizon`` [s]: length of the horizon; ``intervals``: number of intervals of the horizon;
+    ``first_interval`` [s]: first interval of a geometric grid (0: uniform grid); ``computation_delay`` [s]: modeled computation time;
+    ``iterations``: solver iterations per update; ``limits``: treatment of limits, by an interior point (hard) or relaxed barriers
+    (soft); ``barrier_mu``: barrier parameter of interior point and relaxed barriers; ``rollout_restart``: whether a plan is
+    replaced by a roll-out of the model where a state outside its limit cuts steps to nearly nothing."""
 
     rate: float = Field(50.0, gt=0, ge=1e-3, le=10_000)
     horizon: float = Field(10.0, gt=0, le=1000)
@@ -92,15 +93,15 @@ class NoStability(Settings):
 
 
 class StabilitySettings(Settings):
-    """What keeps a robot on wheels from tipping over: one of its subclasses. ``payload`` [kg]: at the end effector, as plans
-    include it; ``payload_center`` [m]: where it is, in the end effector's axes."""
+    """What keeps a robot on wheels from tipping over: one of its subclasses. ``payload`` [kg]: mass at the end effector that plans
+    include; ``payload_center`` [m]: where it is, in the end effector's axes."""
 
     payload: float = Field(0.0, ge=0, le=1000)
     payload_center: tuple[_Center, _Center, _Center] = (0.0, 0.0, 0.0)
 
 
 class WheelLoadSettings(StabilitySettings):
-    """Every wheel carries a load. ``min_load``: of the wheel that carries least, over the mean of the empty robot at rest; ``friction``:
+    """Every wheel carries a load. ``min_load``: least load of a wheel, over the mean load of the empty robot at rest; ``friction``:
     coefficient for which tires hold in plans, best the least that may be (0: any force)."""
 
     kind: Literal["wheel_loads"] = "wheel_loads"
@@ -109,7 +110,8 @@ class WheelLoadSettings(StabilitySettings):
 
 
 class SupportMarginSettings(StabilitySettings):
-    """The zero-moment point stays in the support polygon, for bases on casters too. ``margin`` [m]: from the point to the border."""
+    """The zero-moment point stays in the support polygon, for bases on casters too. ``margin`` [m]: distance of the zero-moment point
+    from the border of the polygon."""
 
     kind: Literal["support_margin"] = "support_margin"
     margin: float = Field(0.05, ge=0, le=10)
@@ -122,14 +124,14 @@ Stability = Annotated[
 
 
 class ControlSettings(Settings):
-    """``rate`` [Hz] of the tracking controller."""
+    """``rate`` [Hz]: rate of the tracking controller."""
 
     rate: float = Field(400.0, gt=0, ge=1e-3, le=10_000)
 
 
 class LidarSettings(Settings):
-    """A simulated source of global poses, as a LIDAR with a map is: ``rate`` [Hz]: of the
-    poses; ``age`` [s]: at delivery; ``position`` [m]: standard deviation of each coordinate; ``yaw`` [rad]: that of the heading."""
+    """A simulated source of global poses, as a LIDAR with a map is: ``rate`` [Hz]: rate of the poses; ``age`` [s]: age of a measurement
+    at its delivery; ``position`` [m]: standard deviation of each coordinate; ``yaw`` [rad]: standard deviation of the heading."""
 
     rate: float = Field(10.0, gt=0, le=1000)
     age: float = Field(0.050, ge=0, le=0.4)

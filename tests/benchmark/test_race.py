@@ -28,7 +28,7 @@ from wbmpc.benchmark.ours import ours
 from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
 from wbmpc.benchmark.problems import Problem, RaceProblems, suite_bench
 from wbmpc.benchmark.program import Program, compiler, run_whole
-from wbmpc.kernel.compiled import Sizes
+from wbmpc.kernel.sizes import Sizes
 from wbmpc.studies.race.ballbot import ballbot
 from wbmpc.studies.race.small import cartpole, double_integrator
 

@@ -122,7 +122,7 @@ def test_optimum(name: str, solver: str) -> None:
 
 
 def check_certificate(made: Solver, x: np.ndarray, u: np.ndarray, problem: SampleProblem) -> None:
-    """Gaps, start and hard limits, evaluated anew."""
+    """Gaps, start and hard limits, evaluated again."""
     np.testing.assert_allclose(x[0], problem.x0, atol=1e-9)
     for k, h in enumerate(np.diff(made.trajectory().grid)):
         step = ipopt._step(made, made.problem.x, made.problem.u, made.node_parameters[k], h)

@@ -109,7 +109,7 @@ def test_a_brake_that_is_reported_to_close_or_does_not_hold_is_left_alone() -> N
     assert guard.until[1] == until
 
 
-def test_times_may_start_anew_and_bad_numbers_are_rejected() -> None:
+def test_times_may_restart_and_bad_numbers_are_rejected() -> None:
     guard = LegGuard(2)
     watched(guard, np.array([0.5, 0.0]), np.zeros(2), 0.2)
     assert guard.update(0.0, [3.0, 3.0], np.zeros(2), np.ones(2)), (

@@ -12,7 +12,7 @@ from toys import robot
 from wbmpc import lie
 from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.held_arm import ServoedArm
-from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.separate import ArmLoop, EndEffectorInverse
 
 BALL = robot("rezero")

@@ -17,7 +17,7 @@ from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.registry import REGISTRY
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, TrackingController
 
 BALL = robot("rezero")

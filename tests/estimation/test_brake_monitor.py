@@ -193,7 +193,7 @@ def test_the_first_message_may_be_bad() -> None:
     assert monitor.update(0.0, STILL, CLOSED, STILL) == []
 
 
-def test_a_clock_that_starts_anew() -> None:
+def test_a_clock_that_restarts() -> None:
     """After 3 s at t = 1000 s from 0 again. Truth: a second monitor that begins there."""
     monitor, twin = BrakeMonitor(NAMES), BrakeMonitor(NAMES)
     turned = np.array([0.35, 0.0, 0.0, 0.0])

@@ -15,7 +15,8 @@ from scipy.stats import chi2
 from wheels_on_paper import Drawn, ring
 
 from effort import draws
-from wbmpc.bases.swerve.calibration import WheelRecord, calibrate, fit_wheels, replay
+from wbmpc.bases.swerve.calibration import calibrate, fit_wheels, replay
+from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.errors import InputError
 from wbmpc.estimation.arm_calibration import load_arm_offset
 from wbmpc.estimation.calibration_file import ARM_KEYS, module_keys

@@ -86,7 +86,7 @@ def test_a_sensor_that_the_motion_contradicts_is_found(
 ) -> None:
     monitor, reported = ForceMonitor(), np.inf
     for k in range(200):
-        for _ in range(k == 50):  # once it agrees: the time begins anew
+        for _ in range(k == 50):  # once it agrees: the time restarts
             monitor.update(k * H, H, touching, measured, measured)
         if monitor.update(k * H, H, touching, measured, estimated):
             reported = min(reported, k * H)

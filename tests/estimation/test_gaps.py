@@ -94,8 +94,8 @@ def test_a_clock_that_jumps_back_loses_no_way_of_the_wheels() -> None:
     assert base.odometry.covariance[0, 0] > 0.02**2
 
 
-def test_encoders_that_count_anew_move_nobody() -> None:
-    """A robot that was switched on anew: its wheels say 0 after 300 rad."""
+def test_encoders_that_count_from_zero_move_nobody() -> None:
+    """A robot that was switched on again: its wheels say 0 after 300 rad."""
     base = started()
     base.wheel = base.wheel + 300.0
     base.odometry.restart_clock()
@@ -108,7 +108,7 @@ def test_encoders_that_count_anew_move_nobody() -> None:
     assert np.all(np.diag(base.odometry.covariance)[:2] > 0.09**2)
 
 
-def test_encoders_that_are_said_to_count_anew_move_nobody() -> None:
+def test_encoders_that_are_said_to_count_from_zero_move_nobody() -> None:
     """Whatever they say, and however long it took: the pose stays, and is as uncertain as it is said to be."""
     base = started()
     before = base.odometry.pose

@@ -84,7 +84,7 @@ def test_the_step(backend: Backend) -> None:
         np.testing.assert_allclose(found.velocity, v, atol=1e-12)
 
 
-def test_without_gravity_there_is_no_inertial_unit_and_gaps_start_anew() -> None:
+def test_without_gravity_there_is_no_inertial_unit_and_gaps_restart() -> None:
     seen = np.tile([0.3, 0.1], 4)
     found = InertialVelocity(seen)
     up = np.array([0.0, 0.0, 9.81])

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from wbmpc import lie
+from wbmpc.bases.planar_motion.calibration import fit_errors
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
-from wbmpc.bases.planar_motion.wheel_errors import WheelErrors, fit_errors
+from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.errors import InputError
 from wbmpc.estimation import strokes
 from wbmpc.estimation.strokes import Strokes

@@ -25,7 +25,7 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give fi
 
 
 @pytest.fixture(autouse=True)
-def warn_anew() -> None:
+def warn_again() -> None:
     cache._warn.cache_clear()
 
 

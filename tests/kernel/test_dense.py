@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from effort import draws
 from toys import aligned_copy, call_pointers, compile_ir
 from wbmpc.kernel import dense
-from wbmpc.kernel.compiled import Sizes, emit_riccati_node
+from wbmpc.kernel.compiled import emit_riccati_node
 from wbmpc.kernel.scalar import DECLARATIONS
+from wbmpc.kernel.sizes import Sizes
 from wbmpc.solver.workspace import aligned
 
 

@@ -115,7 +115,7 @@ def test_a_urdf_has_its_limits_in_the_yaml_and_its_friction_in_the_plant(tmp_pat
 
 
 def test_masses_from_shapes_are_the_planners_and_vary_in_the_simulator(tmp_path: Path) -> None:
-    """The compiler would make them anew from the shapes, whatever the simulator drew."""
+    """The compiler would recompute them from the shapes, whatever the simulator drew."""
     path = ring(tmp_path, (COMPILER, COMPILER + ' inertiafromgeom="true" boundmass="0.5"'))
     hull = np.pi * 0.35**2 * 0.16 * 1000.0
     robot = load_robot(path)

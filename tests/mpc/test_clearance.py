@@ -133,7 +133,7 @@ def test_a_ball_robot_steps_aside_for_who_comes_head_on() -> None:
     assert max(away) < 1.0 and away[-1] < 0.05 and mpc.statistics.failures == 0
 
 
-def test_a_plan_that_stays_in_an_obstacle_is_sought_anew_from_itself_and_then_from_a_stop() -> None:
+def test_a_plan_that_stays_in_an_obstacle_is_searched_again_from_itself_and_then_from_a_stop() -> None:
     """Solves that change nothing stand for those that are stuck: the start of each search is what is left in the solver."""
     robot, world = wb.load_robot("differential-ur10"), wb.Obstacles()
     mpc = driving(robot, world, 3.0)

@@ -345,7 +345,7 @@ def test_rejected_again_and_again_the_next_solve_goes_on_from_its_own_iterate(mo
     fresh = mpc.update(Observation(0.02 * k + 0.02, START + 0.3))
     assert not mpc.fault and fresh is not last and mpc.statistics.failures == STUCK + 1
     reject(mpc, monkeypatch)
-    assert mpc.update(Observation(0.02 * k + 0.04, START)) is fresh  # a row anew
+    assert mpc.update(Observation(0.02 * k + 0.04, START)) is fresh  # a new row of them
     np.testing.assert_array_equal(mpc.solver.trajectory().x, fresh.x)
 
 

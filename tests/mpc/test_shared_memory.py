@@ -129,7 +129,7 @@ def test_a_message_half_written_is_not_seen_and_does_not_block() -> None:
     # the writer is in the slot of the newest message: nothing to be had, and no waiting
     box._heads[1][0] = 0
     box._seen = 0
-    assert box.read() is None  # one that waited would wait for ever
+    assert box.read() is None  # one that waited would wait forever
 
 
 def test_a_wrong_checksum_is_rejected() -> None:

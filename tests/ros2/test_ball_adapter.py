@@ -32,7 +32,7 @@ def adapter() -> Any:
 
 @pytest.mark.parametrize("simulated", [True, False])
 def test_time_that_goes_back_is_another_clocks(adapter: Any, simulated: bool) -> None:
-    """A simulator that was started anew has the robot at its beginning again, its arm where the encoders say; with a clock that was
+    """A simulator that was restarted has the robot at its beginning again, its arm where the encoders say; with a clock that was
     set the robot is where it was. In both cases it is upright, and at the message's time."""
     adapter.settings = BallRosSettings(use_sim_time=simulated)
     arm, wheel, still = ROBOT.home[ROBOT.state["arm"]], np.zeros(3), (np.zeros(3), np.array([0.0, 0.0, 9.81]))

@@ -62,7 +62,7 @@ def test_the_way_is_that_of_the_turning_point_from_wherever_the_driver_counts(ro
         way.read(odometry(10.0 + 0.02 * k, pose, twist))
         pose = lie.se2_step(pose, twist * 0.02)
     np.testing.assert_allclose(way_at(way, 12.0), [0.6, 1.0], atol=1e-9)
-    # between two messages it goes on; not for ever
+    # between two messages it goes on; not forever
     np.testing.assert_allclose(way_at(way, 12.05), [0.615, 1.025], atol=1e-9)
     np.testing.assert_allclose(way_at(way, 20.0), np.array([0.6, 1.0]) + HELD * np.array([0.3, 0.5]), atol=1e-9)
     with pytest.raises(InputError, match=r"its time went back by 1\.000 s"):

@@ -198,7 +198,7 @@ print(len(node.publishers("/joint_39")))
 
 
 def test_a_robot_may_have_more_topics_of_a_type_than_a_bucket_of_the_middlewares_table() -> None:
-    """In a process of its own: a table whose entries share a hash grows for ever (Cyclone DDS holds 32 of them)."""
+    """In a process of its own: a table whose entries share a hash grows forever (Cyclone DDS holds 32 of them)."""
     run = subprocess.run(
         [sys.executable, "-c", MANY_TOPICS], env=everything(), timeout=60.0, capture_output=True, text=True
     )

@@ -75,7 +75,7 @@ def test_messages_that_wait_are_bounded_in_bytes(nodes: tuple[Any, Any], monkeyp
 def test_a_flood_on_one_topic_leaves_the_other_ones_their_messages_and_the_node_its_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Truth: order and number of what was put in; each message of the flood brings another one, for ever."""
+    """Truth: order and number of what was put in; each message of the flood brings another one, forever."""
     deferred, got = Deferred(), []
     deferred.put("/goal", got.append, "goal")
 

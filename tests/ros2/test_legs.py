@@ -134,7 +134,7 @@ def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
 
 @pytest.mark.parametrize("again", [0.785, np.nan])
 def test_orders_that_change_nothing_for_a_leg_do_not_keep_its_brake_open(robot: Any, again: float) -> None:
-    """The same order, or another leg's, twice a second: the 4 s without a way are over all the same. A new angle begins anew."""
+    """The same order, or another leg's, twice a second: the 4 s without a way are over all the same. A new angle restarts."""
     legs, brakes, at = robot.control.legs, BrakeControl(ROBOT), np.array([0.768, 0.0, 0.0, 0.0])
     legs.stop()
     legs._put(np.array([0.785, np.nan, np.nan, np.nan]), np.full(4, np.nan))

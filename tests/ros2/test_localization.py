@@ -144,7 +144,7 @@ def test_the_gate_allows_what_motion_and_spread_explain() -> None:
     assert gate.jumped(0.9, pose(99.0), exact, exact) == ""
 
 
-def test_the_gate_follows_a_clock_that_is_started_anew() -> None:
+def test_the_gate_follows_a_clock_that_is_restarted() -> None:
     """A run begins at 0 s; the estimate from before it is of the old clock, at 2 s. By hand: the robot turns at 1 rad/s, so that an
     exact pose of 0.5 s says 0.5 rad."""
     gate, exact = PoseGate("/p", 0.1), np.zeros((3, 3))

@@ -1,4 +1,4 @@
-"""Parameters and log lines on the bus. Truth: the definitions of rcl_interfaces, the problem made anew with other weights."""
+"""Parameters and log lines on the bus. Truth: the definitions of rcl_interfaces, the problem rebuilt with other weights."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_requests_for_more_than_a_node_has_are_answered(
 
 
 def test_setting_a_weight_costs_the_bus_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many are set: the problem is made anew once, in the node's own thread, with what was set last."""
+    """However many are set: the problem is rebuilt once, in the node's own thread, with what was set last."""
     made: list[Any] = []
     adapter = SimpleNamespace(
         robot=ROBOT, problem=lambda cost: made.append(cost) or SimpleNamespace(costs=[]),

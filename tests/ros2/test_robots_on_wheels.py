@@ -77,7 +77,7 @@ def test_the_estimate_goes_on_over_runs_and_gaps(robot: RobotModel) -> None:
     c.measure(message(0.01, 0.1, origin=5.0))
     np.testing.assert_allclose(c.pose, [0.1 * RADIUS, 0.0, 0.0], atol=1e-12)
     before = c.covariance.copy()
-    c.measure(message(0.0, 0.2, origin=5.02))  # another run: the runner's clock starts anew
+    c.measure(message(0.0, 0.2, origin=5.02))  # another run: the runner's clock restarts
     np.testing.assert_allclose(c.pose, [0.2 * RADIUS, 0.0, 0.0], atol=1e-12)
     assert c.covariance[0, 0] > before[0, 0]
     c.measure(message(1.0, 2.0, origin=5.02))
@@ -86,7 +86,7 @@ def test_the_estimate_goes_on_over_runs_and_gaps(robot: RobotModel) -> None:
     assert c.seen[0].time == 1.0
 
 
-def test_encoders_that_begin_anew_move_nobody(robot: RobotModel) -> None:
+def test_encoders_that_restart_move_nobody(robot: RobotModel) -> None:
     c = follower(robot)
     for k, wheels in enumerate((100.0, 100.1, 0.0, 0.1)):
         c.measure(message(0.01 * k, wheels))

@@ -214,7 +214,7 @@ def test_a_robot_that_stands_by_is_commanded_however_long_that_takes(
 
 
 def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
-    """A simulator that was started anew; a goal afterwards is taken again."""
+    """A simulator that was restarted; a goal afterwards is taken again."""
     p = pair()
     drive(p)
     p.standin.time -= 0.5
@@ -227,7 +227,7 @@ def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogC
     assert p.until(lambda: "running" in p.control.state), (p.control.state, p.control.request_queue.rejected)
 
 
-def test_a_simulated_robot_that_begins_anew_is_where_its_odometry_begins(
+def test_a_simulated_robot_that_restarts_is_where_its_odometry_begins(
     pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     """It has driven; then its time and its joints are as at the beginning, its wheels anywhere. Truth: what these turn from there."""
@@ -242,7 +242,7 @@ def test_a_simulated_robot_that_begins_anew_is_where_its_odometry_begins(
     p.run(0.2)
     rolled = ROBOT.base.geometry.wheel_radius * np.abs(p.standin.joints["wheel"] - 30.0 * AHEAD).mean()
     assert np.linalg.norm(p.control.adapter.snapshot()[1][:2]) == pytest.approx(rolled, abs=0.03)
-    assert any("begin anew, their time went back" in r.getMessage() for r in caplog.records)
+    assert any("restart, their time went back" in r.getMessage() for r in caplog.records)
 
 
 @pytest.mark.parametrize(

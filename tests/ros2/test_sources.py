@@ -265,7 +265,7 @@ def test_a_second_localization_does_not_drag_the_robot_away(pair: Callable[..., 
 
 
 def test_the_joints_of_a_gripper_may_have_a_publisher_of_their_own(pair: Callable[..., Any]) -> None:
-    """It is heard first, and goes on for ever. Truth: the positions of our joints."""
+    """It is heard first, and goes on forever. Truth: the positions of our joints."""
     body = pair(use_sim_time=False).control.robot_io
     names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
     at = lambda k: SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=1000 * k))
@@ -283,7 +283,7 @@ def test_the_joints_of_a_gripper_may_have_a_publisher_of_their_own(pair: Callabl
     assert not body.fault and "2 publishers on /joint_states" in body.conflict
 
 
-def test_a_simulator_that_is_started_anew_needs_a_goal(pair: Callable[..., Any], nodes: Callable[[str], Any]) -> None:
+def test_a_simulator_that_is_restarted_needs_a_goal(pair: Callable[..., Any], nodes: Callable[[str], Any]) -> None:
     """The new one begins 0.01 rad from where the killed one was, with its time ahead, while that one's publishers are still on the
     bus, as long as a lease has not ended: not heard at first. Then the robot stands, says why, and takes a goal."""
     p, killed = pair(), nodes("killed")

@@ -81,7 +81,7 @@ def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callab
         imu(at, rate)
     joints(10.005)
     assert read() == 4.0
-    for at, rate in ((200.0, 7.0), (1.0, 2.0), (1.001, 4.0)):  # the simulator was started anew
+    for at, rate in ((200.0, 7.0), (1.0, 2.0), (1.001, 4.0)):  # the simulator was restarted
         imu(at, rate)
     joints(1.0)  # its time went back: rejected once
     joints(1.001)
@@ -143,7 +143,7 @@ def test_the_bus_clock_knows_how_fast_its_time_passes(speed: float, monkeypatch:
 
 
 def test_what_came_before_time_went_back_is_old() -> None:
-    """A simulator that is started anew begins at 0, as does a recording that is played again: a wrench, a pose, a transform and a stop
+    """A simulator that is restarted begins at 0, as does a recording that is played again: a wrench, a pose, a transform and a stop
     of before are not of the future. Truth: the limits of the settings."""
     clock, takes = BusClock(), {}
     subscribe = lambda topic, kind, take, *_, **__: takes.setdefault(topic, take) and (lambda: None)

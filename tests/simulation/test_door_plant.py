@@ -72,7 +72,7 @@ def test_robot_with_a_lean_pushes_the_door_and_the_sensor_reads_it() -> None:
     assert reading + [0.0, 0.0, 0.05 * 9.81] == pytest.approx(-force, abs=0.1)
 
 
-def computed_anew(p: DoorPlant, previous: mujoco.MjData) -> np.ndarray:
+def recomputed(p: DoorPlant, previous: mujoco.MjData) -> np.ndarray:
     """MuJoCo's force (3) on the panel in the state before a step, under what acted in it."""
     previous.ctrl[:], previous.qfrc_applied[:] = p.data.ctrl, p.data.qfrc_applied
     mujoco.mj_forward(p.model, previous)
@@ -103,7 +103,7 @@ def test_force_on_the_panel_is_that_of_the_last_step_from_the_first_touch_on() -
         p.step(BallCommand(torque))
         p.measure(), p.truth()
         found.append(p.contact_force())
-        assert found[-1] == pytest.approx(computed_anew(p, previous), abs=1e-3)
+        assert found[-1] == pytest.approx(recomputed(p, previous), abs=1e-3)
     touches = np.linalg.norm(found, axis=1) > 0.0
     assert not touches[0] and touches[-1]
 

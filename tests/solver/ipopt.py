@@ -17,7 +17,7 @@ def _boxes(rows: list, size: int) -> ca.Function:
 
 
 def _step(solver: Solver, x: ca.SX, u: ca.SX, p: ca.SX | np.ndarray, h: ca.SX | float) -> ca.SX:
-    """The integrator written anew."""
+    """The integrator rewritten."""
     f = lambda x: solver.problem.values["dynamics"](x, u, p, solver.ws.w)
     if solver.ocp.integrator == "rk2":
         end = x + h * f(x + 0.5 * h * f(x))

@@ -35,7 +35,7 @@ def hessians(solver: Solver) -> list[np.ndarray]:
 
 
 def test_it_is_the_hessian_of_the_lagrangian() -> None:
-    """Without rows of their own; costates and multipliers by least squares, written anew."""
+    """Without rows of their own; costates and multipliers by least squares, rewritten."""
     rng = np.random.default_rng(3)
     base = pendulum(n=5)
     for name in ("speed", "force", "tip_range"):

@@ -350,7 +350,7 @@ def test_a_start_far_outside_a_limit_with_many_nodes(n: int, speed: float, slack
 
 
 def test_the_log_has_a_row_for_every_iteration() -> None:
-    """A start anew and extra iterations after cut steps come together; a last one with held inputs would have the last row."""
+    """A restart and extra iterations after cut steps come together; a last one with held inputs would have the last row."""
     real_time = SQP.real_time(interior_point=InteriorPoint("real_time", 3e-2))
     solver = hardened_pendulum(real_time, n=8, equality=False)
     rng = np.random.default_rng(0)

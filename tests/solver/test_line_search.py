@@ -54,7 +54,7 @@ def test_steps_that_win_next_to_nothing_are_cut(chosen: SQP) -> None:
 
 
 def test_the_filter_remembers() -> None:
-    """g = −2 + 2u + 5u³ − 4u⁴ = 0: Newton's steps go from 0 to 1 (g = −2 and 1) and from 1 to 0 for ever, and come back to that
+    """g = −2 + 2u + 5u³ − 4u⁴ = 0: Newton's steps go from 0 to 1 (g = −2 and 1) and from 1 to 0 forever, and come back to that
     cycle from nearby, for g″(0) = 0. The first step wins violation, the second one cost: only the memory of (cost, violation)
     at 0 shows that nothing was won."""
     curve = lambda u: -2.0 + 2.0 * u + 5.0 * u**3 - 4.0 * u**4

@@ -1,5 +1,5 @@
 """Hard rows that are curved in the inputs. Truth: IPOPT on the same discretization; the projection onto a disc, by hand; the
-constraints evaluated anew; the interpreted twin."""
+constraints evaluated again; the interpreted twin."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_optimum_against_ipopt(limit: Callable[[], Constraint], weight: float, h
 
 
 def plan_is_within(solver: Solver, x: np.ndarray, *, of: tuple[str, ...]) -> None:
-    """Every node's inputs, by the constraints evaluated anew."""
+    """Every node's inputs, by the constraints evaluated again."""
     found = solver.solve(x)
     assert found.status is Status.ITERATION_LIMIT and not found.detail, found
     violations = solver.checks.violations(found.x, found.u, solver.ws.p, solver.ws.w)

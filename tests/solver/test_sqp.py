@@ -243,7 +243,7 @@ def test_slq_takes_a_guess_on_the_grid_of_the_problem() -> None:
     "settings", [SQP(iterations=3), SQP.real_time(2), ILQR(iterations=3)], ids=lambda s: type(s).__name__
 )
 def test_cost_and_violation_are_those_of_the_returned_trajectory(settings: SQP, made, backend: str) -> None:  # type: ignore[no-untyped-def]
-    """Truth: costs and relaxed barriers added up anew, without what the interior point adds; the gaps likewise."""
+    """Truth: costs and relaxed barriers added up again, without what the interior point adds; the gaps likewise."""
     base = made()
     solver = Solver(base.ocp, replace(settings, backend=backend))
     solver.set_reference("state", base.references["state"])
@@ -267,5 +267,5 @@ def test_cost_and_violation_are_those_of_the_returned_trajectory(settings: SQP, 
 
 
 def solver_step(solver: Solver, x: np.ndarray, u: np.ndarray, p: np.ndarray, h: float) -> np.ndarray:
-    """One step of the integrator, written anew."""
+    """One step of the integrator, rewritten."""
     return np.array(ca.evalf(ipopt._step(solver, ca.SX(x), ca.SX(u), p, h))).ravel()

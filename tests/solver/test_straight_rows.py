@@ -1,4 +1,4 @@
-"""Straight hard rows of several inputs in real time. Truth: the rows evaluated anew; rows that no number meets, by hand."""
+"""Straight hard rows of several inputs in real time. Truth: the rows evaluated again; rows that no number meets, by hand."""
 
 from __future__ import annotations
 

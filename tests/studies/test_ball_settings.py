@@ -18,7 +18,7 @@ from wbmpc.settings import Settings
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
 from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
-from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.task import BENT_ARM, Task
 

@@ -7,10 +7,10 @@ import pytest
 
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies.minniti2019.door import LEVER, drawn_door
 from wbmpc.studies.minniti2019.door_figures import Trial, trial_metrics
 from wbmpc.studies.minniti2019.door_filter import LeverFit
 from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
+from wbmpc.studies.minniti2019.door_trial import LEVER, drawn_door
 
 
 def pushed(lost: float, early: float) -> Trial:

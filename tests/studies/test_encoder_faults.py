@@ -15,7 +15,8 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.result import RunResult
 from wbmpc.studies.minniti2019 import task as rezero_task
-from wbmpc.studies.minniti2019.push import HAND_EXPERIMENT, RezeroPushHandSettings
+from wbmpc.studies.minniti2019.push import HAND_EXPERIMENT
+from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
 
 START = 0.6
 

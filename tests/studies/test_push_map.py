@@ -10,9 +10,9 @@ from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019 import push_limit
-from wbmpc.studies.minniti2019.push import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.push_limit import MAXIMUM, HandLimitSettings, largest
 from wbmpc.studies.minniti2019.push_once import Outcome, push_once
+from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.recovery import LAST, NEAR, rest
 
 

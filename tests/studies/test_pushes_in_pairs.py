@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from wbmpc.studies.minniti2019.push import RezeroPushBallSettings, _task
+from wbmpc.studies.minniti2019.push import _task
+from wbmpc.studies.minniti2019.push_settings import RezeroPushBallSettings
 
 
 def test_a_second_push_comes_after_the_gap_and_the_next_pair_after_the_pause() -> None:

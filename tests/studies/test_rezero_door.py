@@ -10,6 +10,8 @@ import pytest
 from effort import thorough
 from wbmpc.studies.minniti2019 import door as rezero_door
 from wbmpc.studies.minniti2019 import door_control as control
+from wbmpc.studies.minniti2019 import door_tracker as tracker
+from wbmpc.studies.minniti2019 import door_trial
 from wbmpc.studies.minniti2019.door_figures import trial_metrics
 from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
@@ -56,7 +58,7 @@ def test_impedance_is_found_while_the_door_opens(result) -> None:  # type: ignor
     """Of the door that was drawn: inertia, and what resists at the rate that it reaches."""
     log = result.log
     inertia, damping, resistance = log.array("impedance_high")[-1]
-    door = rezero_door.drawn_door(LOADED, (0.0, 0.0), 1)
+    door = door_trial.drawn_door(LOADED, (0.0, 0.0), 1)
     assert 0.5 < inertia / door.inertia < 2.0  # beside a load that has not been weighed
     rate = log.array("door_high")[:, 1].max()
     assert damping * rate + resistance == pytest.approx(door.damping * rate + door.friction + door.closer, rel=0.2)
@@ -71,7 +73,7 @@ def test_measured_force_is_that_of_the_physics(result) -> None:  # type: ignore[
     assert np.sqrt(np.mean(wrong**2)) < 0.5
 
 
-class Chattering(control.ContactMonitor):
+class Chattering(tracker.ContactMonitor):
     """Contact that is lost and found again in the pattern of a stiff tip on a panel [periods of 2.5 ms on and off]."""
 
     PATTERN = (3, 2, 5, 1, 2, 2, 8, 3, 1, 1, 12, 6, 2, 4, 9, 8, 30, 7, 4, 1)
@@ -94,9 +96,9 @@ class Chattering(control.ContactMonitor):
 def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     """Half a second of losses from 2.5 to 20 ms: what is planned for now stays inside the cone and is no jump beyond it; without
     contact nothing is planned from the next plan on (12.5 ms, and 10 ms of delay)."""
-    monkeypatch.setattr(control, "ContactMonitor", Chattering)
+    monkeypatch.setattr(tracker, "ContactMonitor", Chattering)
     settings = SHORT.model_copy(update={"timeout": 3.8, "final_hold_time": 0.2, "forces": (8.0,)})
-    trial = rezero_door.push_door(settings, 8.0, 2)
+    trial = door_trial.push_door(settings, 8.0, 2)
     log = trial.log
     assert not trial.ending.reason
     normal, planned, touching = log.array("normal"), log.array("force_planned"), log.array("touching") > 0.0
@@ -116,17 +118,17 @@ def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:
 
 def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     """Rezero's lean is limited to 0.6 of 115 mm, and 1.97 mm of it answer 1 N at the end effector: 35 N. With 30 N it fell."""
-    robot = rezero_door.ball_robot(SHORT, contact="force")
-    maximum = rezero_door.held(SHORT, robot)
+    robot = door_trial.ball_robot(SHORT, contact="force")
+    maximum = door_trial.held(SHORT, robot)
     assert maximum == pytest.approx(0.6 * 115.2 / 1.97, rel=2e-3)
     free = SHORT.model_copy(update={"cost": SHORT.cost.model_copy(update={"lean": 0.0})})
-    assert rezero_door.bounded(free, robot, 200.0) == (200.0, "")
-    monkeypatch.setattr(rezero_door, "held", lambda *_: maximum)
+    assert door_trial.bounded(free, robot, 200.0) == (200.0, "")
+    monkeypatch.setattr(door_trial, "held", lambda *_: maximum)
     for force in (8.0, 16.0, 20.9):
-        assert rezero_door.bounded(SHORT, robot, force) == (force, "")
-    possible, reported = rezero_door.bounded(SHORT, robot, 30.0)
+        assert door_trial.bounded(SHORT, robot, force) == (force, "")
+    possible, reported = door_trial.bounded(SHORT, robot, 30.0)
     assert possible == pytest.approx(21.04, rel=2e-3) and "21.0 N only" in reported
-    assert rezero_door.bounded(SHORT.model_copy(update={"lean_share": 1.0}), robot, 30.0) == (30.0, "")
+    assert door_trial.bounded(SHORT.model_copy(update={"lean_share": 1.0}), robot, 30.0) == (30.0, "")
 
 
 @thorough
@@ -139,7 +141,7 @@ def test_without_the_row_the_force_is_missed() -> None:
             "final_hold_time": 0.2,
         }
     )
-    trial = rezero_door.push_door(paper, 8.0, 1)
+    trial = door_trial.push_door(paper, 8.0, 1)
     figures = trial_metrics(trial)
     assert not trial.ending.reason
     assert figures["force_error_ratio"] > 0.15
@@ -150,7 +152,7 @@ def test_without_the_row_the_force_is_missed() -> None:
 def test_a_hand_that_touches_has_no_joints_that_should_have_moved(monkeypatch, touching: bool) -> None:  # type: ignore[no-untyped-def]
     """Seed 202 at 8 N: a slow door held the elbow within a few counts, its encoder was called stalled and the motors were off."""
     monkeypatch.setattr(
-        control.BallController, "_monitor_encoders", lambda self, *_: setattr(self, "_accelerates", np.ones(3))
+        tracker.BallController, "_monitor_encoders", lambda self, *_: setattr(self, "_accelerates", np.ones(3))
     )
     controller = control.DoorController.__new__(control.DoorController)
     controller.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
@@ -213,7 +215,7 @@ def test_a_door_that_was_let_go_is_taken_to_come_back(impedance: tuple[float, ..
     controller.push = SimpleNamespace(open=1.5, give_up=9.0)  # type: ignore[assignment]
     controller.sensor = ForceMonitor()
     controller._identify = lambda end_effector: None  # type: ignore[method-assign]
-    controller.geometry = control.DoorGeometry((9.0, 0.0), 0.0, 1.0, 0.05)
+    controller.geometry = tracker.DoorGeometry((9.0, 0.0), 0.0, 1.0, 0.05)
     inertia, damping, resistance = impedance
     decay, final = damping / inertia, resistance / damping
     stop = np.log(1.0 + 0.3 / final) / decay
@@ -234,7 +236,7 @@ def test_a_panel_that_is_not_touched_is_beyond_the_end_effector(opening: float) 
     """It goes on towards where the panel was felt last, and meets nothing: the panel has gone on too, as fast at least."""
     controller = control.DoorController.__new__(control.DoorController)
     controller.period, controller.impedance = 0.0025, np.array([1.0, 6.0, 6.4])
-    controller.geometry = control.DoorGeometry((0.2, 0.1), 0.4, opening, 0.05)
+    controller.geometry = tracker.DoorGeometry((0.2, 0.1), 0.4, opening, 0.05)
     controller.door = np.array([0.5, 0.0])
     velocity = 0.8 * controller.geometry.directions(0.9)[1]
     for angle in (0.2, 0.4, 0.9):

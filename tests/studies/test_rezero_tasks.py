@@ -13,7 +13,7 @@ from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
 from wbmpc.studies.minniti2019.circle import RezeroCircleSettings
-from wbmpc.studies.minniti2019.push import RezeroPushBallSettings, RezeroPushHandSettings
+from wbmpc.studies.minniti2019.push_settings import RezeroPushBallSettings, RezeroPushHandSettings
 from wbmpc.studies.minniti2019.task import BENT_ARM
 from wbmpc.studies.minniti2019.wholebody import RezeroWholebodySettings
 

@@ -22,8 +22,8 @@ from wbmpc.simulation.lockstep import Ending
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.tip import TIP_RADIUS
 from wbmpc.studies.minniti2019 import press as pressing
-from wbmpc.studies.minniti2019.door import believed
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door
+from wbmpc.studies.minniti2019.door_trial import believed
 from wbmpc.studies.minniti2019.grip import KEPT, UNSURE, GripMonitor
 from wbmpc.studies.minniti2019.slip import SlipSettings
 from wbmpc.studies.minniti2019.slip_figures import Press, metrics

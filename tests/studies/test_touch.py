@@ -18,12 +18,13 @@ from wbmpc.registry import load
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.contact import ContactMonitor
-from wbmpc.studies.minniti2019.door import believed
-from wbmpc.studies.minniti2019.door_control import LIGHT, DoorController, modes
+from wbmpc.studies.minniti2019.door_control import DoorController
 from wbmpc.studies.minniti2019.door_model import DoorGeometry, WithDoor, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import Door
 from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed
+from wbmpc.studies.minniti2019.door_tracker import LIGHT, modes
+from wbmpc.studies.minniti2019.door_trial import believed
 from wbmpc.studies.minniti2019.grip import GripMonitor
 from wbmpc.studies.minniti2019.press import TIPS
 from wbmpc.studies.minniti2019.touch_figures import Touch, longest, metrics

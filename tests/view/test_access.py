@@ -144,7 +144,7 @@ def test_tokens_are_random_and_needed_beyond_this_machine(capsys: pytest.Capture
 def test_an_address_of_another_machine_is_an_error_at_once(
     host: str, recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """viser tries a thousand ports at it, and then waits for ever. 203.0.113.0/24 is nobody's (RFC 5737)."""
+    """viser tries a thousand ports at it, and then waits forever. 203.0.113.0/24 is nobody's (RFC 5737)."""
     assert main(["replay", str(recording), "--host", host]) == 2
     err = capsys.readouterr().err
     assert f"--host: '{host[:80]}' is no address of this machine" in err and "valid: 127.0.0.1, ::1 or localhost" in err

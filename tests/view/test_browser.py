@@ -145,7 +145,7 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
 
 @thorough
 def test_the_base_is_dragged_and_legs_are_moved(tmp_path: Path) -> None:
-    """In a session: the arrow of the base's goal is pulled ahead, then A is clicked, then the session begins anew."""
+    """In a session: the arrow of the base's goal is pulled ahead, then A is clicked, then the session restarts."""
     process, url = start("view", "swerve-ur10", "--out", str(tmp_path))
     try:
         with browser() as page:

@@ -331,7 +331,7 @@ def test_what_is_answered_to_a_slider_is_short() -> None:
 
 # ---------------------------------------------------------------------- what a run may be asked for
 def test_what_a_run_may_be_asked_for() -> None:
-    """Also where the page lets it pass: the run checks anew."""
+    """Also where the page lets it pass: the run checks again."""
     base, nan = np.array([2.0, 1.0, 0.0]), np.nan
     good = np.array([3.0, 1.0, 1.0, 1.0 + 5e-4, 0.0, 0.0, 0.0])
     checked = bounds.pose(good, base)

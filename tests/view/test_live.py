@@ -227,7 +227,7 @@ def test_each_click_is_a_single_step() -> None:
 
 
 @thorough
-def test_a_run_begins_anew_from_its_start_on_reset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_restarts_from_its_start_on_reset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The first one ends where the button was pressed, with all its files; the next one is the run as it is without a view."""
     make, begun = live.View.begin, []
 
@@ -246,9 +246,9 @@ def test_a_run_begins_anew_from_its_start_on_reset(tmp_path: Path, capsys: pytes
         assert main([*arguments, str(tmp_path / "seen"), "--view", "--port", port]) == 0
     captured = capsys.readouterr()
     result = json.loads(captured.out)
-    assert len(begun) == 2 and f"begun anew; the run until then is in {tmp_path / 'seen'}\n" in captured.err
+    assert len(begun) == 2 and f"restarted; the run until then is in {tmp_path / 'seen'}\n" in captured.err
     first, second = read_recording(tmp_path / "seen"), read_recording(tmp_path / "seen-2")
-    assert first.metadata["result"]["reason"].endswith("begun anew in the view")
+    assert first.metadata["result"]["reason"].endswith("restarted in the view")
     assert 0.0 < first.end < second.end and second.metadata["result"]["completed"] == "true"
     assert main([*arguments, str(tmp_path / "alone")]) == 0
     printed = capsys.readouterr().out  # a view of a test before may end now, and says so
@@ -331,7 +331,7 @@ def test_a_drive_before_the_run_is_announced_and_cannot_be_pushed() -> None:
         view.close()
 
 
-def test_a_session_begins_anew_on_reset() -> None:
+def test_a_session_restarts_on_reset() -> None:
     view = live.View("test", port=free_port())
     begun: list[float] = []
     original = view.begin
@@ -385,7 +385,7 @@ def test_a_host_beyond_this_machine_is_warned_of(capsys: pytest.CaptureFixture[s
 
 
 def test_the_page_says_why_the_robot_fell() -> None:
-    """Shoved with 3 000 N; also beside the run that begins anew afterwards."""
+    """Shoved with 3 000 N; also beside the run that restarts afterwards."""
     view, texts = live.View("test", port=free_port()), []  # type: ignore[var-annotated]
 
     class Shove:

@@ -34,7 +34,7 @@ def test_plots_show_the_last_seconds_of_the_run_however_slowly_it_goes(pictures:
     for _ in range(2 * SAMPLES):  # paused: pictures of one moment
         history.add(np.array([rows[-1, 0], 0.0, 0.0]))
     assert len(history.rows) == len(rows)
-    history.add(np.array([0.0, 1.0, 1.0]))  # begun anew
+    history.add(np.array([0.0, 1.0, 1.0]))  # restarted
     np.testing.assert_array_equal(history.rows, [[0.0, 1.0, 1.0]])
 
 

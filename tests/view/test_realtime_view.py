@@ -85,7 +85,7 @@ def test_contacts_are_drawn_where_the_estimate_is() -> None:
 @pytest.mark.wallclock
 def test_the_runner_is_watched_and_steered() -> None:
     """Goals, weights, a push and the legs' brakes change a run of three processes that goes on meanwhile; a reset begins it
-    anew, and the end ends it."""
+    again, and the end ends it."""
     view = realtime.RealtimeView("test", "swerve-ur10", "127.0.0.1", free_port())
     requests, runs, seen = no_requests(), [], {}  # type: ignore[var-annotated]
     make = session.runner_of

@@ -189,7 +189,8 @@ class Base(Protocol):
     """The symbolic side of a base in a robot model: names of its state and input, kinematics, dynamics, limits and home.
 
     ``state``, ``input``, ``parameters``, ``mode``: names by group, of state x (nx), input u (nu), parameters w that hold over the
-    horizon and mode values m per node. Optional ``state_units`` and ``input_units``: units by group, one text or one for each name;
+    horizon and mode values m per node. A state group "base", if there is one, begins with the base's pose: x, y, yaw, or position and
+    quaternion (7). Optional ``state_units`` and ``input_units``: units by group, one text or one for each name;
     without them none are shown. ``unit_quaternions``: where quaternions begin in x. ``mode_bounds``: lowest and highest
     value of groups of ``mode``. ``brakes``: groups of ``mode`` that are brakes (1 open, 0 closed), and the input group each holds.
     ``ground`` [m]: height of the floor in the model's world (negative where the world's origin is

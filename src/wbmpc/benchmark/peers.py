@@ -46,7 +46,7 @@ class Prepared:
 
 
 def prepare(problem: Problem, compile_functions: bool = True) -> Prepared:
-    """The program of a problem, compiled if possible and wanted."""
+    """The program of a problem, compiled if possible and asked for."""
     program = Program(problem.solver)
     functions = program.functions()
     library = compiled_library(functions) if compile_functions else "not asked for"

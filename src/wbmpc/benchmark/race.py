@@ -83,7 +83,7 @@ def _against(rows: list[dict[str, Any]], key: str, goal: float) -> list[dict[str
 
 
 def goals(figures: dict[str, Any]) -> list[dict[str, Any]]:
-    """What was wanted, what is, and whether that is enough (None: not measured)."""
+    """The goal, what was measured, and whether that is enough (None: not measured)."""
     out = _against(figures["rows"], "equal_ms", FULL)
     out += _against(figures.get("quadratic", []), "step_ms", QUADRATIC)
     for r in figures["sizes"]:

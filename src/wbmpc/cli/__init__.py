@@ -108,7 +108,7 @@ def options(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors; with --json the object.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Say what is done, on standard error.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Log what is done to standard error.")] = False,
 ) -> None:
     """Options for all commands, before or after their names; --json too."""
     if context.invoked_subcommand is None:

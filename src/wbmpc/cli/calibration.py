@@ -92,10 +92,15 @@ def calibrate(
         str | None, typer.Option(help="Name or file of the robot (default: as the run's settings say).")
     ] = None,
     zero_std: Annotated[
-        float, typer.Option(min=1e-6, max=0.6, help="Standard deviation of the steer zeros before, in rad.")
+        float, typer.Option(min=1e-6, max=0.6, help="Prior standard deviation of the steer zeros, in rad.")
     ] = 2e-3,
     radius_std: Annotated[
-        float, typer.Option(min=1e-6, max=0.25, help="Of all radii together, relative; of each beside them half of it.")
+        float,
+        typer.Option(
+            min=1e-6,
+            max=0.25,
+            help="Prior standard deviation of all radii together, relative; of each alone half of it.",
+        ),
     ] = 2e-3,
     force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,

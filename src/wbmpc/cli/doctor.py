@@ -65,7 +65,7 @@ def doctor(
     argument: Arguments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check a robot's file: what is wrong, what has to be known, and how to mend it. Exit status 2 if there are errors."""
+    """Check a robot's file: faults and how to fix them, and what to know about it. Exit status 2 if there are errors."""
     from wbmpc.robots.doctor import examine_robot
 
     folders = {name: Path(folder) for name, folder in pairs("--package", package).items()}

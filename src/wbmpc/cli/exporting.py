@@ -23,7 +23,7 @@ def export(
     ],
     out: Annotated[Path, typer.Option(help="Directory for the files.")],
     prefix: Annotated[
-        str, typer.Option(help="Beginning of all names in C; several controllers need different ones.")
+        str, typer.Option(help="Prefix of all names in C; several controllers need different ones.")
     ] = "controller",
     target: Annotated[str, typer.Option(help="Processor: native, x86-64-v3 or aarch64.")] = "native",
     samples: Annotated[int, typer.Option(help="Samples of each reference, and events, that there is room for.")] = 100,

@@ -30,11 +30,13 @@ _HIGHEST = 20.0
 
 def new(
     model: Annotated[Path, typer.Argument(help="A URDF, xacro or MJCF.")],
-    out: Annotated[Path | None, typer.Option(help="The YAML to write (default: the model's name beside you).")] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Take the proposals, ask nothing.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="The YAML to write (default: named after the model, in this directory).")
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Accept all proposals without questions.")] = False,
     base: Annotated[str | None, typer.Option(help="Base type.")] = None,
     arm: Annotated[
-        str | None, typer.Option(help="Name of the arm, or of its last joint; of several with commas: left,right.")
+        str | None, typer.Option(help="Name of the arm or of its last joint; several separated by commas: left,right.")
     ] = None,
     tool: Annotated[str | None, typer.Option(help="Frame of the end effector.")] = None,
     height: Annotated[

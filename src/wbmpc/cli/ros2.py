@@ -18,14 +18,14 @@ ros2 = typer.Typer(name="ros2", help="ROS 2: the controller, a simulated robot, 
 Robot = Annotated[str, typer.Argument(help="Name of the robot (see 'wbmpc list') or its YAML file.")]
 Config = Annotated[Path | None, typer.Option("--config", help="YAML file: topics, frames, joints, rates.")]
 BackEnd = Annotated[str, typer.Option("--backend", help="auto, rclpy or dds.")]
-SimTime = Annotated[bool, typer.Option("--use-sim-time", help="Time is what /clock says.")]
+SimTime = Annotated[bool, typer.Option("--use-sim-time", help="Take the time from /clock.")]
 Lockstep = Annotated[
     bool, typer.Option("--lockstep", help="For both nodes: states wait for commands, in simulated time.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else, when it has ended.")]
 #: So long [s] a check listens at most: a day. What sleeps for ever does not answer.
 LONGEST_LOOK = 86_400.0
-Fifo = Annotated[bool, typer.Option("--fifo", help="Before all other processes (needs the right to).")]
+Fifo = Annotated[bool, typer.Option("--fifo", help="Run with real-time priority (SCHED_FIFO; needs the permission).")]
 
 
 @ros2.callback(invoke_without_command=True)
@@ -157,7 +157,7 @@ def ros2_check(
     seconds: Annotated[float, typer.Option(min=0.5, max=LONGEST_LOOK, help="How long it listens.")] = 3.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
-    """Say what is missing, mistyped, too slow or wrong on a robot's bus. Sends nothing; status 1 if there is an error."""
+    """List what is missing, mistyped, too slow or wrong on a robot's bus. Sends nothing; status 1 if there is an error."""
     node, model, settings = _on_bus(context, robot, config, backend, "_check", use_sim_time)
     from wbmpc.ros2.check import ERROR, check
 

@@ -49,7 +49,7 @@ def execute(
     record_limit: str = RECORD_LIMIT,
     config: Path | None = None,
 ) -> tuple[RunResult, dict[str, str]]:
-    """A run and its files. Begun anew in the view, it is another run with files of its own; the last one is returned."""
+    """A run and its files. Restarted in the view, it is another run with files of its own; the last one is returned."""
     from wbmpc.configuration import configure
 
     if seed < 0:
@@ -71,7 +71,7 @@ def execute(
             if view is None or not view.wants_reset:
                 return result, files
             view.restart()
-            typer.echo(f"begun anew; the run until then is in {Path(files['report']).parent}", err=True)
+            typer.echo(f"restarted; the run until then is in {Path(files['report']).parent}", err=True)
     finally:
         if view is not None:
             view.close()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 LOCAL = "127.0.0.1"
 Host = Annotated[str, typer.Option(help="Address that the view listens on (the default: this machine alone).")]
-Port = Annotated[int, typer.Option(help="Port of the view; a busy one is passed over.")]
+Port = Annotated[int, typer.Option(help="Port of the view; if it is busy, the next free one.")]
 
 
 NoToken = Annotated[

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wbmpc.embedded.exporter import Export
+from wbmpc.embedded.image import Export
 from wbmpc.embedded.texts import hexadecimal
 from wbmpc.errors import InputError
 from wbmpc.mpc.mpc import MPC

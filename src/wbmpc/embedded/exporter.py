@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from dataclasses import dataclass
 from pathlib import Path
 
 from wbmpc.checks import whole_number
-from wbmpc.embedded.image import Image, check_exportable, make_image
+from wbmpc.embedded.image import Export, Image, check_exportable, make_image
 from wbmpc.embedded.interface import interface, public_names
 from wbmpc.embedded.prefix import check_prefix
 from wbmpc.embedded.texts import write_texts
@@ -47,23 +46,6 @@ ALLOWED = frozenset(
 
 #: Samples of a reference at most: the block of memory has room for all of them.
 MOST_SAMPLES = 100_000
-
-
-@dataclass(frozen=True)
-class Export:
-    """What :func:`export` wrote: the object file, what it defines and needs, and what it has room for."""
-
-    directory: Path
-    prefix: str
-    target: str
-    object_size: int
-    symbols: Symbols
-    image: Image
-
-    @property
-    def block_size(self) -> int:
-        """Of the memory that the caller gives [bytes]."""
-        return 8 * self.image.offsets()["end"]
 
 
 def export(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wbmpc.errors import InputError
+from wbmpc.kernel.object_file import Symbols
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import ModeSchedule, Reference
@@ -58,6 +60,23 @@ class Image:
         for name, content in self.areas.items():
             block[offsets[name] : offsets[name] + content.size] = content.ravel().view(np.int64)
         return block
+
+
+@dataclass(frozen=True)
+class Export:
+    """What :func:`wbmpc.embedded.exporter.export` wrote: the object file, what it defines and needs, and what it has room for."""
+
+    directory: Path
+    prefix: str
+    target: str
+    object_size: int
+    symbols: Symbols
+    image: Image
+
+    @property
+    def block_size(self) -> int:
+        """Of the memory that the caller gives [bytes]."""
+        return 8 * self.image.offsets()["end"]
 
 
 def make_image(mpc: MPC, samples: int) -> Image:

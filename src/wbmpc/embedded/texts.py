@@ -6,12 +6,11 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wbmpc import __version__
-from wbmpc.embedded.image import Group
+from wbmpc.embedded.image import Export, Group
 from wbmpc.embedded.interface import CALLS, declaration
 from wbmpc.kernel.codegen_target import Target
 from wbmpc.model.layout import Layout
@@ -21,9 +20,6 @@ from wbmpc.output_file import write_text
 from wbmpc.solver import Solver
 from wbmpc.solver.controller import Result
 from wbmpc.solver.controller_data import Figure
-
-if TYPE_CHECKING:
-    from wbmpc.embedded.exporter import Export
 
 #: Of the calling thread [bytes], measured and rounded up.
 STACK = 65536

@@ -43,7 +43,7 @@ AHEAD = 0.1
 GAP = 0.1
 #: Standard deviation of where a base is after a gap: this share of the wheels' way, and by this [m/s] whatever they show.
 GAP_SHARE, GAP_SPEED = 0.1, 0.02
-#: Wheels that moved farther [m], and faster [m/s], than any base does: their encoders count anew, and the base stood by
+#: Wheels that moved farther [m], and faster [m/s], than any base does: their encoders count from zero again, and the base stood by
 #: :data:`LEAP_STD` [m, and over the wheels' distance rad].
 LEAP, LEAP_SPEED, LEAP_STD = 0.5, 20.0, 0.1
 #: A gap over which the clock was no clock counts as one of this length [s].
@@ -166,13 +166,13 @@ class FusedOdometry:
         self._past.clear()
 
     def restart_clock(self) -> None:
-        """Times start anew: the next message only starts; what is known stays."""
+        """Times restart: the next message only starts; what is known stays."""
         self._memory.record[0] = -np.inf
         self._past.clear()
         self._started = False
 
     def restart_encoders(self) -> None:
-        """Encoders count from elsewhere, and times start anew: the next message only starts. The pose stays, as uncertain as
+        """Encoders count from elsewhere, and times restart: the next message only starts. The pose stays, as uncertain as
         :data:`LEAP_STD`, for nothing says where the base went meanwhile."""
         self.restart_clock()
         spread = np.array([1.0, 1.0, 1.0 / self._arm(self._memory.arrays["before"][: self._n])]) * LEAP_STD

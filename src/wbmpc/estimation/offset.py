@@ -1,6 +1,6 @@
 """Offset-free control of any system: constant parameters of its dynamics estimated along with the state.
 
-The wanted parameter (a generalized force, a bias of a twist) is a state that does not move, and an extended Kalman filter
+The unknown parameter (a generalized force, a bias of a twist) is a state that does not move, and an extended Kalman filter
 follows [x; d] by the model itself. The estimate goes into the problem as the same parameter (``set_parameters``), so that plan
 and plant agree at rest. What is left of an offset then comes from the costs: an input must be weighed against what holds the
 plant under d, not against zero.

@@ -231,5 +231,5 @@ def _warn(why: str) -> None:
 
 @cache
 def _report_unwritable(directory: str, why: str) -> None:
-    """Once for each reason: every start will compile anew."""
+    """Once for each reason: every start will compile again."""
     _LOG.warning("compiled code cannot be kept in %s, every start will build it again: %s", directory, why)

@@ -17,6 +17,7 @@ from wbmpc.kernel.codegen_target import compile_module, load_object, register_wi
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
 from wbmpc.kernel.second_derivatives import SECOND, second_maps
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
+from wbmpc.kernel.sizes import Sizes
 from wbmpc.kernel.sparse_rows import emit_add_rows, emit_row_products
 from wbmpc.ocp import Transcription
 
@@ -62,64 +63,6 @@ ADDRESSES = (*_SINGLE, *(f"lanes.{n}" for n in _EIGHT), *_KERNELS)
 SYMBOLS = (*(f"w_{n}" for n in _SINGLE), *(f"l_{n}" for n in _EIGHT), *_KERNELS)
 #: What the nodes share among the arguments x, u, p, w, h.
 _SHARED = {3}
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Dimensions and padded lengths. The extended node vector is [x (nx), 1, u (nu)].
-
-    ``ng``: rows of the Riccati recursion; ``nr``, ``ne``: general rows with a state of their own, at the path and at the end.
-    """
-
-    nx: int
-    nu: int
-    ng: int
-    nr: int
-    ne: int
-
-    @property
-    def first(self) -> int:
-        """Index of the first input in the extended node vector."""
-        return self.nx + 1
-
-    @property
-    def nz(self) -> int:
-        return self.nx + 1 + self.nu
-
-    @property
-    def lx(self) -> int:
-        return dense.pad(self.nx + 1)
-
-    @property
-    def lz(self) -> int:
-        return dense.pad(self.nz)
-
-    @property
-    def lg(self) -> int:
-        return dense.pad(max(self.ng, 1))
-
-    def scratch(self) -> dict[str, int]:
-        """Offsets [doubles] of the parts of the Riccati step's scratch memory, and its total size."""
-        sizes = {
-            "W": (self.nx + 1) * self.lz,
-            "M": self.nz * self.lz,
-            "D": dense.pad(self.nu),
-            "T": self.nu * self.lx,
-            "R": self.nu * self.lg,
-            "Z": self.ng * self.lx,
-            "Y": self.ng * self.lx,
-            "S": self.ng * self.lg,
-            "I": self.lg,
-        }
-        offsets, total = {}, 0
-        for name, size in sizes.items():
-            offsets[name] = total
-            total += dense.pad(size)
-        return {**offsets, "total": total}
-
-    def equality_buffer(self) -> int:
-        """Doubles of a node's equality rows [C e D] and of Dᵀ behind them."""
-        return self.ng * self.lz + self.nu * self.lg
 
 
 @dataclass(frozen=True)
@@ -353,7 +296,7 @@ def problem_key(transcription: Transcription) -> str:
 
 
 def _cached_sizes(found: tuple[bytes, dict] | None) -> Sizes | None:
-    """The sizes that a cache entry states; None for an entry of another format or target, which is built anew."""
+    """The sizes that a cache entry states; None for an entry of another format or target, which is rebuilt."""
     try:
         return Sizes(**found[1]["sizes"]) if found and found[1]["target"] == target_text() else None
     except (KeyError, TypeError):

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 
 from wbmpc.kernel import cache
 from wbmpc.kernel.codegen_target import compile_module, load_object, target_text
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function
-
-if TYPE_CHECKING:
-    from wbmpc.kernel.compiled import Sizes
-    from wbmpc.ocp import Transcription
+from wbmpc.kernel.sizes import Sizes
+from wbmpc.ocp import Transcription
 
 #: The functions of second derivatives.
 SECOND = ("lagrangian", "dynamics_hessian", "end_lagrangian")

@@ -113,7 +113,7 @@ class Step:
         return bool(row[i]) if truth else row[i]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Step:
-        """Arrays move with a copy of what owns them: addresses are taken anew."""
+        """Arrays move with a copy of what owns them: addresses are taken again."""
         return Step(self._function, deepcopy(self._memory, memo), self._backend, **self._constants)
 
 

@@ -19,6 +19,8 @@ from wbmpc.model.layout import Layout
 from wbmpc.robots import RobotDescription, load_description, load_spec
 
 Array = NDArray[np.float64]
+#: Numbers of a pose in the plane.
+POSE_SIZE = 3
 
 
 def layouts(base: Any) -> tuple[Layout, Layout]:
@@ -67,6 +69,7 @@ class RobotModel:
         self.tree = self.base.tree
         self.state, self.input = layouts(self.base)
         self.parameters, self.mode = Layout(self.base.parameters), Layout(self.base.mode)
+        self._check_base()
         self._check_home()
 
     def __repr__(self) -> str:
@@ -83,6 +86,15 @@ class RobotModel:
             for name, unit, a, b in zip(layout.names, layout.units, low, high, strict=True):
                 rows.append([kind, name, unit, f"{a:g} to {b:g}" if np.isfinite([a, b]).any() else ""])
         return html_table(repr(self), ["", "name", "unit", "limits"], rows)
+
+    def _check_base(self) -> None:
+        """Runs, views and recordings read a pose from the state group "base"."""
+        size = len(self.state.groups.get("base", ()))
+        if 0 < size < POSE_SIZE:
+            raise InputError(
+                f"base type '{self.description.base.type}': its state group 'base' has {size} numbers; valid: a pose (x, y, yaw, or "
+                "position and quaternion), or another name for coordinates that are none"
+            )
 
     def _check_home(self) -> None:
         for group, names in self.state.groups.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -27,6 +27,19 @@ def check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
         raise InputError(
             f"mpc: {name}(compute_kkt={settings.compute_kkt}, interior point '{settings.interior_point.mode}') does not say in every plan"
             f" by how much it misses constraints; valid: {name}.real_time(...), with as many iterations as you like"
+        )
+
+
+def check_limits(solver: Solver, rates: Iterable[str]) -> None:
+    """Raise :class:`InputError` for a hard row of inputs that no policy can hold. The terms named in ``rates`` limit how fast inputs
+    change; they count for plans alone, because a policy does not know the last command."""
+    rows = solver.problem.unclipped_input_rows()
+    unheld = [row for row in rows if not any(row.startswith(f"{name}.") for name in rates)]
+    if unheld:
+        raise InputError(
+            f"mpc: hard row '{unheld[0]}' limits inputs in a way that is not linear: a policy's feedback cannot be held to it; "
+            "valid: rows that are linear in inputs and references, hard=False, or MPC(..., plan_only_limits=True), where your "
+            "own code limits what the feedback adds"
         )
 
 

@@ -49,7 +49,7 @@ class ClearanceRows:
         self.last = LeastClearance()
         #: when the stop ends [s] that the last plan is; None: it is none
         self._stops_at: float | None = None
-        #: when [s] another plan is sought, and how many have been in vain; None: the last plan is clear
+        #: when [s] another plan is searched for, and how many have found none; None: the last plan is clear
         self._search: tuple[float, int] | None = None
         self._snapshot = Snapshot()
         #: time and age, states of the plan, and what was predicted from it
@@ -157,7 +157,7 @@ class ClearanceRows:
         return False
 
     def _restart(self, x: Array, u: Array, run: Callable[[float, int], None]) -> None:
-        """Solve from states x (N + 1, nx) and inputs u (N, nu) of now, with slacks and multipliers that begin anew."""
+        """Solve from states x (N + 1, nx) and inputs u (N, nu) of now, with slacks and multipliers that restart."""
         self._solver.warm_start(x, u)
         self._solver.reset()
         for k in range(BRAKING_SOLVES):
@@ -191,7 +191,7 @@ class ClearanceRows:
 
     def _braking(self, t: float, x0: Array, delta: float) -> tuple[float, Callable[[], BrakingPlan]]:
         """How long [s] a stop from ``x0`` (nx) at ``t`` [s] takes under the input that the last plan, ``delta`` [s] old, has then, and
-        what makes its plan. A stop that has begun goes on: it does not take longer because it is planned anew."""
+        what makes its plan. A stop that has begun goes on: it does not take longer because it is replanned."""
         solver, u0 = self._solver, self._input(delta)
         duration = braking_time(solver.ocp.dynamics, self.robot, x0, u0)
         if self._stops_at is not None:

@@ -12,7 +12,7 @@ from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
 from wbmpc.clearance.rows import Clearance
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.mpc.checks import check_events_fit, check_settings, check_vector
+from wbmpc.mpc.checks import check_events_fit, check_limits, check_settings, check_vector
 from wbmpc.mpc.clearance import ClearanceRows
 from wbmpc.mpc.described import Described
 from wbmpc.mpc.guess import Bound, Guess, check_found, check_guess
@@ -79,7 +79,7 @@ class MPC(Described):
         terms = {t.name: t.residual for t in ocp.terms.values()}
         self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
         if not plan_only_limits:
-            self._check_limits()
+            check_limits(self.solver, self._follow_last)
         self._input_rows = InputRows(self.solver)
         #: what is followed, where the problem has progress along a path: see :class:`wbmpc.mpc.path.PathProgress`
         self.path = PathProgress(ocp, self.solver, self._input_rows.limits)
@@ -99,18 +99,6 @@ class MPC(Described):
         self.events_without_node = 0
         self._reported = False
         self._lines = RateLimit()
-
-    def _check_limits(self) -> None:
-        """Raise :class:`InputError` for a hard row of inputs that no policy can hold. Limits of how fast inputs change are of plans:
-        a policy does not know the last command."""
-        rows = self.solver.problem.unclipped_input_rows()
-        unheld = [row for row in rows if not any(row.startswith(f"{name}.") for name in self._follow_last)]
-        if unheld:
-            raise InputError(
-                f"mpc: hard row '{unheld[0]}' limits inputs in a way that is not linear: a policy's feedback cannot be held to it; "
-                "valid: rows that are linear in inputs and references, hard=False, or MPC(..., plan_only_limits=True), where what "
-                "feedback adds is cut by your own code"
-            )
 
     @property
     def guess(self) -> Guess | None:

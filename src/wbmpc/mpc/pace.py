@@ -99,12 +99,12 @@ class PacedReferences:
         t = absolute_time("paced references", t)
         h = max(t - self._set_at, 0.0)
         self._set_at, self.time = t, self.time + self.rate * h
-        wanted = self._wanted(numbers("paced references", "position", position, 3))
-        self.rate = float(np.clip(wanted, self.rate - FALL * h, self.rate + RISE * h))
+        target = self._target_rate(numbers("paced references", "position", position, 3))
+        self.rate = float(np.clip(target, self.rate - FALL * h, self.rate + RISE * h))
         for name, whole in self._whole.items():
             self._mpc.reference[name] = self._ahead(whole, t)
 
-    def _wanted(self, position: Array) -> float:
+    def _target_rate(self, position: Array) -> float:
         behind = float(np.linalg.norm(position - self._path.at(self.time)[:3]))
         near, lack = self._mpc.clearance, 0.0
         if near.frame:

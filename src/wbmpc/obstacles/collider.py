@@ -28,7 +28,7 @@ class Collider:
     """Solids ``own``, which stay, and others that :meth:`load` replaces. Solids are numbered in this order.
 
     Primitives are put into place-holders of the model, so that nothing is compiled when obstacles come and go; a mesh, and more
-    obstacles than ever before, compile it anew (some milliseconds).
+    obstacles than ever before, recompile it (some milliseconds).
     """
 
     def __init__(self, own: Sequence[Solid]) -> None:

@@ -15,9 +15,9 @@ from wbmpc.ocp.symbols import Symbols
 
 @dataclass(frozen=True)
 class PushForce:
-    """The robot's push on a surface in its axes, minus what is wanted: along the normal, across (level), up [N].
+    """The robot's push on a surface in its axes, minus the target: along the normal, across (level), up [N].
 
-    Reference: the unit normal (3) of an upright surface, into it, and the wanted force [N] along it. ``group``: the input that
+    Reference: the unit normal (3) of an upright surface, into it, and the target force [N] along it. ``group``: the input that
     is the force of the world on the robot, world axes.
     """
 

@@ -1,7 +1,7 @@
 """Residuals of a path whose progress is a state: what is off the path, how fast it is followed, where it ends.
 
 They see the path near the predicted progress alone, as an expansion that an MPC renews before every solve: another path is other
-parameters, and nothing is compiled anew.
+parameters, and nothing is compiled again.
 """
 
 from __future__ import annotations

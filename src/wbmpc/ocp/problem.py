@@ -111,15 +111,15 @@ class OptimalControlProblem:
             )
         cuts = cuts.astype(int)
         grid = [t for k, c in enumerate(cuts) for t in np.linspace(self.grid[k], self.grid[k + 1], c, endpoint=False)]
-        other = self._anew(self.dynamics, [*grid, self.horizon])
+        other = self._rebuilt(self.dynamics, [*grid, self.horizon])
         other.terms = self.terms
         return other
 
     def on(self, dynamics: SystemDynamics) -> OptimalControlProblem:
         """A problem for other ``dynamics`` with the same grid, integrator and modes, and no terms."""
-        return self._anew(dynamics, [float(t) for t in self.grid])
+        return self._rebuilt(dynamics, [float(t) for t in self.grid])
 
-    def _anew(self, dynamics: SystemDynamics, grid: Sequence[float]) -> OptimalControlProblem:
+    def _rebuilt(self, dynamics: SystemDynamics, grid: Sequence[float]) -> OptimalControlProblem:
         return OptimalControlProblem(
             dynamics, self.horizon, len(grid) - 1, grid=grid, integrator=self.integrator, align_events=self.align_events,
             modes=self.modes,

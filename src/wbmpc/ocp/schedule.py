@@ -52,5 +52,5 @@ class ModeSchedule:
         return int(np.searchsorted(np.asarray(self.events), t + 1e-9, side="right"))
 
 
-#: What holds where no schedule was set: one mode for ever.
+#: What holds where no schedule was set: one mode forever.
 DEFAULT = ModeSchedule((Mode("default"),))

@@ -104,7 +104,7 @@ class Recorder:
         self._static_links()
 
     def _begin_loop(self, scene: Scene) -> None:
-        """A world that looks otherwise than that of the loop before is attached anew, with the time from which it is there."""
+        """A world that looks otherwise than that of the loop before is attached again, with the time from which it is there."""
         assert self.file is not None
         if scene != self._scene:
             self._scene, self._scenes = scene, self._scenes + 1

@@ -178,7 +178,7 @@
   canvas.addEventListener("keydown", event => { if (event.key === " ") { event.preventDefault(); button.click() } });
   document.addEventListener("replay-seek", event => { play(false); show(event.detail) });
   new ResizeObserver(redraw).observe(canvas);
-  // browsers take contexts away (too many pictures on a page, a driver that restarts): what they held is made anew
+  // browsers take contexts away (too many pictures on a page, a driver that restarts): what they held is rebuilt
   canvas.addEventListener("webglcontextlost", event => event.preventDefault());
   canvas.addEventListener("webglcontextrestored", () => {
     solid = makeSolid(); ribbon = makeRibbon();

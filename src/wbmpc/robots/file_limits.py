@@ -69,7 +69,7 @@ class _Count:
 
 def check_size(path: Path, text: bytes | None = None) -> tuple[Path, ...]:
     """Raise :class:`InputError` naming file and element for a robot's XML that asks for too much, is not well-formed, or names what is
-    no regular file (a pipe, a device): its reader would wait for ever. ``text``: what a file's macros became, instead of the file.
+    no regular file (a pipe, a device): its reader would wait forever. ``text``: what a file's macros became, instead of the file.
 
     Returns the file and those that it names, as far as they are there."""
     known, found = _walked(path, text), {path: None}

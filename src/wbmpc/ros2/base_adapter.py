@@ -77,7 +77,7 @@ class BaseAdapter(Protocol):
     node's own thread now and then, looks for those that would take too long in a tick.
     ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localization's pose at every tick;
     after ``relocate`` the next one says where the robot is, whatever was known before. ``origin``: when [s] the runner's clock was 0,
-    on the one behind it, which goes on from run to run. ``begin`` makes controller and MPC anew for a run
+    on the one behind it, which goes on from run to run. ``begin`` makes a new controller and MPC for a run
     from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``leg_commands``: what takes orders to
     the legs from the bus, None without hinges: ``ready()`` says why none can be taken, ``now()`` how brakes and legs are.
     ``obstacles``: what the MPC keeps clear of (:func:`obstacles_of` the settings); None: of nothing.

@@ -5,12 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from wbmpc.errors import InputError
-
-if TYPE_CHECKING:
-    from wbmpc.ros2.parameters import Parameters
+from wbmpc.ros2.parameters import Parameters
 
 BACK_ENDS = ("auto", "rclpy", "dds")
 #: Characters of a name of a topic: with the prefix of its kind DDS takes 255.

@@ -24,7 +24,7 @@ _BASE |= dict.fromkeys(("octet", "byte", "char"), idl_types.uint8)
 @cache
 def shared_message_class(distribution: str, kind: str, header: tuple[tuple[str, Any], ...]) -> type:
     """One class for all topics of a type in the process: DDS takes every class for a type of its own with the same hash, and its
-    table of types, which holds 32 of those, would grow for ever."""
+    table of types, which holds 32 of those, would grow forever."""
     return message_class(types(distribution), kind, dict(header))
 
 

@@ -40,7 +40,7 @@ class BusClock:
         self.source = OneSource("/clock")
 
     def set(self, time_of_bus: float, source: Source | None = None) -> None:
-        """The bus's time [s] is now this, says a publisher. Time that goes back is a simulator that was started anew."""
+        """The bus's time [s] is now this, says a publisher. Time that goes back is a simulator that was restarted."""
         if not self.source.takes(source):
             return
         with self._changed:

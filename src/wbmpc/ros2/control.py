@@ -48,7 +48,7 @@ _RECORDS = 4000
 
 
 class ControlNode:
-    """``state``: what it does, as a message. A goal starts it, also anew after a stop; nothing moves before.
+    """``state``: what it does, as a message. A goal starts it, also after a stop; nothing moves before.
 
     Clocks: the wall's, or with ``use_sim_time`` the bus's.
     """
@@ -346,11 +346,11 @@ class ControlNode:
         if not isinstance(clock := self.clock, BusClock):
             return
         lost = self._clock_lost()
-        anew = (
-            "the time on /clock went back: the simulator was started anew" if clock.went_back else clock.source.replaced
+        restarted = (
+            "the time on /clock went back: the simulator was restarted" if clock.went_back else clock.source.replaced
         )
-        if self.running and (lost or anew):
-            self._stop_runner(lost or anew)
+        if self.running and (lost or restarted):
+            self._stop_runner(lost or restarted)
         elif lost and self.runner is not None:
             self.robot_io.stop()  # the runner's loop waits for a time that does not come
 

@@ -39,7 +39,8 @@ from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.network import Network
-from wbmpc.ros2.parameters import Parameters, ParameterServices
+from wbmpc.ros2.parameter_services import ParameterServices
+from wbmpc.ros2.parameters import Parameters
 
 _LOG = logging.getLogger("wbmpc")
 _INFO = "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -262,7 +263,7 @@ class DdsNode:
             time.sleep(0.01)
 
     def _announce(self) -> None:
-        """Publish to the graph which node has which readers and writers: anew whenever there is another one. A closed node is gone."""
+        """Publish to the graph which node has which readers and writers: again whenever there is another one. A closed node is gone."""
         size = 24 if self.network.distribution == "humble" else 16
         gid = lambda e: {"data": np.frombuffer(e.guid.bytes.ljust(size, b"\0"), np.uint8)}
         with self._lock:

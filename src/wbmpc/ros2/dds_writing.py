@@ -115,7 +115,7 @@ LOCAL = LocalReaders()
 
 class DdsPublisher:
     """See :class:`wbmpc.ros2.bus.Publisher`. Two threads take turns on one writer: with the interpreter lock held they would
-    wait for each other for ever."""
+    wait for each other forever."""
 
     def __init__(self, writer: DataWriter, types: Types, kind: str, where: Where, node: Any) -> None:
         self._writer, self._types, self._kind = writer, types, kind

@@ -60,7 +60,7 @@ class Track:
 
 @dataclass(frozen=True)
 class EndEffectorTrack:
-    """Positions (n, 3) [m] and quaternions (n, 4) of the hand over times (n,) [s]."""
+    """Positions (n, 3) [m] and quaternions (n, 4) of the end effector over times (n,) [s]."""
 
     times: Array
     positions: Array
@@ -147,7 +147,7 @@ class Planner:
 
     def drive(self, x: Array, t: float, twist: Array, going: Task | None = None) -> Task:
         """The base goes on with a body twist (3), or what of it its speeds can make; the end effector is carried. ``going``: the task under
-        way. A stream of speeds does not begin anew with every message where the robot is by then, always somewhat behind: it would
+        way. A stream of speeds does not restart with every message where the robot is by then, always somewhat behind: it would
         be as slow as that."""
         self._check_moves()
         if self.twist.shape[1] < 3:

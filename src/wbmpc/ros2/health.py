@@ -37,7 +37,7 @@ class Health:
         self._began: tuple[Any, float, int, int, int] | None = None
 
     def update(self) -> None:
-        """Judge anew."""
+        """Judge again."""
         self._check_timing()
         self._check_lean()
 

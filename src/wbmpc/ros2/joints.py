@@ -23,7 +23,7 @@ _AGREE = 0.3
 
 
 class Series(NamedTuple):
-    """How often encoders, and simulations, have begun anew: angles of two series do not say how far a wheel has turned between them, and
+    """How often encoders, and simulations, have restarted: angles of two series do not say how far a wheel has turned between them, and
     in another simulation the robot is at its beginning again."""
 
     encoders: int = 0

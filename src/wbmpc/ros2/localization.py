@@ -27,7 +27,7 @@ POSE_AGE = 0.5
 _POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
 #: Where the robot was is kept for as many ticks: a pose belongs to the time of its stamp.
 _REMEMBERED = 400
-#: Time that goes back by more than this [s] is a clock that was started anew, not rounding.
+#: Time that goes back by more than this [s] is a clock that was restarted, not rounding.
 _ROUNDING = 1e-6
 #: What is known no better is not known at all [m², rad²].
 LARGEST_VARIANCE = 1e12
@@ -133,7 +133,7 @@ class PoseGate:
         self._was.clear()
 
     def note(self, t: float, pose: Array) -> None:
-        """The robot's own estimate (x, y, yaw) at t [s]. Times before the last one are of a clock that was started anew: what was
+        """The robot's own estimate (x, y, yaw) at t [s]. Times before the last one are of a clock that was restarted: what was
         before it is forgotten."""
         if self._was and t < self._was[-1][0] - _ROUNDING:
             self.reset()

@@ -56,7 +56,7 @@ class Network:
 
     def cyclone(self) -> str:
         """Configuration of Cyclone DDS: what rmw_cyclonedds makes, so that both find each other, and besides a shorter lease and
-        peers that are asked for ever."""
+        peers that are asked forever."""
         if self.reach == "SYSTEM_DEFAULT":
             return self.extra
         multicast = "" if self.reach == "SUBNET" else "<General><AllowMulticast>false</AllowMulticast></General>"

@@ -31,7 +31,7 @@ Array = np.ndarray
 Time = Callable[[], float]
 #: Names of obstacles; those of detections go on with the object's.
 DETECTIONS, GRID, POINTS = "detections", "occupancy_grid", "points"
-#: A grid is put anew where its frame has moved by more than this [m, rad].
+#: A grid is placed again where its frame has moved by more than this [m, rad].
 MOVED = 1e-3
 
 
@@ -207,7 +207,7 @@ class ObstacleTopics:
         return ""
 
     def begin(self) -> None:
-        """The plan's time begins anew."""
+        """The plan's time restarts."""
         if self._topics:
             with self._lock:
                 self._place_objects()

@@ -1,20 +1,17 @@
 """Parameters of a node: names and values as in the settings file, those that can be changed and those that cannot.
 
-The back ends offer them: ``rclpy`` by the node's own parameters, ``dds`` by the services of rcl_interfaces (``serve``).
+The back ends offer them: ``rclpy`` by the node's own parameters, ``dds`` by :mod:`wbmpc.ros2.parameter_services`.
 """
 
 from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.ros2.bus import Node, Qos, nothing
-from wbmpc.ros2.convert import error_message, stamp
 
 Value = bool | int | float | str
 #: Numbers and fields of the types of rcl_interfaces/msg/ParameterType that are used here; 0 is "not set".
@@ -24,10 +21,6 @@ TYPES: dict[type, tuple[int, str]] = {
 _READ = {number: field for number, field in TYPES.values()}
 #: The other types: no parameter here has them.
 _ARRAYS = {5: "bytes", 6: "bools", 7: "integers", 8: "doubles", 9: "strings"}
-#: More than any node here has.
-MAX_ASKED = 200
-#: As of ROS 2's own publishers of parameter events.
-_EVENTS = Qos(depth=1000)
 
 
 @dataclass
@@ -62,7 +55,7 @@ class Parameters:
             raise unknown_name("parameter", name, self.known)
         p = self.known[name]
         if p.read_only:
-            raise InputError(f"parameter '{name}' is read-only: set it in the settings file and start anew")
+            raise InputError(f"parameter '{name}' is read-only: set it in the settings file and restart")
         target = type(p.value)
         if target is float and type(value) is int:
             value = float(value)
@@ -123,76 +116,3 @@ def descriptor_of(p: Parameter) -> dict[str, Any]:
         "name": p.name, "type": TYPES[type(p.value)][0], "description": p.description, "read_only": p.read_only,
         "floating_point_range": ends,
     }  # fmt: skip
-
-
-def _few(asked: list[Any]) -> list[Any]:
-    """What a request asks for. Raises :class:`InputError` if that is too much at once."""
-    if len(asked) > MAX_ASKED:
-        raise InputError(f"a request for {len(asked)} parameters at once; valid: at most {MAX_ASKED}")
-    return asked
-
-
-def _failed(reason: str) -> dict[str, Any]:
-    """A rcl_interfaces/msg/SetParametersResult."""
-    return {"successful": False, "reason": reason}
-
-
-class ParameterServices:
-    """The services of rcl_interfaces for a node that has none, and /parameter_events."""
-
-    def __init__(self, node: Node, name: str, parameters: Parameters) -> None:
-        self.parameters, self.name = parameters, f"/{name}"
-        self._events = node.publisher("/parameter_events", "rcl_interfaces/msg/ParameterEvent", _EVENTS)
-        self._publish_event("new_parameters", list(parameters.known))
-        for service, kind, answer, rejected in (
-            ("get_parameters", "GetParameters", self._get, nothing),
-            ("get_parameter_types", "GetParameterTypes", self._types, nothing),
-            ("set_parameters", "SetParameters", self._set, lambda why: {"results": [_failed(why)]}),
-            (
-                "set_parameters_atomically",
-                "SetParametersAtomically",
-                self._set_all,
-                lambda why: {"result": _failed(why)},
-            ),
-            ("list_parameters", "ListParameters", self._list, nothing),
-            ("describe_parameters", "DescribeParameters", self._describe, nothing),
-        ):
-            # in the node's own thread: a flood of requests does not delay the robot's states
-            node.serve(f"{self.name}/{service}", f"rcl_interfaces/srv/{kind}", answer, deferred=True, rejected=rejected)
-
-    def _value(self, name: str) -> Value | None:
-        p = self.parameters.known.get(name)
-        return None if p is None else p.value
-
-    def _get(self, request: Any) -> dict[str, Any]:
-        return {"values": [message_of(self._value(n)) for n in _few(request.names)]}
-
-    def _types(self, request: Any) -> dict[str, Any]:
-        return {"types": [message_of(self._value(n))["type"] for n in _few(request.names)]}
-
-    def _describe(self, request: Any) -> dict[str, Any]:
-        known = self.parameters.known
-        return {"descriptors": [descriptor_of(known[n]) if n in known else {"name": n} for n in _few(request.names)]}
-
-    def _list(self, request: Any) -> dict[str, Any]:
-        names = self.parameters.names(_few(request.prefixes), int(request.depth))
-        prefixes = sorted({n.rpartition(".")[0] for n in names} - {""})
-        return {"result": {"names": names, "prefixes": prefixes}}
-
-    def _set(self, request: Any) -> dict[str, Any]:
-        return {"results": [self._change({p.name: value_of(p.value)}) for p in _few(request.parameters)]}
-
-    def _set_all(self, request: Any) -> dict[str, Any]:
-        return {"result": self._change({p.name: value_of(p.value) for p in _few(request.parameters)})}
-
-    def _change(self, values: dict[str, Any]) -> dict[str, Any]:
-        try:
-            self.parameters.set(values)
-        except Exception as error:
-            return _failed(error_message(error))
-        self._publish_event("changed_parameters", list(values))
-        return {"successful": True}
-
-    def _publish_event(self, what: str, names: list[str]) -> None:
-        changed = [{"name": n, "value": message_of(self._value(n))} for n in names]
-        self._events.publish({"stamp": stamp(time.time()), "node": self.name, what: changed})

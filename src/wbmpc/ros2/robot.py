@@ -32,7 +32,7 @@ _LOG = logging.getLogger("wbmpc")
 ZEROS = 1.0
 #: Two messages whose stamps differ by less than this [s] are of one moment.
 _TOGETHER = 1e-6
-#: Time that goes back by more than this [s] is of another clock: a simulator that was started anew, or a clock that was set.
+#: Time that goes back by more than this [s] is of another clock: a simulator that was restarted, or a clock that was set.
 _BACK = 0.02
 #: How fast the difference of two machines' clocks may grow [s/s].
 _CLOCK_DRIFT = 1e-4
@@ -173,17 +173,17 @@ class BusRobot:
         """Joint states of another publisher, or of a simulated time that went back to joints elsewhere, are of another series: their
         wheels count from elsewhere."""
         back = isinstance(self.clock, BusClock) and now.stamp < before.stamp - _BACK
-        anew = back and (self._replaced or self._reader.apart(before, now))
-        if not (self._replaced or anew):
+        restarted = back and (self._replaced or self._reader.apart(before, now))
+        if not (self._replaced or restarted):
             return
-        self._series, self._replaced = Series(self._series.encoders + 1, self._series.simulations + anew), False
+        self._series, self._replaced = Series(self._series.encoders + 1, self._series.simulations + restarted), False
         why = (
             "their time went back: the odometry begins at its origin"
-            if anew
+            if restarted
             else "their publisher was replaced: the odometry goes on without what wheels turned meanwhile"
         )
         topic = self.settings.topics.joint_states
-        self._limit.log(_LOG, logging.WARNING, "series", f"the joint states on {topic} begin anew, {why}")
+        self._limit.log(_LOG, logging.WARNING, "series", f"the joint states on {topic} restart, {why}")
 
     def _forget_imu(self) -> None:
         """The next readings are another publisher's."""

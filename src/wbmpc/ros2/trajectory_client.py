@@ -50,7 +50,7 @@ def senders(node: Node, robot: RobotModel, settings: RosSettings) -> list[Sender
 
 
 class TrajectorySender:
-    """One controller that follows trajectories: what the policy plans for its joints, sent anew at a rate."""
+    """One controller that follows trajectories: what the policy plans for its joints, sent again at a rate."""
 
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings, controller: Controller) -> None:
         self._to = node.publisher(controller.topic, controller.type, DEFAULT)

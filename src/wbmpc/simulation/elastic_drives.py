@@ -31,7 +31,7 @@ class ElasticDrives:
 
     ``stiffness`` k [N m/rad], ``rotor`` J [kg m²]. With the joint held, ``spring_damping`` is the damping ratio of the rotor on
     its spring without a loop, which gives d; ``gain`` g and ``loop_damping`` (ratio that the loop adds to that of the spring,
-    which gives c) are the torque loop's. ``limit`` [N m] cuts the wanted torques, ``lag`` [s] is their first-order lag,
+    which gives c) are the torque loop's. ``limit`` [N m] cuts the target torques, ``lag`` [s] is their first-order lag,
     ``timestep`` [s] that of the physics: the loop runs once a step. ``traction`` [N m]: what reaches the joint at most (left out:
     everything). Raises :class:`InputError` for a spring without a rotor.
     """

@@ -133,7 +133,7 @@ class SimulatedObstacles:
                 continue
             self._known.add(one.name)
             seen = dict(one.place)
-            if moves:  # seen anew all the time: what is not known of its velocity counts from now on
+            if moves:  # seen again all the time: what is not known of its velocity counts from now on
                 seen["position"] = Snapshot().pose(obstacle, np.array([t]))[0][0]
             world.set(one.name, one.shape, seen=max(t, one.appears) if moves else one.appears, frame=SCENE, **seen)
 

@@ -31,8 +31,8 @@ class RigidDrives(_Choice):
 class SeriesElasticDrives(_Choice):
     """Torque drives behind springs (:mod:`wbmpc.simulation.elastic_drives`). ``wheel_spring`` [N m/rad]: stiffness at the wheels;
     ``arm_spring`` [N m/rad]: stiffness at the arm's joints; ``wheel_rotor`` [kg m²]: a wheel drive's rotor, at the joint; ``arm_rotor``
-    [kg m²]: an arm drive's rotor, at the joint; ``spring_damping``: damping ratio of the springs; ``torque_gain``: of the torque loop;
-    ``torque_damping``: of the torque loop. Their figures are assumed: none are published."""
+    [kg m²]: an arm drive's rotor, at the joint; ``spring_damping``: damping ratio of the springs; ``torque_gain``: gain of the torque loop;
+    ``torque_damping``: damping of the torque loop. Their figures are assumed: none are published."""
 
     kind: Literal["elastic"] = "elastic"
     wheel_spring: float = Field(default=40.0, gt=0, le=1e9)
@@ -68,29 +68,33 @@ class Perturbation(BaseModel):
 
     Each plant declares which of them it reads (:meth:`check_read`): asking it for another one is an error.
 
-    ``mass``: of bodies, relative; ``inertia``: of bodies, relative; ``com_offset`` [m]: of centers of mass, per axis; ``joint_offset`` [rad]: zeros
-    of the encoders of hinges and arm; ``steer_offset`` [rad]: zeros of the steering encoders (measured = true + offset);
-    ``wheel_radius_each``: relative, wheel by wheel; ``wheel_radius``: relative, common to all wheels.
+    ``mass``: relative error of the bodies' masses; ``inertia``: relative error of the bodies' inertias; ``com_offset`` [m]: shift of
+    centers of mass, per axis; ``joint_offset`` [rad]: zero errors of the encoders of hinges and arm; ``steer_offset`` [rad]: zero
+    errors of the steering encoders (measured = true + offset); ``wheel_radius_each``: relative error of the wheel radius, wheel by
+    wheel; ``wheel_radius``: relative error of the wheel radius, common to all wheels.
 
-    ``actuator_time_constant`` [s]: lag of the drives; ``actuator_time_constant_spread``: its relative spread, drive by drive;
-    ``dry_friction`` [N m]: of wheel and steer joints (scrub and rolling loss); ``brake_delay`` [s]: from open to closed and back;
-    ``friction``: coefficient of the floor, a range or one number; ``torsional_friction`` [m]: about the vertical, of what rolls on the
-    floor in one point, a torque over a weight, not drawn.
+    ``actuator_time_constant`` [s]: lag of the drives; ``actuator_time_constant_spread``: relative spread of the lag, drive by drive;
+    ``dry_friction`` [N m]: dry friction of wheel and steer joints (scrub and rolling loss); ``brake_delay`` [s]: time that a brake
+    takes to open and to close; ``friction``: coefficient of the floor, a range or one number; ``torsional_friction`` [m]: friction
+    about the vertical of what rolls on the floor at one point, as torque over weight.
 
-    ``encoder_jitter`` [s]: the values of a message are up to this old; ``encoder_counts``: per turn of wheel, steer and leg, 0: exact;
-    ``arm_counts``: per turn of the arm, 0: exact; ``steer_noise`` [rad]: standard deviation of the steering encoders per message. The
-    inertial unit is of the order of an ADIS16448: ``gyro_noise`` [rad/s/√Hz]: density of its noise; ``gyro_bias`` [rad/s]: bias at the
-    start; ``gyro_walk`` [rad/s/√s]: random walk of the bias; ``accel_noise`` [m/s²/√Hz]: density of the accelerometer's noise;
-    ``accel_bias`` [m/s²]: its bias at the start; ``accel_walk`` [m/s²/√s]: random walk of its bias. An idealized state sensor has
-    ``state_age`` [s]: age of its message; ``position_noise`` [m]: noise of its positions; ``angle_noise`` [rad]: noise of its angles;
-    ``speed_noise`` [m/s]: noise of its speeds; ``rate_noise`` [rad/s]: noise of its angular rates.
+    ``encoder_jitter`` [s]: the values of a message are up to this old; ``encoder_counts``: encoder counts per turn of wheel, steer and
+    leg, 0: exact; ``arm_counts``: encoder counts per turn of the arm's joints, 0: exact; ``steer_noise`` [rad]: standard deviation of
+    the steering encoders per message. The inertial unit is of the order of an ADIS16448: ``gyro_noise`` [rad/s/√Hz]: noise density of
+    the gyro; ``gyro_bias`` [rad/s]: bias of the gyro at the start; ``gyro_walk`` [rad/s/√s]: random walk of the gyro's bias;
+    ``accel_noise`` [m/s²/√Hz]: density of the accelerometer's noise; ``accel_bias`` [m/s²]: bias of the accelerometer at the start;
+    ``accel_walk`` [m/s²/√s]: random walk of the accelerometer's bias. An idealized state sensor has ``state_age`` [s]: age of the state
+    sensor's message; ``position_noise`` [m]: noise of the state sensor's positions; ``angle_noise`` [rad]: noise of the state sensor's
+    angles; ``speed_noise`` [m/s]: noise of the state sensor's speeds; ``rate_noise`` [rad/s]: noise of the state sensor's angular
+    rates.
 
-    Torque drives, and not spreads: ``actuator_dead_time`` [s]: of the drives, whole physics steps; ``drives``: rigid, or elastic
+    Torque drives, and not spreads: ``actuator_dead_time`` [s]: dead time of the drives, whole physics steps; ``drives``: rigid, or elastic
     (:class:`SeriesElasticDrives`).
 
-    Not spreads but values that the planner does not know of: ``payload`` [kg]: at the tool, its weight is not fed forward to the arm's
-    drives; ``body_payload`` [kg]: on the body; ``slope`` [rad]: of the floor, its direction is drawn; ``brake_fault``: none, or a
-    brake that stays open or closed (:class:`StuckBrake`); ``floor_cables`` [m]: height of a grid of cables on the floor.
+    Not spreads but values that the planner does not know of: ``payload`` [kg]: unknown mass at the tool, whose weight is not fed
+    forward to the arm's drives; ``body_payload`` [kg]: unknown mass on the body; ``slope`` [rad]: slope of the floor, in a random
+    direction; ``brake_fault``: none, or a brake that stays open or closed (:class:`StuckBrake`); ``floor_cables`` [m]: height of a grid
+    of cables on the floor.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -44,7 +44,7 @@ compiled = LIBRARY.step
 #: Rejected plans in a row from which on the next solve goes on from the rejected one. Rows that move fast reject up to three, and
 #: then the plan before is where to start from; after more it is so old that the same rejection comes back.
 STUCK = 4
-#: Where the next solve starts: from its own iterate, from the last good plan, anew from the observation.
+#: Where the next solve starts: from its own iterate, from the last good plan, again from the observation.
 GO_ON, RESUME, RESTART = 0, 1, 2
 
 

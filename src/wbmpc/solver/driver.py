@@ -226,7 +226,7 @@ def update_merit(
     kkt, last_kkt = optimality
     if drop > 1e-10:
         penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
-    # Where differences of the cost drown in rounding, the KKT residual shows that Gauss-Newton overshoots.
+    # Where differences of the cost are lost in rounding, the KKT residual shows that Gauss-Newton overshoots.
     invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
     first = max(0.5 * first, 0.01) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
     return penalty, first
@@ -309,13 +309,8 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
     level, last_mu = s[Setting.BARRIER], m[o[STATE] + StateField.BARRIER]
     bias = 0.0 if last_mu >= s[Setting.INITIAL_BARRIER] else np.inf
     state, limit, hold = o[STATE], int(s[Setting.ITERATIONS]), m[o[STATE] + StateField.HOLD_INPUTS]
-    again = (
-        row_count(o) > 0
-        and (
-            s[Setting.COMPUTE_KKT] > 0.0 or (s[Setting.MAX_EXTRA_ITERATIONS] > 0.0 and s[Setting.ROLLOUT_RESTART] > 0.0)
-        )
-        and s[Setting.SINGLE_SHOOTING] == 0.0
-    )
+    restarts = s[Setting.MAX_EXTRA_ITERATIONS] > 0.0 and s[Setting.ROLLOUT_RESTART] > 0.0
+    again = row_count(o) > 0 and (s[Setting.COMPUTE_KKT] > 0.0 or restarts) and s[Setting.SINGLE_SHOOTING] == 0.0
     most, other = limit + int(s[Setting.MAX_EXTRA_ITERATIONS]), True
     while it < limit:
         row = it * LOG_COLUMNS

@@ -1,7 +1,7 @@
 """Compiled code that detects, in real time, constraints that cannot be met together.
 
 **Which rows.** Rows with multipliers: augmented Lagrangians, equalities of the state alone and of the end of the horizon. A step
-need not meet them; their multipliers grow until it does. Where they contradict each other, multipliers grow for ever, so that
+need not meet them; their multipliers grow until it does. Where they contradict each other, multipliers grow forever, so that
 "not met yet" and "cannot be met" have to be distinguished while only one iteration is done per solve. Compiled solver only.
 
 **The certificate.** Let v be changes of the inputs beyond the policy's feedback that keep the dynamics and the rows of the Riccati
@@ -293,7 +293,7 @@ def squared_residual(m: Floats, o: Integers) -> float:
 
 @compiled
 def undo_multiplier_update(m: Floats, o: Integers) -> None:
-    """Multipliers as they were before the last full step: those of rows that contradict each other would grow for ever."""
+    """Multipliers as they were before the last full step: those of rows that contradict each other would grow forever."""
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         for j in range(boxes + general):

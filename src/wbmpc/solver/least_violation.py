@@ -5,7 +5,7 @@ violation alone is minimized from where it ended, φ(z) = ½ Σ gap² + ½ Σ mi
 Levenberg and Marquardt (Nocedal and Wright 2006, section 10.3). Where φ becomes zero the constraints can be met. Where its gradient
 Jᵀ F vanishes before, measured by the cosine between F and each column of J, which no unit of a variable changes, no small change
 of the motion makes the constraints hold better: they contradict each other, at least near there (section 17.2: what a penalty
-method ends at with multipliers that grow for ever).
+method ends at with multipliers that grow forever).
 """
 
 from __future__ import annotations

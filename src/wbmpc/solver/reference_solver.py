@@ -120,7 +120,7 @@ class InterpretedSolver(InterpretedLineSearch):
             rows.start(mu, min_slack, keep, keep_slacks)
 
     def reset(self) -> None:
-        """Slacks and multipliers start anew."""
+        """Slacks and multipliers restart."""
         state = self.ws.state
         state[[StateField.MAX_STEP, StateField.INFEASIBLE_SOLVES, StateField.BLOCKED_RESIDUAL]] = 0.0
         state[StateField.BLOCKED_TIME], state[StateField.CONVERGED] = 0.0, 0.0
@@ -199,7 +199,7 @@ class InterpretedSolver(InterpretedLineSearch):
             run.level = max(0.2 * self.mu, c.min_barrier) if last else run.level
             self.mu, run.first, run.last_kkt = next_mu.python(self.mu, run.level, 0.0, self.mu), 1.0, np.inf
             return None
-        if run.again and self._starts_anew(x0, c):
+        if run.again and self._restarts(x0, c):
             run.again, run.limit, run.last_kkt, run.first = False, run.limit + 1, np.inf, 1.0
             return None
         if run.count < c.iterations + c.max_extra_iterations and self._raises_barrier(c):
@@ -238,7 +238,7 @@ class InterpretedSolver(InterpretedLineSearch):
             rows.raise_multipliers(self.mu)
         return True
 
-    def _starts_anew(self, x0: np.ndarray, c: Any) -> bool:
+    def _restarts(self, x0: np.ndarray, c: Any) -> bool:
         """As restart_from_rollout of the compiled solver."""
         rows = self.own[0]
         ahead = np.where(rows.hard & ~rows.bounds_inputs, -(rows.h + rows.change), 0.0)

@@ -189,7 +189,7 @@ class SQP:
 
     @property
     def max_iterations(self) -> int:
-        """Rows that the iteration log needs: a start anew, and a last time with inputs held within rows, come on top."""
+        """Rows that the iteration log needs: a restart, and a last time with inputs held within rows, come on top."""
         return self.iterations + max(int(self.interior_point.max_extra_iterations), 0) + 2
 
     @property

@@ -12,9 +12,9 @@ import numpy as np
 
 from wbmpc.kernel import Kernel
 from wbmpc.kernel.compiled import ADDRESSES as FUNCTIONS
-from wbmpc.kernel.compiled import Sizes
 from wbmpc.kernel.dense import pad
 from wbmpc.kernel.ir import LANES
+from wbmpc.kernel.sizes import Sizes
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.constraint_classification import BoxRow, Kind, Row
 

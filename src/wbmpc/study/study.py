@@ -171,7 +171,7 @@ class Study:
         return Store(self.out).table(columns)
 
     def report(self) -> Summary:
-        """Statistics of what is finished, as data; ``statistics.json`` and the page ``index.html`` are written anew."""
+        """Statistics of what is finished, as data; ``statistics.json`` and the page ``index.html`` are rewritten."""
         d = self.definition
         found = summarize(
             d.title, self.combinations, self.table(), self.planned, d.metrics, d.compare_with, d.larger_is_better

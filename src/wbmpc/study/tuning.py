@@ -178,7 +178,7 @@ class Tuner:
                 progress(len(self.finished) / self.tuning.trials, self._text())
 
     def _requeue(self) -> None:
-        """Trials that were going on when a process was killed are begun anew with their settings."""
+        """Trials that were going on when a process was killed are restarted with their settings."""
         optuna = _optuna()
         for old in self._found.get_trials(deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)):
             self._found.tell(old.number, state=optuna.trial.TrialState.FAIL)

@@ -29,9 +29,9 @@ Way = Annotated[float, Field(ge=0, le=1000)]
 
 
 class GoalsSettings(TaskSettings):
-    """``count``: of goals; ``time_per_goal`` [s]: from a goal to the next; ``distance`` [m]: least and largest from one goal to the next, of
-    a base that moves; ``posture``: how far arm joints are from home, as a share of the way to their stops; ``tolerance`` [m]: within
-    which a goal is reached."""
+    """``count``: number of goals; ``time_per_goal`` [s]: time from one goal to the next; ``distance`` [m]: least and largest from one
+    goal to the next, of a base that moves; ``posture``: how far arm joints are from home, as a share of the way to their stops;
+    ``tolerance`` [m]: within which a goal is reached."""
 
     count: int = Field(4, ge=1, le=1000)
     time_per_goal: float = Field(10.0, gt=0, le=600)

@@ -115,8 +115,7 @@ def closed_loop(
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
     _start_at_home(robot, mpc)
-    if scene is None and settings.obstacles is not None:
-        scene = load_scene(settings.obstacles)
+    scene = load_scene(settings.obstacles) if scene is None and settings.obstacles is not None else scene
     around = SimulatedObstacles(scene, robot.description.base.ground) if scene is not None else None
     system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
     joints = JointRecord(log, robot, system)

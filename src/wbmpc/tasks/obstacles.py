@@ -67,8 +67,8 @@ Angle = Annotated[float, Field(ge=0.0, le=3.15)]
 
 
 class Moving(Among):
-    """``people``: how many walk; ``speeds`` [m/s]: the smallest and the largest of theirs; ``angles`` [rad]: the smallest and the largest to the
-    path, to its left or right; 0 comes from behind, pi head-on."""
+    """``people``: number of people that walk; ``speeds`` [m/s]: the smallest and the largest of theirs; ``angles`` [rad]: the smallest
+    and the largest to the path, to its left or right; 0 comes from behind, pi head-on."""
 
     people: int = Field(4, ge=1, le=50)
     speeds: tuple[Speed, Speed] = (0.2, 1.5)
@@ -83,9 +83,10 @@ class Sudden(Among):
 
 
 class Corridor(Among):
-    """``width`` [m]: between the walls; ``long`` [m]: length of the walls; ``offset`` [m]: of its middle, to the left of where the robot would
-    go; ``angle`` [rad]: by which it turns off to the left; ``closed``: a dead end; ``chicane`` [m]: after a gap as long as the robot another
-    corridor goes on so far to the left (negative: right). The end effector swings ahead of the base before it enters."""
+    """``width`` [m]: between the walls; ``long`` [m]: length of the walls; ``offset`` [m]: of its middle, to the left of where the
+    robot would go; ``angle`` [rad]: angle by which the corridor turns to the left; ``closed``: a dead end; ``chicane`` [m]: after a gap
+    as long as the robot another corridor goes on so far to the left (negative: right). The end effector swings ahead of the base before
+    it enters."""
 
     path: AnyPath = Line(length=5.0, speed=0.25)
     width: float = Field(0.9, ge=0.1, le=100.0)

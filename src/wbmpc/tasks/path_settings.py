@@ -46,7 +46,7 @@ class Curve:
 class PathSettings(Settings):
     """``length`` [m] of the path (left out: 5, or of a robot whose base stands what its arm can
     follow, up to half its reach); ``direction`` [rad] from straight ahead, in
-    which it begins; ``speed`` [m/s]: along the arc; ``ramp`` [s]: over which the speed rises and falls."""
+    which it begins; ``speed`` [m/s]: along the arc; ``ramp`` [s]: time over which the speed rises and falls."""
 
     length: float | None = Field(None, gt=1e-3, le=1000)
     direction: float = Field(0.0, ge=-6.3, le=6.3)
@@ -118,7 +118,7 @@ class Circle(PathSettings):
 
 class Sine(PathSettings):
     """Straight ahead with waves, which grow over the first fifth. ``amplitude`` [m]: aside (left out: 0.06 of the length); ``lift`` [m]: up
-    and down, with 0.7 times the frequency (left out: 0.02 of the length); ``periods``: of the waves aside."""
+    and down, with 0.7 times the frequency (left out: 0.02 of the length); ``periods``: number of waves to the side."""
 
     kind: Literal["sine"] = "sine"
     amplitude: float | None = Field(None, ge=0, le=100)

@@ -38,7 +38,7 @@ class SensorSettings(Settings):
 
 
 class LidarSensor(SensorSettings):
-    """``channels``: how many elevations have rays; ``columns``: rays around, of each; ``low`` [rad]: the lowest elevation; ``high`` [rad]: the
+    """``channels``: number of elevations that have rays; ``columns``: rays around, of each; ``low`` [rad]: the lowest elevation; ``high`` [rad]: the
     highest."""
 
     channels: int = Field(24, ge=1, le=256)
@@ -48,7 +48,8 @@ class LidarSensor(SensorSettings):
 
 
 class DepthCamera(SensorSettings):
-    """``width``: in pixels; ``height``: in pixels; ``field`` [rad]: of view; ``pitch`` [rad]: downwards."""
+    """``width``: width of the image in pixels; ``height``: height of the image in pixels; ``field`` [rad]: field of view; ``pitch``
+    [rad]: downwards."""
 
     width: int = Field(64, ge=2, le=640)
     height: int = Field(48, ge=2, le=480)
@@ -57,7 +58,7 @@ class DepthCamera(SensorSettings):
 
 
 class MapSettings(Settings):
-    """``size`` [m]: of the window (3); ``cell`` [m]: length of a cell's edge; ``max_age`` [s]: what is older ends in a
+    """``size`` [m]: size of the window (3); ``cell`` [m]: length of a cell's edge; ``max_age`` [s]: what is older ends in a
     stop; ``padding`` [m]: about the robot's own body."""
 
     size: tuple[_Side, _Side, _Side] = (5.0, 5.0, 1.6)

@@ -23,7 +23,8 @@ PICK = ((1.2, 0.0, 0.0), (1.2, 0.0, 0.05), (0.8, 0.0, 0.05))
 
 
 class PickSettings(Among):
-    """The shelf is where ``path`` goes farthest ahead: ``inside`` [m]: how far it goes in; ``opening`` [m] between two boards."""
+    """The shelf is where ``path`` goes farthest ahead: ``inside`` [m]: distance that the end effector moves into the shelf; ``opening``
+    [m] between two boards."""
 
     path: AnyPath = Poses(poses=PICK, speed=0.15)
     inside: float = Field(0.2, ge=0.01, le=5.0)

@@ -45,9 +45,9 @@ KINDS = ("pillar", "box", "shelf", "niche")
 
 
 class RoomSettings(TaskSettings):
-    """``things``: how many stand in the room besides the wall with the door; ``length`` [m]: from the start of the base to its goal; ``width``
-    [m]: of the room; ``door`` [m]: width of the door; ``method``: "mpc" alone, with "alternatives", or along the route of a "planner", which
-    knows all things; ``speed`` [m/s] of the references; ``patience`` [s]: how long they may wait in all."""
+    """``things``: number of obstacles in the room besides the wall with the door; ``length`` [m]: from the start of the base to its goal; ``width``
+    [m]: width of the room; ``door`` [m]: width of the door; ``method``: "mpc" alone, with "alternatives", or along the route of a "planner", which
+    knows all things; ``speed`` [m/s] of the references; ``patience`` [s]: how long the references may wait in total."""
 
     things: int = Field(4, ge=0, le=40)
     length: float = Field(6.0, ge=4.0, le=50.0)

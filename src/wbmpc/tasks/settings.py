@@ -45,10 +45,11 @@ class SimulationSettings(Settings):
 
 
 class TaskMpcSettings(Settings):
-    """Of the MPC; left out (none): as the robot's base type has them. ``rate`` [Hz]: of its updates; ``horizon`` [s]: how far it plans;
-    ``intervals``: of the horizon; ``first_interval`` [s]: of a geometric grid, 0: a uniform one; ``iterations``: per update; ``limits``:
-    whether they are kept as hard constraints; ``model``: "kinematic" plans by speeds, "dynamic" by accelerations, with the loads of all
-    wheels or what else ``stability`` keeps (left out: by accelerations where it keeps something)."""
+    """Of the MPC; left out (none): as the robot's base type has them. ``rate`` [Hz]: update rate of the MPC; ``horizon`` [s]: length of
+    the horizon; ``intervals``: number of intervals of the horizon; ``first_interval`` [s]: of a geometric grid, 0: a uniform one;
+    ``iterations``: solver iterations per update; ``limits``: whether they are kept as hard constraints; ``model``: "kinematic" plans by
+    speeds, "dynamic" by accelerations, with the loads of all wheels or what else ``stability`` keeps (left out: by accelerations where
+    it keeps something)."""
 
     rate: float | None = Field(None, ge=1e-3, le=10_000)
     horizon: float | None = Field(None, gt=0, le=1000)

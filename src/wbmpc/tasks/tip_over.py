@@ -31,10 +31,11 @@ LIFTED, STANDS, REST = 1.0, 0.02, 0.2
 
 
 class TipOverSettings(TaskSettings):
-    """``direction`` [rad] from straight ahead, in which the robot drives and reaches; ``speed`` [m/s]: before it stops; ``ramp`` [s]: until it
-    has the speed; ``cruise`` [s]: from then to the order to stop, after which the end effector is to be where its reference is (by a low
-    weight, or the arm would swing); ``after`` [s]: how long it is watched from then on; ``legs``: configuration of hinged legs (H, X or A), or as at
-    home. Wheels are of one size: a stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever is planned."""
+    """``direction`` [rad] from straight ahead, in which the robot drives and reaches; ``speed`` [m/s]: before it stops; ``ramp`` [s]:
+    until it has the speed; ``cruise`` [s]: from then to the order to stop, after which the end effector is to be where its reference is
+    (by a low weight, or the arm would swing); ``after`` [s]: time for which the robot is watched after the stop; ``legs``:
+    configuration of hinged legs (H, X or A), or as at home. Wheels are of one size: a stiff body on four stiff wheels that differ by
+    0.2 mm stands on three of them, whatever is planned."""
 
     robot: Robot = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)

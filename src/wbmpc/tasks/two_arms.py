@@ -47,7 +47,7 @@ def grasp_of(robot: RobotModel) -> ca.Function:
     a robot with one."""
     if len(robot.tools) < 2:
         raise InputError(
-            f"two-arms: robot: '{robot.description.name}' has one arm; valid: a robot whose file has 'arms' with two, such as pr2"
+            f"two-arms: robot: '{robot.description.name}' has one arm; valid: a robot whose file has 'arms' with two"
         )
     x = ca.SX.sym("x", robot.state.size)
     one, other = (robot.frame_pose(x, frame) for frame in list(robot.tools.values())[:2])

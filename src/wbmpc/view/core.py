@@ -17,7 +17,7 @@ Array = np.ndarray
 
 
 class LiveView(Window):
-    """``wants_reset``: whether the run ended in order to begin anew; ``ended``: whether the user ended it."""
+    """``wants_reset``: whether the run ended in order to restart; ``ended``: whether the user ended it."""
 
     def __init__(self, title: str, host: str, port: int, opened: Callable[[str], None], with_token: bool) -> None:
         super().__init__(title, host, port, opened, with_token)

@@ -22,7 +22,7 @@ class Factor:
         self._points: deque[tuple[float, float]] = deque()
 
     def reset(self) -> None:
-        """The run stood, or begins anew: what was before does not count."""
+        """The run stood, or restarts: what was before does not count."""
         self._points.clear()
 
     def add(self, clock: float, t: float) -> float:

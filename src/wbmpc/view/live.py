@@ -38,7 +38,7 @@ _KEPT = 100_000
 class View(LiveView):
     """A :class:`~wbmpc.simulation.lockstep.Watcher` that shows a run at ``url`` and paces it to the clock.
 
-    ``wants_reset``: whether the run ended in order to begin anew; ``ended``: whether the user ended it; ``steered``: whether
+    ``wants_reset``: whether the run ended in order to restart; ``ended``: whether the user ended it; ``steered``: whether
     its goals, weights, legs or forces were changed.
     ``live``: it also shows what drives before the run, which nobody can steer: its calibration is kept.
     ``opened(url)`` is called once the server answers; no browser is waited for. Times in s.
@@ -181,7 +181,7 @@ class View(LiveView):
             raise EndedByUser("ended in the view")
         if self._asked("resets"):
             self.wants_reset = True
-            raise EndedByUser("begun anew in the view")
+            raise EndedByUser("restarted in the view")
 
     def _steer(self, t: float) -> None:
         if self._before:

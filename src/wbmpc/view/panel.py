@@ -41,7 +41,7 @@ _Line = tuple[str, str, str, float]
 
 
 class Panel:
-    """Widgets of one server; every change writes all orders anew, so that none can be lost."""
+    """Widgets of one server; every change writes all orders again, so that none can be lost."""
 
     def __init__(self, server: viser.ViserServer, requests: Mailbox, controls: Controls) -> None:
         self.server, self._requests, self.controls = server, requests, controls

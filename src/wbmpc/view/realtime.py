@@ -124,7 +124,7 @@ class RealtimeView(LiveView):
     def _reason(self, runner: RealTimeRunner) -> str:
         if runner.stopped:
             return runner.state
-        return "begun anew in the view" if self.wants_reset else "ended in the view"
+        return "restarted in the view" if self.wants_reset else "ended in the view"
 
 
 class _Robot:

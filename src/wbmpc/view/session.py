@@ -28,7 +28,7 @@ def system_of(robot: RobotModel, seed: int) -> System:
 
 
 def run_session(robot_name: str, seed: int, view: View, *others: Watcher) -> Ending:
-    """Run in virtual time, paced to the clock, until the user ends it. A reset, or a fall, begins anew.
+    """Run in virtual time, paced to the clock, until the user ends it. A reset, or a fall, restarts.
 
     ``others`` watch too: a recorder.
     """
@@ -44,7 +44,7 @@ def run_session(robot_name: str, seed: int, view: View, *others: Watcher) -> End
 def run_realtime(robot_name: str, seed: int, view: RealtimeView) -> str:
     """Run the real-time runner on a simulated robot, which has a process of its own, until the user ends it; returns why.
 
-    A reset, or a fall, begins anew. Nothing waits here: controller, MPC, physics and view go by the clock.
+    A reset, or a fall, restarts. Nothing waits here: controller, MPC, physics and view go by the clock.
     """
     while True:
         runner, robot = runner_of(robot_name, seed, view)

@@ -29,7 +29,7 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
-#: A torque that differs from the wanted one by less than this share of its limit was not cut.
+#: A torque that differs from the target by less than this share of its limit was not cut.
 _ROUNDING = 1e-9
 
 

@@ -27,11 +27,11 @@ from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 
 
 class EndEffectorCost(Settings):
-    """Weights of the end effector. ``weight`` [1/m²]: of its position; ``orientation`` [1/rad²]: about its x and y axes; ``roll`` [1/rad²]:
-    about the forearm, which the arm cannot control at rest; ``twist`` [s²/m²]: of linear velocity; ``angular`` [s²/rad²]: of angular
-    velocity; ``limit`` [m]: larger position
-    errors pull no harder (SmoothL1), so that a sudden goal does not ask for more than the wheels' torque; ``turn_limit`` [rad]: the same
-    of orientations."""
+    """Weights of the end effector. ``weight`` [1/m²]: weight of the position; ``orientation`` [1/rad²]: weight of the orientation about
+    the x and y axes of the end effector; ``roll`` [1/rad²]: weight of the rotation about the forearm, which the arm cannot control at
+    rest; ``twist`` [s²/m²]: weight of the linear velocity; ``angular`` [s²/rad²]: weight of the angular velocity; ``limit`` [m]: larger
+    position errors pull no harder (SmoothL1), so that a sudden goal does not ask for more than the wheels' torque; ``turn_limit``
+    [rad]: the same of orientations."""
 
     weight: Weight = 300.0
     orientation: Weight = 60.0
@@ -43,8 +43,9 @@ class EndEffectorCost(Settings):
 
 
 class BodyCost(Settings):
-    """Weights per second. ``ball``: of the ball's position; ``ball_speed``: of its speed; ``yaw``: of the heading; ``yaw_rate``: of its rate;
-    ``tilt_rate``: of the lean's rate; ``arm``: of the arm's posture (against home); ``arm_rate``: of its joint speeds."""
+    """Weights per second. ``ball``: weight of the ball's position; ``ball_speed``: weight of the ball's speed; ``yaw``: weight of the
+    heading; ``yaw_rate``: weight of the heading's rate; ``tilt_rate``: weight of the lean's rate; ``arm``: weight of the arm's posture
+    (against home); ``arm_rate``: weight of the arm's joint speeds."""
 
     ball: Weight = 0.0
     ball_speed: Weight = 1.0
@@ -56,8 +57,8 @@ class BodyCost(Settings):
 
 
 class TorqueCost(Settings):
-    """Weights. ``wheel``: of the wheels' torques; ``arm``: of arm torques beyond what holds the arm where it is; ``force``: of contact forces
-    that are inputs; ``moment``: of their moments."""
+    """Weights. ``wheel``: weight of the wheels' torques; ``arm``: weight of arm torques beyond what holds the arm where it is;
+    ``force``: weight of contact forces that are inputs; ``moment``: weight of contact moments that are inputs."""
 
     wheel: Weight = 0.05
     arm: Weight = 0.005

@@ -49,7 +49,7 @@ def has_jumped(e: Encoders) -> bool:
 
 @step
 def detect_frozen(e: Encoders, h: float, doubted: bool) -> int:
-    """How many encoders, marked in ``standing`` (n), have not moved though they should have; counted anew while that is ``doubted``."""
+    """How many encoders, marked in ``standing`` (n), have not moved though they should have; counted again while that is ``doubted``."""
     count = 0
     for i in range(e.n):
         stands = abs(e.arm[i] - e.anchor[i]) <= e.still and e.arm[i] >= e.low[i] and e.arm[i] <= e.high[i]

@@ -113,7 +113,7 @@ class BallPlant(WorldAccess):
         wheels = WheelGeometry.of(self.base, self.draw.radius)
         sizes, ball = (self.model.nq, self.model.nv), (int(self._ball.qposadr[0]), int(self._ball.dofadr[0]))
         self.sensors = BallSensors(p, self.draw, wheels, self._mount(), timestep, jitter, sensor_rng, sizes, ball)
-        # (views of the simulator's memory: to ask for them anew costs as much as to write into them)
+        # (views of the simulator's memory: to ask for them again costs as much as to write into them)
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
         self.sensors.attach(self._qpos, self._qvel)
         self.servo = ActuatorServo(

@@ -31,7 +31,7 @@ from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
 Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
 HOLD_AFTER = 0.3
-#: Time that goes back by more than this [s] is of another clock: a simulator that was started anew, or a clock that was set.
+#: Time that goes back by more than this [s] is of another clock: a simulator that was restarted, or a clock that was set.
 BACK = 0.02
 #: A robot that is not held turns a joint by the first [rad] within milliseconds, or its base at the second [rad/s].
 TURNED, TURNING = 1e-3, 0.05
@@ -136,7 +136,7 @@ class BusBallController(BallController):
 
 
 def held(policy: Policy, robot: RobotModel, t: float) -> Policy:
-    """Rest, for ever, where a policy plans to be at t [s]: the equilibrium for its arm, with the policy's first gain, which
+    """Rest, forever, where a policy plans to be at t [s]: the equilibrium for its arm, with the policy's first gain, which
     looks farthest ahead (the last ones end with the horizon)."""
     planned = policy.state(t)
     rest, torque = robot.base.numeric.equilibrium(planned[robot.state["arm"]])
@@ -284,7 +284,7 @@ class BallRosAdapter(BaseAdapter):
 
     def stand(self, m: BallMessage) -> None:
         """Before its first run a person, or a stand, holds the robot: upright, as it would balance with its arm as it is. After a
-        run the estimator goes on, wherever the robot rolls or falls, until time goes back or its encoders begin anew."""
+        run the estimator goes on, wherever the robot rolls or falls, until time goes back or its encoders restart."""
         seen, known = self.controller.seen, self._series
         self._series = m.series
         if seen is not None and (m.time < seen.time - seen.age - BACK or m.series != known):
@@ -304,7 +304,7 @@ class BallRosAdapter(BaseAdapter):
         self._standing = m.time + m.origin, x
 
     def _reset(self, x: Array) -> None:
-        """Nothing is known between times of two clocks: a person holds the robot again. A simulator that was started anew has put
+        """Nothing is known between times of two clocks: a person holds the robot again. A simulator that was restarted has put
         it where its odometry begins; who has a clock that was set is where state x (nx) says."""
         simulated = self.settings.use_sim_time or self.settings.lockstep
         self._place, self._standing = np.zeros(3) if simulated else x[:3].copy(), None

@@ -188,5 +188,5 @@ class EncoderMonitor:
 
 
 def _ends(name: str) -> float:
-    """How long [s] this may be said without an end of the run; of wheels for ever."""
+    """How long [s] this may be said without an end of the run; of wheels forever."""
     return ENDS.get(_general(*name.split()), np.inf)

@@ -16,7 +16,7 @@ from wbmpc.settings import MpcSettings, Settings
 #: One set of weights for fast steps of the end effector and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
 #: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
 #: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
-#: swings from limit to limit for ever.
+#: swings from limit to limit forever.
 STEPS_AND_PUSHES = RezeroCost(
     end_effector=EndEffectorCost(weight=450.0, orientation=80.0, turn_limit=0.2),
     body=BodyCost(tilt_rate=3.0, arm=1.0),

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.base import Base, BaseType, Calibration, System
+from wbmpc.bases.planar_motion.calibration import fit_errors
 from wbmpc.bases.planar_motion.model import PlanarBase
-from wbmpc.bases.planar_motion.wheel_errors import WheelErrors, fit_errors
+from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.bases.planar_motion.wheels import FixedWheels, check_wheels, read_wheels, wheel_radius
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Tree, read_tree

@@ -33,9 +33,9 @@ from wbmpc.ros2.settings import drive_groups
 
 Array = np.ndarray
 #: Without messages for longer than this [s] there is a gap; encoders that moved by more than their largest speed over it, and this
-#: [rad] besides, have begun anew.
+#: [rad] besides, have restarted.
 GAP, REST = 0.1, 0.5
-#: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that begin anew.
+#: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that restart.
 SLIP, TURN, UNSEEN = 0.01, 0.02, np.array([0.02, 0.02, 0.05])
 
 
@@ -55,81 +55,82 @@ class References(dict[str, Reference]):
     carried = False
 
 
-def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
-    """The same controller with what a bus brings along: gaps, encoders that begin anew, poses of another localization.
+class BusController(PlanarController):
+    """What a bus brings along for a controller: gaps, encoders that restart, poses of another localization.
 
     ``seen``: the newest measurement with the pose that belongs to it, for other threads; ``covariance`` (3, 3) of the pose in the world.
     """
 
-    class BusController(kind):  # type: ignore[valid-type, misc]
-        seen: tuple[BusMeasurement, Array, Array] | None = None
-        fix: Callable[[], Fix | None] | None = None
-        placed = False
-        _series: Series | None = None
+    seen: tuple[BusMeasurement, Array, Array] | None = None
+    fix: Callable[[], Fix | None] | None = None
+    placed = False
+    _series: Series | None = None
 
-        def __init__(self, *args: Any, **keys: Any) -> None:
-            super().__init__(*args, **keys)
-            self.covariance: Array = np.zeros((3, 3))
-            self.speed: Array = np.zeros(3)
+    def __init__(self, *args: Any, **keys: Any) -> None:
+        super().__init__(*args, **keys)
+        self.covariance: Array = np.zeros((3, 3))
+        self.speed: Array = np.zeros(3)
 
-        def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
-            """As the inertial unit's messages between the two say."""
-            return getattr(now, "turning", None) if self.use_gyro else None
+    def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
+        """As the inertial unit's messages between the two say."""
+        return getattr(now, "turning", None) if self.use_gyro else None
 
-        def measure(self, measurement: BusMeasurement) -> None:
-            """Take in the message of this tick, and another localization's pose if there is a new one."""
-            self._follow_series(measurement.series)
-            before, last = self.pose.copy(), self.measured
-            lasting = replace(
-                measurement, time=measurement.time + measurement.origin
-            )  # the runner's clock starts anew with each run
-            interval = 0.0 if last is None else lasting.time - last.time
-            if last is not None and self._began_anew(last, measurement, interval):
-                self.odometry.restart()
-                self.covariance = self.covariance + np.diag(UNSEEN**2)
-            super().measure(lasting)
-            self._note_motion(before, interval)
-            fix = self.fix() if self.fix is not None else None
-            if fix is not None:
-                self._correct(fix[1], fix[2])
-            self.seen = measurement, self.pose.copy(), self.speed
-
-        def _follow_series(self, series: Series) -> None:
-            """Encoders that begin anew move nothing; a simulated robot that begins anew is where its odometry begins."""
-            known, self._series = self._series, series
-            if known is None or series == known:
-                return
-            self.measured, self.placed = None, False  # the next pose of another localization says where it is
+    def measure(self, measurement: BusMeasurement) -> None:  # type: ignore[override]
+        """Take in the message of this tick, and another localization's pose if there is a new one."""
+        self._follow_series(measurement.series)
+        before, last = self.pose.copy(), self.measured
+        # the runner's clock starts at zero with each run
+        lasting = replace(measurement, time=measurement.time + measurement.origin)
+        interval = 0.0 if last is None else lasting.time - last.time
+        if last is not None and self._restarted(last, measurement, interval):
             self.odometry.restart()
             self.covariance = self.covariance + np.diag(UNSEEN**2)
-            if series.simulations != known.simulations:
-                self.odometry.place(np.zeros(3))
-                self.covariance = np.zeros((3, 3))
+        super().measure(lasting)
+        self._note_motion(before, interval)
+        fix = self.fix() if self.fix is not None else None
+        if fix is not None:
+            self._correct(fix[1], fix[2])
+        self.seen = measurement, self.pose.copy(), self.speed
 
-        def _began_anew(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
-            upper = np.where(np.isfinite(self.robot.base.wheel_upper), self.robot.base.wheel_upper, 1e3)
-            return bool(np.any(np.abs(now.wheel - last.wheel) > 2.0 * upper * max(interval, 0.0) + REST))
+    def _follow_series(self, series: Series) -> None:
+        """Encoders that restart move nothing; a simulated robot that restarts is where its odometry begins."""
+        known, self._series = self._series, series
+        if known is None or series == known:
+            return
+        self.measured, self.placed = None, False  # the next pose of another localization says where it is
+        self.odometry.restart()
+        self.covariance = self.covariance + np.diag(UNSEEN**2)
+        if series.simulations != known.simulations:
+            self.odometry.place(np.zeros(3))
+            self.covariance = np.zeros((3, 3))
 
-        def _note_motion(self, before: Array, interval: float) -> None:
-            moved = lie.se2_log(before, self.pose)
-            way, turn = float(np.hypot(*moved[:2])), abs(float(moved[2]))
-            spread = np.array([SLIP * way, SLIP * way, TURN * turn])
-            if interval > GAP:
-                spread = spread + UNSEEN * interval
-            self.covariance = self.covariance + np.diag(spread**2)
-            self.speed = moved / interval if 0.0 < interval <= GAP else np.zeros(3)
+    def _restarted(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
+        upper = np.where(np.isfinite(self.robot.base.wheel_upper), self.robot.base.wheel_upper, 1e3)
+        return bool(np.any(np.abs(now.wheel - last.wheel) > 2.0 * upper * max(interval, 0.0) + REST))
 
-        def _correct(self, pose: Array, covariance: Array) -> None:
-            """By both covariances; a pose without one is exact, and the first one says where the robot is."""
-            ours, exact = self.pose, not covariance.any()
-            error = np.array([*(pose[:2] - ours[:2]), nearest_angle(pose[2], ours[2]) - ours[2]])
-            sure = exact or not self.placed
-            gain = np.eye(3) if sure else self.covariance @ np.linalg.pinv(self.covariance + covariance)
-            self.placed = True
-            self.odometry.place(ours + gain @ error)
-            self.covariance = covariance.copy() if sure else (np.eye(3) - gain) @ self.covariance
+    def _note_motion(self, before: Array, interval: float) -> None:
+        moved = lie.se2_log(before, self.pose)
+        way, turn = float(np.hypot(*moved[:2])), abs(float(moved[2]))
+        spread = np.array([SLIP * way, SLIP * way, TURN * turn])
+        if interval > GAP:
+            spread = spread + UNSEEN * interval
+        self.covariance = self.covariance + np.diag(spread**2)
+        self.speed = moved / interval if 0.0 < interval <= GAP else np.zeros(3)
 
-    return BusController
+    def _correct(self, pose: Array, covariance: Array) -> None:
+        """By both covariances; a pose without one is exact, and the first one says where the robot is."""
+        ours, exact = self.pose, not covariance.any()
+        error = np.array([*(pose[:2] - ours[:2]), nearest_angle(pose[2], ours[2]) - ours[2]])
+        sure = exact or not self.placed
+        gain = np.eye(3) if sure else self.covariance @ np.linalg.pinv(self.covariance + covariance)
+        self.placed = True
+        self.odometry.place(ours + gain @ error)
+        self.covariance = covariance.copy() if sure else (np.eye(3) - gain) @ self.covariance
+
+
+def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
+    """A controller class with what a bus brings along."""
+    return type(kind.__name__, (BusController, kind), {})
 
 
 class PlanarRosAdapter(BaseAdapter):

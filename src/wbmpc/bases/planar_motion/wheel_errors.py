@@ -1,24 +1,14 @@
-"""How far the radii of wheels, and what the base does by them, are from the robot's file; and what a drive shows of that."""
+"""How far the radii of wheels, and what the base does by them, are from the robot's file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.estimation.strokes import Strokes, fit_strokes
-
-if TYPE_CHECKING:
-    from wbmpc.bases.planar_motion.odometry import PlanarOdometry
-
 Array = NDArray[np.float64]
-#: Standard deviations before any measurement (relative): of a radius, and of a speed of the base, which rollers that creep and tracks that
-#: skid make slower.
-RADIUS, SPEED = 0.01, 0.03
-#: The same without calibration: of a radius, as the bias of a gyro is found beside it.
+#: Standard deviation (relative) of a radius without calibration, as the bias of a gyro is found beside it.
 UNSEEN = 0.002
 
 
@@ -53,26 +43,3 @@ class WheelErrors:
         found = UNSEEN**2 * np.eye(rows)
         found[:n, :n] = by @ self.covariance @ by.T
         return found
-
-
-def fit_errors(
-    odometry: Callable[[WheelErrors], PlanarOdometry], size: tuple[int, int], channels: Mapping[str, Array], source: str
-) -> WheelErrors:
-    """What a log's ``channels`` show (:class:`wbmpc.estimation.strokes.Strokes`); ``odometry`` at the origin for errors of (n, m)
-    ``size``."""
-    wheels, _ = size
-    strokes = Strokes.of(channels, source)
-    encoders = channels["wheel"].shape[1]
-    split = lambda errors: WheelErrors(errors[:wheels], errors[wheels:], np.zeros((len(errors), len(errors))))
-
-    def motion(errors: Array, turned: Array) -> tuple[Array, Array]:
-        moving, way = odometry(split(errors)), np.zeros(2)
-        before = moving.pose
-        for k, row in enumerate(turned):
-            moving.turn(float(k), row[:encoders], row[encoders:], None)
-            way += np.hypot(*(moving.pose - before)[:2]), abs(moving.pose[2] - before[2])
-            before = moving.pose
-        return moving.pose, way
-
-    found, covariance = fit_strokes(strokes, motion, np.repeat([RADIUS, SPEED], size), source)
-    return WheelErrors(found[:wheels], found[wheels:], covariance)

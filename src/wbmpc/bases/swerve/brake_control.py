@@ -182,14 +182,14 @@ class BrakeControl:
     def hold(self, until: ArrayLike) -> None:
         """Plan with legs that are kept closed from now on, each until ``until`` (n) [s] (−inf: it is not), whatever is commanded.
 
-        A guard of the legs does that. Commands stay as they are, and count again afterwards. A leg that is held anew is
+        A guard of the legs does that. Commands stay as they are, and count again afterwards. A leg that is held again is
         believed to hold: its brake has a new command.
         """
         held = np.asarray(until, float)
         if held.shape != self._held.shape or np.isnan(held).any() or np.any(held == np.inf):
             raise InputError(f"brakes: hold: {len(self.legs)} times [s] are needed, finite or -inf, got {held}")
-        anew = held > self._held
-        self._known = {leg: k for leg, k in self._known.items() if not anew[leg]}
+        newly_held = held > self._held
+        self._known = {leg: k for leg, k in self._known.items() if not newly_held[leg]}
         self._held = held.copy()
         self._notify_planner()
 
@@ -223,7 +223,7 @@ class BrakeControl:
         return [fault for leg, fault in self._known.items() if t < self._changes(leg, fault.time)]
 
     def reset(self, t: float) -> None:
-        """What was before t [s] is not asked for any more: call it now and then where events go on for ever."""
+        """What was before t [s] is not asked for any more: call it now and then where events go on forever."""
         first = bisect_right(self._events[0], t - self.delay) - 1
         if first > 0:
             times, states = self._events

@@ -105,7 +105,7 @@ class BrakeMonitor:
         self._monitor = bind(monitor_brakes, a, backend, n=n, patience=self.patience, creep=self.creep, **constants)
 
     def restart_clock(self) -> None:
-        """Times start anew: the next update is a first one, of brakes that count as sound again. What was reported stays reported."""
+        """Times restart: the next update is a first one, of brakes that count as sound again. What was reported stays reported."""
         for values in (
             self._since,
             self._anchor,

@@ -120,7 +120,7 @@ class BrakeSupervision:
     def watch(self, t: float, leg: Array, brake: Array, rate: Array) -> None:
         """A tick at t [s] of measured legs (n) [rad]: commanded ``brake`` (n, 1 = open), planned leg rates ``rate`` (n) [rad/s].
 
-        Brakes are judged if the last check is :data:`POLL_PERIOD` ago (within half a period). Times may start anew.
+        Brakes are judged if the last check is :data:`POLL_PERIOD` ago (within half a period). Times may restart.
         """
         if self.monitor is None or not all(map(math.isfinite, rate.tolist())):
             return  # a command that is not finite is rejected, by the name of its drives, before it goes to them
@@ -132,7 +132,7 @@ class BrakeSupervision:
             self._check(self._watched)
 
     def stop(self, leg: Array | None) -> None:
-        """All brakes close: judged is what legs (n) [rad], measured last, have done until now; the guard starts anew."""
+        """All brakes close: judged is what legs (n) [rad], measured last, have done until now; the guard restarts."""
         self._check_before_stop(leg)
         guard = self._guarded()
         if guard is None:

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from wbmpc.bases.swerve.calibration import WheelFit, WheelRecord, fit_wheels
+from wbmpc.bases.swerve.calibration import WheelFit, fit_wheels
+from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.errors import InputError
 from wbmpc.estimation.arm_calibration import calibrate_arm
 from wbmpc.estimation.calibration_file import ARM_KEYS, read_rows
@@ -27,7 +28,7 @@ class SwerveCalibrator:
         self.robot = robot.description.name
 
     def fit(self, channels: Mapping[str, np.ndarray], prior: WheelCalibration, source: str) -> WheelFit:
-        """From ``channels`` as :meth:`wbmpc.bases.swerve.calibration.WheelRecord.of` reads them."""
+        """From ``channels`` as :meth:`wbmpc.bases.swerve.wheel_record.WheelRecord.of` reads them."""
         found = fit_wheels(self.geometry, WheelRecord.of(channels, source), prior=prior)
         found.calibration.check(source, self.geometry, self.names)
         return found

@@ -24,15 +24,15 @@ ROLLING_SOFTNESS = 1e-6
 
 
 class EndEffectorCost(Settings):
-    """Weights of the end effector, per second. ``weight`` [1/m²]: of its position; ``orientation`` [1/rad²]: of its orientation."""
+    """Weights of the end effector, per second. ``weight`` [1/m²]: weight of the position; ``orientation`` [1/rad²]: weight of the orientation."""
 
     weight: Weight = 1000.0
     orientation: Weight = 200.0
 
 
 class StateCost(Settings):
-    """Weights per second. ``position``: of the base's; ``yaw``: of its heading; ``leg``: of leg angles; ``steer``: of steering angles; ``arm``: of
-    the arm's posture."""
+    """Weights per second. ``position``: weight of the base's position; ``yaw``: weight of the base's heading; ``leg``: weight of leg
+    angles; ``steer``: weight of steering angles; ``arm``: weight of the arm's posture."""
 
     position: Weight = 1.0
     yaw: Weight = 5.0
@@ -42,8 +42,8 @@ class StateCost(Settings):
 
 
 class InputCost(Settings):
-    """Weights per second. ``base``: of the twist (against the reference); ``leg``: of leg rates; ``steer``: of steering rates; ``wheel``: of wheel
-    rates; ``arm``: of joint speeds."""
+    """Weights per second. ``base``: weight of the twist (against the reference); ``leg``: weight of leg rates; ``steer``: weight of
+    steering rates; ``wheel``: weight of wheel rates; ``arm``: weight of joint speeds."""
 
     base: Weight = 0.5
     leg: Weight = 1.0

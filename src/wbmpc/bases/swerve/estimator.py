@@ -41,7 +41,7 @@ def known_weights(wheels: WheelCalibration) -> Array | None:
 @dataclass(frozen=True)
 class EstimatorSettings:
     """``calibration``: what is known of the wheels (None: nothing); ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry
-    has one; ``reject_slipping_wheels``: whether it hardly listens to wheels whose way the accelerometer (:class:`InertialVelocity`) or,
+    has one; ``reject_slipping_wheels``: whether it gives little weight to wheels whose way the accelerometer (:class:`InertialVelocity`) or,
     without one, the others contradict (:class:`SlippingWheels`);
     ``arm_offset`` (m) [rad] of the arm's encoders (None: 0); ``smoothing`` [s] of base
     position and arm against the jitter of the encoders' age (0: none)."""

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.slipping_wheels import FEWEST, SHARE
+from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
 from wbmpc.model.wheels import ModuleGeometry
-
-if TYPE_CHECKING:
-    from wbmpc.bases.swerve.calibration import WheelRecord
 
 Array = NDArray[np.float64]
 _LOG = logging.getLogger("wbmpc")

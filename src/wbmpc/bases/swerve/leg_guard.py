@@ -63,7 +63,7 @@ class LegGuard:
         self.restart()
 
     def restart(self) -> None:
-        """No leg is held, times may start anew. What was counted stays counted."""
+        """No leg is held, times may restart. What was counted stays counted."""
         n = self.holds.size
         self.until, self._length = np.full(n, -np.inf), np.full(n, self.hold)
         self._moved, self._planned = np.zeros((2, n))
@@ -83,7 +83,7 @@ class LegGuard:
         """Legs whose ``until`` is another one after measured angles ``leg`` (n) [rad] at t [s], planned rates ``rate`` (n) [rad/s]
         since the last update; which brakes (n, 1 = open) are commanded to be open.
 
-        Raises :class:`InputError` for what is not finite or of another length. Time that goes back starts anew.
+        Raises :class:`InputError` for what is not finite or of another length. Time that goes back restarts.
         """
         who, n = "leg guard", self.holds.size
         finite(who, time=t)

@@ -51,7 +51,7 @@ class BusMeasurement(SwerveMeasurement):
 
 
 class BusEstimator(SwerveEstimator):
-    """On a bus: another localization's poses come from ``fix``, and clocks start anew. ``seen``: the newest measurement with the pose
+    """On a bus: another localization's poses come from ``fix``, and clocks restart. ``seen``: the newest measurement with the pose
     that belongs to it, for other threads; ``placed``: whether some pose has said where the robot is."""
 
     seen: tuple[SwerveMeasurement, Array] | None = None
@@ -71,7 +71,7 @@ class BusEstimator(SwerveEstimator):
         self.seen = measurement, self.odometry.pose
 
     def _follow_clock(self, measurement: SwerveMeasurement) -> None:
-        """The runner's clock starts anew with each run, and the estimate goes on."""
+        """The runner's clock restarts with each run, and the estimate goes on."""
         origin = getattr(measurement, "origin", 0.0)
         if self._origin is not None and origin != self._origin:
             self.odometry.move_clock(self._origin - origin)
@@ -80,7 +80,7 @@ class BusEstimator(SwerveEstimator):
             self.odometry.bridge(measurement.time)
 
     def _follow_series(self, measurement: SwerveMeasurement) -> None:
-        """Encoders that begin anew move nothing; a simulated robot that begins anew is where its odometry begins."""
+        """Encoders that restart move nothing; a simulated robot that restarts is where its odometry begins."""
         series, known = getattr(measurement, "series", None), self._series
         self._series = series
         if series == known or series is None or known is None:

@@ -50,7 +50,7 @@ def speed(twist: np.ndarray) -> np.ndarray:
 
 
 #: A wheel is lost that rolls at least so fast [m/s] and points so far [rad] from its direction for so long [s], longer than a turn
-#: takes; how often [s] the plan is checked, and how long it is left alone after it was written anew.
+#: takes; how often [s] the plan is checked, and how long it is left alone after it was rewritten.
 ROLLS, OFF, LOST, POLL_PERIOD, WRITTEN = 0.05, 0.3, 0.9, 0.1, 0.6
 #: Cost [m] of a stop besides the way that it loses: no stop without a reason.
 STOP = 1e-3

@@ -31,8 +31,8 @@ ALIGN_GAIN = 15.0
 class TrackingSettings:
     """``lag`` [s] of the drives, first order: the plan leads the measured state by it; ``steer_gain`` [1/s] of the steering servo;
     ``planned_steering``: whether plans start from their own steering angles instead of the measured ones; ``friction``: whether
-    what dry friction takes from wheels and steering is learned and given back; ``allow_side_slip``: plans let wheels slip sideways
-    while they turn about, and the odometry hardly listens to those."""
+    the dry friction of wheels and steering is estimated and compensated; ``allow_side_slip``: plans let wheels slip sideways
+    while they turn about, and the odometry gives little weight to those."""
 
     lag: float = 0.0
     steer_gain: float = 5.0

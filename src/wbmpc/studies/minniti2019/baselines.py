@@ -36,8 +36,9 @@ REGULATORS = ("lqr", "scheduled-lqr")
 
 
 class RegulatorSettings(Settings):
-    """Factors of the MPC's weights. ``torque``: of all torques; ``arm``: another one of the arm's; ``damping``: of ball speed and tilt
-    rate; ``posture``: of the arm's angles and rates; ``end_effector``: of its pose; ``max_error`` [m]: position errors beyond it are cut."""
+    """Factors of the MPC's weights. ``torque``: weight of all torques; ``arm``: another one of the arm's; ``damping``: weight of the
+    ball's speed and of the tilt rate; ``posture``: weight of the arm's angles and rates; ``end_effector``: weight of the end effector's
+    pose; ``max_error`` [m]: position errors beyond it are cut."""
 
     torque: Positive = 1.0
     arm: Positive = 1.0
@@ -48,8 +49,8 @@ class RegulatorSettings(Settings):
 
 
 class SeparateSettings(Settings):
-    """Weights of the base MPC (ball position and speed, tilt rate, wheel torque); ``pace`` [rad/s]: of the arm's joint
-    loop; ``integral`` [1/s]: of the same."""
+    """Weights of the base MPC (ball position and speed, tilt rate, wheel torque); ``pace`` [rad/s]: bandwidth of the arm's joint loop;
+    ``integral`` [1/s]: of the same."""
 
     ball: Weight = 30.0
     ball_speed: Weight = 3.0

@@ -1,334 +1,44 @@
-"""A ball robot that opens a door: contact phases as modes, the door's state, forces in prediction and observer.
+"""A ball robot that opens a door: contact phases as modes, forces in the prediction, references over the horizon.
 
 Phases: the end effector approaches (mode ``free`` up to the predicted touch, then contact with a door that gives way: the plan leans
 before it touches), pushes (``moving``, or ``held`` while the door does not move); when the door is open it stops pushing (``relax``:
 the force fades while the robot straightens up, so that it does not fall after the door), lets go, and goes back to where it started,
-out of the door's way. A
-contact is one when the debounced force says so; plans made without it have no wrench (one made before, which goes on while newer ones
-are rejected, still has). A sensor that says nothing cannot be distinguished from an end effector that is free, nor a frozen one from an
-end effector that pushes; so its numbers must change, and they are compared with the force that the momentum observer finds without it.
-Before the end effector starts it touches nothing, whatever the sensor says: that is its zero. An end effector whose sensor is not
-believed lets go, as one does that has found no door in time; the force is zero from then on.
+out of the door's way.
 """
 
 from __future__ import annotations
 
-import logging
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
-
 import numpy as np
 
-from wbmpc import lie
-from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.messages import BallMeasurement
-from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule, Reference
-from wbmpc.studies.minniti2019.contact import ContactMonitor
-from wbmpc.studies.minniti2019.door_filter import DoorFilter, LeverFit
-from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, arm_jacobian, end_effector_motion, place_of
-from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
-from wbmpc.studies.minniti2019.force import ForceMonitor
-from wbmpc.studies.minniti2019.grip import SPEED_TIME, GripMonitor
-from wbmpc.studies.minniti2019.momentum import SensorlessForce
+from wbmpc.studies.minniti2019.door_tracker import RELAX, DoorTracker
 from wbmpc.types import Observation
 
 Array = np.ndarray
-_LOG = logging.getLogger("wbmpc")
 #: While it has not touched, the end effector is planned to touch no earlier than this [s].
 SOON = 0.05
-#: Least and largest impedance that the optimizer is reported (inertia, damping, resistance).
-BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
 #: Before it has touched, the plan leans for no more than the first of these [N]. To lean forward the ball first rolls back, and a
 #: plan that does so again and again, as if the touch were always imminent, never touches (seen at 24 N): while a touch is overdue,
 #: that goes down to the second within :data:`OVERDUE` [s].
 ANTICIPATED, OVERDUE = (16.0, 8.0), 2.0
 #: A time [s] that no run reaches.
 NEVER = 1e6
-#: How long [s] the force fades when the door is open, and how fast [m/s] the end effector goes back.
-RELAX, RETURN_SPEED = 0.8, 0.3
-#: A door moves when it is faster than this [rad/s] on average over :data:`SPEED_TIME`, and rests below a third of it.
-MOVING = 0.03
+#: How fast [m/s] the end effector goes back when it has let go.
+RETURN_SPEED = 0.3
 #: Before this time [s] after the push has passed what the door resists a door that has not moved yet is planned to.
 UNMOVED = 0.1
-#: Above this rate [rad/s] the motion shows its impedance.
-SLIDING = 0.06
 #: While it pushes, the body is before the panel anyway: a distance [m] that leaves its limit without effect.
 FAR = 5.0
-#: How much of the resistance that was estimated is taken for a closer's, which brings the door back, and not for dry friction.
-#: A door is taken to come back no faster than at the last [rad/s], however it was estimated.
-CLOSER_SHARE, MAX_CLOSING = 0.5, 0.5
-#: Forces [N] at which a contact begins, at once, and ends that the end effector comes to slowly, and after how long [s] without a force: what
-#: inertia the sensor carries hardly counts, and a hard tip bounces until the plan presses it on.
-LIGHT = {"on": 0.8, "off": 0.4, "debounce": 0.0, "release": 0.06}
-#: The push is corrected by what is measured within this time [s]; of so many torques it is known which push went with them.
-EXCESS_TIME, ASKED = 0.05, 16
 #: The push [N] of a touch that no plan knows yet: no plan pushes less than :data:`UNPLANNED` [N] that does.
 FIRST, UNPLANNED = 4.0, 0.1
 #: Points of the references over the horizon.
 POINTS = 27
 
 
-def modes(door: bool) -> dict[str, Mode]:
-    """The modes by name; ``door``: whether the door is part of the dynamics."""
-    value = lambda moves: {"door": [moves]} if door else {}
-    return {
-        "free": Mode("free", value(1.0)),
-        "held": Mode("held", value(0.0)),
-        "moving": Mode("moving", value(1.0)),
-    }
-
-
-@dataclass(frozen=True)
-class Push:
-    """What is to be done: ``force`` (t since touch [s]) [N] along the normal; the end effector starts from ``start`` (3) [m] at time
-    ``begin`` [s] with ``speed`` [m/s] towards the panel; it lets go at ``opening_angle`` [rad] or, touch or not, at time ``give_up`` [s]
-    and backs off by ``back`` [m]; it goes no farther than ``reach`` [m]. ``tip_weight`` [N]: of what the force sensor carries;
-    ``fastest`` (gap [m], times (n) [s]) [m/s]: limits of the speed so long after the end effector was so far before the panel (None: no
-    limit); ``lead`` [m]: how far ahead of an end effector that has not touched the panel is believed to be at least, 0 with a limit: the plan
-    knows of no touch before it is felt; ``friction``: coefficient
-    that is planned with, at first if the robot ``learns`` it."""
-
-    force: Callable[[float], float]
-    start: Array
-    quaternion: Array
-    begin: float
-    speed: float
-    open: float
-    give_up: float
-    back: float
-    reach: float
-    tip_weight: float
-    fastest: Callable[[float, Array], Array] | None
-    lead: float
-    friction: float
-    learns: bool
-
-
-class DoorController(BallController):
-    """The controller of the ball robot before a door. ``geometry``: where it believes the door to be; it learns the closed panel's
-    place when it touches it, and how far its hinge is from the end effector's way. ``door`` (2): angle [rad] and rate [rad/s] of the door;
-    ``phase``: approach, push, relax or release."""
-
-    def __init__(
-        self, robot: RobotModel, mpc: MPC, push: Push, geometry: DoorGeometry, impedance: Array, identify: bool,
-        *args: Any, **more: Any,
-    ) -> None:  # fmt: skip
-        super().__init__(robot, mpc, *args, **more)
-        self.push, self.geometry = push, geometry
-        self.filter = DoorFilter(impedance)
-        self.impedance, self.identify = self.filter.impedance, identify
-        self.with_door = "door" in mpc.ocp.dynamics.state
-        self.modes = modes(self.with_door)
-        self.contact, self.sensor = (ContactMonitor(**LIGHT) if push.fastest else ContactMonitor()), ForceMonitor()
-        self.phase = "approach"
-        self.force = np.zeros(3)  # of the world on the end effector, world axes [N]
-        self.door = np.zeros(2)
-        self.touched = self.relaxed = self.released = np.inf
-        self._loaded = np.inf  # when the push passed what the door resists [s]
-        self.fit = LeverFit(geometry.lever(push.start, 0.0))
-        self.moving, self._mean_rate = False, 0.0
-        self.lever = geometry.lever(push.start, 0.0)
-        self._end_effector = end_effector_motion(robot)
-        self.sensorless = SensorlessForce(robot)
-        self.grip, self.sliding = GripMonitor(push.friction), np.zeros(2)
-        self._let_go = push.start
-        self._arm_jacobian = arm_jacobian(robot)
-        self._seen = 0.0  # the measured push [N], as late as the estimated one
-        self._asked: deque[float] = deque(maxlen=ASKED)  # pushes [N] that went with the last torques
-        self.excess = 0.0  # by how much [N] the push is more than that
-        self._found: list[str] = []
-
-    # ------------------------------------------------------------------ state
-    def _step(self, x: Array, u: Array, h: float) -> Array:
-        """Robot (and door, where x has it) after h seconds under torques u and the measured force."""
-        n = self.robot.state.size
-        whole = np.concatenate([x, self.door]) if self.with_door and x.size == n else x
-        after = self.mpc.solver.simulate(whole, np.concatenate([u, self.force]), h)
-        return after[: x.size]
-
-    def measure(self, measurement: BallMeasurement) -> None:
-        """State, force, contact and door of this tick."""
-        if measurement.force.size:
-            self._read_force(measurement)
-        super().measure(measurement)
-        assert self.measured is not None
-        motion = self._end_effector(self.measured.state)
-        acted = self.sent.acted(self._late())
-        self.sensorless.update(self.measured.state, acted, self.period, self._carried())
-        if measurement.time < self.push.begin:
-            self.sensorless.observer.zero()
-        self._compare(measurement.time)
-        self._follow(measurement.time, *motion[:2])
-        self._judge_grip(measurement.time, motion)
-        self._learn_excess()
-
-    def _pushed(self) -> Array:
-        return self.force[:2]
-
-    def _monitor_encoders(self, t: float, arm: Array, h: float) -> None:
-        """While the end effector touches, a slow panel may hold a joint still, by forces that are measured late and with noise: the model
-        cannot say then that an arm's encoder stands."""
-        super()._monitor_encoders(t, arm, h)
-        if self.contact.touching:
-            self._accelerates = None
-
-    def _read_force(self, m: BallMeasurement) -> None:
-        """The contact force in world axes, with the last known attitude of the end effector; zero if the sensor is not believed. Before
-        it starts the end effector touches nothing: what the sensor reads then is its zero."""
-        known, free = self.sensor.fault, m.time < self.push.begin
-        if not free:
-            self.sensor.tare()
-        reading = self.sensor.judge(self.period, m.force)
-        if self.sensor.fault:
-            if not known:
-                self._distrust(m.time)
-            return
-        state = self.measured.state if self.measured is not None else self.robot.home
-        rotation = lie.quaternion_to_rotation(self.robot.pose(state)[1])
-        force = rotation @ reading + np.array([0.0, 0.0, self.push.tip_weight])
-        if free:
-            self.sensor.rest(self.period, rotation.T @ force)
-            return
-        normal = self.geometry.directions(float(self.door[0]))[1]
-        touching = self.contact.update(m.time, float(-normal @ force))
-        self.force = force if touching else np.zeros(3)
-
-    def _compare(self, t: float) -> None:
-        """The sensor's force against the one that the motion says, along the panel's normal: both as late as the latter, for the force of a
-        touch grows within that time."""
-        touching, normal = self.contact.touching, self.geometry.directions(float(self.door[0]))[1]
-        estimated = float(-normal @ self.sensorless.force)
-        self._seen += self.sensorless.observer.share(self.period) * (float(-normal @ self.force) - self._seen)
-        measured = self._seen
-        watched = t >= self.push.begin and (touching or self.phase != "release")
-        for fault in self.sensor.update(t, self.period, touching, measured, estimated if watched else measured):
-            self._distrust(fault.time)
-
-    def _distrust(self, t: float) -> None:
-        """The sensor has a fault: there is neither force nor contact any more."""
-        self._report(self.sensor.fault, t)
-        self.force, self.contact.touching = np.zeros(3), False
-
-    @property
-    def faults(self) -> list[str]:
-        """As of every ball robot; a force sensor that is not believed, a door that was not there."""
-        return [*super().faults, *self._found]
-
-    def _report(self, fault: str, t: float) -> None:
-        self._found.append(f"{fault} ({t:.2f} s)")
-        _LOG.warning("%s", self._found[-1])
-
-    def _follow(self, t: float, end_effector: Array, velocity: Array) -> None:
-        """Phase and door."""
-        touching = self.contact.touching
-        if touching and self.phase == "approach":
-            self.phase, self.touched = "push", t
-            self.fit.first = end_effector.copy()
-        if touching and self.phase == "push":
-            self._place_door(end_effector)
-        elif self.phase == "approach" and not touching:
-            self._not_there(end_effector)
-        if touching and self.geometry.touches(end_effector):
-            angle = self.geometry.angle(end_effector)
-            self.door = np.array([angle, self.geometry.rate(end_effector, velocity, angle)])
-        elif self.phase == "push":
-            self.door = self._coasting(end_effector, velocity)
-        else:
-            self.door = np.array([max(self.door[0] - self._closing() * self.period, 0.0), 0.0])
-        limit = MOVING / 3.0 if self.moving else MOVING
-        share = 1.0 - np.exp(-self.period / SPEED_TIME)
-        self._mean_rate = self._mean_rate + share * (self.door[1] - self._mean_rate) if touching else 0.0
-        self.moving = bool(touching and abs(self._mean_rate) > limit)
-        self._identify(end_effector)
-        if self.phase == "push" and (self.door[0] >= self.push.open or t >= self.push.give_up - RELAX):
-            self.phase, self.relaxed = "relax", t
-        if self.phase != "release" and self._ends(t):
-            self.phase, self.released, self._let_go = "release", t, end_effector.copy()
-
-    @property
-    def friction(self) -> float:
-        """The friction coefficient that is planned with; infinite without a cone."""
-        return self.grip.bound if self.push.learns else self.push.friction
-
-    def _judge_grip(self, t: float, motion: tuple[Array, Array, Array]) -> None:
-        """Whether the end effector slides, the grip of the panel, and whether the push is enough to move it."""
-        angle, rate = self.door
-        normal = self.geometry.directions(angle)[1]
-        push = float(-normal @ self.force) if self.phase in ("push", "relax") else 0.0
-        self.sliding = self.geometry.sliding(motion, angle, rate, HALF_THICKNESS)
-        across = float(np.linalg.norm(self.force + push * normal))
-        self.grip.update(self.period, push, across, self.sliding)
-        if push * self.lever > self.impedance[2]:
-            self._loaded = min(self._loaded, t)
-
-    def _coasting(self, end_effector: Array, velocity: Array) -> Array:
-        """Angle and rate of a door that has run away from the end effector: it slows down as its impedance says, and is at least
-        as far open as the end effector is, which does not touch it."""
-        inertia, damping, resistance = self.impedance
-        rate = max(self.door[1] - (damping * self.door[1] + resistance) / inertia * self.period, 0.0)
-        angle = self.door[0] + rate * self.period
-        if self.geometry.touches(end_effector) and (reached := self.geometry.angle(end_effector)) > angle:
-            angle, rate = reached, max(rate, self.geometry.rate(end_effector, velocity, reached))
-        return np.array([angle, rate])
-
-    def _closing(self) -> float:
-        """How fast [rad/s] a door that was let go is taken to come back: nothing measures it any more."""
-        if self.phase != "release":
-            return 0.0
-        _, damping, resistance = self.impedance
-        return float(min(CLOSER_SHARE * resistance / damping, MAX_CLOSING))
-
-    def _place_door(self, end_effector: Array) -> None:
-        """The door's place after another place of an end effector (3) [m] that touches it; the closed panel is where it was touched."""
-        along, normal = self.geometry.directions(0.0)
-        self.fit.update(end_effector, along, normal, self.geometry.offset)
-        self.lever = self.fit.lever
-        hinge = self.fit.first - self.lever * along + self.geometry.offset * normal
-        self.geometry = replace(self.geometry, hinge=(float(hinge[0]), float(hinge[1])))
-
-    def _not_there(self, end_effector: Array) -> None:
-        """An end effector (3) [m] that touches nothing is before the panel: one that comes slowly would else stop where the panel is believed to
-        be."""
-        past = self.geometry.gap(end_effector, 0.0) + self.push.lead
-        if self.push.fastest and past > 0.0:
-            self.geometry = self.geometry.moved(past)
-
-    def _ends(self, t: float) -> bool:
-        """Whether the end effector lets go, or turns back: it has stopped pushing, it took too long, or its force sensor is not believed."""
-        if self.sensor.fault:
-            return True
-        if self.phase == "approach" and t >= self.push.give_up:
-            self._report("the end effector has found no door", t)
-        relaxed = self.phase == "relax" and (t >= self.relaxed + RELAX or not self.contact.touching)
-        return bool(t >= self.push.give_up or relaxed)
-
-    def _identify(self, end_effector: Array) -> None:
-        """The door's impedance, while it moves and is pushed."""
-        angle, rate = float(self.door[0]), float(self.door[1])
-        if self.phase != "push" or not self.moving or rate < SLIDING:
-            self.filter.rest(angle, max(rate, 0.0))
-            return
-        push = float(-self.geometry.directions(angle)[1] @ self.force)
-        self.filter.update(self.period, self.geometry.lever(end_effector, angle) * push, angle, rate)
-        if self.identify:
-            inertia, damping, resistance = np.clip(self.filter.impedance, *BOUNDS)
-            self.impedance = np.array([inertia, min(damping, inertia / FADE_TIME), resistance])
-
-    def parameters(self) -> dict[str, Array]:
-        """The model's parameters: with the door's place and impedance where it is part of the model."""
-        own = super().parameters()
-        return {**own, "place": place_of(self.geometry), "impedance": self.impedance} if self.with_door else own
-
-    def state(self) -> Array:
-        """The measured state brought up to now, with the door's."""
-        x = super().state()
-        return np.concatenate([x, self.door]) if self.with_door else x
+class DoorController(DoorTracker):
+    """The controller of the ball robot before a door: what its plans know of touch, door and push."""
 
     def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
         """As of every ball robot; the push that goes with torques that are sent is kept. A touch that the plan does not know yet is
@@ -344,17 +54,6 @@ class DoorController(BallController):
             self._asked.append(push)
         return feedforward, target
 
-    def _learn_excess(self) -> None:
-        """The push that is measured against the one that the plan has with the same torques: an end effector that is believed to move
-        while it stands presses harder or less."""
-        late = self._late()
-        if self.phase != "push" or not self.contact.touching or late >= len(self._asked):
-            self.excess = 0.0
-            return
-        push = float(-self.geometry.directions(float(self.door[0]))[1] @ self.force)
-        self.excess += self.period / EXCESS_TIME * (push - self._asked[-1 - late] - self.excess)
-
-    # ------------------------------------------------------------------ plan
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """As of every ball robot; phases and references over the horizon from then on are set."""
         start = super().predict(t, until, plans)

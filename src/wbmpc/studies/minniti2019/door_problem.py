@@ -50,8 +50,8 @@ class FreeWrench(Settings):
 
 
 class DoorEquation(Settings):
-    """The door's states and equation of motion are in the problem. ``baumgarte`` [1/s]: how fast planned gaps close; ``max_rate`` [rad/s]:
-    of the door in plans."""
+    """The door's states and equation of motion are in the problem. ``baumgarte`` [1/s]: rate at which planned gaps close; ``max_rate`` [rad/s]:
+    largest rate of the door in plans."""
 
     kind: Literal["door"] = "door"
     baumgarte: Positive = 10.0
@@ -65,8 +65,8 @@ class NoCone(Settings):
 
 
 class PushCone(Settings):
-    """The end effector can only push, within a friction cone, as hard limits. ``friction``: its coefficient; ``min_push`` [N]: along the
-    door's normal."""
+    """The end effector can only push, within a friction cone, as hard limits. ``friction``: friction coefficient of the cone;
+    ``min_push`` [N]: along the door's normal."""
 
     kind: Literal["cone"] = "cone"
     friction: Positive = 0.35

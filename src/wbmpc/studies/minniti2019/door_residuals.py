@@ -71,7 +71,7 @@ class ApproachSpeed:
 @dataclass(frozen=True)
 class BodyClearance:
     """How far [m] parts of the robot are before a door's panel, on the side from which it is pushed, minus ``margin`` [m]: base and elbow,
-    as spheres of :data:`PARTS`. The panel counts as if it went on for ever; a robot that pushes a door stays on one side of it. The
+    as spheres of :data:`PARTS`. The panel counts as if it went on forever; a robot that pushes a door stays on one side of it. The
     reference (1) [m] is added: what may be missing where the panel does not count.
 
     ``dynamics``: a :class:`wbmpc.studies.minniti2019.door_model.WithDoor`, whose door's angle the plan knows.

@@ -25,14 +25,14 @@ FORCE_GOAL = {"light": 0.15}
 
 
 class RezeroDoorSettings(RezeroSettings):
-    """``forces`` [N]: along the normal, a run each; ``rise_time`` [s]: from the touch until a force is reached; ``door``: its kind;
-    ``settle_time`` [s]: before the end effector starts; ``speed`` [m/s]: with which it starts; ``opening_angle`` [rad]: at which it lets go;
-    ``timeout`` [s]: from its start, after which it lets go too; ``final_hold_time`` [s]: from then to the end of the run.
-    ``scheme``: what of the door the problem knows; ``push``: weights while it pushes (what is left out: as suits the scheme);
-    ``door_position_error`` [m]: the door's place is not known better;
+    """``forces`` [N]: along the normal, a run each; ``rise_time`` [s]: time from the touch until a force is reached; ``door``: its
+    kind; ``settle_time`` [s]: before the end effector starts; ``speed`` [m/s]: speed of the approach at its start; ``opening_angle``
+    [rad]: angle of the door at which the end effector lets go; ``timeout`` [s]: from its start, after which it lets go too;
+    ``final_hold_time`` [s]: time from the release to the end of the run. ``scheme``: what of the door the problem knows; ``push``:
+    weights while it pushes (what is left out: as suits the scheme); ``door_position_error`` [m]: the door's place is not known better;
     ``door_spread``: width, mass, hinge, friction, closer and damping of the door differ by up to this share from those of its kind;
-    ``lean_share``: a force beyond this share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is, and
-    it is reported."""
+    ``lean_share``: a force beyond this share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is,
+    and it is reported."""
 
     cost: RezeroCost = RezeroCost(
         end_effector=EndEffectorCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),

@@ -37,8 +37,8 @@ class FilterSettings(Settings):
 
 
 class RezeroFrequencySettings(RezeroSettings):
-    """``step`` [m]: of the end effector (3), and back; ``settle_time`` [s]: before it; ``hold_time`` [s]: of each; ``filters`` of the shaped variant;
-    ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
+    """``step`` [m]: of the end effector (3), and back; ``settle_time`` [s]: before it; ``hold_time`` [s]: time for which each step is
+    held; ``filters`` of the shaped variant; ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
 
     plant: Perturbation = ELASTIC
     cost: RezeroCost = STEPS_AND_PUSHES

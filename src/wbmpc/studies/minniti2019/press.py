@@ -17,11 +17,12 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.result import Drawing, Metric, Plot
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.simulation.tip import SOFT
-from wbmpc.studies.minniti2019.door import HERE, believed, drawn_door, push_door
-from wbmpc.studies.minniti2019.door_control import RELAX
+from wbmpc.studies.minniti2019.door import HERE
 from wbmpc.studies.minniti2019.door_figures import Trial
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
+from wbmpc.studies.minniti2019.door_tracker import RELAX
+from wbmpc.studies.minniti2019.door_trial import believed, drawn_door, push_door
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS
 from wbmpc.studies.minniti2019.touch_plant import STEP_NAMES, STEP_UNITS, TouchPlant
 

@@ -3,72 +3,27 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, model_validator
 
-from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
-from wbmpc.checks import whole
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import common_plots, estimated_end_effector, rms
-from wbmpc.studies.minniti2019.recovery import LAST, rest
-from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.studies.minniti2019.push_settings import (
+    RECOVERY,
+    RezeroPushBallSettings,
+    RezeroPushHandSettings,
+    RezeroPushSettings,
+)
+from wbmpc.studies.minniti2019.recovery import rest
 from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
 
-#: Time [s] that a robot has for recovering, at least.
-RECOVERY = 2.0
 BALL, HAND = "rezero-push-ball", "rezero-push-hand"
 SUMMARY = "the ball robot is pushed while it holds its {} (Minniti et al. 2019, Fig. 5)"
 IDEALIZATIONS = ["pushes are exact forces at the base's center of mass"]
-
-
-class RezeroPushSettings(RezeroSettings):
-    """``forces`` [N]: each along x and then along y; ``push_duration`` [s]: of each push, whole controller periods; ``gap`` [s]: from the first
-    push of such a pair to the second (left out: as long as the pause); ``pause`` [s]: from then to the next pair. The robot must be back before
-    each push that comes at least :data:`RECOVERY` after the one before."""
-
-    forces: tuple[Annotated[float, Field(ge=0, le=5000.0)], ...] = Field((50.0, 100.0, 200.0), min_length=1)
-    push_duration: float = Field(0.2, gt=0, le=5.0)
-    gap: Annotated[float, Field(ge=0.5, le=60.0)] | None = None
-    pause: float = Field(7.0, ge=RECOVERY, le=60.0)
-    settle_time: float = Field(3.0, ge=0.5, le=60.0)
-
-    @model_validator(mode="after")
-    def _whole_periods(self) -> Self:
-        whole("push_duration", self.push_duration, 1.0 / self.control.rate, "controller periods")
-        return self
-
-    @model_validator(mode="after")
-    def _one_after_the_other(self) -> Self:
-        if self.gap is not None and self.gap < self.push_duration:
-            raise ValueError(f"gap: {self.gap:g} s from one push to the next, which are {self.push_duration:g} s long")
-        if self.pause < self.push_duration + LAST:
-            raise ValueError(
-                f"pause: {self.pause:g} s from one push to the next, which are {self.push_duration:g} s long and judged by the last "
-                f"{LAST:g} s; at least {self.push_duration + LAST:g} s are needed"
-            )
-        return self
-
-
-class RezeroPushBallSettings(RezeroPushSettings):
-    """The ball is held and, of the end effector, only its orientation (the paper's first task); otherwise the same weights."""
-
-    cost: RezeroCost = STEPS_AND_PUSHES.model_copy(
-        update={
-            "end_effector": STEPS_AND_PUSHES.end_effector.model_copy(update={"weight": 0.0}),
-            "body": STEPS_AND_PUSHES.body.model_copy(update={"ball": 10.0}),
-        }
-    )
-
-
-class RezeroPushHandSettings(RezeroPushSettings):
-    """The end effector is held: the weights of the steps."""
 
 
 def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:

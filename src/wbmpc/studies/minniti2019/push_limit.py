@@ -1,7 +1,7 @@
 """`rezero-push-limit-ball` and `-hand`: the impulse from which the ball robot still recovers, or after which it still stands, in one
 direction. A push map is a study of it over directions, lengths and controllers.
 
-To stand is no recovery: a robot that rolls away for ever, or swings its arm between the stops, stands. It recovers if it is back in
+To stand is no recovery: a robot that rolls away forever, or swings its arm between the stops, stands. It recovers if it is back in
 its place, and rests there, when the push experiments would push it again (:data:`wbmpc.studies.minniti2019.recovery.NEAR`).
 """
 
@@ -20,13 +20,9 @@ from wbmpc.log import Log
 from wbmpc.result import Metric, RunResult
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.push import (
-    IDEALIZATIONS,
-    RezeroPushBallSettings,
-    RezeroPushHandSettings,
-    RezeroPushSettings,
-)
+from wbmpc.studies.minniti2019.push import IDEALIZATIONS
 from wbmpc.studies.minniti2019.push_once import Outcome, push_once
+from wbmpc.studies.minniti2019.push_settings import RezeroPushBallSettings, RezeroPushHandSettings, RezeroPushSettings
 
 #: Largest impulse [N s] that is tried.
 MAXIMUM = 320.0

@@ -10,7 +10,8 @@ from wbmpc.experiment import run_scenario
 from wbmpc.log import Log
 from wbmpc.result import Metric
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies.minniti2019.push import IDEALIZATIONS, RezeroPushBallSettings, RezeroPushSettings
+from wbmpc.studies.minniti2019.push import IDEALIZATIONS
+from wbmpc.studies.minniti2019.push_settings import RezeroPushBallSettings, RezeroPushSettings
 from wbmpc.studies.minniti2019.recovery import rest
 from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
 

@@ -30,7 +30,8 @@ MOVING = 0.5
 
 
 class RezeroStepsSettings(RezeroSettings):
-    """``settle_time`` [s]: at home before the steps; ``hold_time`` [s]: of each step; ``final_hold_time`` [s]: at home after them.
+    """``settle_time`` [s]: time at home before the steps; ``hold_time`` [s]: time for which each step is held; ``final_hold_time`` [s]:
+    time at home after the steps.
 
     ``preview``: whether the MPC sees a step before it comes.
     """

@@ -29,7 +29,7 @@ HERE = ["neither controller sees a step before it comes"]
 
 
 class RezeroTaskspaceSettings(RezeroSettings):
-    """``settle_time`` [s]: at home; ``hold_time`` [s]: of each of the eight steps of `rezero-steps`, which follow."""
+    """``settle_time`` [s]: time at home before the task; ``hold_time`` [s]: of each of the eight steps of `rezero-steps`, which follow."""
 
     hold_time: float = Field(5.0, ge=1.0, le=600.0)
     settle_time: float = Field(4.0, ge=0.5, le=600.0)

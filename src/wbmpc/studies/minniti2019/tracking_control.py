@@ -2,7 +2,7 @@
 
 τ = τ_ff + K_p (ψ_ff − ψ) + K_d (ψ̇_ff − ψ̇) for wheels and arm joints. The arm's ψ_ff is the plan's. Wheels have no planned angle:
 theirs is the integral of the planned speeds ψ̇_ff = W(q_ff) v_ff. That integral knows nothing of where the wheels are, and what
-it is off (other radii, slip, a plan that was not followed) would add up for ever; so it leaks towards the measured angle:
+it is off (other radii, slip, a plan that was not followed) would add up forever; so it leaks towards the measured angle:
 d/dt ψ_ff = W v_ff + (ψ − ψ_ff) / T with T = ``leak_time_constant``. Its error e = ψ_ff − ψ obeys ė = (ψ̇_ff − ψ̇) − e / T and stays
 below T times the largest error of speed.
 """

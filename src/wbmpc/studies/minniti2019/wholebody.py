@@ -32,7 +32,7 @@ IDEALIZATIONS = ["the load is unknown to the controller"]
 
 
 class RezeroWholebodySettings(AccurateSettings):
-    """``move_time`` [s]: from corner to corner; ``hold_time`` [s]: at a corner; ``settle_time`` [s]: at home before."""
+    """``move_time`` [s]: time from corner to corner; ``hold_time`` [s]: time at a corner; ``settle_time`` [s]: time at home before the task."""
 
     payload: float = Field(1.0, ge=0, le=5.0)
     move_time: float = Field(1.5, gt=0, le=60.0)

@@ -27,7 +27,7 @@ KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 
 
 class MissionSettings(DrivingSettings):
-    """``leg_guard``: see :class:`wbmpc.bases.swerve.controller.SwerveController`."""
+    """``leg_guard``: whether the brakes of open legs that move off their plan close."""
 
     # by runs on seed 0, looked at on seed 5
     cost: SwerveCost = SwerveCost(

@@ -21,9 +21,10 @@ from wbmpc.studies.pankert2022.reference_drive import calibrated, track_arm
 class DrivingSettings(ExperimentSettings):
     """``localization``: none (odometry alone) or lidar (poses of a simulated ``lidar`` too), for the MPC and for baselines alike;
     ``calibration`` of the wheels: drive (a reference drive with a ``lidar`` first), none, or a file that 'wbmpc calibrate' wrote;
-    ``tracked_poses``: at so many poses of the arm its end effector is tracked first, for the zeros of its encoders (0: a file's, or
-    none); ``use_gyro``: whether the odometry has it; ``settle_time`` [s]: of standing, which shows the gyro's bias (0: it shows under way, and
-    the pose is corrected late); ``actuator_time_constant`` [s]: that the controller assumes."""
+    ``tracked_poses``: number of arm poses at which the end effector is tracked first, for the zeros of the arm's encoders (0: zeros of
+    a file, or none); ``use_gyro``: whether the odometry has it; ``settle_time`` [s]: standstill before the task, in which the gyro's
+    bias is found (0: it is found on the way, and the pose is corrected late); ``actuator_time_constant`` [s]: that the controller
+    assumes."""
 
     use_gyro: bool = True
     calibration: str = "drive"

@@ -42,7 +42,7 @@ class BaselineGains(Settings):
 class SwerveFixedSettings(DrivingSettings):
     """``controllers``: which follow the motions, each once at most; ``ik``, ``four_wheel``: gains of the baselines, found on tuning
     seeds (four wheels: by forward and turning, what it can do). ``motions``: which, in this order, each once at most;
-    ``random_time`` [s]: of random twists after them (600 is the ten minutes of the protocol); ``speed`` [m/s]: the largest of them;
+    ``random_time`` [s]: duration of random twists after the motions (600 is the ten minutes of the protocol); ``speed`` [m/s]: the largest of them;
     ``yaw_rate`` [rad/s]: their fastest turn. The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(

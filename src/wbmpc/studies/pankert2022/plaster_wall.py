@@ -37,7 +37,7 @@ STOP_TIME, STOP_SPEED = 0.3, 0.1
 
 
 class SwervePlasterSettings(DrivingSettings):
-    """``passes``: over the five lines; ``speed`` [m/s]: along them; ``localization``: lidar, with a sensor of
+    """``passes``: number of passes over the five lines; ``speed`` [m/s]: along them; ``localization``: lidar, with a sensor of
     the wall's distance (b), or none, odometry only (a); ``terrain``: cables and bumps. The other settings are those of all experiments
     that drive."""
 

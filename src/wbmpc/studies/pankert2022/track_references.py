@@ -28,11 +28,11 @@ END_EFFECTOR_ORIENTATION = lie.rotation_to_quaternion(END_EFFECTOR_ROTATION)
 
 
 class SwerveTrackSettings(DrivingSettings):
-    """``periods``: of the sine (6 are the paper's 15.96 m); ``amplitude`` [m]: of the sine; ``variant``: vertical (upright), or
-    peaks (horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the amplitude); ``speed`` [m/s]: along it
-    (an end effector that is elsewhere at home comes to its start first); ``friction``: see
-    :class:`wbmpc.bases.swerve.controller.SwerveController`; ``smoothing``: see the same class.
-    The other settings are those of all experiments that drive."""
+    """``periods``: number of periods of the sine (6 are the paper's 15.96 m); ``amplitude`` [m]: amplitude of the sine; ``variant``:
+    vertical (upright), or peaks (horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the
+    amplitude); ``speed`` [m/s]: along it (an end effector that is elsewhere at home comes to its start first); ``friction``: whether
+    the dry friction of wheels and steering is estimated and compensated; ``smoothing`` [s]: of base position and arm against the jitter
+    of the encoders' age (0: none). The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(end_effector=EndEffectorCost(weight=4000.0))
     robot: Robot = "swerve-ur10"

@@ -93,6 +93,16 @@ def _problem(robot: RobotModel, home: np.ndarray, settings: SwerveUnifiedSetting
     return ocp
 
 
+def _labeled_log(robot: RobotModel) -> Log:
+    """A log with the names and units of its channels by joints."""
+    log, joints = Log(), robot.description.base.joint_groups()
+    for channel, group in (("leg", "leg"), ("leg_reference", "leg"), ("steer", "steer")):
+        log.label(channel, joints[group], "rad")
+    log.label("wheel_slip", joints["wheel"], "m/s")
+    log.label("state", robot.state.names, robot.state.units)
+    return log
+
+
 def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     """One run; docs/reference/metrics.md says what each metric means."""
     robot = swerve_robot(settings.robot)
@@ -127,15 +137,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     )  # fmt: skip
     stand_still(plant, controller, timing, settings.settle_time)
     mpc.reset(home)
-    log, stance_of = Log(), StanceOf(robot)
-    for channel, group, unit in (
-        ("leg", "leg", "rad"),
-        ("leg_reference", "leg", "rad"),
-        ("steer", "steer", "rad"),
-        ("wheel_slip", "wheel", "m/s"),
-    ):
-        log.label(channel, robot.description.base.joint_groups()[group], unit)
-    log.label("state", robot.state.names, robot.state.units)
+    log, stance_of = _labeled_log(robot), StanceOf(robot)
 
     def record(now: float, command: Any, plans: Any) -> None:
         if round(now / timing.period) % 4:

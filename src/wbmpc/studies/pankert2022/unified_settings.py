@@ -26,7 +26,7 @@ class TargetLegs(Settings):
 
 class SupportLegs(Settings):
     """The legs have no goal: the objective is the zero-moment point's margin in the support triangles over the two rearmost feet.
-    ``weight``: of the margin, per second (a logarithmic barrier); ``reserve`` [m]: below it the barrier is quadratic."""
+    ``weight``: weight of the margin, per second (a logarithmic barrier); ``reserve`` [m]: below it the barrier is quadratic."""
 
     kind: Literal["support"] = "support"
     weight: Weight = 0.05
@@ -40,7 +40,7 @@ Legs = Annotated[TargetLegs | SupportLegs, Field(discriminator="kind"), BeforeVa
 class SwerveUnifiedSettings(DrivingSettings):
     """``leg_start``: H, X, A, angles [rad] in brackets, one for each leg, or home; ``legs``: what moves them from there, targets
     (``legs.goal``, as ``leg_start``) or their support (:class:`SupportLegs`);
-    ``leg_guard``: see :class:`wbmpc.bases.swerve.controller.SwerveController`. The other settings are those of all experiments that drive."""
+    ``leg_guard``: whether the brakes of open legs that move off their plan close. The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(state=StateCost(position=20.0, yaw=20.0, leg=100.0))
     robot: Robot = "swerve-ur10"

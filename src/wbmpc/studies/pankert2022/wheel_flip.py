@@ -255,7 +255,7 @@ class WheelFlipGuess(SteeringGuess):
     def _lead_back(
         self, trajectory: Trajectory, wheel: int, times: np.ndarray, way: np.ndarray, speeds: np.ndarray
     ) -> bool:
-        """Whether a wheel was written anew: one that the plan takes to the end of its range half a turn beside the way that turns are planned by.
+        """Whether a wheel was rewritten: one that the plan takes to the end of its range half a turn beside the way that turns are planned by.
 
         Where a wheel nearly rests its direction goes round by up to half a turn, and the plan may go round on the other side.
         From there on no turn is planned for the way that the plan is on.

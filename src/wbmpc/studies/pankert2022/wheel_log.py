@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.bases.swerve.calibration import WheelRecord
 from wbmpc.bases.swerve.messages import SwerveMeasurement
+from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot

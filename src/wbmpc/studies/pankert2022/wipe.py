@@ -1,4 +1,4 @@
-"""`swerve-wipe`: the end effector wipes a wall whose place and friction are unknown, with a wanted force, while the base drives along it.
+"""`swerve-wipe`: the end effector wipes a wall whose place and friction are unknown, with a target force, while the base drives along it.
 
 Pankert et al. 2022 spray a wall from a distance (section IV-D, `swerve-plaster`); this is plastering with contact.
 """

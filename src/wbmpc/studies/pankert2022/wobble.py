@@ -47,8 +47,8 @@ CALIBRATION_HEIGHT, CALIBRATION_TURN = 0.10, 30.0
 
 
 class SwerveWobbleSettings(Settings):
-    """``heights`` [m]: of the block under the left front wheel, the first one gives the rates; ``turn`` [s]: how long a turn takes;
-    ``calibration``: the turns that come first, as (configuration, wheel on the block); ``calibration_turn`` [s]: how long each of them takes.
+    """``heights`` [m]: of the block under the left front wheel, the first one gives the rates; ``turn`` [s]: duration of a turn;
+    ``calibration``: the turns that come first, as (configuration, wheel on the block); ``calibration_turn`` [s]: duration of each of these turns.
     """
 
     plant: Perturbation = Perturbation()
