@@ -332,9 +332,8 @@ class BaseType(Protocol):
     ) -> MPC:
         """The MPC with default weights, whose goal is the robot's home, and which keeps clear of ``obstacles``; ``changes``: of its
         :class:`wbmpc.settings.MpcSettings`, by name. ``progress``: the frame that follows a path (``mpc.path``) at its own speed, in the
-        place of an end effector that follows a clock (:func:`wbmpc.path_problem`).
-        Its references "end_effector" (poses) and, where a view may move the base, "state"
-        (nx) follow the robot's task."""
+        place of an end effector that follows a clock (:func:`wbmpc.path_problem`). Its references "end_effector" (poses) and, where a view
+        may move the base, "state" (nx) follow the robot's task."""
         reject_missing_part(robot.description, "mpc")
 
     def system(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -115,25 +116,17 @@ def closed_loop(
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
     _start_at_home(robot, mpc)
-    scene = load_scene(settings.obstacles) if scene is None and settings.obstacles is not None else scene
-    around = SimulatedObstacles(scene, robot.description.base.ground) if scene is not None else None
+    around = _surroundings(robot, settings, scene)
     system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
-    joints = JointRecord(log, robot, system)
-    every = max(1, round(RECORDED / system.timing.period))
+    joints, every = JointRecord(log, robot, system), max(1, round(RECORDED / system.timing.period))
     perceive = None if perception is None else lambda: Perception(perception, robot, system, log, seed)
     pace = PacedReferences(mpc) if paced and around and not mpc.path.active else None
-    able = alternatives and "base" in robot.state and not robot.base.balances and mpc.obstacles is not None
-    others = Alternatives(mpc, robot, pace) if able and pace else None
+    others = Alternatives(mpc, robot, pace) if pace and alternatives and _may_detour(robot, mpc) else None
     watch = SceneWatch(around, system, log, since, robot, pace, perceive, others) if around else None
-    now = 0.0
-
-    def ended() -> bool:
-        detoured = 0.0 if pace is None else pace.detoured
-        return now > duration + detoured - 1.5 * system.timing.period or (done is not None and done())
+    over = _Over(duration if others else np.inf, 1.5 * system.timing.period, pace, done)
 
     def record(t: float, command: Any, plans: Any) -> None:
-        nonlocal now
-        now = t
+        over.now = t
         if tick is not None:
             tick(t)
         if truth is not None:
@@ -150,11 +143,40 @@ def closed_loop(
     def drawn(run: Run) -> list[Plot]:
         return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
 
-    longest = duration if others is None else min(duration + DETOURS, LONGEST_RUN)
-    over = done if others is None else ended
+    longest = min(duration + DETOURS, LONGEST_RUN) if others else duration
     loop = Loop(system.plant, system.controller, mpc, system.timing, longest, record, over)
-    simplified = IDEALIZATIONS[settings.physics] + (TRACKED if settings.calibration == "drive" else [])
-    return Scenario.single(log, loop.run, measured, drawn, simplified)
+    tracked = TRACKED if settings.calibration == "drive" else []
+    return Scenario.single(log, loop.run, measured, drawn, IDEALIZATIONS[settings.physics] + tracked)
+
+
+def _surroundings(
+    robot: RobotModel, settings: SimulationSettings, scene: Sequence[SceneObstacle] | None
+) -> SimulatedObstacles | None:
+    """What stands and moves around the robot: ``scene``, or that of the settings."""
+    if scene is None and settings.obstacles is not None:
+        scene = load_scene(settings.obstacles)
+    return None if scene is None else SimulatedObstacles(scene, robot.description.base.ground)
+
+
+@dataclass
+class _Over:
+    """Whether a run is over before its longest time: after ``duration`` [s] and what detours take, less a ``tolerance`` [s], or ``done``."""
+
+    duration: float
+    tolerance: float
+    pace: PacedReferences | None
+    done: Callable[[], bool] | None
+    now: float = 0.0
+
+    def __call__(self) -> bool:
+        detoured = 0.0 if self.pace is None else self.pace.detoured
+        late = self.now > self.duration + detoured - self.tolerance
+        return late or (self.done is not None and self.done())
+
+
+def _may_detour(robot: RobotModel, mpc: MPC) -> bool:
+    """Whether another way can be searched: a base that drives and does not balance, among obstacles."""
+    return "base" in robot.state and not robot.base.balances and mpc.obstacles is not None
 
 
 def check_loop(
