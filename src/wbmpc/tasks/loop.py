@@ -109,9 +109,8 @@ def closed_loop(
     sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
     (:class:`wbmpc.mpc.pace.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans before
     (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance, and has as much more time as another
-    way takes. ``done()``, asked at every controller
-    period: whether the task is done before its time. The references of ``mpc`` are the task; times begin with the loop.
-    Raises :class:`InputError` for bad settings.
+    way takes. ``done()``, asked at every controller period: whether the task is done before its time. The references of ``mpc`` are the
+    task; times begin with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
