@@ -334,13 +334,14 @@ def _gradient_lengths(jacobian: ca.SX) -> np.ndarray:
     return np.sqrt(np.array(ca.Function("square", [ca.vertcat(*symbols)], [ca.densify(square)])(points)))
 
 
-def nonlinear_in_inputs(group: RowGroup, x: ca.SX, u: ca.SX) -> bool:
-    """Whether a hard row has second derivatives by an input and anything: its linearization does not say where it ends."""
+def nonlinear_in_inputs(group: RowGroup, u: ca.SX) -> bool:
+    """Whether a hard row has second derivatives by the inputs: its linearization does not say where it ends. (Slopes that move with the
+    state, as those of distances that limit speeds, are the next linearization's matter, as those of any row of the state.)"""
     hard = [e for e, row in zip(group.expressions, group.general, strict=True) if row.kind is Kind.HARD]
     if not hard or not u.shape[0]:
         return False
     slopes = ca.jacobian(ca.vertcat(*hard), u)
-    return bool(ca.jacobian(ca.vec(slopes), ca.vertcat(x, u)).nnz())
+    return bool(ca.jacobian(ca.vec(slopes), u).nnz())
 
 
 def nonlinear_equalities(equality: ca.SX, group: RowGroup, u: ca.SX) -> bool:

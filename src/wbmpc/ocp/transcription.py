@@ -96,7 +96,7 @@ class Transcription:
         self.equalities = equality_rows(sort(ocp.equalities), inequalities, self.x, self.u, self.path, self.end)
         inequality_rows(inequalities, self.x, self.u, self.path, self.end)
         #: whether hard rows are nonlinear in the inputs: those of a circle are, bounds and planes are not
-        self.nonlinear_input_rows = nonlinear_in_inputs(self.path, self.x, self.u)
+        self.nonlinear_input_rows = nonlinear_in_inputs(self.path, self.u)
         #: whether any equality is soft
         self.soft_equalities = bool((self.softness > MIN_SOFTNESS).any())
         #: whether equalities, or rows with multipliers, have second derivatives by the inputs
