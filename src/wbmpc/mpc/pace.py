@@ -28,7 +28,7 @@ WAITS, STANDS = 0.1, 0.02
 
 class PacedReferences:
     """The present references ``names`` of an MPC on a time scale of their own: ``time`` [s], which is the clock's at
-    ``start`` [s] and goes on at ``rate`` (0 to 1) times the clock.
+    ``start`` [s] and goes on at ``rate`` (0 to 1) times the clock. ``detoured`` [s]: by how much detours have made them longer.
 
     A robot that evades something or waits would leave its reference far behind, and a far reference pulls it through what it evades. The
     rate falls with the end effector's distance from its reference, and with what the last plan lacks of its clearances.
@@ -42,7 +42,6 @@ class PacedReferences:
         self._whole = {name: reference for name, reference in found.items() if reference.times.size > 1}
         self._path = mpc.reference["end_effector"]
         self.time, self.rate = self._set_at, 1.0
-        #: by how much detours have made the references longer [s]
         self.detoured = 0.0
 
     @property
