@@ -13,6 +13,7 @@ from planar_driving import write_robot
 from test_tasks import WHEELS
 from wbmpc.configuration import configure
 from wbmpc.default_problem import default_mpc
+from wbmpc.mpc.alternatives import _way
 from wbmpc.mpc.route import carried_poses, carried_states, carrying_base, timed_route
 from wbmpc.registry import load
 from wbmpc.result import RunResult
@@ -50,11 +51,20 @@ def test_a_robot_goes_around_a_wall_that_stops_its_mpc(driving: Path, tmp_path: 
 
 
 def test_a_robot_goes_around_a_wall_right_behind_which_its_way_ends(driving: Path, tmp_path: Path) -> None:
-    """It cannot turn at its goal: it goes past and backs to it."""
-    result = head_on(driving, tmp_path, 0.6, "patience=34", "path.length=1.7")
+    """It cannot turn at its goal: it goes past and backs to it. That takes longer than it may wait."""
+    result = head_on(driving, tmp_path, 0.6, "patience=6", "path.length=1.7")
     m = result.metrics
     assert result.completed and m["passed"].value == 1.0 and m["alternatives_taken"].value >= 1.0
     assert m["obstacle_contacts"].value == 0.0 and m["obstacle_clearance_min"].value > 0.02
+
+
+def test_a_way_backs_off_once_and_then_turns_and_goes_on() -> None:
+    """Truth: distances between the places in closed form."""
+    poses = [np.array([1.0, 0.5, 0.2]), np.array([0.6, 0.4, 0.2]), np.array([0.6, 1.4, 0.0]), np.array([2.6, 1.4, 0.0])]
+    way = _way(poses)
+    lengths = np.linalg.norm(np.diff(way[:, :2], axis=0), axis=1)
+    assert lengths.sum() == pytest.approx(np.hypot(0.4, 0.1) + 1.0 + 2.0)
+    np.testing.assert_allclose(way[:2], poses[:2])
 
 
 def test_a_robot_in_front_of_a_wall_without_end_says_that_it_is_stuck(driving: Path, tmp_path: Path) -> None:
