@@ -14,7 +14,8 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.augment import WithPath
 from wbmpc.mpc.guess import predicted
 from wbmpc.mpc.policy import InputLimits, Policy
-from wbmpc.ocp import OptimalControlProblem, Path, Reference, residuals
+from wbmpc.ocp import OptimalControlProblem, Path, Reference
+from wbmpc.ocp.symbols import FollowsPath
 from wbmpc.solver import Solver, Trajectory
 
 Array = NDArray[np.float64]
@@ -58,9 +59,8 @@ class PathProgress:
         self.dynamics: Any = ocp.dynamics.dynamics if isinstance(ocp.dynamics, WithPath) else ocp.dynamics
         self._n, self._m = self.dynamics.state.size, self.dynamics.input.size
         terms = {name: term.residual for name, term in ocp.terms.items()}
-        of = lambda kind: [n for n, r in terms.items() if isinstance(r, kind)]
-        self._contours, self._speeds = of(residuals.Contour), of(residuals.Progress)
-        self._accelerations = of(residuals.PathAcceleration)
+        of = lambda what: [n for n, r in terms.items() if isinstance(r, FollowsPath) and r.follows == what]
+        self._contours, self._speeds, self._accelerations = of("pose"), of("speed"), of("acceleration")
         self._references = [n for n in solver.problem.references.slices if n not in self._contours]
         #: What is followed; None before :meth:`follow`.
         self.following: Following | None = None
