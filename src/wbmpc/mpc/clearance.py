@@ -43,7 +43,7 @@ class ClearanceRows:
     def __init__(self, ocp: OptimalControlProblem, solver: Solver, obstacles: Obstacles | None) -> None:
         self._solver, self.obstacles = solver, obstacles
         none = np.zeros(0)
-        clear = {n: term.residual for n, term in ocp.terms.items() if isinstance(term.residual, KeepsClear)}
+        clear: dict[str, Any] = {n: t.residual for n, t in ocp.terms.items() if isinstance(t.residual, KeepsClear)}
         self._around = {n: ObstacleRows(r) for n, r in clear.items() if r.clear_of == "obstacles"}
         self._within = {n: SelfRows(r) for n, r in clear.items() if r.clear_of == "self"}
         self.active = bool(self._around or self._within)
