@@ -132,6 +132,13 @@ def test_libraries_stay_in_their_rooms(package: str) -> None:
     assert users <= ONLY_IN[package]
 
 
+def test_an_mpc_knows_no_residual_by_its_class() -> None:
+    """What it sets before a solve it finds by protocols of :mod:`wbmpc.ocp.symbols`, so that residuals of users take part."""
+    for path in (p for p in MODULES if room(p) in ("mpc", "solver", "runtime", "embedded")):
+        names = {n for n in imports_of(path) if n.startswith("wbmpc.ocp.") and "residuals" in n}
+        assert not names, f"{path.relative_to(SOURCE)}: {sorted(names)}"
+
+
 def test_only_tests_of_the_solver_know_its_memory() -> None:
     """Who tests something else would hold the solver to today's layout."""
     memory = {"wbmpc.solver.workspace", "wbmpc.solver.memory_layout"}

@@ -15,11 +15,11 @@ from wbmpc.errors import InputError
 from wbmpc.mpc.braking import BrakingPlan, braking_plan, braking_time
 from wbmpc.mpc.guess import predicted
 from wbmpc.obstacles.world import Obstacles, Snapshot
-from wbmpc.ocp import OptimalControlProblem, Reference, residuals
+from wbmpc.ocp import OptimalControlProblem, Reference
+from wbmpc.ocp.symbols import KeepsClear
 from wbmpc.solver import Solver, Trajectory
 
 Array = NDArray[np.float64]
-_TERMS = (residuals.Clearance, residuals.SelfClearance)
 #: Share of a margin that a plan may lack before it is replaced: one iteration misses rows by some of it.
 TOLERATED = 0.5
 #: Less than this [m] deeper than now is no deeper.
@@ -42,9 +42,10 @@ class ClearanceRows:
 
     def __init__(self, ocp: OptimalControlProblem, solver: Solver, obstacles: Obstacles | None) -> None:
         self._solver, self.obstacles = solver, obstacles
-        terms, none = {name: term.residual for name, term in ocp.terms.items()}, np.zeros(0)
-        self._around = {n: ObstacleRows(r) for n, r in terms.items() if isinstance(r, residuals.Clearance)}
-        self._within = {n: SelfRows(r) for n, r in terms.items() if isinstance(r, residuals.SelfClearance)}
+        none = np.zeros(0)
+        clear: dict[str, Any] = {n: t.residual for n, t in ocp.terms.items() if isinstance(t.residual, KeepsClear)}
+        self._around = {n: ObstacleRows(r) for n, r in clear.items() if r.clear_of == "obstacles"}
+        self._within = {n: SelfRows(r) for n, r in clear.items() if r.clear_of == "self"}
         self.active = bool(self._around or self._within)
         self.last = LeastClearance()
         #: when the stop ends [s] that the last plan is; None: it is none
@@ -62,7 +63,7 @@ class ClearanceRows:
             raise InputError(
                 "mpc: obstacles are given, but no term keeps clear of them; valid: a hard residuals.Clearance"
             )
-        self.robot: Any = next((r.robot for r in terms.values() if isinstance(r, _TERMS)), None)
+        self.robot: Any = next((r.robot for r in clear.values()), None)
 
     # ------------------------------------------------------------------ before a solve
     def update_snapshot(self, t: float) -> None:

@@ -14,7 +14,8 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.augment import WithPath
 from wbmpc.mpc.guess import predicted
 from wbmpc.mpc.policy import InputLimits, Policy
-from wbmpc.ocp import OptimalControlProblem, Path, Reference, residuals
+from wbmpc.ocp import OptimalControlProblem, Path, Reference
+from wbmpc.ocp.symbols import FollowsPath
 from wbmpc.solver import Solver, Trajectory
 
 Array = NDArray[np.float64]
@@ -58,14 +59,13 @@ class PathProgress:
         self.dynamics: Any = ocp.dynamics.dynamics if isinstance(ocp.dynamics, WithPath) else ocp.dynamics
         self._n, self._m = self.dynamics.state.size, self.dynamics.input.size
         terms = {name: term.residual for name, term in ocp.terms.items()}
-        of = lambda kind: [n for n, r in terms.items() if isinstance(r, kind)]
-        self._contours, self._speeds = of(residuals.Contour), of(residuals.Progress)
-        self._accelerations = of(residuals.PathAcceleration)
+        of = lambda what: [n for n, r in terms.items() if isinstance(r, FollowsPath) and r.follows == what]
+        self._contours, self._speeds, self._accelerations = of("pose"), of("speed"), of("acceleration")
         self._references = [n for n in solver.problem.references.slices if n not in self._contours]
-        followers: list[Any] = [terms[n] for n in self._contours]
+        follower: Any = terms[self._contours[0]] if self._contours else None
         #: The frame that follows the path, empty where the problem has no progress along one; whether it is the end effector's.
-        self.frame = next((str(r.frame) for r in followers), "")
-        self.of_end_effector = any(getattr(r.robot, "tool", r.frame) == r.frame for r in followers)
+        self.frame = str(getattr(follower, "frame", ""))
+        self.of_end_effector = getattr(getattr(follower, "robot", None), "tool", self.frame) == self.frame
         #: What is followed; None before :meth:`follow`.
         self.following: Following | None = None
         self._start: float | None = None

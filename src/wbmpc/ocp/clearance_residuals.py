@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -36,6 +37,7 @@ class Clearance:
     frames: Sequence[str] | None = None
     slots: int = 2
     margin: float | None = None
+    clear_of: ClassVar[Literal["obstacles"]] = "obstacles"
 
     def __post_init__(self) -> None:
         geometry = robot_geometry(self.robot)
@@ -93,6 +95,7 @@ class SelfClearance:
     pairs: Sequence[Pair] | None = None
     margin: float | None = None
     approach: float | None = None
+    clear_of: ClassVar[Literal["self"]] = "self"
 
     def __post_init__(self) -> None:
         geometry = robot_geometry(self.robot)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import casadi as ca
 
@@ -51,6 +51,7 @@ class Contour:
 
     size = 7
     reference = WIDTH
+    follows: ClassVar[Literal["pose"]] = "pose"
     #: a path has to be set: numbers of zero are none
     reference_required = True
     groups = {"contour": slice(0, 3), "lag": slice(3, 4), "orientation": slice(4, 7)}  # noqa: RUF012
@@ -88,6 +89,7 @@ class Progress:
 
     size = 1
     reference = 3
+    follows: ClassVar[Literal["speed"]] = "speed"
     groups = {"speed": slice(0, 1)}  # noqa: RUF012
 
     def __post_init__(self) -> None:
@@ -106,6 +108,7 @@ class PathAcceleration:
 
     size = 2
     reference = 1
+    follows: ClassVar[Literal["acceleration"]] = "acceleration"
 
     def __post_init__(self) -> None:
         _path_state(self.dynamics)

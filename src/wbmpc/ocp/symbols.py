@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import casadi as ca
 
@@ -79,3 +79,23 @@ class FollowsLastInput(Protocol):
 
     @property
     def last_inputs(self) -> list[int]: ...
+
+
+@runtime_checkable
+class KeepsClear(Protocol):
+    """A residual whose reference is nearest points, which an MPC sets before every solve: ``clear_of`` "obstacles", or of "self", between
+    parts of the ``robot``."""
+
+    @property
+    def robot(self) -> Any: ...
+
+    @property
+    def clear_of(self) -> Literal["obstacles", "self"]: ...
+
+
+@runtime_checkable
+class FollowsPath(Protocol):
+    """A residual whose reference is what the path of an MPC has near its progress, set before every solve: what it ``follows``."""
+
+    @property
+    def follows(self) -> Literal["pose", "speed", "acceleration"]: ...
