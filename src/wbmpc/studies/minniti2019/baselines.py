@@ -49,8 +49,9 @@ class RegulatorSettings(Settings):
 
 
 class SeparateSettings(Settings):
-    """Weights of the base MPC (ball position and speed, tilt rate, wheel torque); ``pace`` [rad/s]: bandwidth of the arm's joint loop;
-    ``integral`` [1/s]: of the same."""
+    """The base's MPC and the arm's joint loop. ``ball``: weight of the ball's position; ``ball_speed``: weight of its speed; ``tilt_rate``: weight
+    of the tilt rate; ``wheel``: weight of the wheel torques; ``pace`` [rad/s]: bandwidth of the arm's joint loop; ``integral`` [1/s]: rate of
+    its integral part."""
 
     ball: Weight = 30.0
     ball_speed: Weight = 3.0
@@ -61,7 +62,10 @@ class SeparateSettings(Settings):
 
 
 class TaskspaceSettings(Settings):
-    """What :class:`wbmpc.studies.minniti2019.taskspace_control.TaskGains` says of them."""
+    """Gains of the task-space controller. ``end_effector`` [rad/s]: natural frequency of the end effector's position; ``turn`` [rad/s]: natural
+    frequency of its orientation; ``ball``: weight of the ball's position in the balance's LQR; ``ball_speed``: weight of its speed there; ``yaw``:
+    weight of the yaw there; ``tilt``: weight of the tilt there; ``wheel_torque``: weight of the wheel torques there; ``balance``: weight of
+    the squared accelerations of ball and base against those of the end effector."""
 
     end_effector: Positive = 5.02
     turn: Positive = 2.5
@@ -112,7 +116,9 @@ class PolicyTracking(Settings):
 
 class ActuatorTracking(Settings):
     """Between two plans the paper's feed-forward and PD act in the drives, with the gains of
-    :class:`wbmpc.studies.minniti2019.tracking_control.ActuatorGains`."""
+    :class:`wbmpc.studies.minniti2019.tracking_control.ActuatorGains`. ``wheel_stiffness`` [N m/rad]: K_p of the wheels; ``wheel_damping``
+    [N m s/rad]: K_d of the wheels; ``arm_stiffness`` [N m/rad]: K_p of the arm's joints; ``arm_damping`` [N m s/rad]: K_d of the arm's joints;
+    ``leak_time_constant`` [s]: in which integrated speeds decay."""
 
     kind: Literal["actuators"] = "actuators"
     wheel_stiffness: Weight = ActuatorGains.wheel_stiffness

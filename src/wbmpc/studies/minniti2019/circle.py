@@ -26,7 +26,7 @@ IDEALIZATIONS = ["the end effector's orientation is free but for a small weight:
 
 class RezeroCircleSettings(AccurateSettings):
     """``radius`` [m]: radius of the circle; ``lap_time`` [s]: duration of a round; ``rounds``: number of rounds, the first of which
-    starts from rest; ``yaw`` [rad]: heading of the base."""
+    starts from rest; ``settle_time`` [s]: at rest before it; ``yaw``: whether the heading of the base is held, or free."""
 
     radius: float = Field(0.15, gt=0, le=1.0)
     lap_time: float = Field(6.0, ge=1.0, le=60.0)

@@ -25,8 +25,9 @@ _Step = Annotated[float, Field(ge=-1, le=1)]
 
 
 class FilterSettings(Settings):
-    """ν = (pole / zero) (s + zero) / (s + pole) u in rad/s for wheels and arm; ``wheel_weight``: factor of the wheels' torques'
-    weight with the filter, so that the end effector rises as fast as without; ``arm_weight``: that of the arm's torques."""
+    """ν = (pole / zero) (s + zero) / (s + pole) u. ``wheel_zero`` [rad/s]: zero of the filter of the wheels' torques; ``wheel_pole`` [rad/s]: its
+    pole; ``arm_zero`` [rad/s]: zero of the filter of the arm's torques; ``arm_pole`` [rad/s]: its pole; ``wheel_weight``: factor of the
+    weight of the wheels' torques with the filter, so that the end effector rises as fast as without; ``arm_weight``: that of the arm's torques."""
 
     wheel_zero: Positive = 20.0
     wheel_pole: Positive = 160.0

@@ -18,8 +18,8 @@ RECOVERY = 2.0
 
 class RezeroPushSettings(RezeroSettings):
     """``forces`` [N]: each along x and then along y; ``push_duration`` [s]: of each push, whole controller periods; ``gap`` [s]: from the first
-    push of such a pair to the second (left out: as long as the pause); ``pause`` [s]: from then to the next pair. The robot must be back before
-    each push that comes at least :data:`RECOVERY` after the one before."""
+    push of such a pair to the second (left out: as long as the pause); ``pause`` [s]: from then to the next pair; ``settle_time`` [s]: at
+    rest before the first push. The robot must be back before each push that comes at least :data:`RECOVERY` after the one before."""
 
     forces: tuple[Annotated[float, Field(ge=0, le=5000.0)], ...] = Field((50.0, 100.0, 200.0), min_length=1)
     push_duration: float = Field(0.2, gt=0, le=5.0)

@@ -41,9 +41,10 @@ class MissionSettings(DrivingSettings):
 
 class SwerveDriveSettings(MissionSettings):
     """``baseline_only``: nothing but the tour with the baseline, for the search of its gains. ``leg_guard``: of the MPC.
-    ``baseline_…``: gains [1/s] for base, legs and steering; by how much
-    [s] it reads its goals ahead, and how soon [s] a motion begins for which its wheels turn while it rests (see
-    :class:`wbmpc.studies.pankert2022.rolling.RollingController`). The other settings are those of all experiments that drive."""
+    ``baseline_base_gain`` [1/s]: the baseline's gain of the base's pose; ``baseline_leg_gain`` [1/s]: its gain of the legs;
+    ``baseline_steer_gain`` [1/s]: its gain of the steering angles; ``baseline_lead`` [s]: by which it reads its goals ahead;
+    ``baseline_look_ahead`` [s]: its wheels turn, at rest, to a motion that begins so soon. The other settings are those of all
+    experiments that drive."""
 
     baseline_only: bool = False
     baseline_base_gain: float = Field(8.0, ge=0, le=50)

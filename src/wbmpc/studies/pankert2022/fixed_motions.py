@@ -31,7 +31,9 @@ START, PAUSE, RAMP = 1.0, 2.0, 1.0
 
 
 class BaselineGains(Settings):
-    """What :class:`wbmpc.studies.pankert2022.rolling.RollingGains` says of them."""
+    """Gains of :class:`wbmpc.studies.pankert2022.rolling.RollingGains`. ``base_gain`` [1/s]: gain of the base's pose; ``steer_gain`` [1/s]: gain
+    of the steering angles; ``lead`` [s]: by which goals are read ahead, for the drives' lag; ``look_ahead`` [s]: wheels of a base at rest turn to
+    a motion that begins so soon."""
 
     base_gain: float = Field(ge=0, le=50)
     steer_gain: float = Field(gt=0, le=100)
