@@ -38,7 +38,7 @@ def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[n
     error = np.sqrt(np.mean((force[use] - 16.0) ** 2)) / 16.0
     assert m["force_error_ratio_high"] == pytest.approx(error, abs=0.01)
     # with a load that has not been weighed yet: the force takes 0.35 s to come up, and is all but exact afterwards
-    assert 0.001 < m["force_error_ratio_high"] < 0.08
+    assert 0.001 < m["force_error_ratio_high"] < 0.09
     late = t >= touch + 0.5
     assert np.sqrt(np.mean((force[use & late] - 16.0) ** 2)) / 16.0 < 0.03
     assert m["contact_share_high"] == 1.0 and m["fell"] == 0.0
