@@ -191,6 +191,37 @@ def test_a_flood_of_one_page_leaves_the_server_to_others() -> None:
         server.stop()
 
 
+def test_messages_that_are_right_are_no_flood_either() -> None:
+    """One page moves a goal as fast as it can: it is read at a page's rate, and others are served meanwhile. Truth: what is counted before
+    the server."""
+    server, guard = open_server(Access.of("127.0.0.1"), free_port())
+    panel = Panel(server, Mailbox.shared(REQUESTS), Controls("title", (), legs=False, base=False))
+    url = guard.access.url(server.get_port())
+    try:
+        flooding, other = Client(url), Client(url)
+        taken, take, ended = [], guard.take, threading.Event()
+        guard.take = lambda raw: (taken.append(raw), take(raw))[1]  # type: ignore[method-assign]
+        goal = {
+            "type": "TransformControlsUpdateMessage",
+            "name": "/goal",
+            "wxyz": (1, 0, 0, 0),
+            "position": (0.6, 0.1, 1.0),
+        }
+        thread = threading.Thread(target=_flood, args=(flooding, ended, msgspec.msgpack.encode(goal)))
+        start = time.monotonic()
+        thread.start()
+        time.sleep(1.0)
+        other.set("Force [N]", 80.0)
+        Client(url)
+        assert other.alive and np.allclose(panel._goal.position, (0.6, 0.1, 1.0))
+        seconds = time.monotonic() - start
+        ended.set()
+        thread.join()
+        assert sum(b"TransformControls" in raw for raw in taken) < 300 + 500 * (seconds + 1.0)
+    finally:
+        server.stop()
+
+
 def test_connections_that_say_nothing_leave_the_run_its_files() -> None:
     """Each is an open file of the process: with 1024 of them a run could write nothing. Whoever has made a request stays, and
     others get in: the oldest silent one makes room."""
@@ -281,10 +312,10 @@ def test_only_what_single_precision_has_is_drawn() -> None:
     assert _drawable(np.zeros((0, 2, 3))).shape == (0, 2, 3)
 
 
-def _flood(client: Client, ended: threading.Event) -> None:
+def _flood(client: Client, ended: threading.Event, message: bytes = b"\xc1") -> None:
     with suppress(ConnectionClosed):
         while not ended.is_set():
-            client.send(b"\xc1")
+            client.send(message)
 
 
 @pytest.mark.parametrize(

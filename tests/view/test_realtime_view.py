@@ -82,6 +82,33 @@ def test_contacts_are_drawn_where_the_estimate_is() -> None:
     np.testing.assert_allclose(shown["end_effector_plan"][0], robot.pose(robot.home)[0], atol=1e-9)
 
 
+def test_a_run_that_begins_anew_is_shown_anew() -> None:
+    """Its way and its speeds are not those of the run before, whose time was later. Truth: half of the arm's speed limit."""
+    robot = load_robot("swerve-ur10")
+    moments = Mailbox({"t": (), "late": (), "x": (robot.home.size,), "ticks": (), "misses": ()})
+    picture = realtime.Picture("swerve-ur10", moments, None)
+    message = {
+        "plan": np.tile(robot.home, (PLAN, 1)), "reference": np.zeros((REFERENCE, 3)), "goal": np.array([0.0] * 3 + [1.0] + [0.0] * 3),
+        "base_goal": np.zeros(3), "brakes": np.array(0.0), "solve": np.array(0.001), "deadline": np.array(0.02),
+    }  # fmt: skip
+
+    def shown(t: float, x: np.ndarray) -> tuple[float, np.ndarray]:
+        moments.write(t=t, late=0.0, x=x, ticks=1.0, misses=0.0)
+        values = picture(message)
+        trail = values["trail"]
+        return dict(zip(NUMBERS, values["numbers"], strict=True))["arm"], trail[np.isfinite(trail).all(axis=1)]
+
+    far, fast = robot.home.copy(), robot.home.copy()
+    far[robot.state["base"]] += [3.0, 0.0, 0.0]
+    first = robot.state["arm"].start
+    fast[first] += 0.05 * robot.description.limits.velocity[robot.state.groups["arm"][0]]
+    shown(80.0, robot.home)
+    assert len(shown(80.1, far)[1]) > 1
+    share, trail = shown(0.0, robot.home)
+    assert np.isnan(share) and np.ptp(trail, axis=0).max() < 1e-9
+    assert shown(0.1, fast)[0] == pytest.approx(0.5)
+
+
 @pytest.mark.wallclock
 def test_the_runner_is_watched_and_steered() -> None:
     """Goals, weights, a push and the legs' brakes change a run of three processes that goes on meanwhile; a reset begins it
@@ -128,6 +155,9 @@ def test_the_runner_is_watched_and_steered() -> None:
         seen["brakes"] = until(lambda: bool(runner.controller.brakes(0.0).all()))
         give(resets=1)
         seen["reset"] = until(lambda: len(runs) == 2 and runs[1][0].state == "running")
+        world.seen.read()  # what the view's process was opened with
+        messages: list[Any] = []
+        seen["shown"] = until(lambda: messages.append(world.seen.read()) or any(messages), 20.0)  # type: ignore[func-returns-value]
         give(ends=1)
 
     session_runner, session.runner_of = session.runner_of, kept
@@ -136,7 +166,7 @@ def test_the_runner_is_watched_and_steered() -> None:
     finally:
         session.runner_of = session_runner
         view.close()
-    assert seen == dict.fromkeys(("running", "hand", "base", "weights", "push", "brakes", "reset"), True)
+    assert seen == dict.fromkeys(("running", "hand", "base", "weights", "push", "brakes", "reset", "shown"), True)
     assert reason == "ended in the view" and not runs[1][0].stopped
     assert not runs[0][1].process.is_alive() and not runs[1][1].process.is_alive()
 

@@ -51,7 +51,7 @@ class Simulated:
     """The runner's side of it. ``make`` makes the plant, in the other process; the robot stands until the first command.
 
     ``stop``: the command of a safe stop; ``core``: where the process runs (None: anywhere), ``fifo``: before all
-    other processes. Times are the clock's.
+    other processes; ``seen``: where it shows what acts on it (:data:`SEEN`; None: in a mailbox of its own). Times are the clock's.
     """
 
     def __init__(
@@ -63,10 +63,11 @@ class Simulated:
         core: int | None,
         fifo: bool = False,
         record: int = 20_000,
+        seen: Mailbox | None = None,
     ) -> None:
         self.clock, self._stop, self._kind = clock, stop, type(measurement)
         self.measurements, self.commands = Mailbox.shared(shapes(measurement)), Mailbox.shared(shapes(stop))
-        self.pushes, self.seen = Mailbox.shared({"force": (3,)}), Mailbox.shared(SEEN)
+        self.pushes, self.seen = Mailbox.shared({"force": (3,)}), seen or Mailbox.shared(SEEN)
         self.board, self._started, self._measured = Board.shared(NUMBERS, RECORDS, record), False, measurement
         boxes = (self.measurements, self.commands, self.pushes, self.seen)
         arguments = (make, type(stop), boxes, self.board, core, fifo)

@@ -55,9 +55,12 @@ class RealtimeView(LiveView):
         self.robot_name, self.robot = robot, load_robot(robot)
         self.stopped, self._shown_at, self._late = False, -np.inf, 0.0
         self._runner: RealTimeRunner | None = None
+        #: What the view's process reads of every simulation, one after another; None before :meth:`open`.
+        self.seen: Mailbox | None = None
 
     def open(self, mpc: MPC, seen: Mailbox | None) -> None:
         """Start the process; returns when it answers."""
+        self.seen = seen
         scene = scene_of(self.robot)[1]
         groups = tuple(
             g for g in Loads(self.robot.description, scene.joint_names).groups if g != "drives"
@@ -182,6 +185,9 @@ class Picture:
     def __call__(self, plan: dict[str, Array]) -> dict[str, Any]:
         """The newest of everything; ``plan``: the MPC's message."""
         moment = self._moments.read()
+        if moment is not None and moment.values["t"] < self._moment["t"]:  # another run begins
+            self._trail.reset()
+            self._previous, self._shares = None, dict.fromkeys(GROUPS, np.nan)
         self._moment = moment.values if moment is not None else self._moment
         seen = self._seen.read() if self._seen is not None else None
         self._ground = seen.values if seen is not None else self._ground

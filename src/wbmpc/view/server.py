@@ -29,6 +29,8 @@ _PATCH = threading.Lock()
 #: Rejected messages that cost their senders no time, and how many more of them are read in a second, of all pages together; also
 #: what else than whole messages (pings, parts) one connection may send.
 _FREE, _REJECTED_RATE = 200, 500.0
+#: How many messages of one page are read in a second: a drag sends some 60, and moves the camera.
+_RATE = 500.0
 #: Connections at a time, of all clients together: each is an open file, and the run that is shown needs files too.
 MAX_CONNECTIONS = 100
 #: Of every answer: no other page may frame this one (clicks would be the user's), learn its address, or keep a copy.
@@ -165,6 +167,7 @@ class Guard:
         class Connection(websockets_server.ServerConnection):
             admitted = False
             throttle: Throttle | None = None
+            good: Throttle | None = None
 
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
                 self.admitted = guard.admit(self, transport)
@@ -186,9 +189,11 @@ class Guard:
                 super().process_event(event)
 
             async def recv(self, decode: bool | None = None) -> Any:
+                self.good = self.good or Throttle(_FREE, _RATE)
                 while True:
                     message = guard.take(await super().recv(decode))
                     if message is not None:
+                        await asyncio.sleep(self.good.wait())  # what a page may send, it may not send at any rate
                         return message
                     await asyncio.sleep(guard._throttle.wait())
 

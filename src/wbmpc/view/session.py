@@ -62,7 +62,8 @@ def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[RealTimeR
     # the controller's model is the first MPC: the memory of the runner's own belongs to its thread
     system, mpc = system_of(robot, seed), system_of(robot, seed).mpc
     controller, model, clock = system.controller, system.mpc, WallClock()
-    simulated = Simulated(partial(_plant_of, robot_name, seed), system.plant.measure(), controller.stop(), clock, None)
+    make = partial(_plant_of, robot_name, seed)
+    simulated = Simulated(make, system.plant.measure(), controller.stop(), clock, None, seen=view.seen)
     if view.process is None:
         view.open(mpc, simulated.seen)
     view.guide(mpc, controller, simulated.push)
