@@ -17,7 +17,7 @@ from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 from wbmpc.studies.minniti2019.force import MISMATCH_TIME, ForceMonitor
 
-SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=6.0, final_hold_time=5.0)
+SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=7.0, final_hold_time=5.0)
 #: With a mass that the controller does not know: 1 kg felled the robot after the release when the arm had no posture to go back to.
 LOADED = SHORT.model_copy(update={"payload": 1.0})
 
@@ -38,7 +38,7 @@ def test_door_is_opened_with_the_wanted_force(result) -> None:  # type: ignore[n
     error = np.sqrt(np.mean((force[use] - 16.0) ** 2)) / 16.0
     assert m["force_error_ratio_high"] == pytest.approx(error, abs=0.01)
     # with a load that has not been weighed yet: the force takes 0.35 s to come up, and is all but exact afterwards
-    assert 0.001 < m["force_error_ratio_high"] < 0.09
+    assert 0.001 < m["force_error_ratio_high"] < 0.08
     late = t >= touch + 0.5
     assert np.sqrt(np.mean((force[use & late] - 16.0) ** 2)) / 16.0 < 0.03
     assert m["contact_share_high"] == 1.0 and m["fell"] == 0.0
