@@ -10,6 +10,7 @@ from planar_driving import write_robot
 from wbmpc.default_problem import default_mpc, default_settings
 from wbmpc.errors import InputError
 from wbmpc.mpc.speeds import SpeedMPC, SpeedPolicy
+from wbmpc.recording.observer import end_effector_goal
 from wbmpc.settings import SupportMarginSettings
 from wbmpc.stability import StanceOf
 
@@ -84,7 +85,9 @@ def test_a_base_goes_along_a_path_as_fast_as_its_margin_allows(upright: tuple[wb
     start = robot.pose(robot.home, body)[0]
     stability = SupportMarginSettings(margin=margin)
     mpc = default_mpc(robot, default_settings(horizon=1.5, intervals=15), stability=stability, progress=body)
-    assert mpc.path.frame == body and not mpc.path.of_end_effector
+    assert (
+        mpc.path.frame == body and end_effector_goal(mpc, 0.0, np.zeros(3)) is None
+    )  # the path is not the end effector's
     mpc.path.follow(wb.Path.line(start, start + [1.0, 0.0, 0.0]), speed=1.0, acceleration=8.0)
     x, margins, places = robot.home, [], []
     mpc.reset(x)

@@ -88,7 +88,8 @@ class TaskSettings(SimulationSettings):
         progress: Literal["end_effector", "base"] | None = None,
     ) -> tuple[RobotModel, MPC]:
         """The robot (or another one of it, with a home of its own) with its default MPC at home, which keeps clear of ``obstacles`` where
-        there are any; with ``progress``, that of the robot follows a path at its own speed. Raises :class:`InputError` for a weight of no cost."""
+        there are any; ``progress``: which frame of the robot follows a path at its own speed (none: references have a clock). Raises
+        :class:`InputError` for a weight of no cost."""
         robot = robot or load_robot(self.robot)
         changes: dict[str, Any] = {
             name: value for name, value in self.mpc.model_dump(exclude={"model"}).items() if value is not None

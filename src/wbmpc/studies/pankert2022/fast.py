@@ -111,10 +111,11 @@ def build(settings: SwerveFastSettings, seed: int) -> Scenario:
         return {name: replace(metric, goal=course.GOALS.get(name)) for name, metric in found.items()}
 
     wheels = robot.description.base.wheel_joints() or list(robot.state.groups.get("wheel", ()))
-    return closed_loop(
+    scenario = closed_loop(
         robot, mpc, ordered + settings.after, seed, settings, since=ordered, tick=tick, metrics=metrics,
         plots=lambda log: watch.plots(wheels), truth=watch.see,
     )  # fmt: skip
+    return replace(scenario, idealizations=[*scenario.idealizations, *course.idealizations])
 
 
 EXPERIMENT = Experiment.of(

@@ -43,6 +43,11 @@ class Sideways(Settings):
     follows: ClassVar[Literal["base"] | None] = None
     rolling: ClassVar[float] = np.pi / 2
 
+    @property
+    def idealizations(self) -> list[str]:
+        """What this course adds to those of all closed loops."""
+        return []
+
     def equipped(self, robot: RobotModel) -> RobotModel:
         """The robot as it is."""
         return robot
@@ -67,7 +72,7 @@ class Sideways(Settings):
 class SCurve(Settings):
     """The base goes to the side and back again while it drives ahead, and heads along its path, whose curvature is zero at both ends and
     changes steadily. ``length`` [m] ahead; ``width`` [m] to the side; ``speed`` [m/s] along the path: the desired one; ``acceleration`` [m/s²]:
-    of progress, at most; ``drives``: how many times as fast, and as quick, as the robot's own the wheels and the base are."""
+    of progress, at most; ``drives``: factor on the robot's limits of speed and acceleration of wheels and base."""
 
     kind: Literal["s-curve"] = "s-curve"
     length: float = Field(4.0, ge=0.5, le=100)
@@ -81,6 +86,11 @@ class SCurve(Settings):
     follows: ClassVar[Literal["base"] | None] = "base"
     rolling: ClassVar[float] = 0.0
 
+    @property
+    def idealizations(self) -> list[str]:
+        """What this course adds to those of all closed loops."""
+        return [f"the drives of wheels and base are {self.drives:g} times as fast as the robot's own"]
+
     def curve(self) -> Array:
         """Poses (n, 3) [m, m, rad] of the base."""
         x, half = np.linspace(0.0, self.length, POINTS), 0.5 * self.length
@@ -91,7 +101,7 @@ class SCurve(Settings):
         return np.stack([x, aside, np.arctan(slope)], axis=1)
 
     def equipped(self, robot: RobotModel) -> RobotModel:
-        """The robot with faster drives."""
+        """The robot with its limits of wheels and base times ``drives``; its simulated drives follow them."""
         own = robot.description.limits
         wheels = robot.input.groups["wheel"]
         faster = lambda values: {n: v * (self.drives if n in wheels else 1.0) for n, v in values.items()}
