@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -161,6 +162,17 @@ def make_mpc(
     if isinstance(stability, WheelLoadSettings) and stability.friction > 0.0:
         mpc.reference["grip"] = Reference.constant([*carried, stability.friction])
     return mpc
+
+
+def carry(mpc: MPC, payload: float) -> None:
+    """Plans of an MPC of :func:`make_mpc` count with the mass ``payload`` [kg] from the next update on; where it is, and what else its
+    references say, stays."""
+    for name in ("stability", "grip"):
+        if name in mpc.ocp.terms:
+            reference = mpc.reference[name]
+            values = reference.values.copy()
+            values[:, 6] = payload
+            mpc.reference[name] = replace(reference, values=values)
 
 
 def keep_clear(

@@ -94,10 +94,12 @@ class NoStability(Settings):
 
 class StabilitySettings(Settings):
     """What keeps a robot on wheels from tipping over: one of its subclasses. ``payload`` [kg]: mass at the end effector that plans
-    include; ``payload_center`` [m]: where it is, in the end effector's axes."""
+    include; ``payload_center`` [m]: where it is, in the end effector's axes; ``estimate_payload``: whether the mass is weighed by the
+    torques of the arm's drives while the arm is still in the base, and ``payload`` holds until then."""
 
     payload: float = Field(0.0, ge=0, le=1000)
     payload_center: tuple[_Center, _Center, _Center] = (0.0, 0.0, 0.0)
+    estimate_payload: bool = False
 
 
 class WheelLoadSettings(StabilitySettings):

@@ -14,7 +14,7 @@ import numpy as np
 
 from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription
-from wbmpc.robots.couplings import put_followers
+from wbmpc.robots.couplings import followers, put_followers
 from wbmpc.simulation.arm_step import carry, keep
 from wbmpc.simulation.payloads import PAYLOAD, add_payload
 from wbmpc.simulation.perturbation import Perturbation, PlantSample
@@ -67,7 +67,13 @@ class ArmPlant(WorldAccess):
         self._q = {g: np.array([m.joint(n).qposadr[0] for n in part], dtype=int) for g, part in names.items()}
         self._all = np.concatenate(list(self._q.values()))
         self._arm_dofs = span(np.array([m.joint(n).dofadr[0] for n in self._carried()], dtype=int))
+        self._arm_drives = span(np.array([m.actuator(n).id for n in names["arm"]], dtype=int))
         self.weight = float(m.body_mass.sum() * np.linalg.norm(m.opt.gravity))
+        leaders = {m.joint(n).id: i for i, n in enumerate(names["arm"])}
+        places = {m.joint(n).id: k for k, n in enumerate(self.description.couple)}
+        self._shares = np.zeros((len(leaders), len(places)))
+        for follower, leader, ratio, _ in followers(m):
+            self._shares[leaders[leader], places[follower]] = ratio
         self._payload = m.body(PAYLOAD).id if self.perturbation.payload > 0.0 else None
 
     def _carried(self) -> list[str]:
@@ -88,6 +94,9 @@ class ArmPlant(WorldAccess):
         self._count = 2.0 * np.pi / np.where(self._exact, 1, counts)
         self._ages = round(p.encoder_jitter / self.timestep)
         self._last = None
+        limits = self.description.limits.effort
+        self._effort_noise = p.effort_noise * np.array([limits.get(n, 0.0) for n in self._names["arm"]])
+        self._effort_rng = self._noise.spawn(1)[0]  # of its own: noise of other sensors is what it is without
         self._bind_steps()
 
     def set_zeros(self, found: Array) -> None:
@@ -127,6 +136,16 @@ class ArmPlant(WorldAccess):
         mujoco.mj_jacBody(m, d, jacobian, None, self._payload)
         weight: Array = d.qfrc_bias[dofs] + m.body_mass[self._payload] * m.opt.gravity @ jacobian[:, dofs]
         d.qfrc_applied[dofs] = weight
+
+    def efforts(self) -> Array:
+        """Torques (m) [N m or N] of the arm's drives in the last physics step as they report them, with what is fed forward to each joint
+        and to those that follow it."""
+        d, n = self.data, len(self._names["arm"])
+        applied = d.qfrc_applied[self._arm_dofs]
+        carried = applied[:n] if applied.size == n else applied[:n] + self._shares @ applied[n:]
+        noise = self._effort_noise * self._effort_rng.standard_normal(n)
+        read: Array = self.draw.effort_gain * (d.actuator_force[self._arm_drives] + carried) + noise
+        return read
 
     def encoders(self) -> Array:
         """Positions of all joints by group, with their zero errors, all of one age up to the jitter, before they are quantized."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 import mujoco
@@ -86,7 +86,8 @@ class Perturbation(BaseModel):
     ``accel_walk`` [m/s²/√s]: random walk of the accelerometer's bias. An idealized state sensor has ``state_age`` [s]: age of the state
     sensor's message; ``position_noise`` [m]: noise of the state sensor's positions; ``angle_noise`` [rad]: noise of the state sensor's
     angles; ``speed_noise`` [m/s]: noise of the state sensor's speeds; ``rate_noise`` [rad/s]: noise of the state sensor's angular
-    rates.
+    rates. Drives of the arm report their torques: ``effort_gain``: relative error of the torque that a drive reports, drive by drive;
+    ``effort_noise``: standard deviation of the torque that a drive reports, over its limit, per message.
 
     Torque drives, and not spreads: ``actuator_dead_time`` [s]: dead time of the drives, whole physics steps; ``drives``: rigid, or elastic
     (:class:`SeriesElasticDrives`).
@@ -129,6 +130,8 @@ class Perturbation(BaseModel):
     angle_noise: float = Field(default=2e-3, ge=0, le=3.2)
     speed_noise: float = Field(default=0.01, ge=0, le=100)
     rate_noise: float = Field(default=0.02, ge=0, le=100)
+    effort_gain: float = Field(default=0.03, ge=0, lt=1)
+    effort_noise: float = Field(default=0.01, ge=0, le=1)
     payload: float = Field(default=0.0, ge=0, le=50)
     body_payload: float = Field(default=0.0, ge=0, le=500)
     slope: float = Field(default=0.0, ge=0, le=0.5)
@@ -188,8 +191,9 @@ class Perturbation(BaseModel):
             arm_lag=lag(arm),
             gyro_bias=around(self.gyro_bias, 3),
             accel_bias=around(self.accel_bias, 3),
-            # the last one: the numbers before it are those of a level floor
+            # the last ones: the numbers before them are those of a level floor, and of drives that report nothing
             downhill=float(rng.uniform(-np.pi, np.pi)),
+            effort_gain=1.0 + around(self.effort_gain, arm),
         )
 
 
@@ -213,6 +217,7 @@ class PlantSample:
     gyro_bias: Array
     accel_bias: Array
     downhill: float = 0.0
+    effort_gain: Array = field(default_factory=lambda: np.ones(0))
 
     def apply_to_bodies(self, spec: mujoco.MjSpec, balanced: Collection[str] = ()) -> None:
         """Other masses, inertias and centers of mass of a specification, in place.

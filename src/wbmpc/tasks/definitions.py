@@ -45,6 +45,8 @@ DEFINITIONS: Definitions = {
     "wheel_load_min": ("N", "smallest contact force of a wheel; true"),
     "wheel_lifted_time_max": ("s", "longest time in which a wheel carries nothing; true"),
     "tilt_change_max": ("rad", "largest change of the tilt of the base against how it stood; true"),
+    "payload_estimated": ("kg", "mass at the end effector as the torques of the arm's drives have it at the end"),
+    "payload_error_end": ("kg", "difference of the estimated mass at the end effector from the true one at the end"),
     "stopping_distance": ("m", "largest way of the base from the order to stop until it rests"),
     "stopping_time": ("s", "time from the order to stop until the base rests"),
 }  # fmt: skip

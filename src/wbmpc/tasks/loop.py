@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from typing import Any
 
 import casadi as ca
@@ -30,6 +32,7 @@ from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
 from wbmpc.tasks.joint_figures import JointRecord
+from wbmpc.tasks.payload import PayloadWatch
 from wbmpc.tasks.perception import Perception, PerceptionSettings
 from wbmpc.tasks.reference_drive import arm_zeros, calibration
 from wbmpc.tasks.scene import SceneWatch, believed
@@ -82,23 +85,13 @@ def make_system(
 
 
 def closed_loop(
-    robot: RobotModel,
-    mpc: MPC,
-    duration: float,
-    seed: int = 0,
-    settings: SimulationSettings | None = None,
-    *,
-    since: float = 0.0,
-    tick: Callable[[float], None] | None = None,
-    metrics: Callable[[Log], dict[str, Metric]] | None = None,
-    plots: Callable[[Log], Sequence[Plot]] | None = None,
-    scene: Sequence[SceneObstacle] | None = None,
-    perception: PerceptionSettings | None = None,
+    robot: RobotModel, mpc: MPC, duration: float, seed: int = 0, settings: SimulationSettings | None = None, *,
+    since: float = 0.0, tick: Callable[[float], None] | None = None,
+    metrics: Callable[[Log], dict[str, Metric]] | None = None, plots: Callable[[Log], Sequence[Plot]] | None = None,
+    scene: Sequence[SceneObstacle] | None = None, perception: PerceptionSettings | None = None,
     truth: Callable[[float, Truth], None] | None = None,
-    paced: bool = False,
-    alternatives: bool = False,
-    done: Callable[[], bool] | None = None,
-) -> Scenario:
+    paced: bool = False, alternatives: bool = False, done: Callable[[], bool] | None = None,
+) -> Scenario:  # fmt: skip
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on; all that is random has the ``seed``.
 
     Recorded every 10 ms: the end effector, its reference (of the cost "end_effector", where there is one) and its error, the base and its
@@ -124,23 +117,26 @@ def closed_loop(
     watch = SceneWatch(around, system, log, since, robot, pace, perceive, others) if around else None
     over = _Over(duration if others else np.inf, 1.5 * system.timing.period, pace, done)
 
+    watches: list[Any] = [w for w in (watch, PayloadWatch.of(settings, robot, system, log)) if w]
+
     def record(t: float, command: Any, plans: Any) -> None:
         over.now = t
         if tick is not None:
             tick(t)
         if truth is not None:
             truth(t, system.plant.truth())
-        if watch is not None:
-            watch.tick(t, plans)
+        for seen in watches:
+            seen.tick(t, plans)
         if round(t / system.timing.period) % every == 0:
             _record(log, t, system, plans, joints)
 
     def measured(run: Run) -> dict[str, Metric]:
-        found = {**general_metrics(log, robot, since, run.ending.fell), **(watch.metrics() if watch else {})}
-        return {**found, **(metrics(log) if metrics else {})}
+        found = general_metrics(log, robot, since, run.ending.fell)
+        return reduce(or_, [seen.metrics() for seen in watches], found) | (metrics(log) if metrics else {})
 
     def drawn(run: Run) -> list[Plot]:
-        return [*general_plots(log), *joints.plots(), *(watch.plots() if watch else []), *(plots(log) if plots else [])]
+        own = [plot for seen in watches for plot in seen.plots()]
+        return [*general_plots(log), *joints.plots(), *own, *(plots(log) if plots else [])]
 
     longest = min(duration + DETOURS, LONGEST_RUN) if others else duration
     loop = Loop(system.plant, system.controller, mpc, system.timing, longest, record, over)

@@ -27,7 +27,8 @@ class PlanarCommand:
 @dataclass(frozen=True)
 class PlanarMeasurement:
     """Positions [rad] of wheels (n), arm and steering joints as the encoders report them at ``time`` [s]; ``gyro`` (3) [rad/s] and ``accel`` (3)
-    [m/s²] of the inertial unit in the axes of the base: at rest ``accel`` points up."""
+    [m/s²] of the inertial unit in the axes of the base: at rest ``accel`` points up; ``effort`` (m) [N m or N]: what the arm's drives report,
+    which carry the arm and what it holds; empty where they report none."""
 
     time: float
     wheel: Array
@@ -35,3 +36,4 @@ class PlanarMeasurement:
     gyro: Array = field(default_factory=lambda: np.zeros(3))
     accel: Array = field(default_factory=lambda: np.zeros(3))
     steer: Array = field(default_factory=lambda: np.zeros(0))
+    effort: Array = field(default_factory=lambda: np.zeros(0))

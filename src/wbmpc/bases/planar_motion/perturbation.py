@@ -10,7 +10,7 @@ READS = frozenset(
         "mass", "inertia", "com_offset", "joint_offset", "wheel_radius", "wheel_radius_each", "actuator_time_constant",
         "actuator_time_constant_spread", "dry_friction", "friction",
         "encoder_jitter", "encoder_counts", "arm_counts", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise",
-        "accel_bias", "accel_walk", "payload", "body_payload", "slope",
+        "accel_bias", "accel_walk", "effort_gain", "effort_noise", "payload", "body_payload", "slope",
     }
 )  # fmt: skip
 

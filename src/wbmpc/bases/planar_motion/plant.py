@@ -141,7 +141,7 @@ class PlanarPlant(WheeledPlant):
         self.world.refresh()
         read, imu = self.quantized(self.encoders()), self.inertial()
         positions = {group: read[part] for group, part in self._parts.items()}
-        self._last = PlanarMeasurement(self.time, **positions, **imu)
+        self._last = PlanarMeasurement(self.time, **positions, **imu, effort=self.efforts())
         return self._last
 
     # ------------------------------------------------------------------ truth

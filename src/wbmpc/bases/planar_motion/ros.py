@@ -192,7 +192,9 @@ class PlanarRosAdapter(BaseAdapter):
         if imu is None:
             return BusMeasurement(at, wheel, arm, steer=steer, origin=origin, series=sample.series)
         turning = None if imu.turning is None or not self.settings.use_gyro else float(imu.turning[2])
-        return BusMeasurement(at, wheel, arm, imu.gyro, imu.accel, steer, turning, origin, sample.series)
+        return BusMeasurement(
+            at, wheel, arm, imu.gyro, imu.accel, steer, turning=turning, origin=origin, series=sample.series
+        )
 
     def stand(self, measurement: BusMeasurement) -> None:
         """Follow the wheels, and the gyro's bias, while the drives are not commanded."""

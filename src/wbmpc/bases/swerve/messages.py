@@ -32,7 +32,8 @@ class SwerveMeasurement:
     """Positions [rad] as the encoders report them at ``time`` [s] (``leg`` is empty for fixed legs).
 
     ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²]: inertial unit, axes of the base; at rest ``accel`` points up.
-    ``place``: a global pose that has just come in, older than the message.
+    ``place``: a global pose that has just come in, older than the message. ``effort`` (m) [N m]: torques that the arm's drives
+    report, which carry the arm and what it holds; empty where they report none.
     """
 
     time: float
@@ -43,3 +44,4 @@ class SwerveMeasurement:
     gyro: Array = field(default_factory=lambda: np.zeros(3))
     accel: Array = field(default_factory=lambda: np.zeros(3))
     place: GlobalPose | None = None
+    effort: Array = field(default_factory=lambda: np.zeros(0))

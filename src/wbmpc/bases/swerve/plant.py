@@ -276,7 +276,7 @@ class SwervePlant(WheeledPlant):
         place = None
         if self.localization is not None:
             place = self.localization.observe(self.time, np.array([*self.world.base_pose()[:2], self.world.yaw]))
-        self._last = SwerveMeasurement(self.time, **values, **imu, place=place)
+        self._last = SwerveMeasurement(self.time, **values, **imu, place=place, effort=self.efforts())
         return self._last
 
     # ------------------------------------------------------------------ truth
