@@ -10,7 +10,8 @@ from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.registry import load
 from wbmpc.studies.pankert2022.fast import SwerveFastSettings, WheelWatch, build
-from wbmpc.studies.pankert2022.fast_courses import SCurve, path_error, time_to_goal
+from wbmpc.studies.pankert2022.fast_courses import PILLAR, SHIFT, SCurve, Slalom, path_error, time_to_goal
+from wbmpc.tasks.obstacles import Extent
 from wbmpc.tasks.settings import TaskMpcSettings, TaskSettings
 from wbmpc.types import Truth
 
@@ -48,6 +49,37 @@ def test_the_s_curve_heads_along_itself_and_begins_straight() -> None:
     curvature = np.diff(heading) / np.hypot(np.diff(x), np.diff(y))
     assert np.abs(curvature[[0, -1]]).max() < 0.04 * np.abs(curvature).max()
     assert np.abs(np.diff(curvature)).max() < 0.08 * np.abs(curvature).max()  # it changes steadily
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_pillars_of_the_slalom_are_in_the_way_of_a_straight_base_and_beside_the_path(seed: int) -> None:
+    """Truth: what the robot's own shapes take up at home."""
+    robot, course = wb.load_robot("swerve-ur10"), Slalom()
+    pillars, e = course.scene(robot, seed), Extent(robot, "slalom")
+    poses = course.curve()
+    assert [p.name for p in pillars] == ["pillar0", "pillar1", "pillar2"]
+    for k, pillar in enumerate(pillars):
+        x, y, z = pillar.place["position"]
+        reach = e.base_high[1] if y > 0.0 else -e.base_low[1]
+        assert (y > 0.0) == (k % 2 == 1)  # right and left in turn
+        assert abs(y) - PILLAR == pytest.approx(reach - course.overlap, abs=SHIFT)
+        aside = np.interp(x, poses[:, 0], poses[:, 1])
+        assert (
+            abs(y - aside) - PILLAR > reach - SHIFT
+        )  # nothing of it is deeper in the path's way than it was moved for the seed
+        assert z == pytest.approx(e.ground) and z + pillar.shape.b[2] < e.top  # the arm passes above
+    again = [p.place["position"].tolist() for p in course.scene(robot, seed)]
+    assert again == [p.place["position"].tolist() for p in pillars]
+
+
+def test_a_short_slalom_touches_nothing_and_lifts_no_wheel() -> None:
+    experiment = load("swerve-fast")
+    course = ["course=slalom", "course.pillars=1", "course.first=2.0", "course.length=4.0", "after=4"]
+    found = experiment.run(configure(experiment.config_type, course, "swerve-fast"), 1)
+    values = {name: metric.value for name, metric in found.metrics.items()}
+    assert found.outcome == "completed"
+    assert values["obstacle_clearance_min"] > 0.02 and values["contacts_unwanted"] == 0.0
+    assert values["time_unloaded"] < 0.05 and values["time_to_goal"] < 4.0
 
 
 def test_the_s_curve_is_driven_with_faster_wheels() -> None:

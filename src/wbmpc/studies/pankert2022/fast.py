@@ -1,4 +1,4 @@
-"""`swerve-fast`: as fast as the floor carries it, with 10 kg at full reach: 2 m sideways, or along an S-curve.
+"""`swerve-fast`: as fast as the floor carries it, with 10 kg at full reach: 2 m sideways, along an S-curve, or in a slalom.
 
 The order is a goal, or a path: no plan sees it before, and nothing but the plan says how fast to go. Plans by speeds
 (``mpc.model=kinematic``) know nothing of what a change of speed does to the loads of the wheels.
@@ -21,7 +21,7 @@ from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
-from wbmpc.studies.pankert2022.fast_courses import SCurve, Sideways
+from wbmpc.studies.pankert2022.fast_courses import SCurve, Sideways, Slalom
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.settings import TaskMpcSettings, TaskSettings, moving_base
 from wbmpc.tasks.tip_over import LIFTED, reaching
@@ -32,9 +32,10 @@ NAME = "swerve-fast"
 
 
 class SwerveFastSettings(TaskSettings):
-    """``course``: sideways (:class:`Sideways`) or an s-curve (:class:`SCurve`); ``after`` [s]: how long the robot is watched from the
-    order on; ``legs``: configuration of hinged legs. ``weights`` are factors on top of the course's own. Wheels are of one size: a stiff body
-    on four stiff wheels that differ by 0.2 mm stands on three of them, whatever is planned."""
+    """``course``: sideways (:class:`Sideways`), an s-curve (:class:`SCurve`) or a slalom (:class:`Slalom`); ``after`` [s]: how long the robot
+    is watched from the order on (left out: as the course needs); ``legs``: configuration of hinged legs. ``weights`` are factors on top of
+    the course's own. Wheels are of one size: a stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever
+    is planned."""
 
     robot: Robot = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
@@ -42,8 +43,8 @@ class SwerveFastSettings(TaskSettings):
     stability: Stability = WheelLoadSettings(min_load=0.1, payload=10.0)
     weights: dict[str, Positive] = Field(default={})
     settle_time: float = Field(2.0, ge=0, le=60)
-    course: Annotated[Sideways | SCurve, Field(discriminator="kind"), BeforeValidator(kind_alone)] = Sideways()
-    after: float = Field(5.0, ge=0.5, le=600)
+    course: Annotated[Sideways | SCurve | Slalom, Field(discriminator="kind"), BeforeValidator(kind_alone)] = Sideways()
+    after: float | None = Field(None, ge=0.5, le=600)
     legs: Literal["home", "H", "X", "A"] = "H"
 
     @property
@@ -97,7 +98,8 @@ def build(settings: SwerveFastSettings, seed: int) -> Scenario:
     moving_base(robot, NAME)
     course, ordered = settings.course, settings.settle_time
     robot = reaching(course.equipped(robot), np.pi / 2, settings.legs, course.rolling)
-    robot, mpc = settings.weighted.prepare(robot=robot, progress=course.follows)
+    scene = course.scene(robot, seed)
+    robot, mpc = settings.weighted.prepare(scene is not None, robot, course.follows)
     watch, waiting = WheelWatch(ordered), [ordered]
 
     def tick(t: float) -> None:
@@ -112,15 +114,15 @@ def build(settings: SwerveFastSettings, seed: int) -> Scenario:
 
     wheels = robot.description.base.wheel_joints() or list(robot.state.groups.get("wheel", ()))
     scenario = closed_loop(
-        robot, mpc, ordered + settings.after, seed, settings, since=ordered, tick=tick, metrics=metrics,
-        plots=lambda log: watch.plots(wheels), truth=watch.see,
+        robot, mpc, ordered + (settings.after or course.AFTER), seed, settings, since=ordered, tick=tick, metrics=metrics,
+        plots=lambda log: watch.plots(wheels), truth=watch.see, scene=scene,
     )  # fmt: skip
     return replace(scenario, idealizations=[*scenario.idealizations, *course.idealizations])
 
 
 EXPERIMENT = Experiment.of(
     NAME,
-    "2 m sideways, or an s-curve, with a load at full reach, as fast as all wheels stay on the ground",
+    "2 m sideways, an s-curve or a slalom, with a load at full reach, as fast as all wheels stay on the ground",
     SwerveFastSettings,
     build,
     DEFINITIONS[NAME],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -11,9 +11,12 @@ from wbmpc import lie
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.obstacles.scene import SceneObstacle
+from wbmpc.obstacles.shapes import Cylinder
 from wbmpc.ocp import Path, Reference
 from wbmpc.result import Metric
 from wbmpc.settings import Settings
+from wbmpc.tasks.obstacles import Extent
 from wbmpc.tasks.path_settings import follow
 from wbmpc.tasks.paths import nearest_distance
 
@@ -23,6 +26,9 @@ AT_GOAL, AT_END = 0.010, 0.030
 #: Points of a curve.
 POINTS, DENSE = 400, 4001
 UP = (0.0, 0.0, 1.0)
+#: Radius [m] of a pillar of the slalom, its height over that of what is lower than most of the arm, how far [m] it is moved for a seed,
+#: and how much farther [m] the path goes around it.
+PILLAR, HIGH, SHIFT, ASIDE = 0.1, 0.9, 0.1, 0.1
 
 
 class Sideways(Settings):
@@ -40,6 +46,7 @@ class Sideways(Settings):
         "tilt_max": float(np.deg2rad(0.05)),
         "time_unloaded": 0.1,
     }
+    AFTER: ClassVar[float] = 5.0
     follows: ClassVar[Literal["base"] | None] = None
     rolling: ClassVar[float] = np.pi / 2
 
@@ -47,6 +54,10 @@ class Sideways(Settings):
     def idealizations(self) -> list[str]:
         """What this course adds to those of all closed loops."""
         return []
+
+    def scene(self, robot: RobotModel, seed: int) -> list[SceneObstacle] | None:
+        """What stands around the robot: nothing."""
+        return None
 
     def equipped(self, robot: RobotModel) -> RobotModel:
         """The robot as it is."""
@@ -78,11 +89,12 @@ class SCurve(Settings):
     length: float = Field(4.0, ge=0.5, le=100)
     width: float = Field(0.8, ge=0.0, le=10)
     speed: float = Field(2.0, ge=0.1, le=10)
-    acceleration: float = Field(4.0, ge=0.1, le=50)
+    acceleration: float = Field(2.5, ge=0.1, le=50)
     drives: float = Field(2.2, ge=0.5, le=10)
 
     WEIGHTS: ClassVar[dict[str, float]] = {"input": 0.05, "contour": 10.0, "progress": 10.0}
     GOALS: ClassVar[dict[str, float]] = {"path_error_max": 0.015, "wheel_slip_max": 0.05, "time_unloaded": 0.1}
+    AFTER: ClassVar[float] = 5.0
     follows: ClassVar[Literal["base"] | None] = "base"
     rolling: ClassVar[float] = 0.0
 
@@ -91,14 +103,17 @@ class SCurve(Settings):
         """What this course adds to those of all closed loops."""
         return [f"the drives of wheels and base are {self.drives:g} times as fast as the robot's own"]
 
+    def scene(self, robot: RobotModel, seed: int) -> list[SceneObstacle] | None:
+        """What stands around the robot: nothing."""
+        return None
+
     def curve(self) -> Array:
         """Poses (n, 3) [m, m, rad] of the base."""
-        x, half = np.linspace(0.0, self.length, POINTS), 0.5 * self.length
-        back = x > half
-        share = np.where(back, self.length - x, x) / half
-        aside = self.width * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-        slope = self.width / half * 30.0 * share**2 * (1.0 - share) ** 2 * np.where(back, -1.0, 1.0)
-        return np.stack([x, aside, np.arctan(slope)], axis=1)
+        return headed(self.turns(), self.length)
+
+    def turns(self) -> list[tuple[float, float]]:
+        """Where the path goes neither left nor right: x and y [m], from its start on."""
+        return [(0.0, 0.0), (0.5 * self.length, self.width), (self.length, 0.0)]
 
     def equipped(self, robot: RobotModel) -> RobotModel:
         """The robot with its limits of wheels and base times ``drives``; its simulated drives follow them."""
@@ -142,6 +157,60 @@ class SCurve(Settings):
             "time_to_goal": Metric(time_to_goal(times[late], base[late], poses[-1, :2], ordered, AT_END), "s"),
             "path_error_max": Metric(float(nearest_distance(base[late], line).max()), "m"),
         }
+
+
+class Slalom(SCurve):
+    """The base winds through low pillars that stand to its right and left in turn; the arm passes above them. They are a little elsewhere
+    than the path was made for. ``pillars``: how many; ``first`` [m]: of them, ahead; ``spacing`` [m] between two; ``overlap`` [m]: how far
+    each stands in the way of a base that goes straight."""
+
+    kind: Literal["slalom"] = "slalom"  # type: ignore[assignment]
+    length: float = Field(9.5, ge=0.5, le=100)
+    first: float = Field(3.0, ge=0.5, le=100)
+    width: Annotated[float, Field(ge=0.0, le=0.0)] = 0.0
+    pillars: int = Field(3, ge=1, le=50)
+    spacing: float = Field(2.4, ge=0.2, le=20)
+    overlap: float = Field(0.1, ge=-1.0, le=1.0)
+
+    WEIGHTS: ClassVar[dict[str, float]] = {"input": 0.05, "contour": 0.1, "progress": 10.0}
+    GOALS: ClassVar[dict[str, float]] = {"wheel_slip_max": 0.05, "time_unloaded": 0.1}
+    AFTER: ClassVar[float] = 9.0
+
+    def turns(self) -> list[tuple[float, float]]:
+        """Past each pillar on its free side."""
+        aside = self.overlap + ASIDE
+        past = [(self.first + self.spacing * k, -aside if k % 2 else aside) for k in range(self.pillars)]
+        return [(0.0, 0.0), *past, (self.length, 0.0)]
+
+    def scene(self, robot: RobotModel, seed: int) -> list[SceneObstacle]:
+        """The pillars, each for the seed a little elsewhere."""
+        e, rng = Extent(robot, self.kind), np.random.default_rng(seed)
+        found = []
+        for k in range(self.pillars):
+            aside = e.base_high[1] + PILLAR - self.overlap if k % 2 else e.base_low[1] - PILLAR + self.overlap
+            place = np.array([self.first + self.spacing * k, aside, e.ground]) + [*rng.uniform(-SHIFT, SHIFT, 2), 0.0]
+            high = HIGH * (e.top - e.ground)
+            found.append(SceneObstacle(f"pillar{k}", Cylinder((0, 0, 0), (0, 0, high), PILLAR), {"position": place}))
+        return found
+
+    def metrics(self, log: Log, ordered: float, robot: RobotModel) -> dict[str, Metric]:
+        """Of the base from ``ordered`` [s] on: it leaves its path to evade."""
+        found = super().metrics(log, ordered, robot)
+        del found["path_error_max"]
+        return found
+
+
+def headed(turns: list[tuple[float, float]], length: float) -> Array:
+    """Poses (n, 3) [m, m, rad] along a path over ``length`` [m] ahead that goes through ``turns``, x and y [m], by quintic steps, and heads
+    along itself."""
+    x = np.linspace(0.0, length, POINTS)
+    places, aside = np.array(turns).T
+    k = np.clip(np.searchsorted(places, x, side="right") - 1, 0, len(places) - 2)
+    wide = np.maximum(places[k + 1] - places[k], 1e-9)
+    share, step = np.clip((x - places[k]) / wide, 0.0, 1.0), aside[k + 1] - aside[k]
+    y = aside[k] + step * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    slope = step / wide * 30.0 * share**2 * (1.0 - share) ** 2
+    return np.stack([x, y, np.arctan(slope)], axis=1)
 
 
 def time_to_goal(times: Array, positions: Array, goal: Array, ordered: float, near: float) -> float:
