@@ -105,7 +105,7 @@ def test_what_cannot_be_bound_is_named() -> None:
         Step(filtered, memory(), "numba", **valid)  # type: ignore[arg-type]
     with pytest.raises(KernelError, match="decorator 'step'"):
         Step(square, {})
-    with pytest.raises(ValueError, match="zip"):
+    with pytest.raises(KernelError, match="needs 2 numbers, got 1"):
         Step(filtered, memory(), **valid)(1.0)
 
 

@@ -6,7 +6,8 @@ To add one: write the step as a function of translated Python (:mod:`wbmpc.kerne
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import struct
+from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from functools import partial
 from itertools import pairwise
@@ -20,6 +21,8 @@ from wbmpc.kernel.ir import BOOL, INT, INTS, NONE, NUM, NUMS
 from wbmpc.kernel.library import Function
 
 Backend = Literal["compiled", "interpreted"]
+#: Numbers, whole numbers and truth values as ``struct`` packs them into eight bytes.
+_WORDS = {NUM: "d", INT: "q", BOOL: "?7x"}
 Memory = Mapping[str, NDArray[Any]]
 
 
@@ -68,23 +71,28 @@ class Step:
         first = len(self._given)
         table = np.zeros(first + len(kinds), dtype=np.int64)
         numbers = table.view(np.float64)
-        # (views of memory give and take Python's numbers several times as fast as arrays do)
-        whole_view, number_view = table.data, numbers.data
-        slots: list[tuple[Any, int, bool]] = []
+        runs: list[list[int]] = []  # of free arguments that follow each other
         for i, (name, kind, value) in enumerate(zip(f.argument_names, f.signature.arguments, self._given, strict=True)):
             if name in self._free:
-                if kind not in (NUM, INT, BOOL):
+                if kind not in _WORDS:
                     raise KernelError(f"{f.signature.symbol}: there is no array '{name}'")
-                slots.append((number_view, i, False) if kind == NUM else (whole_view, i, True))
+                if not runs or runs[-1][-1] != i - 1:
+                    runs.append([])
+                runs[-1].append(i)
             elif kind in (NUMS, INTS):
                 table[i] = _address(f.signature.symbol, name, value, np.float64 if kind == NUMS else np.int64)
             else:
                 (numbers if kind == NUM else table)[i] = value
-        self._slots = slots
-        self._results = [(number_view if k == NUM else whole_view, first + i, k == BOOL) for i, k in enumerate(kinds)]
-        self._several = isinstance(result, tuple)
-        self._table, self._code = table, f.by_table
-        self._address = table.ctypes.data
+        view = table.data.cast("B")
+        # (packed, numbers come into the table and out of it several times as fast as by its items)
+        writers = [
+            partial(_packed([f.signature.arguments[i] for i in run]).pack_into, view, 8 * run[0]) for run in runs
+        ]
+        ends = np.cumsum([len(run) for run in runs]).tolist()
+        parts = [(w, slice(end - len(run), end)) for w, run, end in zip(writers, runs, ends, strict=True)]
+        self._write = writers[0] if len(runs) == 1 else partial(_write, parts)
+        self._read = partial(_packed(kinds).unpack_from, view, 8 * first)
+        self._table, self._run, self._result = table, partial(f.by_table, table.ctypes.data), result
 
     @property
     def call(self) -> Callable[[], None]:
@@ -93,24 +101,24 @@ class Step:
             raise KernelError(f"{self._function.signature.symbol}: it has arguments that are not bound, or results")
         if self._backend != "compiled":
             return self.__call__
-        call = partial(self._code, self._address)
+        call = partial(self._run)
         vars(call)["step"] = self  # whose arrays live as long as the function
         return call
 
     def __call__(self, *numbers: float) -> Any:
+        if len(numbers) != len(self._free):
+            raise KernelError(f"{self._function.signature.symbol}: needs {len(self._free)} numbers, got {len(numbers)}")
         if self._backend == "interpreted":
             for place, number in zip(self._places, numbers, strict=True):
                 self._given[place] = number
             return self._function.interpreted(*self._function.signature.structured(self._given))
-        for (row, i, whole), number in zip(self._slots, numbers, strict=True):
-            row[i] = int(number) if whole else number
-        self._code(self._address)
-        if not self._results:
+        if numbers:
+            self._write(*numbers)
+        self._run()
+        if self._result == NONE:
             return None
-        if self._several:
-            return tuple([bool(row[i]) if truth else row[i] for row, i, truth in self._results])
-        row, i, truth = self._results[0]
-        return bool(row[i]) if truth else row[i]
+        found = self._read()
+        return found if isinstance(self._result, tuple) else found[0]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Step:
         """Arrays move with a copy of what owns them: addresses are taken again."""
@@ -127,6 +135,17 @@ def zeros(record: Callable[..., Any], n: int) -> dict[str, NDArray[np.float64]]:
     """Arrays (n) by name for all fields of a record that are :class:`~wbmpc.kernel.ir.Floats`."""
     kinds = record.__annotations__.items()
     return {name: np.zeros(n) for name, kind in kinds if getattr(kind, "__forward_arg__", kind) == "Floats"}
+
+
+def _write(parts: list[tuple[Callable[..., None], slice]], *numbers: float) -> None:
+    """Numbers to where they belong: to each function its part of them."""
+    for write, part in parts:
+        write(*numbers[part])
+
+
+def _packed(kinds: Iterable[Any]) -> struct.Struct:
+    """What packs numbers of these kinds, one after the other."""
+    return struct.Struct("=" + "".join(_WORDS[kind] for kind in kinds))
 
 
 def _address(symbol: str, name: str, array: Any, dtype: type) -> int:
