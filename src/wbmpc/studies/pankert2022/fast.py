@@ -96,8 +96,8 @@ def build(settings: SwerveFastSettings, seed: int) -> Scenario:
     robot = load_robot(settings.robot)
     moving_base(robot, NAME)
     course, ordered = settings.course, settings.settle_time
-    robot = reaching(course.equipped(robot), np.pi / 2, settings.legs, course.rolling)
-    robot, mpc = settings.weighted.prepare(robot=robot, progress=course.follows)
+    robot = reaching(course.equipped(robot), np.pi / 2, settings.legs, course.ROLLING)
+    robot, mpc = settings.weighted.prepare(robot=robot, progress=course.FOLLOWS)
     watch, waiting = WheelWatch(ordered), [ordered]
 
     def tick(t: float) -> None:
