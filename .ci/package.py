@@ -14,8 +14,26 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-#: What is run: seconds. All others are those of the commit (:func:`check_source`), where they run anyhow.
-TESTS = ("tests/test_public_api.py", "tests/test_documents.py", "tests/test_lie.py")
+#: What is run, in seconds: tests that read documents, examples, robots, benchmarks, scripts and settings of the project, or that go through
+#: all of the tree. All others are those of the commit (:func:`check_source`), where they run anyhow, and read nothing but the package.
+TESTS = (
+    "tests/test_public_api.py",
+    "tests/test_documents.py",
+    "tests/test_docstrings.py",
+    "tests/test_public_docstrings.py",
+    "tests/test_spelling.py",
+    "tests/test_no_base_names.py",
+    "tests/test_settings_listed.py",
+    "tests/test_experiments.py",
+    "tests/test_examples.py::test_program_of_the_readme",
+    "tests/test_figures.py",
+    "tests/test_gallery_page.py",
+    "tests/test_mutate.py",
+    "tests/test_suite.py",
+    "tests/benchmark/test_obstacle_peers.py",
+    "tests/model/test_robot_files.py",
+    "tests/ros2/test_settings.py",
+)
 #: What a wheel consists of, at its top.
 PARTS = {"wbmpc", "wbmpc-{version}.dist-info"}
 NEEDED = (

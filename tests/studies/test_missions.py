@@ -16,13 +16,15 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
+from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
 from wbmpc.registry import REGISTRY
 from wbmpc.simulation.contacts import HULL
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022 import drive_missions
 from wbmpc.studies.pankert2022.drive import _baseline
 from wbmpc.studies.pankert2022.drive_course import DOOR, clearance, terrain
-from wbmpc.studies.pankert2022.drive_figures import recovery
+from wbmpc.studies.pankert2022.drive_figures import recovery, speed_ratio
 from wbmpc.studies.pankert2022.drive_missions import SwerveDriveSettings, straight, tour
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration, carried_poses, ramps
 from wbmpc.studies.pankert2022.mission_run import MissionRun
@@ -113,6 +115,20 @@ def test_recovery_is_the_time_until_an_error_stays_small() -> None:
     assert recovery(t, error, 4.0) == pytest.approx(np.log(5.0), abs=0.02)
     assert recovery(t, 0.0 * error, 4.0) == 0.0
     assert recovery(t, 0.0 * error + 0.1, 4.0) == np.inf
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5])
+def test_speeds_are_compared_with_the_limits_of_the_robot_that_drives(factor: float) -> None:
+    own = SWERVE.description.limits
+    limits = own.model_copy(update={"velocity": {n: factor * v for n, v in own.velocity.items()}})
+    slower = RobotModel(SWERVE.description.model_copy(update={"limits": limits}))
+    log = Log()
+    # of the paper's robot: hinges 0.5 rad/s, steering 5.76, wheels 11.52
+    log.add("tour.joint_speed", 0.0, np.repeat([-0.25, 0.0, 0.0], 4))
+    log.add("tour.joint_speed", 0.1, np.repeat([0.0, 0.0, 1.152], 4))
+    assert speed_ratio(log, slower) == pytest.approx(0.5 / factor)
+    log.add("tour.joint_speed", 0.2, np.repeat([0.0, -5.76, 0.0], 4))
+    assert speed_ratio(log, slower) == pytest.approx(1.0 / factor)
 
 
 def test_clearance_at_the_door() -> None:

@@ -61,10 +61,14 @@ def test_recording_goes_on_and_comparing_finds_what_changed(
         return now
 
     monkeypatch.setattr(regression, "run", run)
+    monkeypatch.setattr(regression, "commit", lambda: "0123456789")
     assert main(["record", str(file), "--fast", "--seeds", "0"]) == 0 and len(runs) == len(FAST)
     assert main(["record", str(file), "--fast", "--seeds", "0", "1"]) == 0
     assert len(runs) == len(set(runs)) == 2 * len(FAST)
+    assert json.loads(file.read_text())["begun"]["commit"] == "0123456789"
+    monkeypatch.setattr(regression, "commit", lambda: "of a later one")
     assert main(["compare", str(file), "--fast"]) == 0
+    assert "compared with commit 0123456789, recorded on 20" in capsys.readouterr().out
     now = changed(error=0.25)
     capsys.readouterr()
     assert main(["compare", str(file), "--only", "rezero-circle", "--seeds", "0"]) == 1

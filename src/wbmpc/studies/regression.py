@@ -5,8 +5,9 @@
 
 Each case is a process of its own, ``wbmpc run NAME --seed S --set KEY=VALUE ... --json``; what FILE already holds is not recorded
 again. ``compare`` runs the cases that FILE holds and prints every metric that differs: exit status 1 if one does. ``--fast``
-keeps to the shortened cases. Digits depend on the processor (its vector width) and on the versions of the libraries; both are
-noted in FILE, and ``compare`` says when they are not this machine's.
+keeps to the shortened cases. FILE is made of the code before a change and thrown away after it: digits depend on the processor (its
+vector width) and on the versions of the libraries. Both are noted in FILE, and ``compare`` says when they are not this machine's, and of
+which commit and day FILE is.
 """
 
 from __future__ import annotations
@@ -19,9 +20,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from wbmpc.report.provenance import commit
 
 #: (experiment, settings): short runs that pass through all of the code of their robot.
 FAST: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -117,6 +121,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     data: dict[str, Any] = json.loads(options.file.read_text()) if options.file.exists() else {}
     data.setdefault("machine", machine())
+    begun_at = data.setdefault("begun", {"commit": commit(), "day": datetime.now(UTC).date().isoformat()})
+    if options.action == "compare":
+        print(f"compared with commit {begun_at['commit']}, recorded on {begun_at['day']}", flush=True)
     cases = data.setdefault("cases", {})
     if data["machine"] != machine():
         print(f"recorded with {data['machine']}, this is {machine()}: digits may differ", file=sys.stderr)

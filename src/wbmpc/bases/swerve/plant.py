@@ -56,6 +56,14 @@ def reject_two_wheels(description: RobotDescription) -> None:
         )
 
 
+def drive_speeds(description: RobotDescription) -> dict[str, float]:
+    """Speeds [rad/s] of the simulated wheel and steer drives of a swerve robot by joint, up to which they give their whole torque."""
+    assert isinstance(description.base, SwerveBaseDescription)
+    speed, modules = description.limits.velocity, description.base.modules
+    unknown = {m.wheel: WHEEL_SPEED for m in modules} | {m.steer: STEER_SPEED for m in modules}
+    return {n: DRIVE_MARGIN * speed[n] if n in speed else default for n, default in unknown.items()}
+
+
 class SwervePlant(WheeledPlant):
     """Physics, drives, brakes and sensors of a swerve robot.
 
@@ -170,9 +178,7 @@ class SwervePlant(WheeledPlant):
     def _rated(self) -> dict[str, float]:
         """Speeds [rad/s] up to which the drives give their whole torque."""
         speed = self.description.limits.velocity
-        base = {"wheel": WHEEL_SPEED, "steer": STEER_SPEED}
-        rated = {n: DRIVE_MARGIN * speed[n] if n in speed else base[g] for g in base for n in self._names[g]}
-        return rated | {n: speed.get(n, np.inf) for n in self._names["arm"]}
+        return drive_speeds(self.description) | {n: speed.get(n, np.inf) for n in self._names["arm"]}
 
     def _zero_errors(self) -> dict[str, Array]:
         draw, n = self.draw, len(self._names["leg"])

@@ -97,9 +97,9 @@ def build(settings: SwerveFastSettings, seed: int) -> Scenario:
     robot = load_robot(settings.robot)
     moving_base(robot, NAME)
     course, ordered = settings.course, settings.settle_time
-    robot = reaching(course.equipped(robot), np.pi / 2, settings.legs, course.rolling)
+    robot = reaching(course.equipped(robot), np.pi / 2, settings.legs, course.ROLLING)
     scene = course.scene(robot, seed)
-    robot, mpc = settings.weighted.prepare(scene is not None, robot, course.follows)
+    robot, mpc = settings.weighted.prepare(scene is not None, robot, course.FOLLOWS)
     watch, waiting = WheelWatch(ordered), [ordered]
 
     def tick(t: float) -> None:

@@ -47,8 +47,8 @@ class Sideways(Settings):
         "time_unloaded": 0.1,
     }
     AFTER: ClassVar[float] = 5.0
-    follows: ClassVar[Literal["base"] | None] = None
-    rolling: ClassVar[float] = np.pi / 2
+    FOLLOWS: ClassVar[Literal["base"] | None] = None
+    ROLLING: ClassVar[float] = np.pi / 2
 
     @property
     def idealizations(self) -> list[str]:
@@ -95,8 +95,8 @@ class SCurve(Settings):
     WEIGHTS: ClassVar[dict[str, float]] = {"input": 0.05, "contour": 10.0, "progress": 10.0}
     GOALS: ClassVar[dict[str, float]] = {"path_error_max": 0.015, "wheel_slip_max": 0.05, "time_unloaded": 0.1}
     AFTER: ClassVar[float] = 5.0
-    follows: ClassVar[Literal["base"] | None] = "base"
-    rolling: ClassVar[float] = 0.0
+    FOLLOWS: ClassVar[Literal["base"] | None] = "base"
+    ROLLING: ClassVar[float] = 0.0
 
     @property
     def idealizations(self) -> list[str]:
