@@ -388,7 +388,8 @@ def _joints(names: Sequence[str]) -> str:
 CHECKS: dict[str, Check] = {
     "macros": check_macros, "meshes": check_meshes, "inertia": check_inertias, "world": check_world, "base-body": check_body, "names": check_names,
     "joint-types": check_kinds, "velocity": check_velocities, "effort": check_efforts, "range": check_ranges, "mimic": check_mimics,
-    "telescope": check_telescopes, "home": check_home, "tool": check_tools, "steering": check_steering, "casters": check_casters, "level": check_levels,
+    "telescope": check_telescopes, "home": check_home, "tool": check_tools, "steering": check_steering, "casters": check_casters,
+    "level": check_levels,
     "wheel-radius": check_radii, "steadiness": check_steadiness,
 }  # fmt: skip
 #: Those that concern a robot when it is loaded: their errors are raised, their warnings logged.
