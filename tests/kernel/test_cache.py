@@ -72,6 +72,39 @@ def test_a_whole_entry_under_another_name_is_built_again(folder: Path) -> None:
     assert cache.load(file.stem) == (code, description)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [b"", b"{", b"[1]", b"null", b'"sizes"', b"\xff\xfe", b"NaN", b'{"sizes": {"nx": ' + b"[" * 100_000],
+    ids=range(8),
+)
+def test_an_entry_that_describes_nothing_is_built_again(
+    folder: Path, text: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its hash is right: who wrote it was wrong."""
+    build_kernel(transcription())
+    (file,) = folder.glob("*.bin")
+    good = cache.load(file.stem)
+    for length in (len(text), 2**63):
+        body = length.to_bytes(8, "little") + text + b"code"
+        file.write_bytes(cache._digest(file.stem, body) + body)
+        caplog.clear()
+        assert cache.load(file.stem) is None and f"{file} is damaged" in caplog.text
+        assert not build_kernel(transcription()).from_cache
+        assert cache.load(file.stem) == good
+
+
+@pytest.mark.parametrize("nx", ["3", None, 3.0, -3, [3]])
+def test_an_entry_whose_sizes_are_none_is_built_again(
+    folder: Path, nx: object, caplog: pytest.LogCaptureFixture
+) -> None:
+    build_kernel(transcription())
+    (file,) = folder.glob("*.bin")
+    code, good = cache.load(file.stem)  # type: ignore[misc]
+    cache.save(file.stem, code, {**good, "sizes": {**good["sizes"], "nx": nx}})
+    assert not build_kernel(transcription()).from_cache and f"{file} is damaged" in caplog.text
+    assert cache.load(file.stem) == (code, good)
+
+
 @pytest.mark.parametrize("description", [{}, {"nx": 3}, {"target": "other cpu", "sizes": {}}, {"sizes": {"nx": 1}}])
 def test_an_entry_of_another_format_or_machine_is_built_again(folder: Path, description: dict) -> None:
     build_kernel(transcription())

@@ -160,6 +160,53 @@ def test_a_link_that_others_can_replace_is_no_way_to_a_cache(
     assert sorted(folder.iterdir()) == previous
 
 
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda between: between.chmod(0o777),
+        lambda between: between.chmod(0o770),
+        pytest.param(lambda between: os.chown(between, SOMEBODY, -1), marks=needs_root),
+        pytest.param(
+            lambda between: (between.chmod(0o1777), os.lchown(between / "on", SOMEBODY, -1)), marks=needs_root
+        ),
+    ],
+)
+@pytest.mark.parametrize("relative", [False, True])
+def test_every_link_of_several_is_on_the_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: Path, spoil: Callable[[Path], None], relative: bool
+) -> None:
+    """way -> between/on -> the cache's directory: "between" is neither in the path as it is written nor in the one without links."""
+    between = tmp_path / "between"
+    between.mkdir()
+    (between / "on").symlink_to(Path("../above") if relative else folder.parent)
+    (tmp_path / "way").symlink_to(Path("between/../between/on") if relative else between / "on")
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "way" / "cache"))
+    assert cache.load("key") == (CODE, {"nx": 1}) and cache.trusted_folder("below") == folder / "below"
+    spoil(between)
+    assert cache.load("key") is None
+    cache.save("other", CODE, {})
+    with pytest.raises(cache.UntrustedCache, match=str(between)):
+        cache.trusted_folder("other")
+    assert sorted(p.name for p in folder.iterdir()) == ["below", "key.bin"]
+
+
+def test_directories_that_can_be_searched_alone_are_a_way(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As homes of others are; and from a directory as the system has it, ".." behind a link included."""
+    folder.parent.chmod(0o311)
+    assert cache.load("key") == (CODE, {"nx": 1})
+    folder.parent.chmod(0o711)
+    (tmp_path / "link").symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("WBMPC_CACHE_DIR", "link/../cache")
+    assert cache.load("key") == (CODE, {"nx": 1})
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "loop" / "cache"))
+    (tmp_path / "loop").symlink_to("loop")
+    cache.save("other", CODE, {})  # a warning
+    assert cache.load("other") is None
+
+
 def test_nothing_is_made_where_others_can_replace_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)

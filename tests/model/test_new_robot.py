@@ -506,6 +506,7 @@ HIGH = wheel("left", (0, 0.25, 0.12)) + wheel("right", (0, -0.25, 0.12))
 PLAIN = ARM.replace("grasp_frame", "end").replace("palm", "stub").replace("finger", "jaw")
 LOOSE = link("float") + '<joint name="loose" type="planar"><parent link="hull"/><child link="float"/></joint>'
 WORLD = '<link name="world"/>' + joint("on", "world", "base_footprint", (0, 0, 0))
+IDLE = WEAK.replace("limit ", 'limit effort="0" ')
 EMPTY = link("tray") + WEAK.replace('"-1" upper="1"', '"0" upper="0"')
 
 
@@ -521,6 +522,7 @@ EMPTY = link("tray") + WEAK.replace('"-1" upper="1"', '"0" upper="0"')
         (ARM.replace(link("head"), SKIN), "meshes", ("info", "package://skin/a.stl", "packages: {skin: FOLDER}")),
         (ARM.replace(link("head"), DRAWN), "meshes", ("info", "not read", "a.dae", ".stl or .obj")),
         (ARM + link("tray") + WEAK, "velocity", ("warning: joint 'weak'", "limits.velocity: {weak:")),
+        (ARM + link("tray") + IDLE, "effort", ("warning: joint 'weak'", "counts for none", "limits.effort: {weak:")),
         (ARM + EMPTY, "range", ("joint 'weak'", "empty", "fixed_joints: {weak: 0}")),
         (ARM, "mimic", ("'finger_2_joint'", "follows 'finger_1_joint'", "{finger_1_joint: 0, finger_2_joint: 0}")),
         (ARM + SLIDES, "telescope", ("'extend_1', 'extend_2'", "arm.joints")),
@@ -630,3 +632,25 @@ def test_an_mjcf_and_its_actuators(tmp_path: Path) -> None:
     d = robot.description
     assert (d.base.joints(), d.fixed_joints, d.arm.tool) == (["a", "b"], {"c": 0.0}, "tcp")
     assert d.limits.velocity == {"a": 8.0, "b": 8.0, "yaw": 2.0, "bend": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("range_", "motor", "effort", "none"),
+    [
+        ('actuatorfrcrange="-5 5"', "", 5.0, False),
+        ('actuatorfrcrange="0 5"', "", None, True),
+        ("", 'forcerange="-7 -2"', None, True),
+        ("", 'forcerange="-7 3"', 3.0, False),
+        ("", "", None, False),
+    ],
+)
+def test_forces_to_one_side_are_no_effort(
+    range_: str, motor: str, effort: float | None, none: bool, tmp_path: Path
+) -> None:
+    """In an MJCF. Truth: the largest force of the range that a drive has both ways."""
+    (tmp_path / "a.xml").write_text(
+        f'<mujoco><worldbody><body name="b"><joint name="j" {range_}/><geom size="0.1"/></body></worldbody>'
+        f'<actuator><motor joint="j" {motor}/></actuator></mujoco>'
+    )
+    drive = read_mechanism(read_model(tmp_path / "a.xml")).joints["j"].drive
+    assert (drive.effort, drive.no_effort) == (effort, none)

@@ -61,12 +61,74 @@ def test_a_limit_that_is_no_number_is_an_error(text: str, tmp_path: Path) -> Non
     """MuJoCo reads no speeds: plans were as fast as they like. Truth: what C++'s streams and Python's ``float`` take for one number."""
     path, whole = tmp_path / "mover.urdf", joint("j", "a", "b", "revolute")
     for tag, name in (("limit", "velocity"), ("limit", "effort"), ("limit", "lower"), ("mimic", "multiplier")):
-        limited = whole.replace("</joint>", f'<{tag} {name}="{text}"/></joint>')
-        path.write_text(f'<robot name="mover">{links("ab")}{limited}</robot>')
+        limited = whole.replace("</joint>", f'<{tag} joint="k" {name}="{text}"/></joint>') + joint("k", "b", "c")
+        path.write_text(f'<robot name="mover">{links("abc")}{limited}</robot>')
         with pytest.raises(InputError) as raised:
             read_model(path)
         assert f"joint 'j': <{tag}>: '{name}' must be a number, got '{text}'" in str(raised.value)
     path.write_text(path.read_text().replace(f'"{text}"/>', '" -1.5e-1 "/>'))
+    assert read_model(path).root is not None
+
+
+@pytest.mark.parametrize("text", ["-5", "-1e-9", "-inf", "-1e400"])
+@pytest.mark.parametrize("name", ["velocity", "effort"])
+def test_a_negative_limit_is_an_error(name: str, text: str, tmp_path: Path) -> None:
+    """It counted for none: a drive as strong, or as fast, as it likes. 0 and inf are what files write that know none."""
+    path = tmp_path / "mover.urdf"
+    limited = joint("j", "a", "b", "revolute").replace("</joint>", f'<limit {name}="{text}"/></joint>')
+    path.write_text(f'<robot name="mover">{links("ab")}{limited}</robot>')
+    with pytest.raises(InputError) as raised:
+        read_model(path)
+    said = f"joint 'j': <limit>: '{name}' must not be negative, got '{text}'; valid: a number above 0"
+    assert str(raised.value).startswith(f"{path}: {said}"), raised.value
+    for valid in ("0", "-0", "inf", "12.5"):
+        path.write_text(path.read_text().replace(f'{name}="{text}"', f'{name}="{valid}"'))
+        assert read_model(path).root is not None
+        text = valid
+
+
+def mimic(name: str, parent: str, child: str, leader: str, kind: str = "revolute") -> str:
+    return joint(name, parent, child, kind).replace("</joint>", f"{leader}</joint>")
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (
+            mimic("j", "a", "b", '<mimic joint="missing"/>'),
+            ("joint 'j'", "unknown joint 'missing'", "valid: k, fixture"),
+        ),
+        (mimic("j", "a", "b", "<mimic/>"), ("joint 'j'", "names no joint to follow")),
+        (mimic("j", "a", "b", '<mimic joint=""/>'), ("joint 'j'", "names no joint to follow")),
+        (mimic("j", "a", "b", '<mimic joint="j"/>'), ("joint 'j'", "in a loop: j")),
+        (
+            mimic("j", "a", "b", '<mimic joint="fixture"/>'),
+            ("joint 'j'", "'fixture' is fixed", "valid: a joint that is"),
+        ),
+        (
+            mimic("j", "a", "b", '<mimic joint="m"/>') + mimic("m", "a", "e", '<mimic joint="j"/>'),
+            ("joint 'j'", "in a loop: j, m"),
+        ),
+    ],
+)
+def test_a_joint_that_mimics_none_is_an_error(body: str, words: tuple[str, ...], tmp_path: Path) -> None:
+    """MuJoCo drops such a mimic without a name, and the joint was planned as one that moves by itself."""
+    path = tmp_path / "mover.urdf"
+    others = joint("k", "b", "c") + joint("fixture", "c", "d", "fixed")
+    path.write_text(f'<robot name="mover">{body}{others}{links("abcde")}</robot>')
+    with pytest.raises(InputError) as raised:
+        read_model(path)
+    said = str(raised.value)
+    assert said.startswith(str(path)) and all(w in said for w in words), said
+
+
+def test_followers_of_followers_are_read(tmp_path: Path) -> None:
+    """As in telescopes of several stages, the last one first in the file."""
+    path = tmp_path / "mover.urdf"
+    body = (
+        mimic("m", "a", "d", '<mimic joint="k"/>') + mimic("k", "a", "c", '<mimic joint="j"/>') + joint("j", "a", "b")
+    )
+    path.write_text(f'<robot name="mover">{body}{links("abcd")}</robot>')
     assert read_model(path).root is not None
 
 

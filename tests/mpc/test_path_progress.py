@@ -56,6 +56,15 @@ def drive(mpc: wb.MPC, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarra
     return np.array(states), np.array(progress)
 
 
+def test_simulate_takes_whole_finite_states_alone(mpc: wb.MPC) -> None:
+    x, u = np.zeros(4), np.zeros(2)
+    for bad in ((0.0, u, 0.1), (x[1:], u, 0.1), (x, 0.0, 0.1), (x, u[1:], 0.1), (x * np.nan, u, 0.1), (x, u, None)):
+        with pytest.raises(InputError, match="simulate"):
+            mpc.simulate(*bad)
+    with pytest.raises(InputError, match="simulate: 4 states and 2 inputs are needed"):
+        mpc.simulate(np.zeros(6), u, 0.1)
+
+
 def test_a_straight_line_takes_the_least_time(mpc: wb.MPC) -> None:
     """From rest to rest with speed V and force F: L / V + V m / F is the least time."""
     length, speed = 2.0, 0.8

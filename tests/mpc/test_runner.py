@@ -24,7 +24,7 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.runtime.clock import VirtualClock, WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import Latency, RealTimeSettings, not_finite
-from wbmpc.runtime.statistics import Spread
+from wbmpc.runtime.statistics import Punctuality, Report, Spread
 
 #: MPC ticks follow the controller's by this [s].
 OFFSET = 0.2 * PERIOD
@@ -245,3 +245,22 @@ def test_settings_are_checked() -> None:
     RealTimeSettings(control_rate=np.float64(5), window=np.int64(1), offset=0, margin=0, priority=99, records=1)
     with pytest.raises(InputError, match="needs 'sizes' and the wall clock"):
         RealTimeRunner(ToyRobot(WallClock()), ToyController(PERIOD), make_mpc)
+
+
+def test_a_report_of_loops_that_go_on_misses_no_more_deadlines_than_there_were() -> None:
+    """Another thread counts on between two reads: here a tick, or update, each of which misses its deadline."""
+
+    class Counted(dict[str, float]):
+        reads = 0
+        note = ""
+
+        def __getitem__(self, name: str) -> float:
+            self.reads += 1
+            return float(self.reads)
+
+        def samples(self, name: str) -> np.ndarray:
+            return np.zeros(1)
+
+    report: Any = Report.of("running", 1.0, Counted(), Counted(), Punctuality())  # type: ignore[arg-type]
+    assert report.misses <= report.ticks and report.mpc_misses <= report.updates and report.late <= report.policies
+    assert report.failures <= report.updates

@@ -76,6 +76,9 @@ def test_speeds_are_held_in_simulation(upright: tuple[wb.RobotModel, SpeedMPC]) 
         assert mpc.simulate(robot.home, given, 0.05) == pytest.approx(plain.simulate(robot.home, given, 0.05), abs=1e-9)
     with pytest.raises(InputError, match="inputs are needed"):
         mpc.simulate(robot.home, u[1:], 0.05)
+    for x, step in ((0.0, 0.05), (robot.home[1:], 0.05), (np.nan * robot.home, 0.05), (robot.home, None)):
+        with pytest.raises(InputError, match="simulate"):
+            mpc.simulate(x, u, step)
 
 
 def test_a_base_goes_along_a_path_as_fast_as_its_margin_allows(upright: tuple[wb.RobotModel, SpeedMPC]) -> None:

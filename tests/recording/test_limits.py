@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import resource
 import struct
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from wbmpc.cli import main
 from wbmpc.cli.directories import size_of
 from wbmpc.errors import InputError
 from wbmpc.recording.reader import read_recording
+from wbmpc.recording.recorder import Recorder
 from wbmpc.recording.records import MAGIC, records
 from wbmpc.recording.writer import McapFile
 from wbmpc.simulation.scene import Scene
@@ -96,6 +98,38 @@ def _run(*arguments: str, folder: Path, largest: int = 0):  # type: ignore[no-un
     return shell(*arguments, code=code)
 
 
+def _bytes_left(file: McapFile, count: int) -> None:
+    """From now on the system lets files of this process grow by so much."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file._file.tell() + count, _UNLIMITED))
+
+
+_UNLIMITED = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+
+
+@pytest.mark.parametrize("left", [0, 1, 40, 300])
+def test_a_disk_that_is_full_at_the_end_of_a_file_ends_the_recording_alone(
+    left: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """When it rotates, or when the run ends: what closes it after the failure raised an error of Python's, which ended the run."""
+    recorder = Recorder(tmp_path / "run.mcap", {})
+    recorder.file = McapFile(tmp_path / "run.mcap", 1_000_000)
+    for k, row in enumerate(RNG.normal(size=(300, 100))):
+        recorder.file.put(
+            "/x", "std_msgs/Float64MultiArray", 0.01 * k, {"layout": {"dim": [], "data_offset": 0}, "data": row}
+        )
+    try:
+        _bytes_left(recorder.file, left)
+        with recorder._noted():
+            recorder.file._rotate(3.0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (_UNLIMITED, _UNLIMITED))
+    assert "cannot be written (File too large)" in recorder.failure and recorder.file is None
+    recorder.close({"completed": "true"})
+    times = np.array(read_recording(tmp_path / "run.mcap")["/x"].times)
+    np.testing.assert_allclose(times, 0.01 * np.arange(times.size), atol=1e-9)  # whole chunks of 128 kB
+    assert times.size >= 150
+
+
 def test_a_part_says_that_it_is_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Which times it holds, and where those before are: a part does not look like a whole run that long."""
     path = tmp_path / "run.mcap"
@@ -106,7 +140,7 @@ def test_a_part_says_that_it_is_one(tmp_path: Path, capsys: pytest.CaptureFixtur
     older, newest = read_recording(tmp_path / "run-1.mcap"), read_recording(path)
     assert older.end + 0.01 == pytest.approx(newest.start) and newest.end == pytest.approx(29.99)
     said = f"the run is longer than its --record-limit: what was before {newest.start:.2f} s"
-    for gone, where in ((False, "is in run-1.mcap"), (True, "was overwritten")):
+    for gone, where in ((False, "is in run-1.mcap, or was overwritten"), (True, "was overwritten")):
         if gone:
             older.path.unlink()
         assert main(["log", "info", str(path)]) == 0

@@ -14,9 +14,10 @@ from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy import Policy
+from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.convert import error_message, seconds
-from wbmpc.ros2.settings import Controller
-from wbmpc.ros2.trajectory_client import AHEAD, TrajectorySender
+from wbmpc.ros2.settings import Controller, drive_groups
+from wbmpc.ros2.trajectory_client import AHEAD, Trajectories, TrajectorySender
 
 ROBOT = load_robot("swerve-ur10")
 ARM = list(ROBOT.input.groups["arm"])
@@ -162,6 +163,30 @@ def test_a_stop_brakes_on_and_does_not_turn_back() -> None:
     np.testing.assert_allclose(speeds, (1.0 - share) * rate, atol=1e-9)
     sender.stop(ROBOT.home, rate, 0.0, 7.0)  # time has to pass
     assert 0.0 < seconds(plain(said[1]).points[0].time_from_start) < ramp
+
+
+@pytest.mark.parametrize(("age", "counts"), [(0.1, 0.1), (-0.5, 0.0), (9.0, AHEAD)])
+def test_a_stop_after_silence_brakes_from_where_the_arm_has_gone_since(age: float, counts: float) -> None:
+    """Joint states ended 0.1 s before the stop: the arm has followed its trajectory since. Truth: the same constant deceleration, from
+    there. A clock that went back counts for none; beyond its trajectory's end the arm has not gone."""
+    said: list[dict[str, Any]] = []
+    node: Any = SimpleNamespace(publisher=lambda *given: SimpleNamespace(publish=said.append))
+    controllers = {
+        group: Controller(topic=f"/{group}", joints=tuple(names), takes="trajectory" if group == "arm" else "numbers")
+        for group, names in drive_groups(ROBOT).items()
+        if names and group != "brake"
+    }
+    settings = SwerveRosSettings(controllers=controllers)
+    trajectories = Trajectories(node, ROBOT, settings)
+    rate, place = np.array([0.3, -0.4, 0.2, 0.0, 0.3, -0.1]), ROBOT.state["arm"]
+    state = SimpleNamespace(
+        trajectories=trajectories, adapter=SimpleNamespace(snapshot=lambda: (3.0, ROBOT.home)), now=lambda: 7.0,
+        robot_io=SimpleNamespace(commanded={"arm": rate}), settings=settings, clock=SimpleNamespace(now=lambda: 3.0 + age),
+    )  # fmt: skip
+    ControlNode._stop_trajectories(state)  # type: ignore[arg-type]
+    (point,) = plain(said[0]).points
+    takes = seconds(point.time_from_start)
+    np.testing.assert_allclose(np.array(point.positions) - ROBOT.home[place], (counts + 0.5 * takes) * rate, atol=1e-9)
 
 
 def test_a_stop_leaves_no_joint_beyond_its_range() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from toys import LinearQuadratic, Rows, ToyDynamics, hardened_pendulum, pendulum, rezero_solver, robot, swerve_solver
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotFinite
 from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
 from wbmpc.solver.solution import COLUMNS
@@ -160,6 +160,29 @@ def test_simulate_takes_whole_states_and_inputs_alone(backend: str) -> None:
     ):
         with pytest.raises(InputError, match="simulate: 3 states and 2 inputs are needed, got shapes"):
             solver.simulate(*bad, 0.1)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_simulate_takes_finite_numbers_alone(backend: str) -> None:
+    """What is not finite would come back as a state, and a step that is no number as a TypeError of ctypes."""
+    lq = LinearQuadratic(3, 2, 0)
+    solver = Solver(lq.problem(), SQP(backend=backend))
+    x, u, many = np.ones(3), np.ones(2), np.ones((70, 2))
+    for bad in (np.nan, np.inf, -np.inf):
+        for i in range(3):
+            with pytest.raises(NotFinite, match=f"simulate: '{solver.ocp.dynamics.state.names[i]}' must be finite"):
+                solver.simulate(np.where(np.arange(3) == i, bad, x), u, 0.1)
+        for inputs in (u, many):
+            with pytest.raises(NotFinite, match=rf"simulate: '{solver.ocp.dynamics.input.names[1]}' must be finite"):
+                solver.simulate(x, np.where(np.arange(2) == 1, bad, inputs), 0.1)
+        with pytest.raises(NotFinite, match="simulate: the step must be finite"):
+            solver.simulate(x, u, bad)
+    for step in (None, "0.1", True, [0.1], np.ones(2), 1j, -0.1, object()):
+        with pytest.raises(InputError, match="simulate"):
+            solver.simulate(x, u, step)
+    for step in (np.float32(0.25), np.float64(0.25), np.array(0.25)):
+        np.testing.assert_array_equal(solver.simulate(x, u, step), solver.simulate(x, u, 0.25))
+    np.testing.assert_array_equal(solver.simulate(x, u, 0), x)
 
 
 @pytest.mark.parametrize("integrator", ["rk2", "rk4"])

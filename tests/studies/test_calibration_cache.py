@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -43,3 +44,33 @@ def test_a_drive_is_made_once_for_all_it_depends_on(
     monkeypatch.setattr(cache, "source_fingerprint", lambda rooms: fingerprint(rooms) + "changed")
     kept(robot, settings, 3, make)
     assert len(made) == 4
+
+
+def _npz() -> bytes:
+    file = BytesIO()
+    np.savez_compressed(file, radius=np.arange(1000.0))
+    return file.getvalue()
+
+
+def _npy() -> bytes:
+    file = BytesIO()
+    np.save(file, np.arange(3.0))
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"PK\x03\x04", b"no archive", _npy(), _npz()[:-60], _npz()[:300] + b"x" * 400 + _npz()[700:]]
+)
+def test_an_entry_that_is_no_calibration_is_made_anew(
+    content: bytes, robot: RobotModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A whole entry with the right hash, written by a program that was wrong."""
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path))
+    make = lambda: {"radius": np.array([0.25])}
+    kept(robot, SwerveCalibrateSettings(), 5, make)
+    (entry,) = tmp_path.glob("*.bin")
+    cache.save(entry.stem, content, {"calibration": "x", "seed": 5})
+    for warned in (True, False):
+        caplog.clear()
+        assert kept(robot, SwerveCalibrateSettings(), 5, make)["radius"] == [0.25]
+        assert (f"{entry} is damaged" in caplog.text) is warned

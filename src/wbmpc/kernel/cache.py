@@ -15,7 +15,8 @@ import secrets
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -26,6 +27,10 @@ _LOG = logging.getLogger("wbmpc")
 _ROOMS = (".", "kernel", "ocp", "model")
 #: Who else may write.
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
+#: A directory that others are looked up in: to search it is enough, it need not be readable.
+_DIRECTORY = os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC
+#: As the system follows at most.
+_MOST_LINKS = 40
 
 
 class UntrustedCache(KernelError):
@@ -66,70 +71,100 @@ def _distrust(path: Path, found: os.stat_result) -> str:
     """Why what is at ``path`` may have been put there by others; empty if only the user can have."""
     if found.st_uid != os.geteuid():
         return f"{path} belongs to the user with number {found.st_uid}, not to this one ({os.geteuid()})"
-    if stat.S_ISLNK(found.st_mode):  # has no permissions of its own
-        return ""
     if found.st_mode & _OTHERS:
         mode = f"{stat.S_IMODE(found.st_mode):04o}"
         return f"{path} can be changed by others (mode {mode}; 'chmod go-w {path}' if its content is yours)"
     return ""
 
 
-def _distrust_above(folder: Path) -> str:
-    """Why others may put something else in the place of a directory: one above it is neither root's nor the user's, or may be
-    written by others, who may then rename all that is in it. With the sticky bit, as /tmp has it, they may not."""
-    for path in (
-        Path(os.path.abspath(folder)),
-        _real(folder),
-    ):  # as it is written: a link on the way may be another one later on
-        # from the root on: what was checked holds the next one in its place
-        for above in reversed(path.parents):
-            try:
-                found = above.lstat()
-            except FileNotFoundError:  # is made later on, as the user's alone
-                break
-            if found.st_uid not in (0, os.geteuid()):
-                return f"{folder} is in {above}, which belongs to the user with number {found.st_uid}"
-            writable = found.st_mode & _OTHERS and not stat.S_ISLNK(
-                found.st_mode
-            )  # links have no permissions of their own
-            if writable and not found.st_mode & stat.S_ISVTX:
-                mode = f"{stat.S_IMODE(found.st_mode):04o}"
-                return f"{folder} is in {above}, which can be changed by others (mode {mode}; 'chmod go-w {above}' keeps them out)"
+def _distrust_holder(folder: Path, above: Path, found: os.stat_result) -> str:
+    """Why others may put something else in the place of what is in the directory ``above``, on the way to ``folder``: it is neither root's
+    nor the user's, or others may write to it, and so rename what is in it. With the sticky bit, as /tmp has it, they may not."""
+    if found.st_uid not in (0, os.geteuid()):
+        return f"{folder} is in {above}, which belongs to the user with number {found.st_uid}"
+    if found.st_mode & _OTHERS and not found.st_mode & stat.S_ISVTX:
+        mode = f"{stat.S_IMODE(found.st_mode):04o}"
+        return (
+            f"{folder} is in {above}, which can be changed by others (mode {mode}; 'chmod go-w {above}' keeps them out)"
+        )
     return ""
 
 
-def _real(path: Path) -> Path:
-    """Without links, of which each may lead elsewhere later on."""
-    return Path(os.path.realpath(path))
+@dataclass
+class _Way:
+    """The way to a directory, one name after the other as the system resolves them, links too: every directory on it is held open, so that
+    what was checked is what the next name is looked up in."""
 
+    folder: Path
+    create: bool
+    held: list[tuple[int, Path]] = field(default_factory=list)
+    links: int = 0
 
-def _make(folder: Path) -> None:
-    """A directory, and all above it that are missing, as the user's alone."""
-    for missing in reversed([p for p in (folder, *folder.parents) if not p.exists()]):
-        missing.mkdir(mode=0o700, exist_ok=True)
-    folder.mkdir(exist_ok=True)  # raises where a file stands in the way
+    def follow(self, path: Path) -> None:
+        """Go on along a path, from where the way has led unless it is absolute."""
+        if path.is_absolute():
+            self.close()
+            self._enter(os.open("/", _DIRECTORY), Path("/"))
+        for name in path.parts[1:] if path.is_absolute() else path.parts:
+            self._step(name)
+
+    def _step(self, name: str) -> None:
+        holder, above = self.held[-1]
+        if name == "..":
+            if len(self.held) > 1:
+                os.close(self.held.pop()[0])
+            return
+        why = _distrust_holder(self.folder, above, os.fstat(holder))
+        if why:
+            raise UntrustedCache(why)
+        try:
+            found = os.lstat(name, dir_fd=holder)
+        except FileNotFoundError:
+            if not self.create:
+                raise
+            with suppress(
+                FileExistsError
+            ):  # another process of the user was faster; if it was of another one, its owner says so
+                os.mkdir(name, 0o700, dir_fd=holder)
+            found = os.lstat(name, dir_fd=holder)
+        if not stat.S_ISLNK(found.st_mode):
+            self._enter(os.open(name, _DIRECTORY | os.O_NOFOLLOW, dir_fd=holder), above / name)
+            return
+        if found.st_uid not in (0, os.geteuid()):
+            raise UntrustedCache(
+                f"{self.folder}: the link {above / name} belongs to the user with number {found.st_uid}"
+            )
+        self.links += 1
+        if self.links > _MOST_LINKS:
+            raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(self.folder))
+        self.follow(Path(os.readlink(name, dir_fd=holder)))
+
+    def _enter(self, descriptor: int, path: Path) -> None:
+        self.held.append((descriptor, path))
+
+    def close(self) -> None:
+        """Leave all directories."""
+        while self.held:
+            os.close(self.held.pop()[0])
 
 
 @contextmanager
-def _opened(folder: Path, create: bool) -> Iterator[int]:
-    """A descriptor of a directory that is the user's alone. All files are then reached through it, whatever becomes of the path.
+def _opened(folder: Path, create: bool) -> Iterator[tuple[int, Path]]:
+    """A descriptor of a directory that is the user's alone, and where it is, without links. All files are then reached through the
+    descriptor, whatever becomes of the path. ``create``: make it, and all above it that are missing, as the user's alone.
 
     Raises :class:`UntrustedCache`, or OSError where there is none.
     """
-    why = _distrust_above(folder)
-    if why:
-        raise UntrustedCache(why)
-    if create:
-        _make(folder)
-    why = _distrust(folder, folder.lstat())  # a link too: another user's may lead anywhere
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    way = _Way(folder, create)
     try:
-        why = why or _distrust(folder, os.fstat(descriptor))
+        way.follow(folder if folder.is_absolute() else Path.cwd() / folder)
+        descriptor, place = way.held[-1]
+        why = _distrust(folder, os.fstat(descriptor))
         if why:
             raise UntrustedCache(why)
-        yield descriptor
+        yield descriptor, place
     finally:
-        os.close(descriptor)
+        way.close()
 
 
 def trusted_folder(name: str) -> Path:
@@ -137,9 +172,8 @@ def trusted_folder(name: str) -> Path:
 
     Raises :class:`UntrustedCache`, or OSError where it cannot be made.
     """
-    folder = _real(cache_directory()) / name
-    with _opened(cache_directory(), create=True), _opened(folder, create=True):
-        return folder
+    with _opened(cache_directory(), create=True), _opened(cache_directory() / name, create=True) as (_, place):
+        return place
 
 
 def trusted_file(path: Path) -> bool:
@@ -175,11 +209,12 @@ def _read(folder: int, path: Path) -> bytes | None:
         return file.read()
 
 
-def load(key: str) -> tuple[bytes, dict] | None:
-    """Object code and its description, or None when there is no valid entry that only the user can have written."""
+def load(key: str, **expected: str) -> tuple[bytes, dict] | None:
+    """Object code and its description, or None when there is no valid entry that only the user can have written. ``expected``: what the
+    description has to say; a warning names an entry that is damaged, or says something else."""
     path = cache_directory() / f"{key}.bin"
     try:
-        with _opened(path.parent, create=False) as folder:
+        with _opened(path.parent, create=False) as (folder, _):
             raw = _read(folder, path)
     except UntrustedCache as error:
         _warn(str(error))
@@ -189,11 +224,28 @@ def load(key: str) -> tuple[bytes, dict] | None:
     if raw is None:
         return None
     digest, rest = raw[:32], raw[32:]
-    if _digest(key, rest) != digest:
-        _LOG.warning("compiled code in %s is damaged or of another problem: it is built again", path)
-        return None
     size = int.from_bytes(rest[:8], "little")
-    return rest[8 + size :], json.loads(rest[8 : 8 + size])
+    description = _described(rest[8 : 8 + size]) if _digest(key, rest) == digest else None
+    if description is None or any(description.get(name) != value for name, value in expected.items()):
+        report_damaged(key)
+        return None
+    return rest[8 + size :], description
+
+
+def report_damaged(key: str) -> None:
+    """Say that an entry is not what it has to be, and is made anew."""
+    _LOG.warning(
+        "compiled code in %s is damaged or of another problem: it is built again", cache_directory() / f"{key}.bin"
+    )
+
+
+def _described(text: bytes) -> dict | None:
+    """The description of an entry; None where it is none."""
+    try:
+        description = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return description if isinstance(description, dict) else None
 
 
 def save(key: str, code: bytes, description: dict) -> None:
@@ -201,7 +253,7 @@ def save(key: str, code: bytes, description: dict) -> None:
     text = json.dumps(description).encode()
     body = len(text).to_bytes(8, "little") + text + code
     try:
-        with _opened(cache_directory(), create=True) as folder:
+        with _opened(cache_directory(), create=True) as (folder, _):
             _replace(folder, f"{key}.bin", _digest(key, body) + body)
     except UntrustedCache as error:
         _warn(str(error))

@@ -296,11 +296,12 @@ def problem_key(transcription: Transcription) -> str:
 
 
 def _cached_sizes(found: tuple[bytes, dict] | None) -> Sizes | None:
-    """The sizes that a cache entry states; None for an entry of another format or target, which is rebuilt."""
+    """The sizes that a cache entry states; None for an entry of another format, which is rebuilt."""
     try:
-        return Sizes(**found[1]["sizes"]) if found and found[1]["target"] == target_text() else None
+        sizes = Sizes(**found[1]["sizes"]) if found else None
     except (KeyError, TypeError):
         return None
+    return sizes if sizes is not None and all(type(n) is int and n >= 0 for n in asdict(sizes).values()) else None
 
 
 def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel:
@@ -309,8 +310,10 @@ def build_kernel(transcription: Transcription, use_cache: bool = True) -> Kernel
     Raises :class:`UnsupportedOperation` naming the term and the operation that cannot be compiled.
     """
     key = problem_key(transcription)
-    found = cache.load(key) if use_cache else None
+    found = cache.load(key, target=target_text()) if use_cache else None
     sizes = _cached_sizes(found)
+    if found is not None and sizes is None:
+        cache.report_damaged(key)
     if found is None or sizes is None:
         try:
             ir, sizes = emit_problem(transcription)

@@ -40,9 +40,10 @@ class CompiledFunction:
 
     def __init__(self, function: ca.Function) -> None:
         self._function, self.shape = function, (function.numel_in(0), function.numel_out(0))
-        key = hashlib.sha256(f"function {function.serialize()} {cache.source_fingerprint(('kernel',))}".encode())
-        found = cache.load(key.hexdigest())
-        if found is None or found[1].get("target") != target_text():
+        text = f"function {function.serialize()} {cache.source_fingerprint(('kernel',))} {target_text()}"
+        key = hashlib.sha256(text.encode())
+        found = cache.load(key.hexdigest(), target=target_text())
+        if found is None:
             code = compile_module("\n".join([DECLARATIONS, emit_function(function, "w_function")]))
             cache.save(key.hexdigest(), code, {"target": target_text()})
         else:

@@ -254,8 +254,8 @@ class Library:
         for module in self.modules:
             import_module(module)
         key = hashlib.sha256(f"{self._key()} bitcode".encode()).hexdigest() if self.rooms else ""
-        found = cache.load(key) if key else None
-        if found is not None and found[1].get("target") == target_text():
+        found = cache.load(key, target=target_text()) if key else None
+        if found is not None:
             return found[0]
         code = optimized(self.source(), 2)
         if key:
@@ -272,8 +272,8 @@ class Library:
             if self._engine is not None:
                 return
             key = self._key() if self.rooms else ""
-            found = cache.load(key) if key else None
-            if found is None or found[1].get("target") != target_text():
+            found = cache.load(key, target=target_text()) if key else None
+            if found is None:
                 code = emit(self.optimized())
                 if key:
                     cache.save(key, code, {"library": self.name, "target": target_text()})

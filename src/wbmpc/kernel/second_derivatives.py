@@ -45,8 +45,8 @@ def build_exact_hessian(
     Raises :class:`wbmpc.errors.UnsupportedOperation` for an operation that cannot be compiled.
     """
     key = hashlib.sha256(f"exact Hessian {problem_key}".encode()).hexdigest()
-    found = cache.load(key) if use_cache else None
-    if found is None or found[1].get("target") != target_text():
+    found = cache.load(key, target=target_text()) if use_cache else None
+    if found is None:
         functions = transcription.exact_derivatives()
         maps = second_maps(functions, sizes.lz, sizes.lx, sizes.nx)
         parts = [emit_function(functions[name], f"w_{name}", maps[name]) for name in SECOND]

@@ -26,6 +26,7 @@ from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.problem import SystemDynamics
 from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.solver.simulation_arguments import simulation_arguments
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.types import Observation
 
@@ -127,6 +128,7 @@ class MPC(Described):
         :meth:`Solver.simulate`."""
         if not self.path.active:
             return self.solver.simulate(x, u, h)
+        x, u, h = simulation_arguments(self.dynamics, x, u, h)
         return self.solver.simulate(self.path.wide(x), self.path.wide_input(u), h)[: np.size(x)]
 
     @property

@@ -13,6 +13,7 @@ from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.solver import SQP, Trajectory
+from wbmpc.solver.simulation_arguments import simulation_arguments
 from wbmpc.types import Observation
 
 
@@ -72,10 +73,9 @@ class SpeedMPC(MPC):
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """As of :class:`MPC`: state (nx) of the robot after speeds u (nu), or (k, nu), which are held."""
+        x, u, h = simulation_arguments(self.dynamics, x, u, h)
         d, inputs = self._dynamics, self._dynamics.dynamics.input
-        for row in np.atleast_2d(np.asarray(u, float)):
-            if row.size != inputs.size:
-                raise InputError(f"simulate: {inputs.size} inputs are needed, got shape {np.shape(u)}")
+        for row in np.atleast_2d(u):
             held = np.concatenate([row[inputs[group]] for group in d.groups])
             rates = np.zeros(d.input.size)
             for group in set(inputs.groups) - set(d.groups):

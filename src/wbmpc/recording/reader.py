@@ -99,8 +99,9 @@ class Recording:
         if "continues" not in self.metadata:
             return ""
         older = older_part(self.path)
-        where = f"is in {older.name}" if older.is_file() else "was overwritten"
-        return f"the run is longer than its --record-limit: what was before {self.start:.2f} s {where}"
+        before = f"before {self.start:.2f} s" if self.topics else "recorded"
+        where = f"is in {older.name}, or was overwritten" if older.is_file() else "was overwritten"
+        return f"the run is longer than its --record-limit: what was {before} {where}"
 
     @property
     def title(self) -> str:

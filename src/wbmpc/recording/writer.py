@@ -149,7 +149,9 @@ class McapFile:
         self._make_room()
 
     def close(self) -> None:
-        """Write index and end."""
+        """Write index and end; nothing if that was tried before: a disk that is full at the end is so again."""
+        if self._file.closed:
+            return
         try:
             self._writer.finish()
         finally:

@@ -20,7 +20,8 @@ SMALLEST, LARGEST = 1e-6, 1e6
 class Drive:
     """``velocity`` [rad/s or m/s] and ``effort`` [N m or N] of a joint, None where the file has none; ``mimics``: the joint that it follows,
     at ``ratio`` times its value and ``offset`` [rad or m]; ``driven``: whether a transmission or an actuator names it; ``no_range``: it
-    needs a range in a URDF, and has none or an empty one."""
+    needs a range in a URDF, and has none or an empty one; ``no_effort``: the file names an effort that limits nothing (0, or a range of
+    forces on one side of 0)."""
 
     velocity: float | None = None
     effort: float | None = None
@@ -29,6 +30,7 @@ class Drive:
     ratio: float = 1.0
     offset: float = 0.0
     no_range: bool = False
+    no_effort: bool = False
 
 
 def read_drives(file: ModelFile, spec: mujoco.MjSpec) -> dict[str, Drive]:
@@ -55,6 +57,7 @@ def _of_urdf(file: ModelFile) -> dict[str, Drive]:
             _bound(number(attributes.get("velocity"))), _bound(number(attributes.get("effort"))),
             None if mimic is None else mimic.get("joint", ""), name in driven, *_following(mimic),
             joint.get("type") in ("revolute", "prismatic") and not (low is not None and high is not None and low < high),
+            (effort := number(attributes.get("effort"))) is not None and effort < SMALLEST,
         )  # fmt: skip
     return found
 
@@ -85,7 +88,9 @@ def _of_spec(spec: mujoco.MjSpec) -> dict[str, Drive]:
     found: dict[str, Drive] = {}
     for joint in spec.joints:
         forces = tuple(map(float, joint.actfrcrange))
-        found[joint.name] = Drive(effort=_bound(_half(forces, joint.actfrclimited)))
+        found[joint.name] = Drive(
+            effort=_bound(_half(forces, joint.actfrclimited)), no_effort=_one_sided(forces, joint.actfrclimited)
+        )
     for actuator in spec.actuators:
         if actuator.target in found and actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT:
             found[actuator.target] = _with(found[actuator.target], actuator)
@@ -109,13 +114,20 @@ def _with(drive: Drive, actuator: mujoco.MjsActuator) -> Drive:
     if control is not None and constant and bias[:2] == (0.0, 0.0) and bias[2] == -gain != 0.0 and gear > 0.0:
         velocity = _bound(control / gear)
     effort = drive.effort if force is None else drive.effort or _bound(force * gear)
-    return replace(drive, velocity=velocity, effort=effort, driven=True)
+    none = drive.no_effort or _one_sided(tuple(actuator.forcerange), actuator.forcelimited)
+    return replace(drive, velocity=velocity, effort=effort, driven=True, no_effort=none and effort is None)
 
 
 def _half(bounds: tuple[float, ...], limited: int) -> float | None:
     """The largest value that a range allows both ways; None where it does not hold (0: off, 1: on, 2: by whether it is given)."""
     low, high = map(float, bounds)
     return min(-low, high) if int(limited) and low < 0.0 < high else None
+
+
+def _one_sided(bounds: tuple[float, ...], limited: int) -> bool:
+    """Whether a range that holds does not reach beyond 0 both ways."""
+    low, high = map(float, bounds)
+    return bool(int(limited)) and low < high and not low < 0.0 < high
 
 
 def _followers(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, float, float]]:

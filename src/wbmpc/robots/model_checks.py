@@ -171,6 +171,16 @@ def check_velocities(subject: Subject) -> Iterator[Finding]:
         )
 
 
+def check_efforts(subject: Subject) -> Iterator[Finding]:
+    """Joints whose file names an effort that limits nothing."""
+    limits: Mapping[str, float] = {} if subject.description is None else subject.description.limits.effort
+    names = [j.name for j in subject.moving if j.drive.no_effort and j.name not in limits]
+    if names:
+        fix = f"give 'limits.effort: {{{names[0]}: …}}' [N m or N] in the robot's YAML, or mend the file"
+        text = "the file's limit of effort is 0, or does not reach beyond 0 both ways: it counts for none"
+        yield Finding("warning", "", _joints(names), text, fix)
+
+
 def check_ranges(subject: Subject) -> Iterator[Finding]:
     """Ranges from 0 to 0, which MuJoCo takes for none at all."""
     d = subject.description
@@ -183,7 +193,11 @@ def check_ranges(subject: Subject) -> Iterator[Finding]:
             )
             severity: Severity = "error" if used else "info"
             yield Finding(
-                severity, "", f"joint '{joint.name}'", "its range is empty (lower = upper): it cannot move", fix
+                severity,
+                "",
+                f"joint '{joint.name}'",
+                "its range is empty (lower is not below upper): it cannot move",
+                fix,
             )
 
 
@@ -373,8 +387,9 @@ def _joints(names: Sequence[str]) -> str:
 #: Name -> check, in the order in which they are reported.
 CHECKS: dict[str, Check] = {
     "macros": check_macros, "meshes": check_meshes, "inertia": check_inertias, "world": check_world, "base-body": check_body, "names": check_names,
-    "joint-types": check_kinds, "velocity": check_velocities, "range": check_ranges, "mimic": check_mimics, "telescope": check_telescopes,
-    "home": check_home, "tool": check_tools, "steering": check_steering, "casters": check_casters, "level": check_levels,
+    "joint-types": check_kinds, "velocity": check_velocities, "effort": check_efforts, "range": check_ranges, "mimic": check_mimics,
+    "telescope": check_telescopes, "home": check_home, "tool": check_tools, "steering": check_steering, "casters": check_casters,
+    "level": check_levels,
     "wheel-radius": check_radii, "steadiness": check_steadiness,
 }  # fmt: skip
 #: Those that concern a robot when it is loaded: their errors are raised, their warnings logged.

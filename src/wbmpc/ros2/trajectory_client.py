@@ -95,11 +95,12 @@ class TrajectorySender:
         ]
         self._to.publish({"header": header(now, ""), "joint_names": self._names, "points": points})
 
-    def stop(self, x: np.ndarray, rates: np.ndarray, ramp: float, now: float) -> None:
-        """Brake within ``ramp`` [s] from a state (nx) and the speeds of the arm (m) [rad/s]. An end where the joints are now would be
-        passed and come back to, harder than any ramp."""
-        takes, position = max(ramp, BRAKES_WITHIN[0]), x[self._places]
-        end = self._at_rest(position, rates[self._in_arm], takes)
+    def stop(self, x: np.ndarray, rates: np.ndarray, ramp: float, now: float, age: float = 0.0) -> None:
+        """Brake within ``ramp`` [s] from a state (nx) that is ``age`` [s] old and the speeds of the arm (m) [rad/s], at which it has
+        gone on since. An end where the joints are, or were, would be passed and come back to, harder than any ramp."""
+        takes, rate = max(ramp, BRAKES_WITHIN[0]), rates[self._in_arm]
+        position = x[self._places] + min(max(age, 0.0), AHEAD) * rate  # as far as it had a trajectory for
+        end = self._at_rest(position, rate, takes)
         self._publish(now, [takes], [end], [np.zeros(position.size)])
 
 
@@ -121,7 +122,7 @@ class Trajectories:
             if t >= sender.due:
                 sender.send(policy, t, now())
 
-    def stop(self, x: np.ndarray, rates: np.ndarray, ramp: float, now: Callable[[], float]) -> None:
-        """Brake within ``ramp`` [s] from a state (nx) and the speeds of the arm (m) [rad/s]."""
+    def stop(self, x: np.ndarray, rates: np.ndarray, ramp: float, now: Callable[[], float], age: float) -> None:
+        """Brake within ``ramp`` [s] from a state (nx) that is ``age`` [s] old and the speeds of the arm (m) [rad/s]."""
         for sender in self._senders:
-            sender.stop(x, rates, ramp, now())
+            sender.stop(x, rates, ramp, now(), age)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import zlib
 from collections.abc import Callable, Mapping
 from io import BytesIO
 from pathlib import Path
+from zipfile import BadZipFile
 
 import mujoco
 import numpy as np
@@ -29,8 +31,11 @@ def kept(
     key = _key(robot, settings, seed)
     found = cache.load(key)
     if found is not None:
-        with np.load(BytesIO(found[0]), allow_pickle=False) as arrays:
-            return dict(arrays)
+        try:
+            with np.load(BytesIO(found[0]), allow_pickle=False) as arrays:
+                return dict(arrays)
+        except (ValueError, TypeError, AttributeError, OSError, EOFError, BadZipFile, zlib.error):
+            cache.report_damaged(key)
     made, file = dict(make()), BytesIO()
     np.savez(file, allow_pickle=False, **made)
     cache.save(key, file.getvalue(), {"calibration": robot.description.name, "seed": seed})

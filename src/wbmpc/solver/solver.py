@@ -30,6 +30,7 @@ from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import SETTINGS, StateField
 from wbmpc.solver.results import SolverResults
 from wbmpc.solver.settings import SLQ, SQP, check_settings_type
+from wbmpc.solver.simulation_arguments import simulation_arguments
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.violations import violation_message
 from wbmpc.solver.warm_start import trajectories
@@ -286,22 +287,25 @@ class Solver(SolverResults):
 
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """State (nx) after h [s] from x (nx) under the input u (nu), with the solver's integrator and the present parameters; after k times h
-        under inputs (k, nu), one after the other. Raises :class:`InputError` for other shapes."""
-        x, u, nx, nu = real_numbers("simulate", x), real_numbers("simulate", u), self.problem.nx, self.problem.nu
-        if x.shape != (nx,) or u.ndim not in (1, 2) or u.shape[-1] != nu:
-            raise InputError(f"simulate: {nx} states and {nu} inputs are needed, got shapes {x.shape} and {u.shape}")
-        if u.ndim == 2 and (len(u) > SIMULATED or self.settings.backend == "interpreted"):
-            for row in u:
-                x = self.simulate(x, row, h)
-            return np.array(x, float)
+        under inputs (k, nu), one after the other. Raises :class:`InputError` for other shapes or a step below 0, :class:`NotFinite`."""
+        x, u, h = simulation_arguments(self.ocp.dynamics, x, u, h)
+        rows, end = np.atleast_2d(u), x.copy()
+        for k in range(0, len(rows), SIMULATED):
+            end = self._advance(end, rows[k : k + SIMULATED], h)
+        return end
+
+    def _advance(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+        """One call: inputs (k, nu), k up to :data:`SIMULATED`. States beyond all bounds are passed on as they are."""
         if self.settings.backend == "interpreted":
             with self.exclusive, Interruptible():
-                return self.twin.simulate(x, u, h)
+                for row in u:
+                    x = self.twin.simulate(x, row, h)
+                return x
         # dozens of times in a controller's tick: memory and addresses are kept
         with self.exclusive:
             self._x[:] = x
             self._u[: u.size] = u.reshape(-1)
-            self._simulate(len(u) if u.ndim == 2 else 1, h)
+            self._simulate(len(u), h)
             return self._x.copy()
 
     def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:
