@@ -522,7 +522,7 @@ EMPTY = link("tray") + WEAK.replace('"-1" upper="1"', '"0" upper="0"')
         (ARM.replace(link("head"), SKIN), "meshes", ("info", "package://skin/a.stl", "packages: {skin: FOLDER}")),
         (ARM.replace(link("head"), DRAWN), "meshes", ("info", "not read", "a.dae", ".stl or .obj")),
         (ARM + link("tray") + WEAK, "velocity", ("warning: joint 'weak'", "limits.velocity: {weak:")),
-        (ARM + link("tray") + IDLE, "effort", ("warning: joint 'weak'", "counts for none", "limits.effort: {weak:")),
+        (ARM + link("tray") + IDLE, "effort", ("warning: joint 'weak'", "count for none", "limits.effort: {weak:")),
         (ARM + EMPTY, "range", ("joint 'weak'", "empty", "fixed_joints: {weak: 0}")),
         (ARM, "mimic", ("'finger_2_joint'", "follows 'finger_1_joint'", "{finger_1_joint: 0, finger_2_joint: 0}")),
         (ARM + SLIDES, "telescope", ("'extend_1', 'extend_2'", "arm.joints")),

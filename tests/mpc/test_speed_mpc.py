@@ -105,6 +105,8 @@ def test_a_base_goes_along_a_path_as_fast_as_its_margin_allows(upright: tuple[wb
     assert min(margins) == pytest.approx(margin, abs=3e-3)  # it is the limit of how fast the robot starts and stops
     assert np.abs(way[:, 1:]).max() < 2e-3  # it stays on the path
     assert way[-1, 0] == pytest.approx(1.0, abs=0.02)  # and gets there
+    plain, u = upright[1], np.linspace(0.1, 0.4, robot.input.size)  # the path is no part of what is simulated
+    assert mpc.simulate(x, u, 0.05) == pytest.approx(plain.simulate(x, u, 0.05), abs=1e-9)
 
 
 def test_other_problems_are_rejected(upright: tuple[wb.RobotModel, SpeedMPC]) -> None:

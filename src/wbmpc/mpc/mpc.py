@@ -128,7 +128,7 @@ class MPC(Described):
         :meth:`Solver.simulate`."""
         if not self.path.active:
             return self.solver.simulate(x, u, h)
-        x, u, h = simulation_arguments(self.dynamics, x, u, h)
+        x, u, h = simulation_arguments(self.path.dynamics, x, u, h)
         return self.solver.simulate(self.path.wide(x), self.path.wide_input(u), h)[: np.size(x)]
 
     @property

@@ -177,8 +177,7 @@ def check_efforts(subject: Subject) -> Iterator[Finding]:
     names = [j.name for j in subject.moving if j.drive.no_effort and j.name not in limits]
     if names:
         fix = f"give 'limits.effort: {{{names[0]}: …}}' [N m or N] in the robot's YAML, or mend the file"
-        text = "the file's limit of effort is 0, or does not reach beyond 0 both ways: it counts for none"
-        yield Finding("warning", "", _joints(names), text, fix)
+        yield Finding("warning", "", _joints(names), "efforts of 0, or to one side, count for none", fix)
 
 
 def check_ranges(subject: Subject) -> Iterator[Finding]:
@@ -389,8 +388,7 @@ CHECKS: dict[str, Check] = {
     "macros": check_macros, "meshes": check_meshes, "inertia": check_inertias, "world": check_world, "base-body": check_body, "names": check_names,
     "joint-types": check_kinds, "velocity": check_velocities, "effort": check_efforts, "range": check_ranges, "mimic": check_mimics,
     "telescope": check_telescopes, "home": check_home, "tool": check_tools, "steering": check_steering, "casters": check_casters,
-    "level": check_levels,
-    "wheel-radius": check_radii, "steadiness": check_steadiness,
+    "level": check_levels, "wheel-radius": check_radii, "steadiness": check_steadiness,
 }  # fmt: skip
 #: Those that concern a robot when it is loaded: their errors are raised, their warnings logged.
 AT_LOAD = ("inertia", "velocity", "range")
