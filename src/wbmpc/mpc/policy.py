@@ -140,8 +140,13 @@ class Policy:
     def _interval(self, t: float) -> int:
         if not _is_finite(t):  # which would be the last one
             raise NotFinite("policy: time and state must be finite")
-        k = bisect_right(self.times, t + 1e-9) - 1  # type: ignore[type-var]  # (NumPy's search lets the interpreter go)
+        k = bisect_right(self._nodes, t + 1e-9) - 1
         return min(max(k, 0), len(self.u) - 1)
+
+    @cached_property
+    def _nodes(self) -> list[float]:
+        """``times`` as Python's own numbers, among which a search takes a tenth of the time."""
+        return self.times.tolist()  # type: ignore[no-any-return]
 
     def state(self, t: float) -> np.ndarray:
         """Planned state (nx) at time t [s]. Raises :class:`NotFinite` for a time that is not finite."""
@@ -151,7 +156,7 @@ class Policy:
 
     def _share(self, t: float, k: int) -> float:
         """How much of interval k has passed at time t [s], from 0 to 1."""
-        start, end = self.times[k : k + 2].tolist()
+        start, end = self._nodes[k], self._nodes[k + 1]
         return float(min(max((t - start) / (end - start), 0.0), 1.0))
 
     def feedforward(self, t: float) -> np.ndarray:
@@ -200,7 +205,7 @@ class Policy:
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what is bound to this process."""
-        return {name: value for name, value in self.__dict__.items() if name != "_code"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_code", "_nodes")}
 
 
 class _Code:
