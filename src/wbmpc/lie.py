@@ -153,7 +153,8 @@ def euler_zyx_rates(pitch: float, roll: float, omega: ArrayLike) -> Array:
 
 def rotation_angle(a: ArrayLike, b: ArrayLike) -> float:
     """Angle [rad] between two rotation matrices."""
-    return float(np.linalg.norm(quaternion_log(rotation_to_quaternion(np.asarray(a).T @ np.asarray(b)))))
+    v = quaternion_log(rotation_to_quaternion(np.asarray(a).T @ np.asarray(b)))
+    return math.sqrt(v.dot(v))
 
 
 def se2_exp(delta: ArrayLike) -> Array:
@@ -232,10 +233,3 @@ def _product(a: list[float], b: list[float]) -> tuple[float, float, float, float
 def pose_between(a: ArrayLike, b: ArrayLike) -> Array:
     """The pose (7) of ``b`` in ``a``, both given in one frame."""
     return pose_compose(pose_inverse(a), b)
-
-
-def poses_between(a: ArrayLike, b: ArrayLike) -> Array:
-    """:func:`pose_between` of many: poses (n, 7) of ``b`` in ``a``, row by row."""
-    a, b = np.asarray(a, float).T, np.asarray(b, float).T
-    place = np.einsum("ijn,in->jn", quaternion_to_rotation(a[3:]), b[:3] - a[:3])
-    return np.concatenate([place, quaternion_multiply(quaternion_conjugate(a[3:]), b[3:])]).T

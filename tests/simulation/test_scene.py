@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from wbmpc import lie
 from wbmpc.simulation.scene import SceneReader
 
 BODY = '<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
@@ -36,3 +37,15 @@ def test_parts_without_shapes_are_rods_between_joints() -> None:
             mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, shape.size[1]]), turn)
             middle = body.xpos + body.xmat.reshape(3, 3) @ shape.pose[:3]
             np.testing.assert_allclose([middle - axis, middle + axis], [body.xpos, data.body(end).xpos], atol=1e-12)
+
+
+def test_links_are_poses_in_the_bodies_that_they_hang_on() -> None:
+    """Truth: :func:`wbmpc.lie.pose_between`, one by one."""
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    reader, data = SceneReader(model, "hull"), mujoco.MjData(model)
+    data.qpos[:] = [0.4, -1.1]
+    mujoco.mj_kinematics(model, data)
+    bodies = reader.poses(data)
+    assert [reader.scene.bodies[i].name for i in reader.moving] == ["upper", "fore"]
+    expected = [lie.pose_between(bodies[reader.parents[i]], bodies[i]) for i in reader.moving]
+    np.testing.assert_allclose(reader.links(bodies), expected, atol=1e-14)

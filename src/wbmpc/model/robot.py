@@ -160,19 +160,22 @@ class RobotModel:
 
     def pose(self, x: ArrayLike, frame: str | None = None) -> tuple[Array, Array]:
         """Position (3) [m] and quaternion (4) of a frame (the tool when left out) at a numeric state x (nx)."""
+        p, q = self._pose_of(frame)(real_numbers("state", x))
+        return np.array(p).ravel(), np.array(q).ravel()
+
+    def _pose_of(self, frame: str | None) -> ca.Function:
+        """Position and quaternion of a frame (the tool: None) by the state."""
         frame = frame or self.tool
         if frame not in self._functions:
             s = ca.SX.sym("x", self.state.size)
             pose = self.frame_pose(s, frame)
             self._functions[frame] = ca.Function("pose", [s], [pose.position, pose.quaternion])
-        p, q = self._functions[frame](real_numbers("state", x))
-        return np.array(p).ravel(), np.array(q).ravel()
+        return self._functions[frame]
 
     def poses(self, states: ArrayLike, frame: str | None = None) -> Array:
         """Poses (n, 7) of a frame (the tool when left out) at states (n, nx): position and quaternion."""
         states = np.atleast_2d(real_numbers("states", states))
-        self.pose(states[0], frame)  # makes the function
-        p, q = self._functions[frame or self.tool](states.T)
+        p, q = self._pose_of(frame)(states.T)
         return np.vstack([np.array(p), np.array(q)]).T
 
 

@@ -8,6 +8,7 @@ estimate of the base the two are one. Poses (7) are position [m] and quaternion.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -47,6 +48,7 @@ class Observer:
         names = frame_names(description.base.body, [model.body(i).name for i in range(1, model.nbody)])
         self.reader = SceneReader(model, BASE, names)
         self.scene = self.reader.scene
+        self._base = self.scene.index
         self.lift = np.array([0.0, 0.0, -description.base.ground])
 
     def see(self) -> Moment:
@@ -54,7 +56,7 @@ class Observer:
         plant, controller = self.running.plant, self.running.controller
         frames = plant.world.frames(height=0.0)  # brings positions up to date
         bodies = self.reader.poses(plant.data)
-        base = bodies[self.scene.index]
+        base = bodies[self._base]
         belief = getattr(controller, "base_pose", None)
         estimated = base if belief is None else belief()
         end_effector = np.concatenate([frames["tool"], lie.rotation_to_quaternion(frames["tool_rotation"])])
@@ -92,7 +94,13 @@ def end_effector_goal(mpc: MPC | None, t: float, lift: Array) -> Array | None:
 
 def thinned(states: Array) -> Array:
     """PLAN_POINTS of a plan's states (n, nx) at most, from the first to the last."""
-    return states[np.unique(np.linspace(0, len(states) - 1, PLAN_POINTS).round().astype(int))]
+    return states[_spread(len(states))]
+
+
+@cache
+def _spread(count: int) -> Array:
+    """PLAN_POINTS of ``count`` rows at most, spread over them."""
+    return np.unique(np.linspace(0, count - 1, PLAN_POINTS).round().astype(int))
 
 
 def predicted(robot: RobotModel, layout: Layout, states: Array, lift: Array) -> tuple[Array, Array]:
@@ -108,10 +116,8 @@ def predicted(robot: RobotModel, layout: Layout, states: Array, lift: Array) -> 
 
 def base_poses(planned: Array) -> Array:
     """Poses (n, 7) of planned bases (n, 7), or (n, 3 or more): x, y, yaw and more, which lie at the planner's z = 0."""
-    return np.array([_base_pose(b) for b in planned]).reshape(-1, 7)
-
-
-def _base_pose(base: Array) -> Array:
-    if base.size == 7:
-        return base
-    return np.array([base[0], base[1], 0.0, *lie.quaternion_about((0.0, 0.0, 1.0), float(base[2]))])
+    if planned.shape[1] == 7:
+        return planned.copy()
+    poses, half = np.zeros((len(planned), 7)), 0.5 * planned[:, 2]
+    poses[:, :2], poses[:, 3], poses[:, 6] = planned[:, :2], np.cos(half), np.sin(half)
+    return poses

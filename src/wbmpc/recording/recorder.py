@@ -82,9 +82,6 @@ class Recorder:
         self._odometry: tuple[float, Array] | None = None
         self._observer = Observer(running)
         scene = self._observer.scene
-        self._moving = [i for i, b in enumerate(scene.bodies) if b.moves and i != scene.index]
-        parents = np.array(self._observer.reader.parents)[self._moving]
-        self._parents = np.where(parents < 0, len(scene.bodies), parents)  # the row after the bodies is the world
         every = lambda rate: max(1, round(1.0 / (rate * running.timing.period)))
         self._every = {"states": every(STATES), "links": every(LINKS), "plans": every(PLANS)}
         self._templates.clear()
@@ -234,20 +231,19 @@ class Recorder:
 
     def _links(self, moment: Moment) -> None:
         """All frames that move, and one frame with the axes of ``map`` at each contact, for its force."""
-        scene, contacts = self._observer.scene, self._observer.reader.contacts(self.running.plant.data)
+        scene, reader = self._observer.scene, self._observer.reader
+        contacts = reader.contacts(self.running.plant.data)
         frames = [f"contact_{c.body}" for c in contacts]
         places = [np.array([*c.point, *NOWHERE[3:]]) for c in contacts]
-        world = np.vstack([moment.bodies, NOWHERE])
-        links = lie.poses_between(world[self._parents], moment.bodies[self._moving])
-        poses = np.vstack([moment.drift, moment.estimated, links, *places])
+        poses = np.vstack([moment.drift, moment.estimated, reader.links(moment.bodies), *places])
         for frame, contact in zip(frames, contacts, strict=True):
             wrench = np.concatenate([contact.force, np.zeros(3)])
             make = partial(self._wrench_message, frame, wrench)
             self._fill(f"/contact/{contact.body}", "geometry_msgs/WrenchStamped", None, wrench, make)
 
         def message() -> Message:
-            bodies = [scene.bodies[i] for i in self._moving]
-            above = [scene.bodies[i].name if i < len(scene.bodies) else MAP for i in self._parents]
+            bodies = [scene.bodies[i] for i in reader.moving]
+            above = [MAP if reader.parents[i] < 0 else scene.bodies[i].parent for i in reader.moving]
             parents = [MAP, ODOM, *above, *(MAP for _ in frames)]
             children = [ODOM, scene.robot, *(b.name for b in bodies), *frames]
             rows = zip(parents, children, poses, strict=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -10,6 +11,9 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+from wbmpc.kernel.step import bind
+from wbmpc.simulation.frame_step import in_parents
 
 Array = NDArray[np.float64]
 #: Contact forces below this [N] are none.
@@ -143,6 +147,8 @@ class SceneReader:
         self.joints = [i for i in range(model.njnt) if int(model.jnt_type[i]) >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
         places = {b.name: k for k, b in enumerate(self.scene.bodies)}
         self.parents = [places.get(b.parent, -1) for b in self.scene.bodies]  # -1: the world
+        self.moving = [i for i, b in enumerate(self.scene.bodies) if b.moves and i != self.scene.index]
+        self._body_of = model.geom_bodyid.tolist()
         self.joint_names = [model.joint(i).name or f"joint_{i}" for i in self.joints]
 
     @cached_property
@@ -203,6 +209,23 @@ class SceneReader:
         """Poses (bodies, 7) in the world: position [m] and quaternion, in the order of the scene's bodies."""
         return np.hstack([data.xpos[self._first :], data.xquat[self._first :]])
 
+    @cached_property
+    def _in_parents(self) -> tuple[Array, Array, Callable[[], None]]:
+        """Poses of all bodies and then of the world, poses of those that move in their parents, and what makes these of those."""
+        world = len(self.scene.bodies)
+        poses, links = np.tile([0.0, 0, 0, 1, 0, 0, 0], (world + 1, 1)), np.zeros((len(self.moving), 7))
+        above = [self.parents[i] for i in self.moving]
+        rows = {"moving": self.moving, "parents": [world if i < 0 else i for i in above]}
+        arrays = {name: np.array(row, np.int64) for name, row in rows.items()} | {"poses": poses, "links": links}
+        return poses, links, bind(in_parents, arrays, n=len(links)).call
+
+    def links(self, bodies: Array) -> Array:
+        """Poses (n, 7) of the bodies ``moving`` in the bodies that they hang on; ``bodies`` (bodies, 7): :meth:`poses`."""
+        poses, links, relate = self._in_parents
+        poses[:-1] = bodies
+        relate()
+        return links.copy()
+
     def joint_states(self, data: mujoco.MjData) -> Array:
         """Position [rad or m], velocity and drive force [N m or N] (joints, 3) of all hinges and slides."""
         m = self.model
@@ -217,21 +240,27 @@ class SceneReader:
         m, d = self.model, self._scratch
         mujoco.mj_copyState(m, data, d, int(mujoco.mjtState.mjSTATE_INTEGRATION))
         mujoco.mj_forward(m, d)
-        forces: dict[int, tuple[Array, Array, float]] = {}
-        local = np.zeros(6)
-        for c in range(d.ncon):
-            contact = d.contact[c]
+        forces: dict[int, tuple[list[float], list[float], float]] = {}
+        local, nothing, contacts = np.zeros(6), [0.0, 0.0, 0.0], d.contact
+        # one by one, Python's own numbers are several times as fast
+        rows = zip(contacts.geom.tolist(), contacts.pos.tolist(), contacts.frame.tolist(), strict=True)
+        for c, (geoms, at, axes) in enumerate(rows):
             mujoco.mj_contactForce(m, d, c, local)
-            force = contact.frame.reshape(3, 3).T @ local[:3]  # on the second geom, by the first
-            size = float(np.linalg.norm(force))
+            x, y, z = local[:3].tolist()
+            force = [
+                x * axes[i] + y * axes[3 + i] + z * axes[6 + i] for i in range(3)
+            ]  # on the second geom, by the first
+            size = math.hypot(*force)
             if size < _MIN_FORCE:
                 continue
-            for geom, sign in ((contact.geom1, -1.0), (contact.geom2, 1.0)):
-                body = int(m.geom_bodyid[geom])
+            for geom, sign in zip(geoms, (-1.0, 1.0), strict=True):
+                body = self._body_of[geom]
                 if body:
-                    total, moment, weight = forces.get(body, (np.zeros(3), np.zeros(3), 0.0))
-                    forces[body] = (total + sign * force, moment + size * contact.pos, weight + size)
-        return [Contact(self._names[b], f, p / w) for b, (f, p, w) in sorted(forces.items())]
+                    total, moment, weight = forces.get(body, (nothing, nothing, 0.0))
+                    total = [a + sign * b for a, b in zip(total, force, strict=True)]
+                    moment = [a + size * b for a, b in zip(moment, at, strict=True)]
+                    forces[body] = (total, moment, weight + size)
+        return [Contact(self._names[b], np.array(f), np.array(p) / w) for b, (f, p, w) in sorted(forces.items())]
 
 
 def joint_units(model: mujoco.MjModel) -> dict[str, str]:
