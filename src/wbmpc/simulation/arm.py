@@ -85,6 +85,7 @@ class ArmPlant(WorldAccess):
         self._parts = {g: slice(end - len(p), end) for (g, p), end in zip(self._names.items(), ends, strict=True)}
         counts = np.concatenate([np.full(len(p), self._counts[g]) for g, p in self._names.items()])
         self._exact = counts == 0
+        self._some_exact = bool(self._exact.any())
         self._count = 2.0 * np.pi / np.where(self._exact, 1, counts)
         self._ages = round(p.encoder_jitter / self.timestep)
         self._last = None
@@ -137,4 +138,4 @@ class ArmPlant(WorldAccess):
     def quantized(self, angles: Array) -> Array:
         """Angles of all joints [rad] as their encoders report them."""
         read: Array = np.rint(angles / self._count) * self._count
-        return np.where(self._exact, angles, read) if self._exact.any() else read
+        return np.where(self._exact, angles, read) if self._some_exact else read

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,10 +29,10 @@ class Localization:
         self._due = 0.0
         self._waiting: deque[GlobalPose] = deque()
 
-    def observe(self, time: float, pose: ArrayLike) -> GlobalPose | None:
-        """Take in the true pose of now; what is delivered now. To be asked at least as often as poses are due."""
+    def observe(self, time: float, pose: Callable[[], ArrayLike]) -> GlobalPose | None:
+        """What is delivered now. To be asked at least as often as poses are due: when one is, ``pose()`` is the true one (3) of now."""
         if time >= self._due - 1e-9:
-            seen = np.asarray(pose, float) + self._std * self._noise.normal(size=3)
+            seen = np.asarray(pose(), float) + self._std * self._noise.normal(size=3)
             self._waiting.append(GlobalPose(time, seen, np.diag(self._std**2)))
             self._due = max(self._due + self.period, time)
         if self._waiting and time >= self._waiting[0].time + self.age - 1e-9:

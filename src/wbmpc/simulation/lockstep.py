@@ -63,6 +63,10 @@ class Ending:
         return cls(reason or ("the robot fell" if fell else ""), fell, contacts=contacts_of(*plants))
 
 
+#: Of a tick that is not the last one.
+_GOES_ON = Ending()
+
+
 def contacts_of(*plants: Plant[Any, Any]) -> tuple[Contacts, ...]:
     """What is known of the contacts of simulated robots, of those that have physics."""
     worlds = [getattr(plant, "world", None) for plant in plants if plant.has_physics]
@@ -341,7 +345,7 @@ def _tick(
         return Ending(f"stopped at {t:.2f} s: {type(error).__name__}: {error}")
     if plant.diverged:
         return Ending(f"the simulation diverged at {t:.2f} s: positions are not finite")
-    return Ending(f"the robot fell at {t:.2f} s{_because(plant, mpc)}", fell=True) if plant.fell else Ending()
+    return Ending(f"the robot fell at {t:.2f} s{_because(plant, mpc)}", fell=True) if plant.fell else _GOES_ON
 
 
 def _because(plant: Plant[Any, Any], mpc: MPC | None) -> str:

@@ -241,7 +241,8 @@ def quantize(values: Array, counts: int) -> Array:
     if counts == 0:
         return values
     step = 2.0 * np.pi / counts
-    return np.round(values / step) * step
+    read: Array = np.rint(values / step) * step
+    return read
 
 
 def clipped(values: Array, limit: Array | float) -> Array:

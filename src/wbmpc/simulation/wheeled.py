@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from wbmpc.simulation.arm import ArmPlant
+from wbmpc.simulation.arm import ArmPlant, span
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.payloads import add_body_payload, incline
 from wbmpc.simulation.world import Array, Edit, add_floor, add_light, free_body, set_options
@@ -88,7 +88,7 @@ class WheeledPlant(ArmPlant):
         """Also sensors."""
         super().index()
         m = self.model
-        self._imu = np.concatenate([m.sensor(n).adr[0] + np.arange(3) for n in ("gyro", "accel")])
+        self._imu = span(np.concatenate([m.sensor(n).adr[0] + np.arange(3) for n in ("gyro", "accel")]))
         self._forces = np.array([m.sensor(f"contact_{n}").adr[0] + 2 for n in self._names["wheel"]], dtype=int)
 
     def start_sensors(self, offsets: dict[str, Array]) -> None:

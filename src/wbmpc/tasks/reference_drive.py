@@ -55,7 +55,7 @@ def drive(robot: RobotModel, perturbation: Perturbation, seed: int) -> tuple[Log
     lidar, turning, controller = LidarSettings().source(seed), list[float](), cast(Any, made.controller)
 
     def record(t: float, command: Any, plans: Any) -> None:
-        seen = lidar.observe(t, made.plant.truth().pose)
+        seen = lidar.observe(t, lambda: made.plant.truth().pose)
         if seen is not None:
             log.add("place", seen.time, [*seen.pose, *np.sqrt(np.diag(seen.covariance))])
         message = controller.measured

@@ -275,11 +275,15 @@ class SwervePlant(WheeledPlant):
         imu = self.inertial()
         place = None
         if self.localization is not None:
-            place = self.localization.observe(self.time, np.array([*self.world.base_pose()[:2], self.world.yaw]))
+            place = self.localization.observe(self.time, self._planar_pose)
         self._last = SwerveMeasurement(self.time, **values, **imu, place=place)
         return self._last
 
     # ------------------------------------------------------------------ truth
+    def _planar_pose(self) -> Array:
+        """True (x, y, yaw) of the base."""
+        return np.array([*self.world.base_pose()[:2], self.world.yaw])
+
     def truth(self) -> Truth:
         """Poses, joints, wheel slip and load."""
         frames = self.world.frames(height=0.0)

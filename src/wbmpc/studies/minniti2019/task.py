@@ -184,11 +184,11 @@ def task_scenario(
     def record(t: float, command: Any, plans: Any) -> None:
         if previous is not None:
             previous(system.mpc, system.timing, t)
-        record_rezero(log, t, plant, controller, controller.torque)
+        truth = record_rezero(log, t, plant, controller, controller.torque)
         log.add("feedback", t, controller.target - controller.feedforward)
         if joints is not None and next(ticks) % JOINT_ROWS == 0:
             log.add("input", t, plans.current.feedforward(t))
-            joints.tick(t, plant.truth(), plans)
+            joints.tick(t, truth, plans)
         if task.pushes:
             active = [p.force for p in task.pushes if p.start <= t + 1e-9 < p.start + p.length]
             plant.push(np.sum(active, axis=0) if active else np.zeros(3))
@@ -201,8 +201,8 @@ def task_scenario(
     )  # fmt: skip
 
 
-def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallController, torque: np.ndarray) -> None:
-    """The channels of every experiment: truth, torques, disturbance and, with an estimator, what it believes."""
+def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallController, torque: np.ndarray) -> Truth:
+    """The channels of every experiment: truth, which is returned, torques, disturbance and, with an estimator, what it believes."""
     truth = plant.truth()
     if "torque" not in log.names:
         _label(log, controller.robot)
@@ -216,6 +216,7 @@ def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallControll
         log.add("payload", t, controller.payload.mass)
     if controller.estimator is not None:
         _record_estimate(log, t, controller.state()[: truth.state.size], truth, controller.estimator.filter)
+    return truth
 
 
 def _label(log: Log, robot: RobotModel) -> None:
