@@ -7,7 +7,7 @@ To add one: write the step as a function of translated Python (:mod:`wbmpc.kerne
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from functools import partial
 from itertools import pairwise
@@ -137,7 +137,7 @@ def zeros(record: Callable[..., Any], n: int) -> dict[str, NDArray[np.float64]]:
     return {name: np.zeros(n) for name, kind in kinds if getattr(kind, "__forward_arg__", kind) == "Floats"}
 
 
-def _write(parts: list[tuple[Callable[..., None], slice]], *numbers: float) -> None:
+def _write(parts: Sequence[tuple[Callable[..., None], slice]], *numbers: float) -> None:
     """Numbers to where they belong: to each function its part of them."""
     for write, part in parts:
         write(*numbers[part])
