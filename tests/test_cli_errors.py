@@ -120,7 +120,7 @@ def goes_on(path: Path) -> bool:
 
 def test_sigterm_is_ctrl_c_from_another_process(tmp_path: Path) -> None:
     """A service manager ends a run: its files are written, and the status says by what it was ended."""
-    run = [sys.executable, "-m", "wbmpc", "run", "rezero-steps", "--out", str(tmp_path / "a"), "--json"]
+    run = [sys.executable, "-m", "wbmpc", "run", "hold", "--set", "robot=ur5", "--out", str(tmp_path / "a"), "--json"]
     process = subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 300.0
     # the file is there before the run has begun

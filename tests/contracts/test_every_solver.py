@@ -42,12 +42,12 @@ def hardened(problem: SampleProblem) -> SampleProblem:
 
 def rezero_with_a_force() -> SampleProblem:
     """The ball robot pushes with 5 N while its end effector stays."""
-    base = rezero_solver(10)
+    base = rezero_solver(6)
     model = robot("rezero", contact="force")
     from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
     from wbmpc.settings import MpcSettings
 
-    settings = MpcSettings(horizon=0.5, intervals=10, first_interval=0.0, barrier_mu=1e-2)
+    settings = MpcSettings(horizon=0.3, intervals=6, first_interval=0.0, barrier_mu=1e-2)
     home, torque = model.base.numeric.equilibrium(model.home[model.state["arm"]])
     u = np.concatenate([torque, np.zeros(3)])
     references = {

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.swerve.wheel_record import WheelRecord
+from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_fit import WheelFit
 from wbmpc.estimation.wheel_odometry import Increment, Sample
 from wbmpc.model.wheels import ModuleGeometry
@@ -108,3 +110,22 @@ class Drawn:
                 gyro = self.motion(t)[2] + self.drift
             self.poses.append(pose)
             yield t, leg, heading + turned - g.wheel_heading - leg + self.zeros, wheel, gyro
+
+
+#: Modules that are not on one circle: every zero and every radius shows in some motion.
+UNEVEN = ring(4)
+UNEVEN.hinge[:] += [[0.3, 0.0], [0.0, 0.1], [-0.1, -0.2], [0.1, 0.0]]
+
+
+def record(base: Drawn, std: tuple[float, float, float], every: int = 5) -> WheelRecord:
+    """What a localization and the encoders of that base say."""
+    messages = list(base)
+    times, leg, steer, wheel, gyro = (np.array(part) for part in zip(*messages, strict=True))
+    places = np.array(base.poses[::every])
+    seen = places + np.array(std) * base.rng.normal(size=places.shape)
+    return WheelRecord(times, leg, steer, wheel, times[::every], seen, np.tile(std, (len(seen), 1)), gyro)
+
+
+def prior() -> WheelCalibration:
+    """Zeros and radii that may be wrong by 2 mrad and 0.2 %."""
+    return WheelCalibration.unknown(UNEVEN, 2e-3, 2e-3, 0.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import trimesh
 import yaml
-from test_new_robot import ARM, CASTER, RADIUS, joint, link, model, new
+from urdf_parts import ARM, CASTER, RADIUS, joint, link, model, new
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot

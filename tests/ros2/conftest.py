@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from wbmpc.model.robot import RobotModel
+
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parents[1] / "benchmarks")]
 
@@ -44,3 +46,16 @@ def made(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[..., Any]]:
             return s
 
         yield make
+
+
+@pytest.fixture
+def simulated(robot: RobotModel) -> Iterator[Any]:
+    """The node and MuJoCo's robot of the test's ``robot``, in lockstep on a network of their own."""
+    from needs import private
+    from simulated import Simulated
+
+    from wbmpc.ros2.network import Network
+
+    made = Simulated(robot, Network.of(private()))
+    yield made
+    made.close()

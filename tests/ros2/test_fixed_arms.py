@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from needs import needs_dds, private
+from needs import needs_dds
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
@@ -40,17 +39,6 @@ def test_goals_are_within_reach_and_none_is_the_bases(robot: RobotModel) -> None
     ):
         with pytest.raises(InputError, match="does not move"):
             order()
-
-
-@pytest.fixture
-def simulated(robot: RobotModel) -> Iterator[Any]:
-    from simulated import Simulated
-
-    from wbmpc.ros2.network import Network
-
-    made = Simulated(robot, Network.of(private()))
-    yield made
-    made.close()
 
 
 @needs_dds

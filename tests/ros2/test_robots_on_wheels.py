@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from needs import needs_dds, private
+from needs import needs_dds
 
 from planar_driving import RADIUS, write_robot
 from wbmpc.bases.planar_motion.controller import PlanarController
@@ -123,17 +122,6 @@ def test_poses_of_another_localization(robot: RobotModel) -> None:
     fixes.append((0.0, np.array([4.0, 0.0, 0.0]), np.zeros((3, 3))))
     c.measure(message(0.03, 0.0))
     np.testing.assert_allclose(c.pose, [4.0, 0.0, 0.0])
-
-
-@pytest.fixture
-def simulated(robot: RobotModel) -> Iterator[Any]:
-    from simulated import Simulated
-
-    from wbmpc.ros2.network import Network
-
-    made = Simulated(robot, Network.of(private()))
-    yield made
-    made.close()
 
 
 @needs_dds
