@@ -232,8 +232,8 @@ class Base(Protocol):
     def rolling(self, x: ca.SX, u: ca.SX, m: ca.SX) -> ca.SX:
         """Rolling (wheels) and side-slip (wheels) velocities [m/s] of the contacts, zero where wheels roll."""
 
-    def constraints(self, robot: RobotModel) -> list[Constraint]:
-        """What every problem on this base needs: rolling wheels, closed brakes. With limits of its own it takes ``hard`` too."""
+    def constraints(self, robot: RobotModel, *, hard: bool = True) -> list[Constraint]:
+        """What every problem on this base needs: rolling wheels, closed brakes; limits of its own are ``hard`` or cost their violation."""
 
     def limits(self, description: RobotDescription) -> Limits:
         """Bounds of state and input."""

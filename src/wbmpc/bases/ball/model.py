@@ -239,7 +239,7 @@ class BallBase:
         """No rows: the coordinates contain the rolling of the ball."""
         return ca.SX(0, 1)
 
-    def constraints(self, robot: RobotModel) -> list[Constraint]:
+    def constraints(self, robot: RobotModel, *, hard: bool = True) -> list[Constraint]:
         """None: every torque is possible."""
         return []
 

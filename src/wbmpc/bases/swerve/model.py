@@ -301,10 +301,10 @@ class SwerveBase:
         return ca.vertcat(*rolling, *side)
 
     def constraints(
-        self, robot: RobotModel, side_softness: float = 0.0, *, allow_side_slip: bool = False
+        self, robot: RobotModel, side_softness: float = 0.0, *, allow_side_slip: bool = False, hard: bool = True
     ) -> list[Constraint]:
-        """Rolling wheels, with the softness of their rows; closed brakes where legs are hinged. ``allow_side_slip``: the
-        reference of "rolling" says which wheels may slip sideways."""
+        """Rolling wheels, with the softness of their rows; closed brakes where legs are hinged: equations, ``hard`` limits or not.
+        ``allow_side_slip``: the reference of "rolling" says which wheels may slip sideways."""
         from wbmpc.ocp import Constraint, residuals
 
         rolling = Constraint("rolling", residuals.Rolling(robot, allow_side_slip), softness=side_softness)
