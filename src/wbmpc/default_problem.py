@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.speeds import SpeedMPC
@@ -77,7 +78,12 @@ def default_problem(
 ) -> OptimalControlProblem:  # fmt: skip
     """Pose of the end effector ("end_effector"), posture and inputs as costs; ranges, speeds, accelerations, the wheels' rates, and
     distances of the pairs that the robot file lists (``collision.self.pairs``) as inequalities; what keeps the robot upright: see
-    :func:`keep_upright`."""
+    :func:`keep_upright`. Raises :class:`InputError` for a robot that balances: its inputs are torques."""
+    if robot.base.balances:
+        raise InputError(
+            f"default problem: the inputs of '{robot.description.name}' are torques, and it balances; valid: robots whose inputs are speeds "
+            "(for others: wbmpc.bases.base_type(robot.description.base.type).mpc(robot))"
+        )
     settings, cost = settings or default_settings(), cost or DefaultCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)

@@ -8,11 +8,11 @@ import pytest
 import wbmpc as wb
 from toys import robot
 from wbmpc.default_problem import default_mpc
+from wbmpc.errors import InputError
 
 
-@pytest.mark.parametrize("name", ["swerve-ur10", "rezero"])
-def test_the_end_effector_comes_to_its_goal(name: str) -> None:
-    model = robot(name)
+def test_the_end_effector_of_a_swerve_robot_comes_to_its_goal() -> None:
+    model = robot("swerve-ur10")
     mpc, (start, turn) = default_mpc(model), model.pose(model.home)
     goal = start + [0.4, 0.2, 0.0]
     mpc.reference["end_effector"] = wb.Reference.poses([0.0], [goal], turn, hold=True)
@@ -22,3 +22,8 @@ def test_the_end_effector_comes_to_its_goal(name: str) -> None:
         x = mpc.simulate(x, policy.feedforward(0.02 * k + 0.01), 0.02)
     assert np.linalg.norm(model.pose(x)[0] - goal) < 5e-3
     assert mpc.statistics.failures == 0
+
+
+def test_a_robot_that_balances_is_an_error_that_names_what_to_call() -> None:
+    with pytest.raises(InputError, match=r"'rezero' are torques.*base_type"):
+        default_mpc(robot("rezero"))
