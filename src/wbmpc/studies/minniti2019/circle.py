@@ -73,8 +73,8 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
         use = t >= settings.settle_time
         target = ball_path(settings, t)
         return {
-            "hand_error_rms": Metric(rms((estimated_end_effector(log) - end_effector)[use]), "m", goal=0.005),
-            "hand_error_rms_world": Metric(rms((log.array("hand") - end_effector)[use]), "m"),
+            "hand_error_rms_world": Metric(rms((log.array("hand") - end_effector)[use]), "m", goal=0.005),
+            "hand_error_rms": Metric(rms((estimated_end_effector(log) - end_effector)[use]), "m"),
             "ball_error_rms_world": Metric(rms((log.array("state")[:, :2] - target)[use]), "m"),
             "ball_error_rms": Metric(rms((estimated_ball(log) - target)[use]), "m"),
             "tilt_max": Metric(float(log.array("tilt").max()), "rad"),
