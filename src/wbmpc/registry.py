@@ -78,12 +78,14 @@ def load_mpc(problem: str) -> MPC:
 
     Raises :class:`InputError` if there is no such file, it cannot be imported, or has no MPC of that name.
     """
-    file, _, name = problem.partition(":")
+    file, colon, name = problem.partition(":")
     path = Path(file)
     if path.suffix != ".py" or not path.is_file():
         raise InputError(
             f"'{problem}': a Python file that makes an MPC is needed, as FILE.py or FILE.py:NAME; there is no file '{path}'"
         )
+    if colon and not name:
+        raise InputError(f"'{problem}': there is no name after ':'; valid: FILE.py:NAME, or FILE.py alone")
     module = _imported(path)
     names = (name,) if name else ("make_mpc", "mpc")
     found = next((getattr(module, n) for n in names if hasattr(module, n)), None)

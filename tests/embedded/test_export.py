@@ -325,6 +325,15 @@ def test_a_file_that_is_there_is_not_replaced(tmp_path: Path, name: str) -> None
     assert (tmp_path / name).read_text() == "mine"
 
 
+def test_a_name_that_is_left_out_after_the_colon_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "problem.py").write_text("from exported import trolley as make_mpc\n")
+    assert call("export", f"{tmp_path / 'problem.py'}:", "--out", str(tmp_path / "out")) == 2
+    assert "there is no name after ':'" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
 def test_names_of_states_cannot_end_a_comment(tmp_path: Path) -> None:
     names = {"x": ["a */ int evil; /*"]}, {"u": ["b\n*/"]}
     dynamics = wb.Ode(*names, lambda x, u: u)

@@ -432,6 +432,10 @@ def test_an_mjcf_and_its_actuators(tmp_path: Path) -> None:
         ('actuatorfrcrange="0 5"', "", None, True),
         ("", 'forcerange="-7 -2"', None, True),
         ("", 'forcerange="-7 3"', 3.0, False),
+        ("", 'ctrlrange="0 5"', None, True),
+        ("", 'ctrlrange="-5 -1"', None, True),
+        ("", 'ctrlrange="0 5" forcerange="-7 3"', 3.0, False),
+        ("", 'ctrlrange="-5 4"', 4.0, False),
         ("", "", None, False),
     ],
 )

@@ -109,12 +109,14 @@ def _with(drive: Drive, actuator: mujoco.MjsActuator) -> Drive:
     )
     bias, velocity = tuple(map(float, actuator.biasprm[:3])), drive.velocity
     constant = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
-    if force is None and control is not None and constant and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
+    is_force = constant and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+    if force is None and control is not None and is_force:
         force = control * abs(gain)
     if control is not None and constant and bias[:2] == (0.0, 0.0) and bias[2] == -gain != 0.0 and gear > 0.0:
         velocity = _bound(control / gear)
     effort = drive.effort if force is None else drive.effort or _bound(force * gear)
     none = drive.no_effort or _one_sided(tuple(actuator.forcerange), actuator.forcelimited)
+    none = none or (is_force and _one_sided(tuple(actuator.ctrlrange), actuator.ctrllimited))
     return replace(drive, velocity=velocity, effort=effort, driven=True, no_effort=none and effort is None)
 
 
