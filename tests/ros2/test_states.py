@@ -200,3 +200,9 @@ def test_a_jump_that_the_next_message_confirms_is_true_for_who_would_fall(confir
 
     taken = [read(k, elbow) for k, elbow in enumerate([0.0, 0.001, 1.0, 0.002, 0.5, 0.58, 0.66, 0.74])]
     assert taken == [True, True, False, True, False, confirmed, False, confirmed]
+
+
+def test_in_lockstep_a_tick_may_be_late_by_what_the_simulator_goes_on_before_its_first_commands() -> None:
+    """Truth: the limit of the watchdog that the file gives, without and with lockstep."""
+    assert SwerveRosSettings(safety=Safety(watchdog=0.05)).held_up == 0.05
+    assert SwerveRosSettings(safety=Safety(watchdog=0.05), lockstep=True).held_up == 1.0

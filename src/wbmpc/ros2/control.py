@@ -298,8 +298,9 @@ class ControlNode:
         adapter.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         self._follow_sensors()  # what the sensors said meanwhile
         times = RealTimeSettings(
-            settings.rates.control, max_policy_age=settings.safety.policy, max_observation_age=watchdog, watchdog=watchdog,
-            records=_RECORDS, keep=adapter.must_keep_running, priority=control_priority(), offset=MPC_OFFSET * self.period,
+            settings.rates.control, max_policy_age=settings.safety.policy, max_observation_age=watchdog,
+            watchdog=settings.held_up, records=_RECORDS, keep=adapter.must_keep_running, priority=control_priority(),
+            offset=MPC_OFFSET * self.period,
         )  # fmt: skip
         self.runner = RealTimeRunner(
             self.robot_io, adapter.controller, adapter.mpc, times, self.clock, parameters=adapter.parameters

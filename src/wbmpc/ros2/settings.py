@@ -252,6 +252,12 @@ class RosSettings(Settings):
         """How long [s of the wall] simulated time, or the answers to it, may stay away: see ``safety.clock``."""
         return self.safety.clock or (LOCKSTEP_PATIENCE if self.lockstep else GONE)
 
+    @property
+    def held_up(self) -> float:
+        """How late [s] a tick may begin and how long it may take: ``safety.watchdog``. In lockstep at least :data:`GONE`: until the first
+        commands have reached the simulator its time goes by the wall's clock, and a busy machine may take that long."""
+        return max(self.safety.watchdog, GONE) if self.lockstep else self.safety.watchdog
+
     def silence(self, speed: float) -> float:
         """How long [s of the wall] ``/clock`` may stand while the robot moves, if its time has passed ``speed`` times as fast as
         the wall's: joint states have stopped then too, and would be older than the watchdog allows. In lockstep: ``patience``."""
