@@ -32,8 +32,7 @@ REQUEST_TYPES = {
 }  # fmt: skip
 #: Types of obstacles, by the keys of their topics.
 OBSTACLE_TYPES = {
-    "detections": "vision_msgs/msg/Detection3DArray", "occupancy_grid": "nav_msgs/msg/OccupancyGrid",
-    "points": "sensor_msgs/msg/PointCloud2",
+    "detections": "vision_msgs/msg/Detection3DArray", "occupancy_grid": "nav_msgs/msg/OccupancyGrid", "points": "sensor_msgs/msg/PointCloud2",
 }  # fmt: skip
 #: How long [s of the wall] simulated time may stand: in lockstep, and without a publisher, or else.
 LOCKSTEP_PATIENCE, GONE = 30.0, 1.0
@@ -161,11 +160,10 @@ class Goals(Settings):
 
 
 class Safety(Settings):
-    """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop;
-    ``cmd_vel``: a speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: as long
-    as the watchdog, of a slower simulator's time, at most 1 s; in lockstep 30 s, for a busy machine takes its time, or 1 s when
-    no publisher is left). ``jump`` [m, rad]: how far a pose of another localization may be off from what the robot's own
-    motion says, beyond three standard deviations."""
+    """Times [s]: ``watchdog``: largest age of joint states; ``policy``: of a policy without a successor; ``ramp`` of a stop; ``cmd_vel``: a
+    speed holds this long; ``clock``: with simulated time, largest wall time in which it stands (left out: as long as the watchdog, of a
+    slower simulator's time, at most 1 s; in lockstep 30 s, for a busy machine takes its time, or 1 s when no publisher is left).
+    ``jump`` [m, rad]: how far a pose of another localization may be off from what the robot's own motion says, beyond three deviations."""
 
     watchdog: float = Field(0.1, ge=1e-3, le=1)
     policy: float = Field(0.5, ge=1e-3, le=10)
@@ -198,15 +196,13 @@ class Controller(Settings):
 
 
 class RosSettings(Settings):
-    """What every base type's settings have; a base type adds its own in a subclass (see
-    :meth:`wbmpc.bases.base.BaseType.ros_settings`), with its ``cost``.
+    """What every base type's settings have; subclasses (:meth:`wbmpc.bases.base.BaseType.ros_settings`) add a type's own, with its ``cost``.
 
-    ``joints``: our name of a joint to the bus's; ``ignore``: joints of the bus that are not ours.
-
-    ``controllers``: left out, one for each of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go
-    out in the order of the legs. ``use_sim_time``: time is what ``/clock`` says. ``lockstep``: so it does, and a solve takes
-    the modeled ``mpc.computation_delay`` of that time, however fast the machine is. ``actuator_time_constant`` [s] of the drives; ``state_age`` [s]:
-    by the wall's clock, how old joint states are when they come, and ``wrench`` (robots that balance).
+    ``joints``: our name of a joint to the bus's; ``ignore``: joints of the bus that are not ours. ``controllers``: left out, one for each
+    of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go out in the order of the legs. ``use_sim_time``: time is
+    what ``/clock`` says. ``lockstep``: so it does, and a solve takes the modeled ``mpc.computation_delay`` of that time, however fast the
+    machine is. ``actuator_time_constant`` [s] of the drives; ``state_age`` [s]: by the wall's clock, how old joint states are when they come,
+    and ``wrench`` (robots that balance).
     """
 
     node: str = "wbmpc"
@@ -254,16 +250,14 @@ class RosSettings(Settings):
 
     @property
     def held_up(self) -> float:
-        """How late [s] a tick may begin and how long it may take: ``safety.watchdog``. In lockstep at least :data:`GONE`: until the first
-        commands have reached the simulator its time goes by the wall's clock, and a busy machine may take that long."""
-        return max(self.safety.watchdog, GONE) if self.lockstep else self.safety.watchdog
+        """How late [s] a tick may begin: by the watchdog; in lockstep 1 s: a simulator waits from the first commands on that it hears."""
+        return max(self.safety.watchdog, self.lockstep * GONE)
 
     def silence(self, speed: float) -> float:
         """How long [s of the wall] ``/clock`` may stand while the robot moves, if its time has passed ``speed`` times as fast as
         the wall's: joint states have stopped then too, and would be older than the watchdog allows. In lockstep: ``patience``."""
-        if self.lockstep or self.safety.clock is not None:
-            return self.patience
-        return min(self.safety.watchdog / min(max(speed, 1e-3), 1.0), GONE)
+        limited = self.lockstep or self.safety.clock is not None
+        return self.patience if limited else min(self.safety.watchdog / min(max(speed, 1e-3), 1.0), GONE)
 
     def fastest(self, robot: RobotModel) -> np.ndarray:
         """The largest speed (3) that may be asked for [m/s, m/s, rad/s]."""
