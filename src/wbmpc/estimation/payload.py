@@ -31,8 +31,7 @@ class ArmScale:
     """Mass [kg] at the ``center`` (3) [m] in the end effector's axes of a robot whose arm's drives report their torques.
 
     ``mass`` is ``known`` until the arm has been still for long enough, and is kept while it moves, or where it stands so that its drives do
-    not feel a mass (an end effector above its shoulder). Raises :class:`InputError` for an arm of which a limit of torque is missing, or
-    that has none that bears weight.
+    not feel a mass (an end effector above its shoulder). Raises :class:`InputError` for an arm of which a limit of torque is missing.
     """
 
     def __init__(self, robot: RobotModel, center: ArrayLike = (0.0, 0.0, 0.0), known: float = 0.0) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -80,20 +80,15 @@ class Sideways(Settings):
         }
 
 
-class SCurve(Settings):
-    """The base goes to the side and back again while it drives ahead, and heads along its path, whose curvature is zero at both ends and
-    changes steadily. ``length`` [m] ahead; ``width`` [m] to the side; ``speed`` [m/s] along the path: the desired one; ``acceleration`` [m/s²]:
-    of progress, at most; ``drives``: factor on the robot's limits of speed and acceleration of wheels and base."""
+class BasePath(Settings):
+    """The base follows a path at its own speed and heads along it. ``length`` [m] ahead; ``speed`` [m/s] along the path: the desired one;
+    ``acceleration`` [m/s²]: of progress, at most; ``drives``: factor on the robot's limits of speed and acceleration of wheels and base."""
 
-    kind: Literal["s-curve"] = "s-curve"
     length: float = Field(4.0, ge=0.5, le=100)
-    width: float = Field(0.8, ge=0.0, le=10)
     speed: float = Field(2.0, ge=0.1, le=10)
     acceleration: float = Field(2.5, ge=0.1, le=50)
     drives: float = Field(2.2, ge=0.5, le=10)
 
-    WEIGHTS: ClassVar[dict[str, float]] = {"input": 0.05, "contour": 10.0, "progress": 10.0}
-    GOALS: ClassVar[dict[str, float]] = {"path_error_max": 0.015, "wheel_slip_max": 0.05, "time_unloaded": 0.1}
     AFTER: ClassVar[float] = 5.0
     FOLLOWS: ClassVar[Literal["base"] | None] = "base"
     ROLLING: ClassVar[float] = 0.0
@@ -112,8 +107,8 @@ class SCurve(Settings):
         return headed(self.turns(), self.length)
 
     def turns(self) -> list[tuple[float, float]]:
-        """Where the path goes neither left nor right: x and y [m], from its start on."""
-        return [(0.0, 0.0), (0.5 * self.length, self.width), (self.length, 0.0)]
+        """Points of the path at which it runs straight ahead: x and y [m], from its start on."""
+        raise NotImplementedError
 
     def equipped(self, robot: RobotModel) -> RobotModel:
         """The robot with its limits of wheels and base times ``drives``; its simulated drives follow them."""
@@ -159,15 +154,29 @@ class SCurve(Settings):
         }
 
 
-class Slalom(SCurve):
-    """The base winds through low pillars that stand to its right and left in turn; the arm passes above them. They are a little elsewhere
-    than the path was made for. ``pillars``: how many; ``first`` [m]: of them, ahead; ``spacing`` [m] between two; ``overlap`` [m]: how far
-    each stands in the way of a base that goes straight."""
+class SCurve(BasePath):
+    """The base goes to the side and back again while it drives ahead; the curvature of its path is zero at both ends and changes steadily.
+    ``width`` [m] to the side."""
 
-    kind: Literal["slalom"] = "slalom"  # type: ignore[assignment]
+    kind: Literal["s-curve"] = "s-curve"
+    width: float = Field(0.8, ge=0.0, le=10)
+
+    WEIGHTS: ClassVar[dict[str, float]] = {"input": 0.05, "contour": 10.0, "progress": 10.0}
+    GOALS: ClassVar[dict[str, float]] = {"path_error_max": 0.015, "wheel_slip_max": 0.05, "time_unloaded": 0.1}
+
+    def turns(self) -> list[tuple[float, float]]:
+        """To the side, and back."""
+        return [(0.0, 0.0), (0.5 * self.length, self.width), (self.length, 0.0)]
+
+
+class Slalom(BasePath):
+    """The base winds through low pillars that stand to its right and left in turn; the arm passes above them. They are a little elsewhere
+    than the path was made for. ``pillars``: number of pillars; ``first`` [m]: how far ahead the first one stands; ``spacing`` [m] between
+    two; ``overlap`` [m]: how far each stands in the way of a base that goes straight."""
+
+    kind: Literal["slalom"] = "slalom"
     length: float = Field(9.5, ge=0.5, le=100)
     first: float = Field(3.0, ge=0.5, le=100)
-    width: Annotated[float, Field(ge=0.0, le=0.0)] = 0.0
     pillars: int = Field(3, ge=1, le=50)
     spacing: float = Field(2.4, ge=0.2, le=20)
     overlap: float = Field(0.1, ge=-1.0, le=1.0)
