@@ -23,7 +23,7 @@ class InputLimits:
     Bounds ``lower`` and ``upper`` (nu) cut inputs one by one. Rows ``matrix`` u + ``offset`` ≥ 0, (r, nu) and (r,), scale back what
     feedback adds: u = u_ff + s (u − u_ff), for every group of inputs that rows couple with the largest s in [0, 1] that holds its
     rows. Other groups, and inputs in no row, keep their feedback: a base at its limit must not take the balance from a pole.
-    Where bounds move with a reference, their rows are in ``matrix``, and cut inputs one by one too.
+    Where bounds move with a reference or count in some modes alone, their rows are in ``matrix``, and cut inputs one by one too.
     """
 
     def __init__(
@@ -83,9 +83,9 @@ class Policy:
     After a push the feedback asks for more than the plan, which knows nothing of it yet. ``active`` (N, r): which of the rows
     count in each interval's mode. ``moving`` (N, 2, r): their offsets at each interval's beginning and end, where references or
     parameters move them (None: nowhere); in between they are linear, and nowhere larger than a reference that bends or jumps there
-    allows. Other hard rows
-    (with states, and those that ``MPC(plan_only_limits=True)`` allows) hold in the plan, i.e. for ``policy(t)``; cut feedback to
-    those yourself, from :meth:`law`.
+    allows. A reference that moves within one interval by more than its limits are wide leaves no input for the whole interval: there
+    the upper limits hold alone. Other hard rows (with states, and those that ``MPC(plan_only_limits=True)`` allows) hold
+    in the plan, i.e. for ``policy(t)``; cut feedback to those yourself, from :meth:`law`.
     ``clearance``: what of the plan is nearest to an obstacle, or to another part of the robot, for its margin (None: no such rows).
     """
 

@@ -106,7 +106,7 @@ def arrange(
 
 
 @compiled
-def moved_bounds(limits: Floats, r: int, nu: int, active: Floats, k: int, room: Floats) -> None:
+def row_bounds(limits: Floats, r: int, nu: int, active: Floats, k: int, room: Floats) -> None:
     """Bounds in ``room``: those that hold for good, and those of the rows of single inputs with the offsets behind them."""
     offset, single = 3 * nu, 2 * nu + 2 * r * nu + r
     for row in range(r):
@@ -169,11 +169,10 @@ def within(
     rows of several inputs scale back what it adds to the planned ``inputs``."""
     for i in range(2 * nu):
         room[i] = limits[i]
-    if moved:
-        moved_bounds(limits, r, nu, active, k, room)
-    else:
+    if not moved:
         for row in range(r):
             room[3 * nu + row] = limits[2 * nu + r * nu + row]
+    row_bounds(limits, r, nu, active, k, room)
     far = clip(u, nu, room)
     if feedback and scale_back(u, inputs, limits, r, nu, active, k, room):
         far = True
