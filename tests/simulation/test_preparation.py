@@ -5,6 +5,8 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from wbmpc.experiment import Outcome, Scenario, run_scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
@@ -29,7 +31,9 @@ class Watcher:
         self.seen.append(ending.reason)
 
 
-def test_live_watchers_alone_see_the_drive_and_it_is_the_same() -> None:
+def test_live_watchers_alone_see_the_drive_and_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, short in (("STRAIGHT", 0.4), ("TURN", 0.5), ("STANDING", 0.4)):
+        monkeypatch.setattr(reference_drive, name, short)
     robot, notes = load_robot("differential-ur10"), []
     shown, recorded, driven = Watcher(True), Watcher(False), []
 
